@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from edge.gateway.acquisition import AcquisitionStatus
-    from edge.gateway.summary import Summary
+    from edge.acquisition import AcquisitionStatus
+    from edge.gateway.report import Summary
     from edge.messaging.local_broker import LocalBroker
     from edge.messaging.mqtt_broker import Level
 
@@ -165,7 +165,7 @@ class _Tally:
     def check(self, recording: Path) -> None:
         """Errors: PressesMissed, SinkUnavailable: a demo that lost a press or a result has failed."""
         from edge.core.errors import SinkUnavailable
-        from edge.gateway.played import check_played
+        from edge.gateway.report import check_played
         from edge.recording.format import Recording
 
         if self.summary is not None and self.status is not None:

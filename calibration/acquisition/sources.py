@@ -18,6 +18,7 @@ from calibration.fitting.nominal_presses import (
 )
 from calibration.fitting.recorded_presses import FoundPress, PressFinder
 from edge import registry
+from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.cli.plugin_options import plugin_options
 from edge.config import load_config
 from edge.core.contact.settings import ContactSettings
@@ -27,7 +28,6 @@ from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.ports import Clock, Device
-from edge.gateway.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.gateway.opening import device_opener
 from edge.recording.format import Recording
 

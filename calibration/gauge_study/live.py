@@ -13,13 +13,14 @@ from calibration.gauge_study.plan import StudyPlan
 from edge.clock import SystemClock
 from edge.config import Config
 from edge.core.errors import ConfigError, DatasetError
+from edge.core.press import Press
 from edge.core.press_label import PressLabel, StudyLabel
+from edge.features.press_stage import Mounted, PressStage
 from edge.gateway.gateway import Gateway
-from edge.gateway.press_stage import Mounted, PressStage
-from edge.gateway.recorder import PressReport
 from edge.store import study_presses
-from edge.store.press_store import Store
-from edge.store.study_presses import StudyPress
+from edge.store.gel_ledger import GelRecord
+from edge.store.press_store import PressRecord, Store
+from edge.store.study_presses import StudyPress, StudyTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -90,17 +91,22 @@ class StudyLabels(PressStage):
         step = self.plan.order[number]
         return StudyLabel(self.plan.study_id, number, step.piece, step.operator, step.repeat)
 
-    def record(self, report: PressReport) -> None:
-        if not isinstance(report.label, StudyLabel):
+    def table(self, press: Press, row: PressRecord) -> StudyTable | None:
+        if not isinstance(label := press.label, StudyLabel):
+            return None
+        step = (label.study_id, label.step, label.piece, label.operator, label.repeat)
+        return StudyTable(*step, press.bundle_id, press.reason or press.error)
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        if not isinstance(label := press.label, StudyLabel):
             return
-        result = report.result
-        if result.verdict is None or result.verdict.value not in _SCORED:
-            self.say(f"no score: {result.error or result.reason}; press {report.label.piece} again")
+        if press.word not in _SCORED:
+            self.say(f"no score: {press.error or press.reason}; press {label.piece} again")
             return
-        self._last = (report.label.step, result.press_id)
+        self._last = (label.step, press.press_id)
         for steps in (self._open, self._skipped):
-            if report.label.step in steps:
-                steps.remove(report.label.step)
+            if label.step in steps:
+                steps.remove(label.step)
         if not self._open:
             self.stop()
             return

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from edge.config import Config
-    from edge.gateway.inspector import Inspector
-    from edge.gateway.replay import Replayed
+    from edge.features.black_box.replay import Replayed
+    from edge.model.inspector import Inspector
     from edge.store.evidence import KnownPress
     from edge.store.press_archive import ArchivedPress, ArchiveFolder
 
@@ -82,7 +82,7 @@ class _Run:
     def again(self, wanted: "Iterable[KnownPress]", places: list[Path]) -> None:
         """With the bundles that judged."""
         from edge.clock import SystemClock
-        from edge.gateway.replay import Bundles
+        from edge.features.black_box.replay import Bundles
 
         bundles = Bundles(places, SystemClock())
         for press, found in self._each(wanted, bundles.inspector):
@@ -101,8 +101,8 @@ class _Run:
 
         from edge.clock import SystemClock
         from edge.core.printable import printable
-        from edge.gateway.inspector import Inspector
         from edge.model.bundle import Bundle
+        from edge.model.inspector import Inspector
         from edge.model.scorer import Scorer
 
         inspector = Inspector(Scorer(Bundle.load(path)), SystemClock())
@@ -122,7 +122,7 @@ class _Run:
     ) -> "Iterator[tuple[KnownPress, Replayed]]":
         from edge.core.errors import ArchiveError, BundleError
         from edge.core.printable import printable
-        from edge.gateway.replay import replayed
+        from edge.features.black_box.replay import replayed
 
         for press in wanted:
             if press.evidence is None and self._is_many:
@@ -158,15 +158,13 @@ class _Run:
     def _write_picture(self, found: "Replayed", inspector: "Inspector") -> None:
         if self._picture is None:
             return
-        from edge.gateway.heatmaps import heatmap_png
-        from edge.store.press_store import PressRecord
+        from dataclasses import replace
 
-        then, verdict = found.then, found.now.verdict
-        press = PressRecord(
-            then.press_id, then.time_ns, then.serial, then.part, found.now.word, then.position,
-            verdict.score if verdict else None, then.threshold,
-        )  # fmt: skip
-        png = heatmap_png(press, found.now, inspector.bundle, then.station)
+        from edge.gateway.recorder import heatmap_png
+
+        then = found.then
+        press = replace(found.now, press_id=then.press_id, time_ns=then.time_ns)
+        png = heatmap_png(press, inspector.bundle, then.station)
         if png is None:
             typer.echo(f"{then.press_id}  has no score, so no picture", err=True)
             return

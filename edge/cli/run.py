@@ -10,7 +10,7 @@ from edge.cli.station_options import CONFIG, ConfigOption
 
 if TYPE_CHECKING:
     from edge.gateway.recorder import PressReport
-    from edge.gateway.summary import Summary
+    from edge.gateway.report import Summary
 
 __all__ = ["EXAMPLE", "check", "press_line", "run", "summary_text"]
 
@@ -131,8 +131,8 @@ def run(
     from edge.core.errors import DeviceError
     from edge.gateway.gateway import Gateway
     from edge.gateway.opening import played_recording
-    from edge.gateway.played import check_played
     from edge.gateway.preflight import preflight
+    from edge.gateway.report import check_played
 
     logs.start("json" if log_json else "text", is_verbose=verbose)
     os.umask(os.umask(0o077) | 0o027)  # results and counts are not for every user of the machine
@@ -275,9 +275,9 @@ def press_line(report: "PressReport") -> str:
     stages = " ".join(f"{stage} {ms:.1f}" for stage, ms in result.latency_ms.items() if stage != "total")
     total = result.latency_ms.get("total", 0.0)
     verdict = (result.verdict or "error").upper()
-    label = "" if report.label is None else f"{report.label.kind} {report.label.piece}  "
+    named = f"{label.kind} {label.piece}  " if (label := report.press.label) else ""
     said = "".join(f"  {sentence}" for sentence in report.sentences)
     return (
-        f"{result.part}/{result.position or '-'}  {label}{verdict:8} {found}  "
+        f"{result.part}/{result.position or '-'}  {named}{verdict:8} {found}  "
         f"{total:6.1f} ms ({stages})  gel {report.gel.presses}/{report.gel.limit_presses}{said}"
     )

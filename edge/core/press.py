@@ -90,6 +90,10 @@ class Press:
     """Its ULID, given when it is judged."""
     time_ns: int = 0
     """When it was judged, wall clock."""
+    bundle_id: str = ""
+    """Digest of the bundle that judged it."""
+    evidence: bytes | None = None
+    """SHA-256 of what was kept of it; None where nothing was."""
 
     @property
     def is_decided(self) -> bool:
@@ -107,6 +111,28 @@ class Press:
         """The verdict, or `error`."""
         return "error" if self.verdict is None else self.verdict.kind.value
 
+    @property
+    def reason(self) -> str | None:
+        """Why it is rejected."""
+        rejection = self.verdict.rejection if self.verdict else None
+        return f"{rejection.reason.value}: {rejection.text}" if rejection else None
+
+    @property
+    def score(self) -> float | None:
+        return self.verdict.score if self.verdict else None
+
     def reject(self, rejection: Rejection) -> "Press":
         """Return it rejected, unless it is decided already."""
         return self if self.is_decided else replace(self, verdict=Verdict.rejected(rejection))
+
+    def distrust(self) -> "Press":
+        """Return it unsure instead of passed where scars hide more of it than is accepted."""
+        verdict, scars = self.verdict, self.scars
+        if verdict is None or scars is None or not scars.is_too_blind or verdict.kind is not Kind.PASS:
+            return self
+        return replace(self, verdict=replace(verdict, kind=Kind.UNSURE))
+
+    def drop_pictures(self) -> "Press":
+        """Return it without frame and maps, to wait for the database in little memory."""
+        scars = None if self.scars is None else replace(self.scars, masked=None)
+        return replace(self, rgb=None, score_map=None, judged=None, registered=None, scars=scars)

@@ -8,42 +8,40 @@ import random
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
-from typing import Final
 
 from edge import registry
+from edge.acquisition import Acquisition
 from edge.config import Config, sink_names
 from edge.core.errors import GelgateError
 from edge.core.ports import Clock, Device, Message, Sink
 from edge.core.press_again import Costs
 from edge.core.sink_context import PageRequests, Place, Station, client_id, topic_root
-from edge.gateway.acquisition import Acquisition
-from edge.gateway.admission import Admission, SelectByCode
-from edge.gateway.black_box import BlackBox
+from edge.features.black_box.stage import BlackBox
+from edge.features.gel_proof import GelProofWatch
+from edge.features.outputs.opening import open_outputs
+from edge.features.outputs.stage import Outputs
+from edge.features.overview import OVERVIEW_STALL_S, Overview, say_overview_camera
+from edge.features.press_again import PressAgain
+from edge.features.press_stage import PressStage
+from edge.features.reference_press import ReferenceGuard
+from edge.features.scars import ScarWatch
+from edge.features.snapshots import Snapshots
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.bundle_stage import BundleStage, OpenBundles
 from edge.gateway.command_policy import policy_of
-from edge.gateway.command_table import station_handlers
+from edge.gateway.command_table import acknowledge_by_pedal, station_handlers, trigger_by_pedal
 from edge.gateway.commands import Commands
 from edge.gateway.description import described
-from edge.gateway.digital_io.outputs import Outputs
-from edge.gateway.free_space import FreeSpace
-from edge.gateway.gel_proof_watch import GelProofWatch
-from edge.gateway.io_opening import station_io
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.metrics import served
 from edge.gateway.opening import BundleOpener, Opened, device_opener, first_part, overview_opener
-from edge.gateway.overview import Overview
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
-from edge.gateway.press_again import AgainRule, PressAgain
-from edge.gateway.press_stage import PressStage
-from edge.gateway.reference_guard import ReferenceGuard
-from edge.gateway.scar_watch import ScarSettings, ScarWatch
+from edge.gateway.report import FreeSpace
 from edge.gateway.sensing_watch import SensingWatch
-from edge.gateway.snapshots import Snapshots
-from edge.gateway.station_loop import StationLoop
-from edge.gateway.station_parts import Parts
+from edge.gateway.station_loop import Parts, StationLoop
 from edge.gateway.status import StationStatus
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.publisher import Publisher
@@ -62,9 +60,6 @@ __all__ = ["build"]
 
 log = logging.getLogger(__name__)
 
-# An overview camera may give one picture a second.
-OVERVIEW_STALL_S: Final = 5.0
-
 
 def build(
     config: Config,
@@ -80,7 +75,7 @@ def build(
     by default as it was at the start. labels: which presses are no part's; by default the reference presses that are
     asked for. Errors: ConfigError, BundleError, StoreError.
     """
-    table, calls, retained_state = config.station, LoopCalls[StationLoop](), _retained_state(config)
+    calls, retained_state = LoopCalls[StationLoop](), _retained_state(config)
     # The lock first: a second gateway must not migrate the tables of this one, or take its place at the broker.
     lock = PublisherLock(config.store.path)
     closing.callback(lock.close)
@@ -93,38 +88,124 @@ def build(
     closing.callback(publisher.stop)
     closing.callback(status.stopped)
     status.set_waiting_for("the sensor")
-    io = station_io(config, clock, status, calls)
-    closing.callback(io.close)
     device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
     acquisition = Acquisition(device, clock, status.sensor_changed)
     closing.callback(acquisition.close)
     stage = BundleStage(_staging(opener, read_again or (lambda: config)))
     closing.callback(stage.close)
-    reference = None if labels else ReferenceGuard(config.reference, store, status, clock)
+    selection = PartSelection(bundles, part, stage, store, status, clock)
+    free_space = FreeSpace(config.store.path, round(config.store.free_mb * 1e6))
+    base = Base(config, clock, store, status, acquisition, selection, free_space, calls)
+    stages = [item for item in _stages(base, labels) if item is not None]
+    for item in stages:
+        closing.callback(item.close)
     return Parts(
-        selection=PartSelection(bundles, part, stage, store, status, clock),
-        stage=stage,
+        stages=stages,
+        selection=selection,
         contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
         place=_place(config),
         store=store,
-        free_space=_free_space(config),
         references=ReferenceFolder(config.store.path.with_suffix(".references")),
-        retained_state=retained_state,
         publisher=publisher,
         status=status,
         acquisition=acquisition,
+        free_space=free_space,
         calls=calls,
         clock=clock,
-        io=io,
-        snapshots=_snapshots(config, clock, closing),
-        black_box=_black_box(config),
-        reference=reference,
-        proof=GelProofWatch(config.gel.unproven, store, status, clock),
-        sensing=SensingWatch(status, clock),
-        stages=partial(_stages, config, labels),
-        overview=_overview(config, clock, status, closing),
-        stats_s=table.stats_s,
+        stats_s=config.station.stats_s,
     )
+
+
+@dataclass(frozen=True)
+class Base:
+    """What stages are made from."""
+
+    config: Config
+    clock: Clock
+    store: Store
+    status: StationStatus
+    acquisition: Acquisition
+    selection: PartSelection
+    free_space: FreeSpace
+    calls: LoopCalls[StationLoop]
+
+
+def _stages(base: Base, labels: PressStage | None) -> list[PressStage | None]:
+    """List what a press goes through, in this order; None is not configured. A new feature of presses is one line."""
+    config, clock, store, status = base.config, base.clock, base.store, base.status
+    return [
+        SensingWatch(status, store, clock),
+        labels or ReferenceGuard(config.reference, store, status, clock),
+        GelProofWatch(config.gel.unproven, store, status, status.set_unproven, clock),
+        _overview(base),
+        _scars(base),
+        _press_again(base),
+        _outputs(base),
+        _black_box(base),
+        _snapshots(base),
+    ]
+
+
+def _overview(base: Base) -> Overview | None:
+    """Errors: ConfigError for a picture of the empty station that cannot be read."""
+    table, clock = base.config.overview, base.clock
+    if table is None:
+        return None
+    rules = table.rules()
+    say_camera = partial(say_overview_camera, base.status, is_needed=rules.is_asking)
+    opener = overview_opener(table, clock)
+    camera = Acquisition(opener, clock, say_camera, depth=1, stall_after_s=OVERVIEW_STALL_S)
+    return Overview(
+        camera, rules, base.selection, clock, max_age_s=table.max_age_s, max_side_px=table.max_side_px
+    )
+
+
+def _scars(base: Base) -> ScarWatch:
+    """Scars are kept next to the database."""
+    table, folder = base.config.gel, base.config.store.path.with_suffix(".references")
+    is_masking, share = table.scars == "masked", table.most_blind_share
+    return ScarWatch(ScarFolder(folder), base.status, is_masking=is_masking, most_blind_share=share)
+
+
+def _press_again(base: Base) -> PressAgain | None:
+    if base.config.inspection.press_again != "unsure":
+        return None
+    table = base.config.press_again
+    costs = Costs(table.missed_defect, table.false_alarm, table.press, table.defect_rate)
+    return PressAgain(costs, table.within_s, base.clock, base.status)
+
+
+def _outputs(base: Base) -> Outputs | None:
+    """Errors: ConfigError."""
+    if not (base.config.triggers or base.config.actuators):
+        return None
+    actions = {
+        "trigger": partial(base.calls.post, trigger_by_pedal),
+        "acknowledge": partial(base.calls.post, acknowledge_by_pedal),
+    }
+    return open_outputs(base.config, base.clock, base.status, actions)
+
+
+def _black_box(base: Base) -> BlackBox | None:
+    """Next to the database."""
+    table, config = base.config.archive, base.config
+    if not table.presses:
+        return None
+    folder, most_bytes = config.store.path.with_suffix(".archive"), round(table.mb * 1e6)
+    archive = PressArchive(folder, table.presses, most_bytes, base.free_space.check)
+    return BlackBox(archive, str(_place(config)), config.inspection.threads, base.status)
+
+
+def _snapshots(base: Base) -> Snapshots | None:
+    """Next to the database; off where the command is not served."""
+    commands = base.config.commands
+    if "snapshot" not in (*commands.signed, *commands.unsigned, *commands.page):
+        return None
+    folder, find_sensor = (
+        base.config.store.path.with_suffix(".snapshots"),
+        lambda: base.acquisition.status.identity,
+    )
+    return Snapshots(folder, base.clock, base.store, find_sensor, base.free_space.check)
 
 
 def _commands(config: Config, calls: LoopCalls[StationLoop], store: Store, clock: Clock) -> Commands:
@@ -198,72 +279,6 @@ def _announcer(
         publish(message)
 
     return announce
-
-
-def _overview(config: Config, clock: Clock, status: StationStatus, closing: ExitStack) -> Overview | None:
-    """Errors: ConfigError for a picture of the empty station that cannot be read."""
-    table = config.overview
-    if table is None:
-        return None
-    rules = table.rules()
-    changed = partial(status.overview_changed, is_needed=rules.is_asking)
-    camera = Acquisition(
-        overview_opener(table, clock), clock, changed, depth=1, stall_after_s=OVERVIEW_STALL_S
-    )
-    overview = Overview(camera, rules, clock, max_age_s=table.max_age_s, max_side_px=table.max_side_px)
-    closing.callback(overview.close)
-    return overview
-
-
-def _snapshots(config: Config, clock: Clock, closing: ExitStack) -> Snapshots:
-    """Next to the database; off where it is not served."""
-    is_served = "snapshot" in (*config.commands.signed, *config.commands.unsigned, *config.commands.page)
-    snapshots = Snapshots(config.store.path.with_suffix(".snapshots") if is_served else None, clock)
-    closing.callback(snapshots.close)
-    return snapshots
-
-
-def _free_space(config: Config) -> FreeSpace:
-    return FreeSpace(config.store.path, round(config.store.free_mb * 1e6))
-
-
-def _black_box(config: Config) -> BlackBox:
-    """Next to the database."""
-    table = config.archive
-    archive = PressArchive(
-        config.store.path.with_suffix(".archive"),
-        table.presses,
-        round(table.mb * 1e6),
-        _free_space(config).check,
-    )
-    return BlackBox(archive, str(_place(config)), config.inspection.threads)
-
-
-def _stages(
-    config: Config, labels: PressStage | None, parts: Parts, select: SelectByCode
-) -> list[PressStage]:
-    """List what a press goes through, in this order: a new feature of presses is one more line."""
-    return [
-        parts.sensing,
-        *filter(None, (parts.reference, labels)),
-        parts.proof,
-        *([Admission(parts.overview, parts.selection, select)] if parts.overview else []),
-        _scars(config, parts),
-        _press_again(config, parts.status, parts.clock),
-        Outputs(parts.io, parts.clock),
-    ]
-
-
-def _scars(config: Config, parts: Parts) -> ScarWatch:
-    settings = ScarSettings(config.gel.scars == "masked", config.gel.most_blind_share)
-    return ScarWatch(ScarFolder(parts.references.folder), settings, parts.status)
-
-
-def _press_again(config: Config, status: StationStatus, clock: Clock) -> PressAgain:
-    table = config.press_again
-    costs = Costs(table.missed_defect, table.false_alarm, table.press, table.defect_rate)
-    rule = AgainRule(config.inspection.press_again == "unsure", costs, table.within_s)
-    return PressAgain(rule, clock, status.press_again)
 
 
 def _place(config: Config) -> Place:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from edge.core.errors import BundleMismatch, ConfigError
 from edge.core.part_position import PartPosition, find_named, find_part
-from edge.gateway.inspector import Inspector
 from edge.model.bundle import Bundle
+from edge.model.inspector import Inspector
 
 __all__ = ["BundleSet", "OpenBundle", "part_of"]
 

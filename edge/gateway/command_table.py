@@ -1,15 +1,22 @@
 """The verbs of a station: arguments, what each does, and its text in the manual."""
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Generic, TypeVar
 
+from edge.core.errors import DeviceNotFound
+from edge.core.suggest import suggestion
+from edge.features.gel_proof import GelProofWatch
+from edge.features.outputs.stage import Outputs
+from edge.features.reference_press import ReferenceGuard
+from edge.features.snapshots import KEPT, KEPT_BYTES, Snapshots
 from edge.gateway.commands import Change, Handler
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.self_test import self_test
-from edge.gateway.snapshots import KEPT, KEPT_BYTES
 from edge.gateway.station_loop import StationLoop
+from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.command_payloads import (
     AcknowledgeAlarmArguments,
     CommandArguments,
@@ -20,7 +27,9 @@ from edge.messaging.command_payloads import (
     SnapshotArguments,
 )
 
-__all__ = ["COMMANDS", "Command", "station_handlers"]
+__all__ = ["COMMANDS", "Command", "acknowledge_by_pedal", "station_handlers", "trigger_by_pedal"]
+
+log = logging.getLogger(__name__)
 
 A = TypeVar("A", bound=CommandArguments)
 
@@ -43,38 +52,58 @@ class Command(Generic[A]):
 
 
 def _trigger(loop: StationLoop, arguments: NoArguments) -> Data:
-    refusal = loop.session.trigger()
+    session = loop.need_session()
+    refusal = session.trigger()
     if refusal is not None:
         raise ValueError(refusal)
-    return {"state": loop.session.contact_state}
+    return {"state": session.contact_state}
+
+
+def trigger_by_pedal(loop: StationLoop) -> None:
+    """A pedal or button asks for a verdict. No one waits for an answer, so a refusal is in the log."""
+    try:
+        _trigger(loop, NoArguments())
+    except (DeviceNotFound, ValueError) as error:
+        log.warning("the trigger gave no verdict: %s", error)
+
+
+def acknowledge_by_pedal(loop: StationLoop) -> None:
+    """A person has seen the last verdict, and the pulses that were not given."""
+    if (outputs := loop.find(Outputs)) is not None:
+        outputs.acknowledge()
 
 
 def _relearn(loop: StationLoop, arguments: NoArguments) -> Data:
-    loop.session.relearn()
-    return {"state": loop.session.contact_state}
+    session = loop.need_session()
+    session.relearn()
+    return {"state": session.contact_state}
 
 
 def _replace_gel(loop: StationLoop, arguments: ReplaceGelArguments) -> Data:
-    loop.replace_gel(arguments.gel_id, arguments.limit_presses, arguments.note)
-    gel = loop.session.gel
+    session, parts = loop.need_session(), loop.parts
+    given = (arguments.gel_id, arguments.limit_presses, arguments.note)
+    session.see_gel(parts.store.replace_gel(session.gel.serial, parts.clock.time_ns(), *given))
+    gel = session.gel
     return {"gel_id": gel.gel_id, "presses": gel.presses, "limit_presses": gel.limit_presses}
 
 
 def _select_part(loop: StationLoop, arguments: SelectPartArguments) -> Data:
+    selection = loop.parts.selection
     if arguments.name is not None:
-        loop.select_named(arguments.name)
+        part = selection.bundles.named(arguments.name)
     else:
-        loop.select_part(arguments.part or "", arguments.position)
-    return {**_selected(loop), "is_waiting": loop.selection.is_waiting}
+        part = selection.bundles.find(arguments.part or "", arguments.position)
+    selection.select(part, is_pressed=loop.is_pressed)
+    return {**_selected(loop), "is_waiting": selection.is_waiting}
 
 
 def _reload(loop: StationLoop, arguments: NoArguments) -> Data:
-    loop.selection.reload()
+    loop.parts.selection.reload()
     return {"is_waiting": True}
 
 
 def _reference_press(loop: StationLoop, arguments: ReferencePressArguments) -> Data:
-    guard = loop.parts.reference
+    guard = loop.find(ReferenceGuard)
     if guard is None:
         raise ValueError("a gauge study runs on this station; ask for a reference press after it")
     if arguments.cancel:
@@ -85,17 +114,39 @@ def _reference_press(loop: StationLoop, arguments: ReferencePressArguments) -> D
 
 
 def _prove_gel(loop: StationLoop, arguments: NoArguments) -> Data:
-    proof = loop.parts.proof.prove()
+    watch = loop.find(GelProofWatch)
+    if watch is None:
+        raise ValueError("this station does not watch whether a bundle is proven on its gel")
+    proof = watch.prove()
     return {"presses": proof.presses, "alarms": proof.alarms, "rate": proof.rate}
 
 
 def _acknowledge_alarm(loop: StationLoop, arguments: AcknowledgeAlarmArguments) -> Data:
-    loop.acknowledge_alarm(arguments.alarm)
-    return {"alarms": loop.alarms}
+    alarm, raised = arguments.alarm, _alarms(loop)
+    if alarm not in ALARMS:
+        raise ValueError(f"no alarm is named '{alarm}'; {suggestion(alarm, sorted(ALARMS))}")
+    outputs = loop.find(Outputs)
+    staying = {
+        "pulse": outputs.acknowledge_pulses if outputs else lambda: None,
+        "outbox_full": loop.report.acknowledge_drops,
+        "counts": loop.parts.store.findings.clear,
+    }
+    if alarm not in staying:
+        raise ValueError(
+            f"the alarm '{alarm}' ends by itself when its reason is over; see docs/operations.md"
+        )
+    if alarm not in raised:
+        raise ValueError(f"the alarm '{alarm}' is not raised; raised: {', '.join(raised) or 'none'}")
+    staying[alarm]()
+    loop.parts.status.say(alarm, None)
+    return {"alarms": _alarms(loop)}
 
 
 def _snapshot(loop: StationLoop, arguments: SnapshotArguments) -> Data:
-    recording = loop.snapshot(arguments.before_s, arguments.after_s)
+    snapshots = loop.find(Snapshots)
+    if snapshots is None:
+        raise ValueError("snapshots are off; name the command snapshot in [commands]")
+    recording = snapshots.request(arguments.before_s, arguments.after_s)
     return {"recording": str(recording), "is_waiting": True}
 
 
@@ -200,8 +251,8 @@ def _ask(calls: LoopCalls[StationLoop], command: Command[Any], arguments: Mappin
 
 def _facts(loop: StationLoop) -> Data:
     """As far as it is known: before the first frame the gel is not."""
-    known = {**_selected(loop), "alarms": loop.alarms}
-    if not loop.has_session:
+    known = {**_selected(loop), "alarms": _alarms(loop)}
+    if loop.session is None:
         return known
     gel = loop.session.gel
     return {
@@ -214,5 +265,10 @@ def _facts(loop: StationLoop) -> Data:
 
 
 def _selected(loop: StationLoop) -> Data:
-    part, bundle = loop.selection.part, loop.selection.inspector.bundle
+    part, bundle = loop.parts.selection.part, loop.parts.selection.inspector.bundle
     return {"part": part.part, "position": part.position, "bundle_id": bundle.digest}
+
+
+def _alarms(loop: StationLoop) -> list[str]:
+    """Return those that are raised, in order."""
+    return sorted(loop.parts.status.view().alarms)

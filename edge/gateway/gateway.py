@@ -9,16 +9,15 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Self
 
+from edge.acquisition import AcquisitionStatus
 from edge.config import Config
 from edge.core.ports import Clock
-from edge.gateway.acquisition import AcquisitionStatus
+from edge.features.press_stage import PressStage
 from edge.gateway.build import build
 from edge.gateway.preflight import Preflight
-from edge.gateway.press_stage import PressStage
+from edge.gateway.report import Summary
 from edge.gateway.service_manager import ServiceManager
-from edge.gateway.station_loop import OnPress, StationLoop
-from edge.gateway.station_parts import Parts
-from edge.gateway.summary import Summary
+from edge.gateway.station_loop import OnPress, Parts, StationLoop
 
 __all__ = ["Gateway"]
 
@@ -58,12 +57,10 @@ class Gateway:
     def run(self, stop: threading.Event, *, presses: int | None = None) -> Summary:
         """Inspect until `stop` is set, a recording ends, or that number of presses was recorded."""
         self._parts.publisher.start()
-        self._parts.io.start()
+        for stage in self._parts.stages:
+            stage.start()
         self._parts.acquisition.start()
-        self._parts.stage.start()
-        self._parts.snapshots.start()
-        if self._parts.overview is not None:
-            self._parts.overview.start()
+        self._parts.selection.start()
         manager = ServiceManager(self._parts.clock)
         manager.ready()
 
@@ -71,7 +68,7 @@ class Gateway:
             manager.alive()
             if self._is_reload_wanted:
                 self._is_reload_wanted = False
-                self.loop.selection.reload()
+                self._parts.selection.reload()
 
         self.loop.run(stop, presses, on_turn)
         manager.stopping()

@@ -8,7 +8,7 @@ from typing import Final
 
 from edge.core.errors import BundleCorrupt
 from edge.core.ports import Clock
-from edge.gateway.inspector import Inspector
+from edge.model.inspector import Inspector
 
 __all__ = ["GOLDEN_EVERY_S", "GoldenWatch"]
 

@@ -1,38 +1,46 @@
-"""One sensor with its gel: from its frames to judged presses, and from the free gel to its wear.
+"""One sensor with its gel: from frames to judged presses that wait to be recorded, from the free gel to its wear.
 
 It exists from the first frame on: before that the sensor, and so the gel of a press, is not known.
 """
 
 import logging
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Final
 
 from edge.core.contact.events import (
     Event,
+    PressBegan,
+    PressNotSettled,
+    PressSettled,
     ReferenceCorrected,
     ReferenceDoubted,
     ReferenceReady,
     ReferenceRefreshed,
     StartedTouched,
+    TriggerRepeated,
+    TriggerWithoutContact,
 )
 from edge.core.contact.light import foreign_start
 from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.wear import wear
 from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
-from edge.core.press import Press
-from edge.gateway.inspector import Inspector
-from edge.gateway.press_pipeline import PressPipeline
-from edge.gateway.press_stage import Mounted, PressStage
-from edge.gateway.recorder import JudgedPress, PressReport, Recorder
+from edge.core.press import JudgedFrame, Press
+from edge.core.press_label import PressLabel
+from edge.features.press_stage import Mounted, PressStage
+from edge.gateway.recorder import PressReport, Recorder, WaitingPress
 from edge.gateway.status import StationStatus
 from edge.logs import about_press
 from edge.model.gel_facts import read_origin
+from edge.model.inspector import Inspector
 from edge.store.gel_ledger import GelRecord
 from edge.store.reference_files import ReferenceFolder
+from edge.store.ulid import new_ulid
 
 __all__ = ["InspectionSession"]
 
@@ -50,10 +58,10 @@ DOUBTED: Final = (
 
 
 class InspectionSession:
-    """Presses of one sensor. Used by the loop alone.
+    """Presses of one sensor: contact finds one, the stages admit it, the inspector scores its one frame, the stages
+    judge it. Used by the loop alone.
 
-    gel: the mounted gel, with its count. Judged presses wait here until they are recorded, in order. stages: what each
-    press goes through.
+    gel: the mounted gel, with its count. Judged presses wait here until they are recorded, in order.
     """
 
     def __init__(
@@ -65,60 +73,64 @@ class InspectionSession:
         recorder: Recorder,
         status: StationStatus,
         clock: Clock,
-        stages: PressStage,
+        stages: Sequence[PressStage],
     ) -> None:
-        self.gel = gel
+        self.gel, self.inspector = gel, inspector
+        self._references, self._recorder, self._status, self._clock = references, recorder, status, clock
         self._stages = stages
-        self._references = references
-        self._recorder = recorder
-        self._status = status
-        self._unrecorded: deque[JudgedPress] = deque()
+        self._label: PressLabel | None = None
+        self._waiting: deque[WaitingPress] = deque()
         self._uncounted = 0  # presses for which there was no room to wait
-        stored = references.load(gel.serial, gel.gel_id, "last")
-        self._at_fit = inspector.bundle.free_reference
-        detector = PressDetector(inspector.bundle.profile, settings, stored, self._at_fit)
-        self._inspector = inspector
-        stages.use(inspector)
-        stages.mount(gel)
-        self._pipeline = PressPipeline(detector, inspector, clock, stages, self._see)
+        stored, bundle = references.load(gel.serial, gel.gel_id, "last"), inspector.bundle
+        self._detector = PressDetector(bundle.profile, settings, stored, bundle.free_reference)
+        for stage in stages:
+            stage.use(inspector)
+            stage.mount(gel)
         status.gel(gel)
         status.set_waiting_for(FREE_GEL)
 
     @property
     def has_contact(self) -> bool:
         """Whether something presses the gel."""
-        return self._pipeline.tracker.has_contact
+        return self._detector.tracker.has_contact
 
     @property
     def mounted(self) -> Mounted:
         """What a press would be made with now."""
-        manifest = self._inspector.bundle.manifest
-        part = PartPosition(manifest.part, manifest.position)
-        digest = self._inspector.bundle.digest
-        return Mounted(
-            self.gel.serial, self.gel.gel_id, part, digest, self.has_contact, read_origin(manifest)
-        )
+        bundle = self.inspector.bundle
+        part = PartPosition(bundle.manifest.part, bundle.manifest.position)
+        made = read_origin(bundle.manifest)
+        return Mounted(self.gel.serial, self.gel.gel_id, part, bundle.digest, self.has_contact, made)
 
     @property
     def contact_state(self) -> str:
         """The state of the contact table, as in a command's response."""
-        return self._pipeline.tracker.state.value
+        return self._detector.tracker.state.value
 
     @property
     def corrupt(self) -> int:
         """Frames that arrived and could not be decoded."""
-        return self._pipeline.detector.corrupt
+        return self._detector.corrupt
+
+    @property
+    def unrecorded(self) -> int:
+        """Presses that the database does not have yet."""
+        return len(self._waiting) + self._uncounted
 
     def feed(self, frame: CameraFrame) -> None:
-        """One camera frame; a press that it decides waits to be recorded."""
-        self._add(self._pipeline.feed(frame))
+        """Look at one camera frame; a press that it decides waits to be recorded."""
+        look = self._detector.feed(frame)
+        presses = self._judge_all(look.events)
+        for stage in self._stages:
+            stage.look(look)
+        self._add(presses)
 
     def record(self) -> Iterator[PressReport]:
         """Write the waiting presses, oldest first. Errors: StoreError; that press and the later ones keep waiting."""
-        while self._unrecorded:
-            with about_press(self._unrecorded[0].press.press_id):
-                report = self._recorder.record(self._unrecorded[0])
-            self._unrecorded.popleft()
+        while self._waiting:
+            with about_press(self._waiting[0].row.press_id):
+                report = self._recorder.record(self._waiting[0])
+            self._waiting.popleft()
             self.see_gel(report.gel)
             self._status.gel_wear(report.gel)
             yield report
@@ -127,43 +139,99 @@ class InspectionSession:
             self.see_gel(self._recorder.count(self._uncounted))
             self._uncounted = 0
 
-    @property
-    def unrecorded(self) -> int:
-        """Presses that the database does not have yet."""
-        return len(self._unrecorded) + self._uncounted
-
     def trigger(self) -> str | None:
         """Request a verdict now; returns why there will be none, or None."""
-        return self._pipeline.trigger()
+        refusal = None
+        for event in self._detector.tracker.trigger():
+            self._see(event)
+            match event:
+                case TriggerWithoutContact():
+                    refusal = f"nothing presses the gel ({event.state.value}); trigger while the part is held"
+                case TriggerRepeated():
+                    refusal = f"this press has its verdict ({event.state.value}); lift and press again"
+        return refusal
 
     def use(self, inspector: Inspector) -> None:
         """Judge with another bundle from the next press on. Only while no press waits for its verdict, or when one has
         just begun."""
-        self._inspector = inspector
-        self._pipeline.use(inspector)
-        self._stages.use(inspector)
-        self._recorder.use(inspector)
-        self._at_fit = inspector.bundle.free_reference
+        self.inspector = inspector
+        for stage in self._stages:
+            stage.use(inspector)
 
     def relearn(self) -> None:
         """Learn the free gel again."""
         self._status.set_waiting_for(FREE_GEL)
-        self._add(self._pipeline.relearn())
+        for stage in self._stages:
+            stage.relearn()
+        self._add(self._judge_all(self._detector.tracker.relearn()))
 
     def see_gel(self, gel: GelRecord) -> None:
-        """The gel that is mounted by the ledger; for another gel than before, everything learnt is discarded."""
+        """Take the gel that is mounted by the ledger; for another gel than before, everything learnt is discarded."""
         is_other = gel.gel_id != self.gel.gel_id
         self.gel = gel
         if is_other:
             self._status.gel(gel)
             self._recorder.wear_index = None
-            self._stages.mount(gel)
+            for stage in self._stages:
+                stage.mount(gel)
             self.relearn()
+
+    def _judge_all(self, events: Iterable[Event]) -> list[Press]:
+        """Return the presses that these events complete (at most one)."""
+        presses = []
+        for event in events:
+            self._see(event)
+            match event:
+                case PressBegan():
+                    label = None
+                    for stage in self._stages:
+                        label = stage.begin(label)
+                    self._label = label
+                case PressSettled():
+                    presses.append(self._judge(Press(), event))
+                case PressNotSettled():
+                    text = f"the press gave no still frame: {event.reason.value}; press longer and without sliding"
+                    presses.append(self._judge(Press().reject(Rejection(Reason.NOT_SETTLED, text)), None))
+        return presses
+
+    def _judge(self, press: Press, settled: PressSettled | None) -> Press:
+        """Admit it, score it unless that decided it, and let the stages judge it; the next press is a part's."""
+        inspector, time_ns = self.inspector, self._clock.time_ns()
+        digest = inspector.bundle.digest
+        press = replace(
+            press, label=self._label, press_id=new_ulid(time_ns), time_ns=time_ns, bundle_id=digest
+        )
+        self._label = None
+        for stage in self._stages:
+            press = stage.admit(press)
+        if press.is_decided:
+            settled = None
+        started_ns = self._clock.monotonic_ns()
+        if settled is not None:
+            press = self._score(press, settled, started_ns)
+        for stage in self._stages:
+            press = stage.judge(press, settled, inspector)
+        if settled is None:
+            return press
+        total_ms = (self._clock.monotonic_ns() - started_ns) / 1e6
+        return replace(press, latency_ms={**press.latency_ms, "total": total_ms})
+
+    def _score(self, press: Press, settled: PressSettled, started_ns: int) -> Press:
+        frame, findings = settled.frame, settled.findings
+        if frame is None or findings is None:
+            return replace(press, error=f"frame {settled.sequence}, chosen for this press, was not kept")
+        scored = self.inspector.inspect(frame, settled.touch, press)
+        return replace(
+            scored,
+            # A frame that was made on demand has its recorded time.
+            judged_ns=started_ns if frame.is_on_demand else frame.timestamp_ns,
+            judged=JudgedFrame(frame, settled.touch, findings.free),
+        )
 
     def _add(self, presses: list[Press]) -> None:
         for press in presses:
-            if len(self._unrecorded) < MOST_WAITING:
-                self._unrecorded.append(self._recorder.prepare(press))
+            if len(self._waiting) < MOST_WAITING:
+                self._waiting.append(self._recorder.prepare(press, self.inspector))
             else:
                 self._uncounted += 1
 
@@ -185,22 +253,25 @@ class InspectionSession:
                 self._measure_wear()
             case ReferenceRefreshed():
                 self._measure_wear()
+        for stage in self._stages:
+            stage.see(event)
 
     def _compare_light(self) -> None:
         """Once the free gel is learnt, a light different from that of the fit is reported."""
-        learnt = self._pipeline.tracker.reference
-        difference = foreign_start(learnt, self._at_fit) if learnt and self._at_fit else None
+        learnt, at_fit = self._detector.tracker.reference, self.inspector.bundle.free_reference
+        difference = foreign_start(learnt, at_fit) if learnt and at_fit else None
         if difference is not None:
             log.warning("%s", difference)
 
     def _measure_wear(self) -> None:
         """The gel is free: keep its picture, and compare it with the first of this gel."""
-        reference = self._pipeline.tracker.reference
+        reference = self._detector.tracker.reference
         if reference is None:
             return
         serial, gel_id = self.gel.serial, self.gel.gel_id
         self._references.save(serial, gel_id, reference)
         first = self._references.load(serial, gel_id, "first")
-        self._stages.learn(None if first is None else first.view)
+        for stage in self._stages:
+            stage.learn(None if first is None else first.view)
         if first is not None and first.view.shape == reference.view.shape:
             self._recorder.wear_index = wear(first.view, reference.view).index

@@ -15,9 +15,9 @@ from edge.core.part_position import PartPosition
 from edge.core.plugins import PlaysRecording
 from edge.core.ports import Clock, Device
 from edge.gateway.bundle_set import BundleSet, OpenBundle, part_of
-from edge.gateway.inspector import Inspector
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
+from edge.model.inspector import Inspector
 from edge.model.revision import check_revision
 from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions

@@ -1,17 +1,18 @@
 """Which bundle inspects: the selected position of a part, changed between two presses. Used by the loop alone."""
 
 import logging
+from collections.abc import Callable
 from concurrent.futures import Future
 
-from edge.core.errors import GelgateError
+from edge.core.errors import GelgateError, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.bundle_stage import BundleStage
 from edge.gateway.golden_watch import GoldenWatch
-from edge.gateway.inspector import Inspector
 from edge.gateway.opening import Opened
 from edge.gateway.status import StationStatus
+from edge.model.inspector import Inspector
 from edge.store.acts import Act
 from edge.store.press_store import Store
 
@@ -24,7 +25,8 @@ class PartSelection:
     """The bundles of a station and the one in use.
 
     A change that is asked for during a press is made after it: a press is judged by the bundle with which it began.
-    New bundles that fail leave the ones in use as they are, with the alarm `bundle`.
+    New bundles that fail leave the ones in use as they are, with the alarm `bundle`. on_change: called with every other
+    bundle in use, and with new bundles.
     """
 
     def __init__(
@@ -40,13 +42,14 @@ class PartSelection:
         self._in_use = bundles[part]
         self._wanted = part
         self._why: Act | None = None
-        self._stage = stage
+        self.stage = stage
         self._store = store
         self._status = status
         self._clock = clock
         self._is_recorded = False
         self._unrecorded: Act | None = None
         self._golden = GoldenWatch(clock)
+        self.on_change: Callable[[], None] = lambda: None
         self._golden.watch(self.inspector, is_checked=True)
 
     @property
@@ -64,58 +67,65 @@ class PartSelection:
         """Whether another bundle is selected and waits for the end of a press."""
         return self.bundles[self._wanted].inspector is not self.inspector
 
-    @property
-    def wanted(self) -> PartPosition:
-        """What is inspected from the end of this press on."""
-        return self._wanted
+    def named_by(self, name: str) -> frozenset[PartPosition]:
+        """Return all positions that this name may mean."""
+        return self.bundles.named_by(name)
 
-    def select(self, part: PartPosition, why: Act | None = None) -> None:
-        """Inspect this from the end of this press on; the next `step` changes to it. part: one of `bundles`. why:
-        recorded with the change."""
+    def select(self, part: PartPosition, why: Act | None = None, *, is_pressed: bool) -> None:
+        """Inspect this from now on, or from the end of this press on. part: one of `bundles`. why: recorded with the
+        change. What cannot be recorded is not done later either. Errors: StoreError."""
+        before = self._wanted
         self._wanted, self._why = self.bundles[part].part, why
+        try:
+            self.step(is_pressed=is_pressed)
+        except StoreError:
+            self._wanted, self._why = before, None
+            raise
+
+    def start(self) -> None:
+        """Begin to wait for requests to open bundles, in the background."""
+        self.stage.start()
 
     def reload(self) -> None:
         """Open the configured bundles again, while presses are judged as before."""
-        self._stage.request(self.bundles)
+        self.stage.request(self.bundles)
 
     def score_golden(self) -> "Future[str | None]":
         """Score the golden frames of the bundle in use with the next turns; the result is why they score otherwise, or
         None."""
         return self._golden.request()
 
-    def step(self, *, is_pressed: bool) -> bool:
-        """One turn: take new bundles, change the one in use, score a golden frame. Returns whether the one in use has
-        changed. Errors: StoreError, and then it has not; the next turn tries again."""
-        if (staged := self._stage.take()) is not None:
+    def step(self, *, is_pressed: bool) -> None:
+        """One turn: take new bundles, change the one in use, score a golden frame. Errors: StoreError, and then the one
+        in use has not changed; the next turn tries again."""
+        inspector, bundles = self.inspector, self.bundles
+        if (staged := self.stage.take()) is not None:
             self._take(staged)
         if self._unrecorded is not None:
             self._store.begin_act(self._unrecorded, within_s=0)
             self._unrecorded = None
-        if is_pressed:
-            return False
-        if self.is_waiting or not self._is_recorded:
-            return self._change()
-        if self._golden.step():
+        if not is_pressed and (self.is_waiting or not self._is_recorded):
+            self._change()
+        elif not is_pressed and self._golden.step():
             self._report_golden()
-        return False
+        if self.inspector is not inspector or self.bundles is not bundles:
+            self.on_change()
 
     def close(self) -> None:
         """The loop ends: who waits for golden frames is not kept waiting."""
         self._golden.close()
 
-    def _change(self) -> bool:
+    def _change(self) -> None:
         chosen = self.bundles[self._wanted]
         bundle = chosen.bundle
         revision, now_ns = bundle.manifest.revision, self._clock.time_ns()
         self._store.use_bundle(chosen.part, revision, bundle.digest, now_ns, self._why)
         self._is_recorded, self._why = True, None
-        has_changed = chosen.inspector is not self.inspector
-        self._in_use = chosen
-        if has_changed:
+        before, self._in_use = self.inspector, chosen
+        if chosen.inspector is not before:
             log.info("%s is inspected from now on, with bundle %s", chosen.part, bundle.where)
             self._golden.watch(chosen.inspector)
             self._report_golden()
-        return has_changed
 
     def _take(self, staged: Opened | GelgateError) -> None:
         """Use the new bundles, unless the selected position would have none."""
@@ -140,7 +150,7 @@ class PartSelection:
         """Into the log and the alarm; `step` writes it into the table of acts."""
         for fault in faults:
             log.error("%s", fault)
-        self._status.new_bundles(faults)
+        self._status.say("bundle", "; ".join(faults) or None)
         bundles = {str(part): one.bundle.digest for part, one in self.bundles.bundles.items()}
         self._unrecorded = Act(
             self._clock.time_ns(),

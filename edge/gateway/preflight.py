@@ -25,10 +25,10 @@ from edge.core.errors import (
 )
 from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
+from edge.features.outputs.opening import describe_actuator, describe_trigger
 from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_policy import policy_of
 from edge.gateway.command_table import COMMANDS
-from edge.gateway.io_opening import found_actuator, found_trigger
 from edge.gateway.metrics import ADDRESS, served
 from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.model.licence import licence_sentence
@@ -141,9 +141,9 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     if port is not None:
         found.try_part("metrics", lambda: _metrics(port))
     for trigger in config.triggers:
-        found.try_part(f"trigger {trigger.plugin}", partial(found_trigger, trigger))
+        found.try_part(f"trigger {trigger.plugin}", partial(describe_trigger, trigger))
     for actuator in config.actuators:
-        found.try_part(f"actuator {actuator.plugin}", partial(found_actuator, actuator))
+        found.try_part(f"actuator {actuator.plugin}", partial(describe_actuator, actuator))
     for index, sink in enumerate(config.sinks):
         found.try_part(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
     return found

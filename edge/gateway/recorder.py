@@ -1,65 +1,59 @@
 """From a judged press to a recorded one: its picture, its result, and the one transaction that keeps both."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from edge.core.defects import Defect, find_defects
-from edge.core.ports import Clock
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.defects import find_defects
+from edge.core.ports import Clock, Message
 from edge.core.press import Press
-from edge.core.press_label import PressLabel
-from edge.core.reference_press.measures import Imprint
 from edge.core.sink_context import Place
 from edge.core.verdict import Kind
-from edge.gateway.black_box import BlackBox
-from edge.gateway.heatmaps import heatmap_png
-from edge.gateway.inspector import Inspector
-from edge.gateway.labelled_presses import LabelledTable, labelled_table
-from edge.messaging.defect_place import DefectPlace
-from edge.messaging.pose_payload import PosePlace
-from edge.messaging.press_again_payload import PressAgainPart
-from edge.messaging.result_payload import MOST_DEFECTS, ResultPayload, press_messages
+from edge.features.press_stage import OwnTable, PressStage
+from edge.messaging.gel_payload import GelPayload, gel_message
+from edge.messaging.payload_base import iso_time
+from edge.messaging.result_payload import MOST_DEFECTS, DefectPlace, PosePlace, ResultPayload, press_messages
 from edge.model.bundle import Bundle
+from edge.model.inspector import Inspector
+from edge.pictures.press_picture import PressCaption, press_png
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, Recorded, Store
 
-__all__ = ["JudgedPress", "PressReport", "Recorder"]
+__all__ = ["PressReport", "Recorder", "WaitingPress", "heatmap_png"]
 
 
 @dataclass(frozen=True)
-class JudgedPress:
-    """One press with everything known before it is counted, made once: a repeated write is the same press.
+class WaitingPress:
+    """A press as it is written, made once: a repeated write is the same press."""
 
-    result: the fields of the ResultPayload except those from the ledger. judged_ns: of its inspection.
-    """
-
-    press: PressRecord
-    result: dict[str, Any]
+    press: Press
+    """Without its pictures."""
+    row: PressRecord
+    result: Mapping[str, Any]
+    """The fields of the ResultPayload except those from the ledger."""
     heatmap_png: bytes | None
-    overview_jpeg: bytes | None = None
-    judged_ns: int | None = None
-    label: PressLabel | None = None
-    imprint: Imprint | None = None
+    table: OwnTable | None
+    """Where it is kept; None for the history of parts."""
 
 
 @dataclass(frozen=True)
 class PressReport:
-    """One press as recorded and as published. judged_ns: when the judged frame came, monotonic; None without one.
-    label: what it was for, None for a part's; such a press is not published as a result. sentences: what it says of the
-    station, for a master piece's."""
+    """A press as recorded and as published. A press with a label is not published as a result."""
 
+    press: Press
     result: ResultPayload
     gel: GelRecord
-    heatmap_png: bytes | None
-    judged_ns: int | None = None
-    label: PressLabel | None = None
-    sentences: tuple[str, ...] = ()
+    heatmap_png: bytes | None = None
+    sentences: Sequence[str] = ()
+    """What a master piece's press says of the station."""
 
     @property
     def word(self) -> str:
         """The verdict, or `error`; `reference` or `study` for a press that is no part's."""
-        if self.label is not None:
-            return self.label.kind
-        return "error" if self.result.verdict is None else self.result.verdict.value
+        return self.press.word if self.press.label is None else self.press.label.kind
 
 
 class Recorder:
@@ -71,213 +65,140 @@ class Recorder:
     wear_index: float | None = None
 
     def __init__(
-        self,
-        store: Store,
-        inspector: Inspector,
-        serial: str,
-        place: Place,
-        clock: Clock,
-        black_box: BlackBox | None = None,
+        self, store: Store, serial: str, place: Place, clock: Clock, stages: Sequence[PressStage] = ()
     ) -> None:
-        self._store = store
-        self._inspector = inspector
-        self._black_box = black_box
-        self._serial = serial
-        self._place = place
-        self._clock = clock
+        self._store, self._serial, self._place, self._clock = store, serial, place, clock
+        self._stages = stages
 
-    def use(self, inspector: Inspector) -> None:
-        """It judges the presses from now on."""
-        self._inspector = inspector
-
-    @property
-    def _bundle(self) -> Bundle:
-        return self._inspector.bundle
-
-    def prepare(self, inspection: Press) -> JudgedPress:
-        """Everything of a press except its place in the ledger."""
-        press = self._archived(self._press(inspection), inspection)
-        heatmap = heatmap_png(press, inspection, self._bundle, str(self._place))
-        still = inspection.overview.jpeg if inspection.overview else None
-        result = {
-            **self._origin(press),
-            **_judgement(press, inspection),
-            **self._defects(inspection),
-            **_overview(inspection),
-            **self._pose(inspection),
-            **_again(inspection),
-            **_scars(inspection),
-            "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
-            "overview_topic": f"overview/{press.press_id}" if still else None,
-        }
-        return JudgedPress(
-            press, result, heatmap, still, inspection.judged_ns, inspection.label, inspection.imprint
+    def prepare(self, press: Press, inspector: Inspector) -> WaitingPress:
+        """Make everything of a press that its place in the ledger does not decide."""
+        bundle = inspector.bundle
+        for stage in self._stages:
+            press = stage.keep(press, inspector)
+        row = PressRecord(
+            press_id=press.press_id,
+            time_ns=press.time_ns,
+            serial=self._serial,
+            part=bundle.manifest.part,
+            position=bundle.manifest.position,
+            verdict=press.word,
+            score=press.score,
+            threshold=bundle.manifest.threshold.value,
+            wear_index=self.wear_index,
+            second_of=(press.again.second_of or None) if press.again else None,
+            cause=press.blame.cause.value if press.blame else None,
+            evidence=press.evidence,
         )
+        heatmap = heatmap_png(press, bundle, str(self._place))
+        result = {
+            "site": self._place.site,
+            "line": self._place.line,
+            "station": self._place.station,
+            "sensor_serial": self._serial,
+            **_judgement(press, bundle),
+            **_defects(press, bundle),
+            **{name: value for stage in self._stages for name, value in stage.fields(press).items()},
+            "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
+        }
+        tables = (stage.table(press, row) for stage in self._stages)
+        table = next((table for table in tables if table is not None), None)
+        return WaitingPress(press.drop_pictures(), row, result, heatmap, table)
 
-    def record(self, judged: JudgedPress) -> PressReport:
+    def record(self, waiting: WaitingPress) -> PressReport:
         """One transaction: the press, its count, its messages. Errors: StoreError; the same call may be repeated."""
-        made: list[ResultPayload] = []
-        table = self._table_of(judged)
+        press, table, heatmap = waiting.press, waiting.table, waiting.heatmap_png
+        sentences: Sequence[str] = ()
 
-        def messages(recorded: Recorded) -> Any:
-            made.append(_result(judged, recorded))
-            if table is not None:
-                return table.messages(made[-1], recorded, judged.heatmap_png)
-            return press_messages(made[-1], recorded.gel, judged.heatmap_png, judged.overview_jpeg)
+        def messages(recorded: Recorded) -> Sequence[Message]:
+            nonlocal sentences
+            result = _result(waiting, recorded)
+            if table is None:
+                still = press.overview.jpeg if press.overview else None
+                return press_messages(result, recorded.gel, heatmap, still)
+            own, sentences = table.publish(result, recorded.sequence, heatmap)
+            return [*own, gel_message(GelPayload.of(recorded.gel, result.time_ns))]
 
-        recorded = self._store.record_press(judged.press, messages, table)
-        # No messages are made for a press that the database already has.
-        result = made[-1] if made else _result(judged, recorded)
-        said = table.sentences if table is not None else ()
-        return PressReport(result, recorded.gel, judged.heatmap_png, judged.judged_ns, judged.label, said)
-
-    def _table_of(self, judged: JudgedPress) -> LabelledTable | None:
-        """None for the history of parts."""
-        if judged.label is None:
-            return None
-        reason = judged.result["reason"] or judged.result["error"]
-        return labelled_table(judged.label, judged.press, judged.imprint, reason, judged.result["bundle_id"])
+        recorded = self._store.record_press(waiting.row, messages, table)
+        return PressReport(press, _result(waiting, recorded), recorded.gel, heatmap, sentences)
 
     def count(self, presses: int) -> GelRecord:
         """Count presses that have no result. Errors: StoreError."""
         return self._store.count_presses(self._serial, presses, self._clock.time_ns())
 
-    def _press(self, inspection: Press) -> PressRecord:
-        manifest, verdict = self._bundle.manifest, inspection.verdict
-        return PressRecord(
-            press_id=inspection.press_id,
-            time_ns=inspection.time_ns,
-            serial=self._serial,
-            part=manifest.part,
-            position=manifest.position,
-            verdict=inspection.word,
-            score=verdict.score if verdict else None,
-            threshold=manifest.threshold.value,
-            wear_index=self.wear_index,
-            second_of=(inspection.again.second_of or None) if inspection.again else None,
-            cause=inspection.blame.cause.value if inspection.blame else None,
-        )
 
-    def _archived(self, press: PressRecord, inspection: Press) -> PressRecord:
-        """The same with what is kept of it; presses of master pieces and of studies are not archived."""
-        if self._black_box is None or inspection.label is not None:
-            return press
-        return replace(press, evidence=self._black_box.keep(press, inspection, self._inspector))
-
-    def _origin(self, press: PressRecord) -> dict[str, Any]:
-        """Fields of a result that say what was pressed, when, where and with what."""
-        return {
-            "press_id": press.press_id,
-            "time_ns": press.time_ns,
-            "site": self._place.site,
-            "line": self._place.line,
-            "station": self._place.station,
-            "part": press.part,
-            "position": press.position,
-            "mm_per_pixel": self._bundle.profile.mm_per_pixel,
-            "method": self._bundle.manifest.method,
-            "bundle_id": self._bundle.digest,
-            "sensor_serial": press.serial,
-        }
-
-    def _pose(self, inspection: Press) -> dict[str, Any]:
-        """The field `pose`; none where presses are scored as they lie."""
-        found = inspection.registered
-        return {} if found is None else {"pose": PosePlace.of(found, self._bundle.profile.mm_per_pixel)}
-
-    def _defects(self, inspection: Press) -> dict[str, Any]:
-        """The fields `defects` and `defect_area_mm2`; none for a pass and for a press without a score."""
-        if inspection.score_map is None or inspection.verdict is None or inspection.verdict.kind is Kind.PASS:
-            return {}
-        found = find_defects(inspection.score_map, self._bundle.manifest.threshold.value)
-        x_mm, y_mm = self._bundle.profile.mm_per_pixel
-        return {
-            "defects": [_defect_place(defect, x_mm, y_mm) for defect in found[:MOST_DEFECTS]],
-            "defect_area_mm2": round(sum(defect.area_px for defect in found) * x_mm * y_mm, 4),
-        }
+def heatmap_png(press: Press, bundle: Bundle, station: str) -> bytes | None:
+    """Draw a press as it is published; None for one without a score. station: site/line/station."""
+    if press.rgb is None or press.score_map is None or press.score is None:
+        return None
+    manifest = bundle.manifest
+    caption = PressCaption(
+        press_id=press.press_id,
+        verdict=press.word,
+        score=press.score,
+        threshold=manifest.threshold.value,
+        mm_per_pixel=bundle.profile.mm_per_pixel,
+        station=station,
+        part="/".join(word for word in (manifest.part, manifest.position) if word),
+        time=iso_time(press.time_ns),
+    )
+    return press_png(_dim_unjudged(press.rgb, press), press.score_map, caption)
 
 
-def _scars(inspection: Press) -> dict[str, Any]:
-    """Fields of a result that say whether gel or part is the cause, and what the gel hides."""
-    scars = inspection.scars
-    if scars is None:
-        return {}
-    blame = inspection.blame
+def _dim_unjudged(rgb: NDArray[np.uint8], press: Press) -> NDArray[np.uint8]:
+    """Return the picture with the places that were not judged at half their light."""
+    unseen = None if press.registered is None else press.registered.unseen_in_press
+    masked = None if press.scars is None else press.scars.masked
+    for unjudged in (unseen, masked):
+        if unjudged is not None:
+            rgb = np.where(unjudged[..., None], rgb // 2, rgb)
+    return rgb
+
+
+def _judgement(press: Press, bundle: Bundle) -> Mapping[str, Any]:
+    """Return the fields of a result that say what became of the press, by which bundle, and why."""
+    manifest, score = bundle.manifest, press.score
+    threshold, mm_per_pixel = manifest.threshold.value, bundle.profile.mm_per_pixel
+    placed = press.registered
     return {
-        "cause": blame.cause if blame else None,
-        "cause_text": blame.why if blame else None,
-        "blind_area_mm2": round(scars.blind_mm2, 4),
-        "blind_share": round(scars.blind_share, 4),
-        "unmasked_score": scars.score,
+        "press_id": press.press_id,
+        "time_ns": press.time_ns,
+        "part": manifest.part,
+        "position": manifest.position,
+        "mm_per_pixel": mm_per_pixel,
+        "method": manifest.method,
+        "bundle_id": bundle.digest,
+        "verdict": None if press.verdict is None else press.verdict.kind,
+        "reason": press.reason,
+        "error": press.error if press.verdict is None else None,
+        "score": score,
+        "threshold": threshold,
+        "tolerance": press.verdict.tolerance if press.verdict else None,
+        # At a threshold of 0 or below there is no such scale.
+        "score_ratio": score / threshold if score is not None and threshold > 0 else None,
+        "latency_ms": press.latency_ms,
+        "pose": None if placed is None else PosePlace.of(placed, mm_per_pixel),
     }
 
 
-def _result(judged: JudgedPress, recorded: Recorded) -> ResultPayload:
+def _defects(press: Press, bundle: Bundle) -> Mapping[str, Any]:
+    """Return where the press exceeds the threshold; nothing for a pass and for a press without a score."""
+    if press.score_map is None or press.verdict is None or press.verdict.kind is Kind.PASS:
+        return {}
+    defects = find_defects(press.score_map, bundle.manifest.threshold.value)
+    x_mm, y_mm = bundle.profile.mm_per_pixel
+    return {
+        "defects": [DefectPlace.of(defect, x_mm, y_mm) for defect in defects[:MOST_DEFECTS]],
+        "defect_area_mm2": round(sum(defect.area_px for defect in defects) * x_mm * y_mm, 4),
+    }
+
+
+def _result(waiting: WaitingPress, recorded: Recorded) -> ResultPayload:
     gel = recorded.gel
     return ResultPayload(
-        **judged.result,
-        sequence=recorded.sequence if judged.label is None else None,
+        **waiting.result,
+        sequence=recorded.sequence if waiting.press.label is None else None,
         gel_id=gel.gel_id,
         gel_presses=gel.presses,
         gel_limit_presses=gel.limit_presses,
         ledger_head=str(recorded.head),
-    )
-
-
-def _judgement(press: PressRecord, inspection: Press) -> dict[str, Any]:
-    """Fields of a result that say what became of the press, and why."""
-    verdict = inspection.verdict
-    rejection = verdict.rejection if verdict else None
-    return {
-        "verdict": None if verdict is None else verdict.kind,
-        "reason": f"{rejection.reason.value}: {rejection.text}" if rejection else None,
-        "error": inspection.error if verdict is None else None,
-        "score": press.score,
-        "threshold": press.threshold,
-        "tolerance": verdict.tolerance if verdict else None,
-        "score_ratio": _ratio(press),
-        "latency_ms": inspection.latency_ms,
-    }
-
-
-def _overview(inspection: Press) -> dict[str, Any]:
-    """Fields of a result that say what the overview camera saw."""
-    view = inspection.overview
-    if view is None:
-        return {}
-    return {"part_codes": [code.text for code in view.codes], "part_present": view.is_present}
-
-
-def _again(inspection: Press) -> dict[str, Any]:
-    """The field `press_again`; none for a press that has nothing to do with another one."""
-    again = inspection.again
-    if again is None:
-        return {}
-    part = PressAgainPart(
-        is_asked=again.is_asked,
-        second_of=again.second_of or None,
-        first_score=again.first_score,
-        reason=again.reason,
-    )
-    return {"press_again": part}
-
-
-def _ratio(press: PressRecord) -> float | None:
-    """None where there is no such scale."""
-    if press.score is None or press.threshold is None or press.threshold <= 0:
-        return None
-    return press.score / press.threshold
-
-
-def _defect_place(defect: Defect, x_mm: float, y_mm: float) -> DefectPlace:
-    """In micrometres' precision: finer than any pixel, and short in JSON."""
-    left, top, width, height = defect.box_px
-    x, y = defect.centroid_px
-    return DefectPlace(
-        box_px=defect.box_px,
-        box_mm=(round(left * x_mm, 3), round(top * y_mm, 3), round(width * x_mm, 3), round(height * y_mm, 3)),
-        centroid_px=(round(x, 1), round(y, 1)),
-        centroid_mm=(round(x * x_mm, 3), round(y * y_mm, 3)),
-        area_mm2=round(defect.area_px * x_mm * y_mm, 4),
-        score=defect.score,
     )

@@ -4,10 +4,10 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from typing import Any, Final
 
+from edge.acquisition import Acquisition, AcquisitionState
 from edge.core.errors import StoreError
-from edge.gateway.acquisition import Acquisition, AcquisitionState
-from edge.gateway.free_space import FreeSpace
-from edge.gateway.station_parts import Parts
+from edge.gateway.report import FreeSpace
+from edge.gateway.station_loop import Parts
 from edge.messaging.publisher import Publisher
 from edge.store.integrity import quick_check
 

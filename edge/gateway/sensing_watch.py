@@ -9,9 +9,10 @@ from edge.core.contact.long_contact import LongContact
 from edge.core.contact.press_detector import Look
 from edge.core.contact.sight import BLIND_AFTER_S, Sight
 from edge.core.ports import Clock
-from edge.gateway.press_stage import PressStage
+from edge.features.press_stage import Mounted, PressStage
 from edge.gateway.status import StationStatus
 from edge.store.acts import Act
+from edge.store.press_store import Store
 
 __all__ = ["SensingWatch"]
 
@@ -26,8 +27,8 @@ class SensingWatch(PressStage):
     then an act of the gateway, for presses may have been made in it.
     """
 
-    def __init__(self, status: StationStatus, clock: Clock) -> None:
-        self._status, self._clock = status, clock
+    def __init__(self, status: StationStatus, store: Store, clock: Clock) -> None:
+        self._status, self._store, self._clock = status, store, clock
         self._contact = LongContact()
         self._blind: str | None = None
         self._seen_ns: int | None = None
@@ -51,10 +52,11 @@ class SensingWatch(PressStage):
             log.warning("%s", self._blind or "the sensor shows its gel again")
             self._status.set_blind(self._blind)
 
-    def take_act(self) -> Act | None:
-        """The newest time in which nothing was seen, once."""
-        act, self._unseen = self._unseen, None
-        return act
+    def turn(self, mounted: Mounted | None) -> None:
+        """Record the newest time in which nothing was seen. Errors: StoreError."""
+        if self._unseen is not None:
+            self._store.begin_act(self._unseen, within_s=0)
+            self._unseen = None
 
     def _note_unseen(self, timestamp_ns: int) -> None:
         seconds = 0.0 if self._seen_ns is None else (timestamp_ns - self._seen_ns) / 1e9

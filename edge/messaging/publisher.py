@@ -54,7 +54,7 @@ class Publisher:
     ) -> None:
         self._lock = lock or PublisherLock(database)
         self._sinks = dict(sinks)
-        self._retained_state = retained_state
+        self.retained_state = retained_state
         self._outbox = Outbox(database)
         self._outbox.register(self._sinks, before)
         self._stopping = threading.Event()
@@ -87,7 +87,7 @@ class Publisher:
 
     def announce(self, message: Message) -> None:
         """Publish the current state, info, alarm or stats. It is sent again on every connection until it changes."""
-        if self._retained_state.announce(message):
+        if self.retained_state.announce(message):
             self.wake()
 
     def counters(self) -> Mapping[str, SinkCounters]:

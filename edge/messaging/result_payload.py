@@ -1,27 +1,119 @@
 """The result of a press, with its pictures: payload and messages."""
 
+import math
 from collections.abc import Sequence
 from typing import Final, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from edge.core.defects import Defect
 from edge.core.gel_scars.causes import Cause
 from edge.core.imaging.quality import Reason
 from edge.core.ports import Message
+from edge.core.registration.registrar import Registered
 from edge.core.verdict import Kind
-from edge.messaging.defect_place import DefectPlace, Pair
 from edge.messaging.gel_payload import GelPayload, gel_message
 from edge.messaging.payload_base import Payload, PressId
-from edge.messaging.pose_payload import PosePlace
-from edge.messaging.press_again_payload import PressAgainPart
 from edge.store.gel_ledger import GelRecord
 
-__all__ = ["MOST_DEFECTS", "ResultPayload", "heatmap_message", "overview_message", "press_messages"]
+__all__ = [
+    "MOST_DEFECTS",
+    "DefectPlace",
+    "PosePlace",
+    "PressAgainPart",
+    "ResultPayload",
+    "heatmap_message",
+    "overview_message",
+    "press_messages",
+]
+
+Pair = tuple[float, float]
+Box = tuple[float, float, float, float]
 
 # Parts of one score map that a result describes; the rest is counted in the area alone.
 MOST_DEFECTS: Final = 8
 
 _REASONS = " · ".join(f"`{reason}`" for reason in Reason)
+
+
+class DefectPlace(BaseModel):
+    """A connected part of the score map above the threshold.
+
+    Places are counted from the top left corner of the inspected region, which the picture shows.
+    """
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+
+    box_px: tuple[int, int, int, int] = Field(description="left, top, width, height")
+    box_mm: Box = Field(description="the same in millimetres")
+    centroid_px: Pair = Field(description="x, y of its centre of area")
+    centroid_mm: Pair = Field(description="the same in millimetres")
+    area_mm2: float = Field(ge=0, description="its area in square millimetres")
+    score: float = Field(description="the largest score in it")
+
+    @classmethod
+    def of(cls, defect: Defect, x_mm: float, y_mm: float) -> Self:
+        """Round it to micrometres: finer than any pixel, and short in JSON. x_mm, y_mm: of a pixel."""
+        left, top, width, height = defect.box_px
+        x, y = defect.centroid_px
+        return cls(
+            box_px=defect.box_px,
+            box_mm=(
+                round(left * x_mm, 3),
+                round(top * y_mm, 3),
+                round(width * x_mm, 3),
+                round(height * y_mm, 3),
+            ),
+            centroid_px=(round(x, 1), round(y, 1)),
+            centroid_mm=(round(x * x_mm, 3), round(y * y_mm, 3)),
+            area_mm2=round(defect.area_px * x_mm * y_mm, 4),
+            score=defect.score,
+        )
+
+
+class PosePlace(BaseModel):
+    """Where the part lay, measured from the pose of the bundle's nominal presses, each with its standard deviation."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+
+    x_mm: float = Field(description="shift to the right")
+    y_mm: float = Field(description="shift down")
+    turn_deg: float | None = Field(
+        default=None, description="turn, clockwise; null for a part without a turn, as a ball"
+    )
+    x_sd_mm: float = Field(ge=0)
+    y_sd_mm: float = Field(ge=0)
+    turn_sd_deg: float | None = Field(default=None, ge=0)
+    match: float = Field(description="agreement with the mean nominal press, at most 1")
+    unseen_share: float = Field(
+        ge=0, le=1, description="of the part, the share outside the inspected region; it is not judged"
+    )
+
+    @classmethod
+    def of(cls, registered: Registered, mm_per_pixel: tuple[float, float]) -> Self:
+        (x_mm, y_mm), pose, sd = mm_per_pixel, registered.pose, registered.uncertainty
+        is_turning = sd.turn_rad is not None
+        return cls(
+            x_mm=round(pose.x_px * x_mm, 3),
+            y_mm=round(pose.y_px * y_mm, 3),
+            turn_deg=round(math.degrees(pose.turn_rad), 2) if is_turning else None,
+            x_sd_mm=round(sd.x_px * x_mm, 4),
+            y_sd_mm=round(sd.y_px * y_mm, 4),
+            turn_sd_deg=None if sd.turn_rad is None else round(math.degrees(sd.turn_rad), 3),
+            match=round(registered.match, 4),
+            unseen_share=round(1 - registered.seen_share, 4),
+        )
+
+
+class PressAgainPart(BaseModel):
+    """This press asks for a second one of the same piece, or is the second one."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+
+    is_asked: bool = Field(description="press the same piece again now, a little shifted")
+    second_of: PressId | None = Field(default=None, description="`press_id` of the first press of this piece")
+    first_score: float | None = Field(default=None, description="its score; the lower of the two is decided")
+    reason: str = Field(description="one sentence")
 
 
 class ResultPayload(Payload):

@@ -131,7 +131,7 @@ class ArchiveFolder:
 class PressArchive:
     """An archive to write. One thread uses it.
 
-    most_presses, most_bytes: kept; most_presses 0 keeps nothing. why_not: why the disk must not be filled further, or
+    most_presses, most_bytes: kept, at least one press. why_not: why the disk must not be filled further, or
     None. fault: why the last press was not archived; None where it was.
     """
 
@@ -150,11 +150,6 @@ class PressArchive:
         self._uses: Counter[Digest] = Counter()
         self._sizes: dict[Digest, int] = {}
         self._is_open = False
-
-    @property
-    def is_on(self) -> bool:
-        """True where presses are kept."""
-        return self._most_presses > 0
 
     def keep(self, press: ArchivedPress, objects: Mapping[Digest, bytes]) -> bytes | None:
         """Write the record and its objects, and remove the oldest ones beyond the limits; returns the SHA-256 of the

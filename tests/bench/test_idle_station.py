@@ -17,11 +17,11 @@ import pytest
 from numpy.typing import NDArray
 from station import gel, jpeg, press_recording, small_bundle, station_config
 
+from edge.acquisition import Acquisition
 from edge.clock import SystemClock
 from edge.core.imaging.decode import decode_view
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.known_profiles import profile
-from edge.gateway.acquisition import Acquisition
 from edge.recording.format import Recording, RecordingHeader, RecordingWriter
 from plugins.devices.usb_mock import UsbMockOptions, plugin
 

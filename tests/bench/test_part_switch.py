@@ -37,15 +37,15 @@ def test_switching_parts(tmp_path: Path) -> None:
     config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{bundles}"')
     times_ms, golden_ms = [], []
     with SteppedStation(config) as station:
-        station.play_until(lambda: station.loop.has_session)
+        station.play_until(lambda: station.loop.session is not None)
         for number in range(ROUNDS):
             start = time.perf_counter()
-            station.loop.select_part(f"part{(number + 1) % PARTS}")
+            station.ask("select_part", part=f"part{(number + 1) % PARTS}")
             times_ms.append((time.perf_counter() - start) * 1e3)
             start = time.perf_counter()
             station.loop.step(None)
             golden_ms.append((time.perf_counter() - start) * 1e3)
-        opened = [one.inspector.scorer for one in station.loop.selection.bundles.bundles.values()]
+        opened = [one.inspector.scorer for one in station.parts.selection.bundles.bundles.values()]
         trunks = {id(scorer._trunk) for scorer in opened}
 
     print(f"\n{PARTS} parts, {len(trunks)} trunk in memory; {ROUNDS} switches:")

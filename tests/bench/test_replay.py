@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import TypeVar
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -24,14 +25,11 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.press import JudgedFrame
-from edge.core.sink_context import Place
-from edge.gateway.black_box import BlackBox
-from edge.gateway.inspector import Inspector
-from edge.gateway.recorder import Recorder
-from edge.gateway.replay import replayed
+from edge.features.black_box.replay import replayed
+from edge.features.black_box.stage import BlackBox
+from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
 from edge.store.press_archive import ArchivedPress, ArchiveFolder, PressArchive
-from edge.store.press_store import Store
 from edge.store.ulid import new_ulid
 
 PRESSES = 25
@@ -92,22 +90,21 @@ def test_verdicts_made_again(tmp_path: Path, name: str) -> None:
     kind = KINDS[name]
     bundle = kind.bundle().bundle()
     archive = PressArchive(tmp_path / "archive", 1000, 10**9)
-    box = BlackBox(archive, "site/line/station", THREADS)
+    box = BlackBox(archive, "site/line/station", THREADS, Mock())
+    box.mount(Mock(serial="SIM1"))
     inspector = Inspector(Scorer(bundle, THREADS), SystemClock())
     free = np.full((120, 160, 3), 120, np.float32)
     archived: list[ArchivedPress] = []
     inspecting, archiving = [], []
-    with Store(tmp_path / "gelgate.db") as store:
-        recorder = Recorder(store, inspector, "SIM1", Place("site", "line", "station"), SystemClock())
-        for rgb in kind.frames():
-            frame = CameraFrame(jpeg(rgb), 0, 0, is_on_demand=True)
-            inspection, ms = timed(lambda frame=frame: inspector.inspect(frame, Touch(0.2)))
-            inspecting.append(ms)
-            inspection = replace(inspection, judged=JudgedFrame(frame, Touch(0.2), free))
-            press = recorder.prepare(replace(inspection, press_id=new_ulid(time.time_ns()))).press
-            evidence, ms = timed(lambda press=press, one=inspection: box.keep(press, one, inspector))
-            archiving.append(ms)
-            archived.append(ArchiveFolder(tmp_path / "archive").press(press.press_id, evidence))
+    for rgb in kind.frames():
+        frame = CameraFrame(jpeg(rgb), 0, 0, is_on_demand=True)
+        inspection, ms = timed(lambda frame=frame: inspector.inspect(frame, Touch(0.2)))
+        inspecting.append(ms)
+        inspection = replace(inspection, judged=JudgedFrame(frame, Touch(0.2), free))
+        named = replace(inspection, press_id=new_ulid(time.time_ns()), bundle_id=bundle.digest)
+        press, ms = timed(lambda press=named: box.keep(press, inspector))
+        archiving.append(ms)
+        archived.append(ArchiveFolder(tmp_path / "archive").press(press.press_id, press.evidence))
     again = Inspector(Scorer(bundle, THREADS), SystemClock())
     equal = sum(replayed(one, ArchiveFolder(tmp_path / "archive"), again).is_equal for one in archived)
 

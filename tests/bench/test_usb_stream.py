@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_recordings import write_recording
 
+from edge.acquisition import Acquisition
 from edge.clock import SystemClock
-from edge.gateway.acquisition import Acquisition
 from plugins.devices.usb_mock import UsbMockOptions, plugin
 from plugins.devices.uvc.payload import FrameAssembler, split_frame
 

@@ -37,6 +37,9 @@ from edge.cli import build
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.ports import Message
+from edge.features.outputs.stage import Outputs
+from edge.features.overview import Overview
+from edge.features.snapshots import Snapshots
 from edge.gateway.command_table import station_handlers
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
@@ -174,12 +177,11 @@ class GoldenStation(SteppedStation):
     """Every thread of a station takes its turn after each frame; a request is served at once."""
 
     def turn(self) -> None:
-        assert self.parts.overview is not None
-        self.parts.overview.camera.step()
+        self.find(Overview).camera.step()
         self.play(1)
-        for driver in self.parts.io.drivers:
+        for driver in self.find(Outputs).drivers:
             driver.step()
-        self.parts.snapshots.step()
+        self.find(Snapshots).step()
         self.publish()
 
     def turn_until(self, presses: int) -> None:

@@ -24,8 +24,8 @@ from edge import registry
 from edge.clock import SystemClock
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.imaging.frames import CameraFrame
-from edge.gateway.inspector import Inspector
 from edge.model.bundle import Bundle
+from edge.model.inspector import Inspector
 from edge.model.limit_facts import missing_sentence
 from edge.model.scorer import Scorer
 

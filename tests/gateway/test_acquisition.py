@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from small_recordings import SERIAL, jpeg, write_recording
 
+from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.clock import ManualClock, SystemClock
 from edge.core.backoff import Backoff
 from edge.core.errors import (
@@ -21,7 +22,6 @@ from edge.core.errors import (
 )
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Device, DeviceIdentity
-from edge.gateway.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from plugins.devices.usb_mock import UsbMockOptions, plugin
 
 PATIENCE_S = 60.0

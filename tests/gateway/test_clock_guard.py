@@ -7,7 +7,7 @@ from station import station_config
 from stepped_station import SteppedStation
 
 from edge.clock import ManualClock, SystemClock
-from edge.gateway.clock_guard import ClockGuard
+from edge.gateway.report import ClockGuard
 
 
 class SetClock(ManualClock):
@@ -38,7 +38,7 @@ def test_a_station_writes_a_step_into_the_table_of_acts(
     """With the time before and after."""
     with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
         clock = SetClock(station.clock.monotonic_ns())
-        station.loop._clock_guard = ClockGuard(clock)
+        station.loop.report.clock_guard = ClockGuard(clock)
         clock.set_s = 86400.0
         station.loop.publish_stats()
         (act,) = station.parts.store.acts()

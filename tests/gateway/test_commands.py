@@ -30,7 +30,7 @@ def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_from_nothing(
     recording = press_recording(tmp_path / "presses", 2, motion=Motion(hold=24, idle=10), seed=4)
     config = station_config(tmp_path / "station", recording, bundle, trigger="command")
     with SteppedStation(config) as station:
-        handlers = station_handlers(station.loop.calls)
+        handlers = station_handlers(station.parts.calls)
 
         def ask(verb: str, **arguments: object) -> str:
             """Of another thread, while the loop has its turns."""
@@ -43,7 +43,7 @@ def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_from_nothing(
                 station.loop.step(None)
             return answers[0]
 
-        station.play_until(lambda: station.loop.has_session)
+        station.play_until(lambda: station.loop.session is not None)
         asked = [ask("trigger")]
         while not station.reports:
             station.play(1)

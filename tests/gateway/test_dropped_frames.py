@@ -44,7 +44,7 @@ def test_what_was_dropped_is_published_and_the_alarm_is_cleared_when_it_heals(
         station.parts.publisher.stop()
         station.play(40)
         station.loop.publish_stats()
-        now = {message.topic: message.payload for message in station.parts.retained_state.all()}
+        now = {message.topic: message.payload for message in station.parts.publisher.retained_state.all()}
 
     lines = [json.loads(line) for line in (tmp_path / "out/messages.jsonl").read_text().splitlines()]
     said = {line["topic"]: line["payload"] for line in lines}
@@ -64,7 +64,7 @@ def test_frames_that_a_halted_store_costs_are_no_overload(
         station.loop.step(None)
         station.look()
         station.loop.publish_stats()
-        now = {message.topic: message.payload for message in station.parts.retained_state.all()}
+        now = {message.topic: message.payload for message in station.parts.publisher.retained_state.all()}
 
     assert station.loop.summary.frames.dropped > 15
     assert now["alarm/overload"] == b""

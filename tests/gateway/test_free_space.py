@@ -7,7 +7,7 @@ import pytest
 from station import station_config
 from stepped_station import SteppedStation
 
-from edge.gateway.free_space import FreeSpace, free_bytes
+from edge.gateway.report import FreeSpace, free_bytes
 
 DATABASE = Path("/var/lib/gelgate/gelgate.db")
 
@@ -53,7 +53,9 @@ def test_a_running_station_raises_it_and_goes_on(
     with SteppedStation(config) as station:
         station.play()
         station.loop.publish_stats()
-        state = {message.topic: message.payload for _, message in station.parts.retained_state.since(-1)}
+        state = {
+            message.topic: message.payload for _, message in station.parts.publisher.retained_state.since(-1)
+        }
 
     assert len(station.reports) == 3
     assert (b"free space before it is full" in state["alarm/disk"]) == is_raised

@@ -10,6 +10,7 @@ from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
 from edge.core.verdict import Kind
+from edge.features.gel_proof import GelProofWatch
 
 Config = Callable[..., Path]
 
@@ -40,13 +41,13 @@ def until_press(station: SteppedStation, number: int) -> None:
 
 def replace(station: SteppedStation) -> None:
     """A new gel; the loop looks at it with the next frame, and learns its picture."""
-    station.loop.replace_gel(None, None, "")
+    station.ask("replace_gel")
     station.play(30)
 
 
 def said(station: SteppedStation, topic: str) -> dict[str, Any] | None:
     """What is retained there now."""
-    kept = {message.topic: message.payload for message in station.parts.retained_state.all()}
+    kept = {message.topic: message.payload for message in station.parts.publisher.retained_state.all()}
     return json.loads(kept[topic]) if kept.get(topic) else None
 
 
@@ -86,7 +87,7 @@ def test_it_is_said_after_a_restart_too(config: Config) -> None:
         replace(station)
         until_press(station, 3)
     with SteppedStation(path) as again:
-        again.play_until(lambda: again.loop.has_session)
+        again.play_until(lambda: again.loop.session is not None)
         text = unproven(again)
 
     assert text is not None
@@ -145,9 +146,9 @@ def test_the_word_of_a_person_ends_it_once_presses_are_enough(
         replace(station)
         until_press(station, 2)
         with pytest.raises(ValueError, match="Press 21 more sound parts"):
-            station.parts.proof.prove()
+            station.find(GelProofWatch).prove()
         monkeypatch.setattr("edge.core.gel_proof.PROVEN_RATE", 0.95)
-        station.parts.proof.prove()
+        station.find(GelProofWatch).prove()
         after = unproven(station), said(station, "alarm/gel_proof")
 
     assert after == (None, None)

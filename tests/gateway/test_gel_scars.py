@@ -13,7 +13,7 @@ from stepped_station import SteppedStation
 from edge.core.gel_scars.causes import Cause
 from edge.core.press_label import PressLabel, StudyLabel
 from edge.core.verdict import Kind
-from edge.gateway.press_stage import PressStage
+from edge.features.press_stage import PressStage
 from edge.messaging.result_payload import ResultPayload
 from edge.store.history import HistoryQuery, read_history
 
@@ -40,7 +40,7 @@ def played(
 
 
 def retained(station: SteppedStation) -> dict[str, Any]:
-    said = {message.topic: message.payload for message in station.parts.retained_state.all()}
+    said = {message.topic: message.payload for message in station.parts.publisher.retained_state.all()}
     return {topic: json.loads(payload) if payload[:1] == b"{" else None for topic, payload in said.items()}
 
 
@@ -107,7 +107,7 @@ def test_scars_are_known_after_a_restart_and_forgotten_with_the_gel(
     with SteppedStation(config) as station:
         station.play_until(lambda: len(station.reports) == 3)
         again = [report.result for report in station.reports]
-        station.loop.replace_gel("new", None, "")
+        station.ask("replace_gel", gel_id="new")
         station.play_until(lambda: len(station.reports) == 4)
         fresh = station.reports[3].result
 

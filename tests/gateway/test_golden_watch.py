@@ -27,8 +27,8 @@ def test_golden_frames_are_scored_after_every_change_and_every_hour(
     recording = press_recording(tmp_path / "presses", 1, motion=Motion(idle=12), seed=5)
     config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"')
     with SteppedStation(config) as station:
-        station.play_until(lambda: station.loop.has_session)
-        scorer = station.loop.selection.inspector.scorer
+        station.play_until(lambda: station.loop.session is not None)
+        scorer = station.parts.selection.inspector.scorer
         mean = scorer._bank["mean"].numpy().copy()
         scorer._bank["mean"].update_inplace(mean + 1)
         turns(station, 3)
@@ -38,9 +38,9 @@ def test_golden_frames_are_scored_after_every_change_and_every_hour(
         turns(station, len(scorer.bundle.golden))
         assert "golden frame 0" in str(retained(station, "alarm/golden"))
         assert (retained(station, "state") or {})["state"] == "halted"
-        assert station.loop.selection.inspector.fault is not None
+        assert station.parts.selection.inspector.fault is not None
 
-        before = station.loop.selection.bundles
+        before = station.parts.selection.bundles
         again = BundleOpener(None, 1, SystemClock()).open(load_config(config).inspection, before).bundles
         assert [again[part].inspector is before[part].inspector for part in (PZ0, PZ1)] == [False, True]
 
@@ -48,14 +48,14 @@ def test_golden_frames_are_scored_after_every_change_and_every_hour(
         station.clock.sleep(61)
         turns(station, len(scorer.bundle.golden))
         assert retained(station, "alarm/golden") is None
-        assert station.loop.selection.inspector.fault is None
+        assert station.parts.selection.inspector.fault is None
 
-        other = station.loop.selection.bundles[PZ1].inspector.scorer
+        other = station.parts.selection.bundles[PZ1].inspector.scorer
         other._bank["mean"].update_inplace(mean + 1)
-        station.loop.select_part("PZ1")
+        station.ask("select_part", part="PZ1")
         turns(station, len(scorer.bundle.golden))
         assert "golden frame 0" in str(retained(station, "alarm/golden"))
-        station.loop.select_part("PZ0")
+        station.ask("select_part", part="PZ0")
         assert retained(station, "alarm/golden") is None
 
 
@@ -65,8 +65,8 @@ def test_no_press_has_a_verdict_while_golden_frames_fail(
     """Each is an error with the reason, and is counted."""
     config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"')
     with SteppedStation(config) as station:
-        station.play_until(lambda: station.loop.has_session)
-        station.loop.selection.inspector.fault = "golden frame 0 scores 9"
+        station.play_until(lambda: station.loop.session is not None)
+        station.parts.selection.inspector.fault = "golden frame 0 scores 9"
         station.play()
 
         assert [report.result.error for report in station.reports] == ["golden frame 0 scores 9"] * 3

@@ -49,14 +49,14 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[ResultP
         for number in range(1, PRESSES + 1):
             station.play_until(lambda number=number: len(station.reports) == number)  # type: ignore[misc]
             alarms.append(gel_mark(station))
-        station.loop.replace_gel("new", None, "")
+        station.ask("replace_gel", gel_id="new")
         alarms.append(gel_mark(station))
         return config.parent, [report.result for report in station.reports], alarms
 
 
 def gel_mark(station: SteppedStation) -> str | None:
     """The text of the alarm, None where it is not raised."""
-    said = {message.topic: message.payload for message in station.parts.retained_state.all()}
+    said = {message.topic: message.payload for message in station.parts.publisher.retained_state.all()}
     payload = said.get("alarm/gel_mark")
     return json.loads(payload)["text"] if payload else None
 

@@ -5,24 +5,27 @@ from dataclasses import replace
 
 import pytest
 
+from edge.acquisition import AcquisitionStatus
 from edge.cli.run import summary_text
 from edge.clock import ManualClock
+from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Message
-from edge.core.verdict import Kind
-from edge.gateway.acquisition import AcquisitionStatus
-from edge.gateway.overload import FrameCounts, OverloadRule
+from edge.core.press import Press
+from edge.core.verdict import Kind, Verdict, decide
 from edge.gateway.recorder import PressReport
+from edge.gateway.report import FrameCounts, OverloadRule, Summary
 from edge.gateway.status import StationStatus
-from edge.gateway.summary import Summary
 from edge.messaging.result_payload import ResultPayload
 from edge.store.gel_ledger import GelRecord
-from edge.store.outbox import OutboxStatus
 
 GEL = GelRecord("2BNN4ZE7", "2BNN4ZE7-1", 1, 1000, 0.8, 0)
 
 
 def report(**fields: object) -> PressReport:
     """A press as it was recorded, with these fields of its result."""
+    score = fields.get("score")
+    rejection = Rejection(Reason.BLACK, "dark")
+    verdict = Verdict.rejected(rejection) if score is None else decide(float(str(score)), 1.0)
     result = ResultPayload(
         **{  # type: ignore[arg-type]
             "time_ns": 0,
@@ -35,7 +38,7 @@ def report(**fields: object) -> PressReport:
             **fields,
         }
     )
-    return PressReport(result, GEL, None)
+    return PressReport(Press(verdict), result, GEL)
 
 
 def scored(total_ms: float) -> PressReport:
@@ -93,15 +96,12 @@ def test_latencies_are_those_of_scored_presses() -> None:
 
 def test_stats_say_what_became_of_the_frames() -> None:
     """Dropped, late, stale and corrupt frames and interrupted presses, and the median of scored presses only."""
-    said: list[Message] = []
     summary = Summary()
     summary.frames = replace(summary.frames, late=3, interrupted=2)
     summary.see(AcquisitionStatus(frames=100, corrupt=4, stale=5, dropped=16), undecodable=1)
     summary.add(rejected("stale: old", 0.05))
     summary.add(scored(191.0))
-    StationStatus(said.append, ManualClock()).stats(summary, AcquisitionStatus(), OutboxStatus(0, 0, 0, {}))
-
-    stats = json.loads(said[-1].payload)
+    stats = summary.fields()
     names = (
         "frames",
         "frames_dropped",
@@ -118,8 +118,8 @@ def test_the_alarm_is_raised_and_cleared_on_its_topic() -> None:
     """The sentence while it lasts, an empty payload when it is over."""
     said: list[Message] = []
     status = StationStatus(said.append, ManualClock())
-    status.overload("this machine is too slow")
-    status.overload(None)
+    status.say("overload", "this machine is too slow")
+    status.say("overload", None)
 
     assert [message.topic for message in said] == ["alarm/overload"] * 2
     assert json.loads(said[0].payload)["text"] == "this machine is too slow"

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from overview_stills import blank, encoded, with_tag
 from station import station_config
 from stepped_station import SteppedStation
 
+from edge.acquisition import Acquisition
 from edge.clock import ManualClock
 from edge.core.errors import DeviceLost, FrameCorrupt, RecordingEnded
 from edge.core.imaging.frames import CameraFrame
@@ -15,11 +17,12 @@ from edge.core.imaging.image_bytes import picture_size, with_comment
 from edge.core.overview.rules import OverviewRules
 from edge.core.part_position import PartPosition
 from edge.core.ports import DeviceIdentity
+from edge.core.press import Press
 from edge.core.verdict import Kind
-from edge.gateway.acquisition import Acquisition
-from edge.gateway.overview import Overview, still_of
+from edge.features.overview import Overview, still_of
 from edge.recording.format import RecordingHeader, RecordingWriter
 
+SELECTION = Mock(part=PartPosition("PZ0", "pos1"), named_by=lambda name: {PartPosition("PZ0", "pos1")})
 IDENTITY = DeviceIdentity("camera", "C1", (320, 240), 5.0)
 
 
@@ -47,7 +50,7 @@ def overview_of(
 ) -> Overview:
     device = ScriptedCamera(clock, payloads, end or DeviceLost("camera C1 was unplugged"))
     camera = Acquisition(lambda: device, clock, depth=1)
-    return Overview(camera, rules or OverviewRules(), clock, max_age_s=2.0, max_side_px=1280)
+    return Overview(camera, rules or OverviewRules(), SELECTION, clock, max_age_s=2.0, max_side_px=1280)
 
 
 def station_with_overview(folder: Path, recording: Path, bundle: Path, table: str) -> SteppedStation:
@@ -58,9 +61,8 @@ def station_with_overview(folder: Path, recording: Path, bundle: Path, table: st
 
 def play(station: SteppedStation) -> None:
     """Both cameras are read and the loop looks, in turn, to the end."""
-    assert station.parts.overview is not None
     while not station.has_ended:
-        station.parts.overview.camera.step()
+        station.find(Overview).camera.step()
         station.play(1)
 
 
@@ -114,8 +116,7 @@ def test_the_part_is_looked_at_when_the_contact_begins(tmp_path: Path, recording
     """A station whose overview camera shows another part before the press rests: the first one was pressed."""
     table = 'plugin = "virtual_overview"\ncodes = ["apriltag"]\nparts = { 1 = "PZ0" }'
     with station_with_overview(tmp_path, recording, bundle, table) as station:
-        overview = station.parts.overview
-        assert overview is not None
+        overview = station.find(Overview)
         device = ScriptedCamera(
             station.clock, [encoded(with_tag(n)) for n in (1, 2)], DeviceLost("unplugged")
         )
@@ -138,11 +139,10 @@ def test_a_station_keeps_the_newest_still_alone(tmp_path: Path, recording: Path,
             writer.add(encoded(with_tag(number)), number * 10**8)
     table = f'plugin = "recorded"\ncodes = ["apriltag"]\noptions = {{ recording = "{tmp_path / "parts"}" }}'
     with station_with_overview(tmp_path, recording, bundle, table) as station:
-        overview = station.parts.overview
-        assert overview is not None
+        overview = station.find(Overview)
         for _ in range(4):
             overview.camera.step()
-        view = overview.take()
+        view = overview.look_at_part()
 
     assert [code.text for code in view.codes] == ["3"]
 
@@ -153,8 +153,7 @@ def test_a_lost_overview_camera_refuses_only_where_it_must_see() -> None:
     overview = overview_of(clock, [])
     overview.camera.step()
     overview.camera.step()
-    overview.begin()
-    view = overview.take()
+    view = overview.look_at_part()
 
     assert (view.jpeg, view.fault) == (None, "camera C1 was unplugged")
     part = PartPosition("PZ0", "pos1")
@@ -172,9 +171,8 @@ def test_the_newest_still_counts() -> None:
     )
     for _ in range(4):
         overview.camera.step()
-    overview.begin()
 
-    assert [code.text for code in overview.take().codes] == ["3"]
+    assert [code.text for code in overview.look_at_part().codes] == ["3"]
 
 
 def test_the_still_is_of_the_moment_when_the_contact_began() -> None:
@@ -185,11 +183,14 @@ def test_the_still_is_of_the_moment_when_the_contact_began() -> None:
     )
     overview.camera.step()
     overview.camera.step()
-    overview.begin()
+    overview.begin(None)
     overview.camera.step()
+    first, second = (overview.admit(Press()).overview for _ in range(2))
 
-    assert [code.text for code in overview.take().codes] == ["1"]
-    assert [code.text for code in overview.take().codes] == ["2"]
+    assert first is not None
+    assert second is not None
+    assert [code.text for code in first.codes] == ["1"]
+    assert [code.text for code in second.codes] == ["2"]
 
 
 def test_a_still_serves_two_quick_presses_and_then_is_too_old() -> None:
@@ -198,12 +199,12 @@ def test_a_still_serves_two_quick_presses_and_then_is_too_old() -> None:
     overview = overview_of(clock, [encoded(blank())])
     overview.camera.step()
     overview.camera.step()
-    first = overview.take()
+    first = overview.look_at_part()
     clock.sleep(1.9)
-    second = overview.take()
+    second = overview.look_at_part()
     clock.sleep(0.2)
     overview.camera.step()  # the camera is gone
-    third = overview.take()
+    third = overview.look_at_part()
 
     assert first.jpeg == second.jpeg == encoded(blank())
     assert (third.jpeg, third.fault) == (None, "camera C1 was unplugged")
@@ -218,7 +219,7 @@ def test_a_still_that_waited_too_long_is_too_old() -> None:
     clock.sleep(2.1)
     overview.camera.step()
 
-    assert overview.take().jpeg is None
+    assert overview.look_at_part().jpeg is None
 
 
 def test_a_recording_that_is_over_gives_no_still() -> None:
@@ -228,7 +229,7 @@ def test_a_recording_that_is_over_gives_no_still() -> None:
     overview.start()
     with pytest.raises(RecordingEnded):
         overview.camera.next(20)
-    view = overview.take()
+    view = overview.look_at_part()
     overview.close()
 
     assert view.fault == "recording r has ended after 0 frames"
@@ -280,6 +281,6 @@ def test_a_camera_that_hangs_is_refused_though_its_bytes_differ() -> None:
     overview.camera.step()
     for _ in pictures:
         overview.camera.step()
-        faults.append(overview.begin().fault)
+        faults.append(overview.look_at_part().fault)
     hung = "the overview camera gives one picture again and again"
     assert faults == [None, hung, hung, None]

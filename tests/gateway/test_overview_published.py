@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from station import MQTT, station_config
 
-import edge.gateway.overview
+import edge.features.overview
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.overview.codes import read_codes
@@ -63,7 +63,7 @@ def test_a_subscriber_finds_the_still_of_each_result(
 ) -> None:
     """Three presses with both threads: three stills, each with the code that its result names, refused or not."""
     # The sensor is played at full speed: on a busy machine it is faster than the thread that draws the stills.
-    monkeypatch.setattr(edge.gateway.overview, "WAIT_S", 60.0)
+    monkeypatch.setattr(edge.features.overview, "WAIT_S", 60.0)
     config = station_config(tmp_path, recording, bundle, sinks=MQTT % mosquitto.port)
     config.write_text(config.read_text() + TABLE)
     heard, results = Heard(), []

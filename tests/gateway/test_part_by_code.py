@@ -8,6 +8,7 @@ from stepped_station import SteppedStation
 
 from edge.core.part_position import PartPosition
 from edge.core.verdict import Kind
+from edge.features.overview import Overview
 from edge.messaging.result_payload import ResultPayload
 
 PZ0, PZ1 = PartPosition("PZ0", "pos1"), PartPosition("PZ1", "pos1")
@@ -31,10 +32,9 @@ def station(folder: Path, recording: Path, bundles: str, codes: list[str], *, se
 
 def play(playing: SteppedStation, presses: int = 3) -> list[ResultPayload]:
     """Both cameras are read and the loop looks, in turn, until that number of presses is recorded."""
-    assert playing.parts.overview is not None
     while len(playing.reports) < presses:
         assert not playing.has_ended
-        playing.parts.overview.camera.step()
+        playing.find(Overview).camera.step()
         playing.play(1)
     return [report.result for report in playing.reports]
 
@@ -67,7 +67,7 @@ def test_a_part_that_a_code_selected_is_selected_after_a_restart(
     with station(tmp_path, recording, bundles, ["4711"], select=True) as playing:
         play(playing, presses=1)
     with SteppedStation(tmp_path / "station" / "gelgate.toml") as again:
-        assert again.loop.selection.part == PZ1
+        assert again.parts.selection.part == PZ1
 
 
 def test_an_unknown_code_selects_nothing_and_its_press_is_refused(
@@ -93,7 +93,7 @@ def test_a_selection_that_cannot_be_recorded_refuses_the_press(
         playing.loop.step(None)
         with playing.refusing("selected"):
             refused = play(playing, presses=1)[0]
-            part = playing.loop.selection.part
+            part = playing.parts.selection.part
             acts = playing.parts.store.acts()
         results = play(playing)
 
@@ -112,7 +112,7 @@ def test_without_select_a_code_admits_by_every_name_and_changes_nothing(
 ) -> None:
     """The selected part is PZ1: its other name and its position are admitted, and the other part is refused."""
     with station(tmp_path, recording, bundles, ["4711", "PZ0", "PZ1/pos1"], select=False) as playing:
-        playing.loop.select_part("PZ1")
+        playing.ask("select_part", part="PZ1")
         results = play(playing)
 
     assert [one.part for one in results] == ["PZ1"] * 3
@@ -124,7 +124,7 @@ def test_a_bundle_whose_golden_frames_failed_gives_no_verdict_when_a_code_select
 ) -> None:
     """Its frames are scored again after the change; until then the last outcome counts."""
     with station(tmp_path, recording, bundles, ["4711"], select=True) as playing:
-        inspector = playing.loop.selection.bundles[PZ1].inspector
+        inspector = playing.parts.selection.bundles[PZ1].inspector
         inspector.fault = "golden frame 0 scores 9"
         result = play(playing, presses=1)[0]
 

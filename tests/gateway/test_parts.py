@@ -34,15 +34,15 @@ def config(tmp_path: Path, recording: Path, folder: Path) -> Path:
 
 def reloaded(station: SteppedStation) -> None:
     """Ask for a reload, let the bundles' thread have a turn, and the loop one."""
-    station.loop.selection.reload()
-    station.parts.stage.step()
+    station.parts.selection.reload()
+    station.parts.selection.stage.step()
     station.loop.step(None)
 
 
 def test_all_bundles_share_one_trunk(config: Path) -> None:
     """The second bundle is opened without another copy of the backbone in memory."""
     with SteppedStation(config) as station:
-        first, second = (one.inspector.scorer for one in station.loop.selection.bundles.bundles.values())
+        first, second = (one.inspector.scorer for one in station.parts.selection.bundles.bundles.values())
 
         assert first._trunk is second._trunk
         assert second.bundle.graphs.trunk is None
@@ -52,7 +52,7 @@ def test_the_selected_part_is_inspected_from_the_next_press_on(config: Path) -> 
     """The dented press fails as PZ0; as PZ1, with its own threshold, it passes, and its result says so."""
     with SteppedStation(config) as station:
         station.play_until(lambda: len(station.reports) == 1)
-        station.loop.select_part("PZ1")
+        station.ask("select_part", part="PZ1")
         station.play()
 
         results = [report.result for report in station.reports]
@@ -71,13 +71,13 @@ def test_the_selected_part_is_inspected_from_the_next_press_on(config: Path) -> 
 def test_a_part_selected_during_a_press_waits_for_its_end(config: Path) -> None:
     """The press is judged by the bundle with which it began."""
     with SteppedStation(config) as station:
-        station.play_until(lambda: station.loop.has_session and station.loop.session.has_contact)
-        station.loop.select_named("PZ1")
-        assert station.loop.selection.is_waiting
+        station.play_until(lambda: station.loop.session is not None and station.loop.session.has_contact)
+        station.ask("select_part", name="PZ1")
+        assert station.parts.selection.is_waiting
         station.play_until(lambda: len(station.reports) == 1)
         assert station.reports[0].result.part == "PZ0"
         station.play_until(lambda: not station.loop.session.has_contact)
-        assert not station.loop.selection.is_waiting
+        assert not station.parts.selection.is_waiting
         station.play()
 
         assert [report.result.part for report in station.reports] == ["PZ0", "PZ1", "PZ1"]
@@ -88,19 +88,19 @@ def test_the_learnt_free_gel_stays_over_a_change_of_part(config: Path) -> None:
     with SteppedStation(config) as station:
         station.play_until(lambda: len(station.reports) == 1)
         station.play_until(lambda: not station.loop.session.has_contact)
-        reference = station.loop.session._pipeline.tracker.reference
-        station.loop.select_part("PZ1")
+        reference = station.loop.session._detector.tracker.reference
+        station.ask("select_part", part="PZ1")
 
-        assert station.loop.session._pipeline.tracker.reference is reference
+        assert station.loop.session._detector.tracker.reference is reference
         assert (retained(station, "state") or {})["state"] == "ready"
 
 
 def test_a_station_starts_with_the_part_that_was_selected_last(config: Path) -> None:
     """Also after a power cut: the part on the line did not change with it."""
     with SteppedStation(config) as station:
-        station.loop.select_part("PZ1")
+        station.ask("select_part", part="PZ1")
     with SteppedStation(config) as station:
-        assert station.loop.selection.part == PZ1
+        assert station.parts.selection.part == PZ1
 
 
 def test_a_new_station_starts_with_the_configured_part(tmp_path: Path, recording: Path, folder: Path) -> None:
@@ -114,25 +114,19 @@ def test_a_new_station_starts_with_the_configured_part(tmp_path: Path, recording
     text = config.read_text().replace('[inspection]\n\ntrigger = "automatic"\n', "", 1)
     config.write_text(text)
     with SteppedStation(config) as station:
-        assert station.loop.selection.part == PZ1
-        station.loop.select_named("PZ0")
-        station.loop.select_named("4711")
-        assert station.loop.selection.part == PZ1
+        assert station.parts.selection.part == PZ1
+        station.ask("select_part", name="PZ0")
+        station.ask("select_part", name="4711")
+        assert station.parts.selection.part == PZ1
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("PZ2", r"no part of this station is named 'PZ2'; known: PZ0/pos1, PZ1/pos1"),
-        ("", "known: PZ0/pos1, PZ1/pos1"),
-    ],
-)
-def test_an_unknown_name_is_refused_and_nothing_changes(config: Path, name: str, words: str) -> None:
+def test_an_unknown_name_is_refused_and_nothing_changes(config: Path) -> None:
     """With the nearest known name."""
     with SteppedStation(config) as station:
+        words = r"no part of this station is named 'PZ2'; known: PZ0/pos1, PZ1/pos1"
         with pytest.raises(ValueError, match=words):
-            station.loop.select_named(name)
-        assert station.loop.selection.part == PZ0
+            station.ask("select_part", name="PZ2")
+        assert station.parts.selection.part == PZ0
 
 
 def test_a_part_with_several_positions_needs_one(tmp_path: Path, recording: Path, bundle: Path) -> None:
@@ -142,9 +136,9 @@ def test_a_part_with_several_positions_needs_one(tmp_path: Path, recording: Path
     config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{tmp_path / "bundles"}"')
     with SteppedStation(config) as station:
         with pytest.raises(ValueError, match="several positions here \\(PZ0/left, PZ0/right\\)"):
-            station.loop.select_part("PZ0")
-        station.loop.select_part("PZ0", "right")
-        assert station.loop.selection.part == PartPosition("PZ0", "right")
+            station.ask("select_part", part="PZ0")
+        station.ask("select_part", part="PZ0", position="right")
+        assert station.parts.selection.part == PartPosition("PZ0", "right")
 
 
 def test_two_bundles_for_one_position_are_refused(config: Path, folder: Path, bundle: Path) -> None:
@@ -167,7 +161,7 @@ def test_a_bundle_for_another_reading_of_the_sensor_is_refused(
 def test_a_new_bundle_takes_over_at_a_reload(config: Path, folder: Path, bundle: Path) -> None:
     """The one in use is exchanged; the other one, which has not changed, is not opened again."""
     with SteppedStation(config) as station:
-        selection = station.loop.selection
+        selection = station.parts.selection
         old, other = selection.inspector, selection.bundles[PZ1].inspector
         variant(bundle, folder / "a", revision=2)
         reloaded(station)
@@ -181,7 +175,7 @@ def test_a_new_bundle_takes_over_at_a_reload(config: Path, folder: Path, bundle:
 def test_the_last_good_bundle_stays_when_the_new_one_fails(config: Path, folder: Path, bundle: Path) -> None:
     """With the alarm `bundle`, which ends with a good one; the other new bundle of the same reload is used."""
     with SteppedStation(config) as station:
-        selection = station.loop.selection
+        selection = station.parts.selection
         old = selection.inspector
         (folder / "a" / "head.onnx").write_bytes(b"cut")
         manifest = json.loads((folder / "a" / "manifest.json").read_text())
@@ -207,13 +201,13 @@ def test_a_reload_notices_a_file_that_changed_under_its_manifest(
 ) -> None:
     """The next start would refuse it, so the reload does: alarm `bundle`, and the open one goes on."""
     with SteppedStation(config) as station:
-        old = station.loop.selection.inspector
+        old = station.parts.selection.inspector
         path = folder / "a" / name
         file = next(path.iterdir()) if path.is_dir() else path
         file.write_bytes(file.read_bytes()[:-1] + b"!")
         reloaded(station)
 
-        assert station.loop.selection.inspector is old
+        assert station.parts.selection.inspector is old
         assert f"{file.name} has SHA-256" in str(retained(station, "alarm/bundle"))
 
 
@@ -222,14 +216,14 @@ def test_a_folder_in_the_place_of_a_manifest_spoils_its_own_bundle_alone(
 ) -> None:
     """The alarm names it, its earlier bundle goes on, and the other new bundle is used."""
     with SteppedStation(config) as station:
-        old = station.loop.selection.inspector
+        old = station.parts.selection.inspector
         (folder / "a" / "manifest.json").unlink()
         (folder / "a" / "manifest.json").mkdir()
         variant(bundle, folder / "b", part="PZ1", revision=7)
         reloaded(station)
 
-        assert station.loop.selection.inspector is old
-        assert station.loop.selection.bundles[PZ1].bundle.manifest.revision == 7
+        assert station.parts.selection.inspector is old
+        assert station.parts.selection.bundles[PZ1].bundle.manifest.revision == 7
         assert "manifest.json cannot be read (Is a directory)" in str(retained(station, "alarm/bundle"))
 
 
@@ -253,7 +247,7 @@ def test_an_older_bundle_is_refused_unless_allowed(config: Path, folder: Path, b
         station.loop.step(None)
         variant(bundle, folder / "a", revision=2)
         reloaded(station)
-        assert station.loop.selection.inspector.bundle.manifest.revision == 3
+        assert station.parts.selection.inspector.bundle.manifest.revision == 3
         assert "has revision 2, and revision 3 was in use" in str(retained(station, "alarm/bundle"))
     with pytest.raises(BundleMismatch, match="has revision 2, and revision 3 was in use here"):
         SteppedStation(config)
@@ -268,7 +262,7 @@ def test_an_older_bundle_is_refused_unless_allowed(config: Path, folder: Path, b
         station.loop.step(None)
     config.write_text(config.read_text().replace('older = "allowed"', 'older = "refused"'))
     with SteppedStation(config) as station:
-        assert station.loop.selection.inspector.bundle.manifest.revision == 2
+        assert station.parts.selection.inspector.bundle.manifest.revision == 2
 
 
 def test_the_selected_part_cannot_be_removed_by_a_reload(config: Path, folder: Path) -> None:
@@ -276,14 +270,14 @@ def test_the_selected_part_cannot_be_removed_by_a_reload(config: Path, folder: P
     with SteppedStation(config) as station:
         (folder / "a" / "manifest.json").unlink()
         reloaded(station)
-        assert station.loop.selection.part == PZ0
+        assert station.parts.selection.part == PZ0
         assert "there is no bundle for the selected PZ0/pos1 any more" in str(
             retained(station, "alarm/bundle")
         )
 
-        station.loop.select_part("PZ1")
+        station.ask("select_part", part="PZ1")
         reloaded(station)
-        assert list(station.loop.selection.bundles.bundles) == [PZ1]
+        assert list(station.parts.selection.bundles.bundles) == [PZ1]
         assert retained(station, "alarm/bundle") is None
 
 
@@ -297,7 +291,7 @@ def test_a_reload_reads_the_configuration_again(tmp_path: Path, config: Path, fo
         config.write_text(good + "\n[unheard]\n")
         reloaded(station)
         assert "'unheard' is not known" in str(retained(station, "alarm/bundle"))
-        assert station.loop.selection.part == PZ0
+        assert station.parts.selection.part == PZ0
 
 
 def test_a_trunk_that_no_bundle_uses_any_more_is_forgotten(config: Path) -> None:
@@ -321,7 +315,7 @@ def test_an_unexpected_fault_while_bundles_are_opened_is_an_alarm(config: Path) 
     with SteppedStation(config) as station:
         outcomes: list[Opened | Exception] = [
             RuntimeError("no such thing"),
-            Opened(station.loop.selection.bundles, {}),
+            Opened(station.parts.selection.bundles, {}),
         ]
 
         def opened(in_use: BundleSet) -> Opened:
@@ -345,7 +339,7 @@ def test_every_reload_is_in_the_table_of_acts(config: Path) -> None:
     with SteppedStation(config) as station:
         reloaded(station)
         act = station.parts.store.acts()[0]
-        digest = station.loop.selection.inspector.bundle.digest
+        digest = station.parts.selection.inspector.bundle.digest
 
     assert (act.who, act.verb, act.outcome) == ("the gateway", "open_bundles", "done")
     assert act.after is not None
@@ -371,9 +365,9 @@ def test_a_selection_that_cannot_be_recorded_is_not_made(config: Path) -> None:
     with SteppedStation(config) as station:
         station.loop.step(None)
         with station.refusing("selected"), pytest.raises(StoreError, match="no room"):
-            station.loop.select_part("PZ1")
+            station.ask("select_part", part="PZ1")
         station.loop.step(None)
 
-        assert station.loop.selection.part == PZ0
+        assert station.parts.selection.part == PZ0
     with Store(config.parent / "gelgate.db") as store:
         assert store.read_selected() == PZ0

@@ -10,18 +10,17 @@ from command_line import gelgate
 from station import Motion, press_recording, station_config
 
 from calibration.demo import _inspected
+from edge.acquisition import AcquisitionStatus
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.contact.mask import Touch
 from edge.core.errors import PressesMissed
 from edge.core.imaging.frames import CameraFrame
-from edge.gateway.acquisition import AcquisitionStatus
 from edge.gateway.gateway import Gateway
-from edge.gateway.inspector import Inspector
-from edge.gateway.played import check_played
-from edge.gateway.summary import Summary
+from edge.gateway.report import Summary, check_played
 from edge.messaging.local_broker import LocalBroker
 from edge.model.bundle import Bundle
+from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
 from edge.recording.format import Recording
 

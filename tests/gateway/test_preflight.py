@@ -13,11 +13,11 @@ from parts import parts_config, two_parts, variant
 from ports import free_port
 from station import station_config
 
+from edge.acquisition import AcquisitionState
 from edge.clock import SystemClock
 from edge.config import PluginTable, load_config
 from edge.core.errors import ConfigError, DeviceLost
 from edge.core.part_position import PartPosition
-from edge.gateway.acquisition import AcquisitionState
 from edge.gateway.build import build
 from edge.gateway.preflight import Finding, _reachable, preflight
 from edge.model.bundle import Bundle

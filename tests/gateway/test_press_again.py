@@ -9,6 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from command_line import gelgate
@@ -19,7 +20,7 @@ from edge.cli.run import press_line
 from edge.clock import ManualClock
 from edge.core.press import Press
 from edge.core.press_again import Costs
-from edge.gateway.press_again import AgainRule, PressAgain
+from edge.features.press_again import PressAgain
 from edge.model.bundle import Bundle
 from edge.store.integrity import check_database
 
@@ -61,9 +62,11 @@ def played(config: Path) -> tuple[list[dict[str, Any]], list[str], str]:
         station.play()
         station.loop.step(None)
         results = [json.loads(report.result.encode()) for report in station.reports]
-        retained = {message.topic: message.payload for message in station.parts.retained_state.all()}
+        retained = {
+            message.topic: message.payload for message in station.parts.publisher.retained_state.all()
+        }
         text = json.loads(retained.get("alarm/press_again") or b"{}").get("text", "")
-        return results, station.loop.alarms, text
+        return results, station.raised, text
 
 
 def test_a_press_a_little_above_the_limit_asks_and_the_lower_score_of_two_is_decided(
@@ -110,8 +113,10 @@ def test_a_press_that_does_not_come_in_time_is_said(tmp_path: Path, again_bundle
         station.clock.sleep(1.0)
         station.loop.step(None)
         results = [json.loads(report.result.encode()) for report in station.reports]
-        retained = {message.topic: message.payload for message in station.parts.retained_state.all()}
-        alarms = station.loop.alarms
+        retained = {
+            message.topic: message.payload for message in station.parts.publisher.retained_state.all()
+        }
+        alarms = station.raised
 
     assert results[2]["verdict"] == "unsure"
     assert alarms == ["press_again"]
@@ -127,7 +132,7 @@ def test_a_late_press_is_a_press_of_its_own(tmp_path: Path, again_bundle: Path) 
         station.clock.sleep(1.0)
         station.play()
         results = [json.loads(report.result.encode()) for report in station.reports]
-        alarms = station.loop.alarms
+        alarms = station.raised
 
     assert [one["verdict"] for one in results] == ["unsure", "pass", "pass"]
     assert [one["press_again"] is None for one in results] == [False, True, True]
@@ -166,8 +171,10 @@ def test_a_press_that_waits_is_dropped_with_a_gel_change(tmp_path: Path, again_b
     """The next press may be of another piece."""
     with SteppedStation(configured(tmp_path, again_bundle, [0])) as station:
         station.play_until(lambda: len(station.reports) == 1)
-        station.loop.replace_gel(None, None, "")
-        retained = {message.topic: message.payload for message in station.parts.retained_state.all()}
+        station.ask("replace_gel")
+        retained = {
+            message.topic: message.payload for message in station.parts.publisher.retained_state.all()
+        }
 
     assert (
         "is not waited for any more: the gel was replaced"
@@ -187,8 +194,8 @@ def test_inspect_states_what_one_more_press_brings(again_bundle: Path, bundle: P
 def test_a_second_press_with_the_higher_score_is_decided_by_the_first(again_bundle: Path) -> None:
     """Both lie above, so the piece fails, with the score of its second press."""
     bundle = Bundle.load(again_bundle)
-    rule = AgainRule(True, Costs(missed=1, false_alarm=1000, press=1, defect_rate=0.01), 30.0)
-    again, inspector = PressAgain(rule, ManualClock(), lambda sentence: None), SimpleNamespace(bundle=bundle)
+    costs = Costs(missed=1, false_alarm=1000, press=1, defect_rate=0.01)
+    again, inspector = PressAgain(costs, 30.0, ManualClock(), Mock()), SimpleNamespace(bundle=bundle)
     again.use(inspector)  # type: ignore[arg-type]
     first, second = (
         again.judge(Press(bundle.manifest.decide(score)), None, inspector)  # type: ignore[arg-type]

@@ -23,7 +23,7 @@ def pressed_start(folder: Path, presses: int) -> Path:
 
 def said(station: SteppedStation, topic: str) -> str:
     """What an observer who connects now reads on that topic."""
-    kept = {message.topic: message.payload for message in station.parts.retained_state.all()}
+    kept = {message.topic: message.payload for message in station.parts.publisher.retained_state.all()}
     return kept.get(topic, b"").decode()
 
 

@@ -54,7 +54,7 @@ def test_a_gateway_that_ends_while_the_database_refuses_leaves_the_count_to_the_
     with SteppedStation(config) as station:
         station.play(3)
         station.loop.publish_stats()
-        alarm = {m.topic: m.payload for m in station.parts.retained_state.all()}["alarm/counts"]
+        alarm = {m.topic: m.payload for m in station.parts.publisher.retained_state.all()}["alarm/counts"]
     with Store(tmp_path / "gelgate.db") as store:
         (gel,) = store.gels()
 
@@ -72,7 +72,7 @@ def test_a_lost_database_is_an_alarm_of_the_station(tmp_path: Path, recording: P
 
     with SteppedStation(config) as station:
         station.play(3)
-        alarm = {m.topic: m.payload for m in station.parts.retained_state.all()}["alarm/counts"]
+        alarm = {m.topic: m.payload for m in station.parts.publisher.retained_state.all()}["alarm/counts"]
         assert station.loop.session.gel.presses == 3
 
     assert "presses 1 to 3 are missing" in json.loads(alarm)["text"]

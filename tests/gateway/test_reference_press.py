@@ -12,6 +12,7 @@ from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
 from edge.core.verdict import Kind
+from edge.features.reference_press import ReferenceGuard
 from edge.gateway.command_table import station_handlers
 from edge.store import reference_presses
 from edge.store.history import HistoryQuery, read_history
@@ -73,7 +74,7 @@ def until_press(station: SteppedStation, number: int) -> None:
 
 def start(station: SteppedStation) -> None:
     """Until the free gel is learnt."""
-    station.play_until(lambda: station.loop.has_session)
+    station.play_until(lambda: station.loop.session is not None)
 
 
 def reference(station: SteppedStation, count: int = 1) -> None:
@@ -85,7 +86,7 @@ def reference(station: SteppedStation, count: int = 1) -> None:
 
 def said(station: SteppedStation) -> dict[str, Any]:
     """The present state and alarms."""
-    kept = {m.topic: m.payload for m in station.parts.retained_state.all() if m.payload}
+    kept = {m.topic: m.payload for m in station.parts.publisher.retained_state.all() if m.payload}
     return {
         topic: json.loads(payload)
         for topic, payload in kept.items()
@@ -131,7 +132,7 @@ def test_its_measures_are_those_of_the_press(config: Callable[..., Path]) -> Non
     with SteppedStation(path) as station:
         start(station)
         reference(station)
-        size = station.loop.selection.inspector.bundle.profile
+        size = station.parts.selection.inspector.bundle.profile
     (sent,) = published(path, "reference")
     found = {chart["measure"]: chart["values"][0] for chart in sent["charts"]}
 
@@ -230,7 +231,7 @@ def test_a_new_gel_is_due_at_once(config: Callable[..., Path]) -> None:
     with SteppedStation(path) as station:
         start(station)
         reference(station, LEARN)
-        station.loop.replace_gel("second", None, "")
+        station.ask("replace_gel", gel_id="second")
         station.loop.step(None)
         due = said(station)["alarm/reference"]["text"]
     with SteppedStation(path) as station:  # the recording again, from its free gel on
@@ -275,7 +276,7 @@ def test_a_press_that_does_not_come_in_time_is_not_waited_for(config: Callable[.
 
     assert waiting == "the next press is the reference press of M1: press it within 60 s"
     assert "alarm/reference" not in after
-    assert station.reports[0].label is None
+    assert station.reports[0].press.label is None
 
 
 def test_it_can_be_cancelled(config: Callable[..., Path]) -> None:
@@ -288,7 +289,7 @@ def test_it_can_be_cancelled(config: Callable[..., Path]) -> None:
         with pytest.raises(ValueError, match="no reference press is waited for"):
             ask(station, cancel=True)
 
-    assert station.reports[0].label is None
+    assert station.reports[0].press.label is None
 
 
 def test_a_piece_that_is_not_known_is_refused_with_the_nearest(config: Callable[..., Path]) -> None:
@@ -342,14 +343,14 @@ def test_the_command_line_asks_through_the_database(config: Callable[..., Path])
     assert (acts["a"].outcome, acts["a"].who) == ("done", "kim, command line")
     assert (acts["b"].outcome, "no master piece" in str(acts["b"].sentence)) == ("refused", True)
     assert (acts["c"].outcome, "while no gateway ran" in str(acts["c"].sentence)) == ("refused", True)
-    assert station.reports[0].label is not None
+    assert station.reports[0].press.label is not None
 
 
 def test_the_command_line_waits_until_the_gel_is_free(config: Callable[..., Path]) -> None:
     """Asked for while a part presses, it is neither taken nor refused before the gel is free."""
     with SteppedStation(config("off")) as station:
         start(station)
-        guard, mounted = station.parts.reference, station.loop.session.mounted
+        guard, mounted = station.find(ReferenceGuard), station.loop.session.mounted
         wish = ReferenceRequest("a", "kim", None, False, station.clock.time_ns())
         station.parts.store.write("asking", partial(reference_presses.ask, wish=wish))
         station.clock.sleep(1)

@@ -18,8 +18,8 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press
 from edge.core.registration.pose import Pose
 from edge.core.sink_context import Place
-from edge.gateway.inspector import Inspector
 from edge.gateway.recorder import Recorder
+from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
 from edge.store.press_store import Store
 from edge.store.ulid import new_ulid
@@ -39,9 +39,9 @@ def _published(tmp_path: Path, inspector: Inspector, inspection: Press) -> dict[
     """The fields of the result as a subscriber reads them."""
     store = Store(tmp_path / "presses.db")
     try:
-        recorder = Recorder(store, inspector, "SIM1", Place("site", "line", "station"), SystemClock())
-        press = replace(inspection, press_id=new_ulid(0))
-        return dict(json.loads(recorder.record(recorder.prepare(press)).result.encode()))
+        recorder = Recorder(store, "SIM1", Place("site", "line", "station"), SystemClock())
+        press = replace(inspection, press_id=new_ulid(0), bundle_id=inspector.bundle.digest)
+        return dict(json.loads(recorder.record(recorder.prepare(press, inspector)).result.encode()))
     finally:
         store.close()
 
@@ -91,9 +91,9 @@ def test_places_that_were_not_judged_are_dark_in_the_picture(tmp_path: Path, ins
     inspection = _inspected(inspector, parts.press(parts.BLOCK, Pose(30.0)))
     store = Store(tmp_path / "presses.db")
     try:
-        recorder = Recorder(store, inspector, "SIM1", Place("site", "line", "station"), SystemClock())
+        recorder = Recorder(store, "SIM1", Place("site", "line", "station"), SystemClock())
         pictures = [
-            recorder.prepare(replace(inspection, press_id=new_ulid(0), **change)).heatmap_png
+            recorder.prepare(replace(inspection, press_id=new_ulid(0), **change), inspector).heatmap_png
             for change in ({}, {"registered": None})
         ]
     finally:

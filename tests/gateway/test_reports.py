@@ -11,10 +11,7 @@ from edge.cli.describe import Format, described_text
 from edge.clock import ManualClock
 from edge.config import load_config
 from edge.core.ports import Message
-from edge.gateway.acquisition import AcquisitionStatus
 from edge.gateway.status import StationStatus
-from edge.gateway.summary import Summary
-from edge.store.outbox import OutboxStatus
 
 
 @pytest.mark.parametrize(("stats_s", "least", "most"), [(0.5, 8, 10), (60, 0, 0)])
@@ -29,7 +26,10 @@ def test_the_interval_of_the_counters_is_configured(
         for _ in range(50):
             station.clock.sleep(0.1)
             station.loop.step(None)
-            said = {message.topic: message.payload for _, message in station.parts.retained_state.since(-1)}
+            said = {
+                message.topic: message.payload
+                for _, message in station.parts.publisher.retained_state.since(-1)
+            }
             times |= {json.loads(said["stats"])["time_ns"]} if "stats" in said else set()
 
     assert least <= len(times) <= most
@@ -48,18 +48,17 @@ def test_a_station_is_online_until_it_ends() -> None:
     assert (words[0], words[-2], words[-1]) == (b"online", b"online", b"offline")
 
 
-def test_the_counters_name_the_raised_alarms() -> None:
+def test_the_counters_name_the_raised_alarms(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """One message has them all, for a dashboard that comes later than the alarms."""
-    said: list[Message] = []
-    status = StationStatus(said.append, ManualClock())
-    status.alarm("overload", "too slow")
-    status.alarm("gel", "worn")
-    status.alarm("disk", "full")
-    status.clear("disk")
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        for alarm, text in (("bundle", "broken"), ("gel", "worn"), ("device", "away"), ("device", None)):
+            station.parts.status.say(alarm, text)
+        station.loop.publish_stats()
+        said = {
+            message.topic: message.payload for _, message in station.parts.publisher.retained_state.since(-1)
+        }
 
-    status.stats(Summary(), AcquisitionStatus(), OutboxStatus(0, 0, 0, {}))
-
-    assert json.loads(said[-1].payload)["alarms"] == ["gel", "overload"]
+    assert json.loads(said["stats"])["alarms"] == ["bundle", "gel"]
 
 
 def test_a_station_keeps_its_own_description_at_the_broker(
@@ -68,6 +67,6 @@ def test_a_station_keeps_its_own_description_at_the_broker(
     """Retained from the start on: what `gelgate station describe` prints."""
     config = station_config(tmp_path, recording, bundle)
     with SteppedStation(config) as station:
-        kept = {message.topic: message.payload for message in station.parts.retained_state.all()}
+        kept = {message.topic: message.payload for message in station.parts.publisher.retained_state.all()}
 
     assert json.loads(kept["asyncapi"]) == json.loads(described_text(load_config(config), Format.ASYNCAPI))

@@ -1,9 +1,10 @@
 """Learnt and scored frames are the same: `fit` and the gateway choose the same frames of any recording."""
 
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -15,14 +16,14 @@ from calibration.fitting.nominal_presses import read_presses
 from edge import registry
 from edge.clock import ManualClock
 from edge.core.contact.mask import Touch
-from edge.core.contact.press_detector import PressDetector
+from edge.core.contact.settings import ContactSettings
 from edge.core.errors import FitError, FrameCorrupt, RecordingEnded
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import with_comment
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.press import Press
-from edge.gateway.press_pipeline import PressPipeline
+from edge.gateway.inspection_session import InspectionSession
 from edge.recording.format import Recording, RecordingHeader, RecordingWriter
 
 SIZE = (160, 120)
@@ -97,12 +98,14 @@ def recorded(folder: Path, stretches: list[Stretch], fps: float, nominal_fps: fl
 class Listener:
     """An inspector that keeps the frames to judge."""
 
+    bundle = Mock(profile=PROFILE, free_reference=None, digest="")
+
     def __init__(self) -> None:
         self.asked: list[bytes] = []
 
-    def inspect(self, frame: CameraFrame, touch: Touch) -> Press:
+    def inspect(self, frame: CameraFrame, touch: Touch, press: Press) -> Press:
         self.asked.append(frame.payload)
-        return Press(None, error="not judged")
+        return replace(press, error="not judged")
 
 
 def scored_by_the_gateway(folder: Path, device: str = "recorded", pace: float = 1.0) -> list[bytes]:
@@ -110,10 +113,12 @@ def scored_by_the_gateway(folder: Path, device: str = "recorded", pace: float = 
     clock, listener = ManualClock(), Listener()
     plugin = registry.device(device)
     sensor = plugin.open(plugin.Options.model_validate({"recording": folder, "pace": pace}), clock)
-    pipeline = PressPipeline(PressDetector(PROFILE), listener, clock)  # type: ignore[arg-type]
+    references = Mock(load=Mock(return_value=None))
+    gel, recorder, status = Mock(serial="S", gel_id="S-1"), Mock(), Mock()
+    session = InspectionSession(gel, listener, ContactSettings(), references, recorder, status, clock, ())  # type: ignore[arg-type]
     while True:
         try:
-            pipeline.feed(sensor.read(clock.monotonic_ns() + 3600 * SECOND))
+            session.feed(sensor.read(clock.monotonic_ns() + 3600 * SECOND))
         except FrameCorrupt:
             continue
         except RecordingEnded:

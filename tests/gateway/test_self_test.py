@@ -5,11 +5,15 @@ import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+from unittest.mock import ANY
 
 import pytest
 from station import station_config
 from stepped_station import SteppedStation
 
+from edge.core.press import Press
+from edge.core.verdict import decide
+from edge.features.outputs.stage import Outputs
 from edge.gateway.command_table import COMMANDS, Command
 from edge.messaging.alarm_advice import STAYING
 from edge.messaging.alarm_payload import ALARMS
@@ -31,7 +35,7 @@ def asked(station: SteppedStation, verb: str, **arguments: object) -> Any:
 def self_tested(station: SteppedStation) -> Mapping[str, Any]:
     """The answer of a self-test, after the turns in which nothing presses."""
     finish: Callable[[], Mapping[str, Any]] = asked(station, "self_test")
-    for _ in range(len(station.loop.selection.inspector.bundle.golden) + 1):
+    for _ in range(len(station.parts.selection.inspector.bundle.golden) + 1):
         station.loop.step(None)
     found = finish()
     assert json.loads(json.dumps(found)) == found
@@ -41,7 +45,7 @@ def self_tested(station: SteppedStation) -> Mapping[str, Any]:
 def test_a_sound_station_says_so_of_each_part(config: Path) -> None:
     """Golden frames, database, sensor, receivers and disk, with what was found."""
     with SteppedStation(config) as station:
-        station.play_until(lambda: station.loop.has_session)
+        station.play_until(lambda: station.loop.session is not None)
         for worker in station.parts.publisher._workers.values():
             worker.step()
         found = self_tested(station)
@@ -56,12 +60,12 @@ def test_a_sound_station_says_so_of_each_part(config: Path) -> None:
 def test_each_part_that_is_not_well_says_why(config: Path) -> None:
     """Golden frames that score otherwise, no sensor yet, a receiver that was not tried."""
     with SteppedStation(config) as station:
-        scorer = station.loop.selection.inspector.scorer
+        scorer = station.parts.selection.inspector.scorer
         scorer._bank["mean"].update_inplace(scorer._bank["mean"].numpy() + 1)
         station.loop.step(None)
         parts = self_tested(station)["parts"]
         station.loop.step(None)
-        fault = station.loop.selection.inspector.fault
+        fault = station.parts.selection.inspector.fault
 
     assert {part for part, one in parts.items() if not one["is_ok"]} == {"golden", "receivers", "sensor"}
     assert "golden frame 0" in parts["golden"]["text"]
@@ -84,7 +88,7 @@ def test_a_self_test_ends_with_the_station(config: Path) -> None:
 def dropped(station: SteppedStation, heatmaps: int) -> None:
     """The report of a station whose outbox has dropped that many heatmaps so far."""
     status = OutboxStatus(0, 0, 0, {"heatmap": heatmaps, "pass": 0, "fail": 0})
-    station.parts.status.stats(station.loop.summary, station.parts.acquisition.status, status)
+    station.loop.report.note_drops(status)
 
 
 def test_dropped_messages_are_acknowledged_until_more_are_dropped(config: Path) -> None:
@@ -92,12 +96,12 @@ def test_dropped_messages_are_acknowledged_until_more_are_dropped(config: Path) 
     with SteppedStation(config) as station:
         for count in (0, 1, 1):
             dropped(station, count)
-        assert station.loop.alarms == ["outbox_full"]
+        assert station.raised == ["outbox_full"]
         assert asked(station, "acknowledge_alarm", alarm="outbox_full") == {"alarms": []}
         dropped(station, 1)
-        assert station.loop.alarms == []
+        assert station.raised == []
         dropped(station, 2)
-        assert station.loop.alarms == ["outbox_full"]
+        assert station.raised == ["outbox_full"]
 
 
 def test_corrected_counts_are_acknowledged(config: Path) -> None:
@@ -105,11 +109,11 @@ def test_corrected_counts_are_acknowledged(config: Path) -> None:
     with SteppedStation(config) as station:
         station.parts.store.findings.append("database gelgate.db: it knew fewer presses")
         station.loop.publish_stats()
-        assert station.loop.alarms == ["counts"]
+        assert station.raised == ["counts"]
         asked(station, "acknowledge_alarm", alarm="counts")
         station.loop.publish_stats()
 
-        assert station.loop.alarms == []
+        assert station.raised == []
 
 
 def test_pulses_that_were_not_given_are_acknowledged_without_the_verdict(
@@ -118,14 +122,15 @@ def test_pulses_that_were_not_given_are_acknowledged_without_the_verdict(
     """The count starts again; the light goes on showing the last verdict."""
     config.write_text(config.read_text() + PEDAL)
     with SteppedStation(config) as station:
-        io = station.parts.io
-        assert io._alarms is not None
+        io = station.find(Outputs)
         for _ in range(2):
             io._alarms.late("relay", "41 ms late")
-        io.judged("fail", 1)
+        io.judge(Press(decide(2.0, 1.0), judged_ns=1), None, ANY)
         assert asked(station, "acknowledge_alarm", alarm="pulse") == {"alarms": []}
         io._alarms.late("relay", "7 ms late")
-        texts = [one.payload for one in station.parts.retained_state.all() if one.topic == "alarm/pulse"]
+        texts = [
+            one.payload for one in station.parts.publisher.retained_state.all() if one.topic == "alarm/pulse"
+        ]
 
     assert io._verdict == "fail"
     assert b"1 pulses were not given in time" in texts[-1]
@@ -142,10 +147,10 @@ def test_pulses_that_were_not_given_are_acknowledged_without_the_verdict(
 def test_only_a_raised_alarm_that_stays_can_be_acknowledged(config: Path, alarm: str, words: str) -> None:
     """Others are refused with the reason, and nothing changes."""
     with SteppedStation(config) as station:
-        station.parts.status.disk("8 MB free")
+        station.parts.status.say("disk", "8 MB free", "warning")
         with pytest.raises(ValueError, match=words):
             asked(station, "acknowledge_alarm", alarm=alarm)
-        assert station.loop.alarms == ["disk"]
+        assert station.raised == ["disk"]
 
 
 def test_the_manual_names_the_alarms_that_stay() -> None:

@@ -18,6 +18,9 @@ from station import FPS, JSONL, SERIAL, SIZE, gel, jpeg, station_config
 from stepped_station import SteppedStation
 
 from edge.core.imaging.image_bytes import with_comment
+from edge.features.outputs.stage import Outputs
+from edge.features.overview import Overview
+from edge.features.reference_press import ReferenceGuard
 from edge.recording.format import RecordingHeader, RecordingWriter
 
 OUTPUTS = """
@@ -255,12 +258,12 @@ def played(folder: Path, bundle: Path, fault: Fault) -> Row:
 
 def looks(station: SteppedStation, numbers: dict[bytes, int], fault: Fault) -> Iterator[Look]:
     """One after every turn, from the first frame to the recording's end."""
-    parts, status, driver = station.parts, station.parts.status, station.parts.io.drivers[0]
+    parts, status, driver = station.parts, station.parts.status, station.find(Outputs).drivers[0]
     verdicts: dict[int, str] = {}
     part, number, reported, start_ns = 0, 0, 0, 0
     while not station.has_ended:
-        if parts.overview is not None:
-            parts.overview.camera.step()
+        if (overview := station.loop.find(Overview)) is not None:
+            overview.camera.step()
         station.read(1)
         while (frame := parts.acquisition.next(0)) is not None:
             start_ns = start_ns or frame.timestamp_ns
@@ -274,7 +277,7 @@ def looks(station: SteppedStation, numbers: dict[bytes, int], fault: Fault) -> I
         for report in station.reports[reported:]:
             verdicts[part], reported = report.word, reported + 1
         if fault.master_piece == reported and number == BROKEN_AT:
-            parts.reference.request("M1")
+            station.find(ReferenceGuard).request("M1")
         if parts.acquisition.status.frames and not station.has_ended:
             view = status.view()
             is_lit = [False, *switched(station, channel=1)][-1]

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from station import station_config
@@ -10,8 +11,8 @@ from stepped_station import SteppedStation
 from edge.clock import ManualClock
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import DeviceIdentity
-from edge.gateway import snapshots
-from edge.gateway.snapshots import Snapshots
+from edge.features import snapshots
+from edge.features.snapshots import Snapshots
 from edge.recording.format import Recording
 from edge.store.acts import Act
 
@@ -24,19 +25,22 @@ def frame(number: int, size: int = 10) -> CameraFrame:
 
 
 def bench(folder: Path, frames: int = 100, size: int = 10) -> Snapshots:
-    found = Snapshots(folder / "snapshots", ManualClock())
+    found = made(folder, ManualClock())
     for number in range(frames):
-        found.see(frame(number, size))
+        found.take(frame(number, size))
     return found
+
+
+def made(folder: Path, clock: ManualClock) -> Snapshots:
+    return Snapshots(folder / "snapshots", clock, Mock(), lambda: SENSOR, lambda: None)
 
 
 def written(found: Snapshots) -> Act:
     """The loop's turn, the thread's turn, the loop's turn."""
-    assert found.take(SENSOR) is None
+    found.turn(None)
     found.step()
-    act = found.take(SENSOR)
-    assert act is not None
-    return act
+    found.turn(None)
+    return found._store.begin_act.call_args.args[0]
 
 
 def test_the_frames_around_the_request_are_written(tmp_path: Path) -> None:
@@ -44,10 +48,10 @@ def test_the_frames_around_the_request_are_written(tmp_path: Path) -> None:
     found = bench(tmp_path)
     folder = found.request(0.5, 0.3)
     for number in (100, 101, 102):
-        assert found.take(SENSOR) is None
+        found.turn(None)
         found.step()
         assert not folder.exists()
-        found.see(frame(number))
+        found.take(frame(number))
     act = written(found)
     recording = Recording.open(folder)
 
@@ -60,10 +64,10 @@ def test_the_frames_around_the_request_are_written(tmp_path: Path) -> None:
 def test_a_stream_that_stops_does_not_hold_back_what_is_there(tmp_path: Path) -> None:
     """The frames after the request never come; after a time those before it are written."""
     clock = ManualClock()
-    found = Snapshots(tmp_path / "snapshots", clock)
-    found.see(frame(0))
+    found = made(tmp_path, clock)
+    found.take(frame(0))
     folder = found.request(1, 1)
-    assert found.take(SENSOR) is None
+    found.turn(None)
     clock.sleep(1 + snapshots.PATIENCE_S)
     written(found)
 
@@ -81,16 +85,6 @@ def test_memory_is_bounded_by_time_and_by_bytes(tmp_path: Path, monkeypatch: pyt
     assert large._bytes == sum(len(one.payload) for one in large._ring) <= snapshots.RING_BYTES
 
 
-def test_no_frame_is_kept_where_nobody_may_ask(tmp_path: Path) -> None:
-    """A station without the command spends no memory on it."""
-    found = Snapshots(None, ManualClock())
-    found.see(frame(0))
-
-    assert len(found._ring) == 0
-    with pytest.raises(ValueError, match="snapshots are off"):
-        found.request(1, 1)
-
-
 def test_a_station_that_does_not_serve_it_keeps_no_frame(
     tmp_path: Path, recording: Path, bundle: Path
 ) -> None:
@@ -99,7 +93,7 @@ def test_a_station_that_does_not_serve_it_keeps_no_frame(
         SteppedStation(station_config(tmp_path, recording, bundle)) as station,
         pytest.raises(ValueError, match="snapshots are off"),
     ):
-        station.loop.snapshot(5, 2)
+        station.ask("snapshot", before_s=5, after_s=2)
 
 
 def test_a_snapshot_has_its_name_when_it_is_complete(tmp_path: Path) -> None:
@@ -116,7 +110,7 @@ def test_a_snapshot_has_its_name_when_it_is_complete(tmp_path: Path) -> None:
 
     found = bench(tmp_path)
     name = found.request(1, 0).name
-    assert found.take(SENSOR) is None
+    found.turn(None)
     assert found._job is not None
     path, frames, header = found._job
     found._job = (path, Watched(frames), header)
@@ -173,16 +167,16 @@ def test_a_snapshot_of_a_station_is_a_recording_of_its_sensor(
     path.write_text(path.read_text() + '[commands]\nunsigned = ["snapshot"]\n')
     with SteppedStation(path) as station:
         with pytest.raises(ValueError, match="no frame has arrived"):
-            station.loop.snapshot(5, 0)
+            station.ask("snapshot", before_s=5, after_s=0)
         station.play_until(lambda: len(station.reports) == 1)
-        folder = station.loop.snapshot(0.5, 0.2)
+        folder = station.ask("snapshot", before_s=0.5, after_s=0.2)
         station.play()
-        station.parts.snapshots.step()
+        station.find(Snapshots).step()
         station.loop.step(None)
         acts = station.parts.store.acts()
 
-    assert folder.parent == tmp_path / "gelgate.snapshots"
-    assert Recording.open(folder).header.serial == "TEST0001"
+    assert Path(folder["recording"]).parent == tmp_path / "gelgate.snapshots"
+    assert Recording.open(Path(folder["recording"])).header.serial == "TEST0001"
     assert [(act.verb, act.outcome) for act in acts] == [("snapshot", "done")]
     assert [report.result.verdict for report in station.reports] == ["pass", "fail", "pass"]
 
@@ -199,4 +193,4 @@ def test_no_snapshot_is_written_where_there_is_little_room(
         SteppedStation(path) as station,
         pytest.raises(ValueError, match="no snapshot is written: the disk of"),
     ):
-        station.loop.snapshot(5, 0)
+        station.ask("snapshot", before_s=5, after_s=0)

@@ -4,6 +4,7 @@ import json
 import threading
 from pathlib import Path
 from typing import Any
+from unittest.mock import ANY
 
 import pytest
 from fake_io import FakeRelay
@@ -12,12 +13,16 @@ from stepped_station import SteppedStation
 
 from edge.clock import ManualClock, SystemClock
 from edge.config import load_config
+from edge.core.contact.events import PressBegan
 from edge.core.digital_io import OutputRule, StationView
 from edge.core.errors import ConfigError, DeviceNotFound
-from edge.gateway.digital_io.actuator_driver import ActuatorDriver
-from edge.gateway.digital_io.station_io import IoAlarms, StationIo
+from edge.core.press import Press
+from edge.core.verdict import decide
+from edge.features.outputs.actuator_driver import ActuatorDriver
+from edge.features.outputs.opening import describe_actuator
+from edge.features.outputs.stage import IoAlarms, Outputs
+from edge.features.reference_press import ReferenceGuard
 from edge.gateway.gateway import Gateway
-from edge.gateway.io_opening import found_actuator
 
 ANDON = """
 [[actuators]]
@@ -38,6 +43,14 @@ options = {{ presses_s = [0.1] }}
 """
 
 
+def outputs_of(driver: Any) -> Outputs:
+    return Outputs((), (driver,), IoAlarms(print), ManualClock())
+
+
+def pressed(word: str, judged_ns: int) -> Press:
+    return Press(decide({"pass": 0.0, "fail": 2.0}[word], 1.0), judged_ns=judged_ns)
+
+
 class IoStation(SteppedStation):
     """The owner of the board takes its turn after the loop's."""
 
@@ -48,16 +61,18 @@ class IoStation(SteppedStation):
             steps = None if steps is None else steps - 1
 
     def switch(self) -> None:
-        for driver in self.parts.io.drivers:
+        for driver in self.find(Outputs).drivers:
             driver.step()
 
     def step_on_the_pedal(self) -> None:
         """Its script: 0.1 s after it was opened."""
         for _ in range(3):
-            self.parts.io.readers[0].step()
+            self.find(Outputs).readers[0].step()
 
     def alarms(self) -> dict[str, str]:
-        raised = [m for m in self.parts.retained_state.all() if m.topic.startswith("alarm/") and m.payload]
+        raised = [
+            m for m in self.parts.publisher.retained_state.all() if m.topic.startswith("alarm/") and m.payload
+        ]
         return {m.topic.removeprefix("alarm/"): json.loads(m.payload)["text"] for m in raised}
 
 
@@ -136,7 +151,7 @@ def test_no_light_shows_the_verdict_of_an_earlier_press(
     with IoStation(configured(tmp_path, recording, bundle, ANDON.format(deadline_ms=60_000))) as station:
         while not station.has_ended:
             station.play(1)
-            if station.loop.has_session and len(station.reports) == 1:
+            if station.loop.session is not None and len(station.reports) == 1:
                 lit.append((station.loop.session.has_contact, switched(tmp_path)[-1:] == [(1, True)]))
     held = [is_lit for has_contact, is_lit in lit[-30:] if has_contact]
     assert lit[3] == (True, True), "the first press, judged and still held"
@@ -149,12 +164,12 @@ def test_a_verdict_does_not_outlive_the_state_ready() -> None:
     relay = FakeRelay(clock := ManualClock())
     rules = [OutputRule(1, frozenset({"pass"})), OutputRule(2, frozenset({"fail"}))]
     driver = ActuatorDriver(relay.open, rules, clock, print, print, watchdog_ns=10**12)
-    io = StationIo(drivers=[driver])
+    io = outputs_of(driver)
     for verdict, channel in (("pass", 1), ("fail", 2)):
-        io.judged(verdict, 1)
-        io.recorded(verdict, 1)
+        io.judge(pressed(verdict, 1), None, ANY)
+        io.record(pressed(verdict, 1), ANY)
         for state, on in (("ready", {channel}), ("halted", set()), ("ready", set())):
-            io.turn(StationView(state))
+            io.show(StationView(state))
             driver.step()
             assert relay.on == on, (verdict, state)
 
@@ -165,11 +180,11 @@ def test_a_pass_that_is_recorded_after_the_next_press_began_is_not_shown() -> No
     driver = ActuatorDriver(
         relay.open, [OutputRule(1, frozenset({"pass"}))], clock, print, print, watchdog_ns=10**12
     )
-    io = StationIo(drivers=[driver])
-    io.judged("pass", 1)
-    io.began()
-    io.recorded("pass", 1)
-    io.turn(StationView("ready"))
+    io = outputs_of(driver)
+    io.judge(pressed("pass", 1), None, ANY)
+    io.see(PressBegan(0, 0))
+    io.record(pressed("pass", 1), ANY)
+    io.show(StationView("ready"))
     driver.step()
     assert relay.on == set()
 
@@ -178,7 +193,7 @@ def test_a_pedal_asks_for_the_verdict(tmp_path: Path, recording: Path, bundle: P
     """With trigger = "command" only the held press is scored that the pedal asks for."""
     config = configured(tmp_path, recording, bundle, PEDAL.format(action="trigger"), trigger="command")
     with IoStation(config) as station:
-        station.play_until(lambda: station.loop._session is not None and station.loop.session.has_contact)
+        station.play_until(lambda: station.loop.session is not None and station.loop.session.has_contact)
         station.play(6)
         assert station.reports == []
         station.step_on_the_pedal()
@@ -230,13 +245,13 @@ def test_the_check_before_the_start_looks_for_the_board(
         text.replace('["fail"],', '["fail", "unsure", "rejected", "error"],'),
     )
 
-    assert found_actuator(there.actuators[0]) == (
+    assert describe_actuator(there.actuators[0]) == (
         "USBRelay8 at virtual/relay; warning: the pulse on channel 3 leaves out unsure, rejected, error: a reject "
         "gate lets these parts through; add them to `when`"
     )
-    assert found_actuator(load_config(whole).actuators[0]) == "USBRelay8 at virtual/relay"
+    assert describe_actuator(load_config(whole).actuators[0]) == "USBRelay8 at virtual/relay"
     with pytest.raises(DeviceNotFound, match="nothing for 'virtual_hid' is plugged in; check the cable"):
-        found_actuator(away.actuators[0])
+        describe_actuator(away.actuators[0])
 
 
 @pytest.mark.parametrize(
@@ -294,10 +309,10 @@ class Driver:
 def test_a_pass_that_is_recorded_after_a_later_fail_is_not_shown() -> None:
     """The lights are those of the newest press."""
     driver = Driver()
-    io = StationIo((), (driver,))  # type: ignore[arg-type]
-    io.judged("fail", 200)
-    io.recorded("pass", 100)
-    io.turn(StationView("ready"))
+    io = outputs_of(driver)
+    io.judge(pressed("fail", 200), None, ANY)
+    io.record(pressed("pass", 100), ANY)
+    io.show(StationView("ready"))
 
     assert driver.views[-1].verdict == "fail"
 
@@ -305,12 +320,12 @@ def test_a_pass_that_is_recorded_after_a_later_fail_is_not_shown() -> None:
 def test_the_pulse_of_a_pass_waits_for_the_database_and_that_of_a_fail_does_not() -> None:
     """Each is given once."""
     driver = Driver()
-    io = StationIo((), (driver,))  # type: ignore[arg-type]
-    io.judged("pass", 100)
+    io = outputs_of(driver)
+    io.judge(pressed("pass", 100), None, ANY)
     assert driver.pulses == []
-    io.recorded("pass", 100)
-    io.judged("fail", 200)
-    io.recorded("fail", 200)
+    io.record(pressed("pass", 100), ANY)
+    io.judge(pressed("fail", 200), None, ANY)
+    io.record(pressed("fail", 200), ANY)
 
     assert driver.pulses == ["pass", "fail"]
 
@@ -335,7 +350,7 @@ def test_a_master_piece_switches_no_light_and_no_gate(tmp_path: Path, recording:
     with IoStation(config) as station:
         while not (len(station.reports) == 1 and not station.loop.session.has_contact):
             station.play(1)
-        station.parts.reference.request("M1")
+        station.find(ReferenceGuard).request("M1")
         station.play()
         words = [report.word for report in station.reports]
 

@@ -60,7 +60,7 @@ def test_a_requested_reload_is_served_by_the_bundles_thread(
         assert verb.do(station.loop, verb.arguments.of({})) == {"is_waiting": True}
         station.loop.step(None)
         assert station.parts.store.acts() == []
-        station.parts.stage.step()
+        station.parts.selection.stage.step()
         station.loop.step(None)
         assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]
 
@@ -76,7 +76,7 @@ def test_a_press_that_the_store_refuses_is_kept_and_recorded_when_it_can_be(
             assert station.loop.is_halted
             assert station.reports == []
             assert VERBS["relearn"].do(station.loop, VERBS["relearn"].arguments.of({}))["state"]
-            state = {m.topic: m.payload for m in station.parts.retained_state.all()}["state"]
+            state = {m.topic: m.payload for m in station.parts.publisher.retained_state.all()}["state"]
         station.loop.step(None)
         assert not station.loop.is_halted
 
@@ -106,7 +106,9 @@ def test_a_new_gel_starts_from_nothing(tmp_path: Path, recording: Path, bundle: 
         station.play_until(lambda: bool(station.reports))
         replace = VERBS["replace_gel"]
         answer = replace.do(station.loop, replace.arguments.of({"gel_id": "next", "limit_presses": 7}))
-        state = json.loads({m.topic: m.payload for m in station.parts.retained_state.all()}["state"])
+        state = json.loads(
+            {m.topic: m.payload for m in station.parts.publisher.retained_state.all()}["state"]
+        )
         with pytest.raises(StoreError, match="'next' was already used"):
             replace.do(station.loop, replace.arguments.of({"gel_id": "next"}))
 

@@ -5,9 +5,10 @@ import json
 import pytest
 import tiny
 
+from edge.acquisition import AcquisitionState, AcquisitionStatus
 from edge.clock import ManualClock
 from edge.core.ports import DeviceIdentity, Message
-from edge.gateway.acquisition import AcquisitionState, AcquisitionStatus
+from edge.features.overview import say_overview_camera
 from edge.gateway.status import StationStatus
 from edge.model.bundle import Bundle
 from edge.model.limit_facts import BACKBONE_CHOICE, METHOD_CHOICE
@@ -77,7 +78,7 @@ def test_an_alarm_is_in_the_log_once_until_it_is_cleared(caplog: pytest.LogCaptu
     """The log has an overload once, not every ten seconds."""
     status = StationStatus(Heard(), ManualClock())
     for text in ("96 of 179 frames were dropped", "40 of 100 frames were dropped", None, "again"):
-        status.overload(text)
+        status.say("overload", text)
 
     assert [record.getMessage() for record in caplog.records] == [
         "alarm overload: 96 of 179 frames were dropped",
@@ -120,9 +121,9 @@ def test_an_overview_camera_that_is_away_is_an_alarm_and_no_halt(
     """As severe as what it causes, and cleared when it is back; the state does not change."""
     said: list[Message] = []
     status = StationStatus(said.append, ManualClock())
-    status.overview_changed(lost, is_needed=is_needed)
+    say_overview_camera(status, lost, is_needed=is_needed)
     alarm = json.loads(said[-1].payload)
-    status.overview_changed(AcquisitionStatus(AcquisitionState.STREAMING), is_needed=is_needed)
+    say_overview_camera(status, AcquisitionStatus(AcquisitionState.STREAMING), is_needed=is_needed)
 
     assert [message.topic for message in said] == ["alarm/overview"] * 2
     assert (alarm["severity"], said[-1].payload) == (severity, b"")

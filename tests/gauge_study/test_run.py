@@ -119,7 +119,7 @@ def test_a_press_is_repeated_and_one_is_skipped(config: Path, small: StudyPlan) 
     found = rows(config, small)
     again = list[str]()
     with running(config, small, again) as (station, _, _):
-        station.play_until(lambda: station.loop.has_session)
+        station.play_until(lambda: station.loop.session is not None)
 
     assert [(one.step, one.is_void) for one in found] == [(0, True), (0, False), (2, False)]
     assert left == 6
@@ -132,10 +132,10 @@ def test_a_press_without_a_score_is_asked_for_again(config: Path, small: StudyPl
     """It stays as a row, counts on the gel, and the plan does not go on."""
     said: list[str] = []
     with running(config, small, said) as (station, labels, _):
-        station.play_until(lambda: station.loop.has_session)
-        station.loop.selection.inspector.fault = "the golden frames score otherwise"
+        station.play_until(lambda: station.loop.session is not None)
+        station.parts.selection.inspector.fault = "the golden frames score otherwise"
         until(station, 1)
-        station.loop.selection.inspector.fault = None
+        station.parts.selection.inspector.fault = None
         until(station, 2)
         left = labels.left
     found = rows(config, small)
@@ -153,7 +153,7 @@ def test_another_gel_in_the_middle_ends_the_run(config: Path, small: StudyPlan) 
     with Store(config.parent / "gelgate.db") as store:
         store.replace_gel("TEST0001", T0, "second")
     with running(config, small, []) as (station, labels, stopped):
-        station.play_until(lambda: station.loop.has_session)
+        station.play_until(lambda: station.loop.session is not None)
         station.loop.step(None)
 
     assert stopped
@@ -178,7 +178,7 @@ def test_nothing_to_repeat_is_said(config: Path, small: StudyPlan) -> None:
     said: list[str] = []
     with running(config, small, said) as (station, labels, _):
         labels.keys.put("r")
-        station.play_until(lambda: station.loop.has_session)
+        station.play_until(lambda: station.loop.session is not None)
         station.loop.step(None)
 
     assert "there is no press of this run to repeat" in said

@@ -13,11 +13,10 @@ from edge.core.verdict import Kind
 from edge.gateway.command_table import COMMANDS
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
 from edge.messaging.command_payloads import CommandResponse
-from edge.messaging.defect_place import DefectPlace
 from edge.messaging.descriptions.asyncapi import asyncapi_message, document
 from edge.messaging.descriptions.station import DescribedStation, ServedCommand
 from edge.messaging.gel_payload import GelPayload, gel_message
-from edge.messaging.result_payload import ResultPayload, press_messages
+from edge.messaging.result_payload import DefectPlace, ResultPayload, press_messages
 from edge.messaging.status_payloads import (
     InfoPayload,
     StatePayload,

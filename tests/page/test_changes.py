@@ -109,7 +109,7 @@ def test_a_part_is_selected(bench: StationBench) -> None:
     status, answer = bench.post("select_part", by="kim", arguments={"name": "PZ1/pos1"})
 
     assert (status, answer["status"], answer["data"]["part"]) == (200, "ok", "PZ1")
-    assert bench.station.loop.selection.part.part == "PZ1"
+    assert bench.station.parts.selection.part.part == "PZ1"
     assert bench.acts() == [("kim, at the page", "select_part", "done", None)]
 
 

@@ -97,7 +97,7 @@ def test_a_shift_at_the_page(tab: Any, running: tuple[Gateway, int]) -> None:
         store.findings.append("database gelgate.db: it knew fewer presses")
         loop.publish_stats()
 
-    gateway.loop.calls.post(raise_alarm)
+    gateway.loop.parts.calls.post(raise_alarm)
     tab.get_by_role("button", name="Acknowledge the alarm counts").click()
     said(tab, "The alarm counts is acknowledged.")
     wait_until(tab, "!document.getElementById('alarms').textContent.includes('fewer presses')")

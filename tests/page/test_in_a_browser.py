@@ -13,7 +13,7 @@ from edge.core.gel_scars.causes import Cause
 from edge.core.verdict import Kind
 from edge.messaging.alarm_advice import ADVICE
 from edge.messaging.alarm_payload import AlarmPayload, alarm_message
-from edge.messaging.press_again_payload import PressAgainPart
+from edge.messaging.result_payload import PressAgainPart
 from plugins.sinks.page import PageSink
 
 # Of each text: its words, and the contrast to the nearest background that covers. Ref: WCAG 2.2, relative luminance.

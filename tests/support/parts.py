@@ -43,7 +43,7 @@ def two_parts(folder: Path, bundle: Path) -> Path:
 
 def retained(station: SteppedStation, topic: str) -> dict[str, object] | None:
     """The payload of a retained status message; None where it is empty or absent."""
-    found = [one for one in station.parts.retained_state.all() if one.topic == topic]
+    found = [one for one in station.parts.publisher.retained_state.all() if one.topic == topic]
     return json.loads(found[-1].payload) if found and found[-1].payload else None
 
 

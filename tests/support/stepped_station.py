@@ -5,15 +5,18 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self, TypeVar
 
 from edge.clock import ManualClock
 from edge.config import Config, load_config
 from edge.core.errors import RecordingEnded
+from edge.features.press_stage import PressStage
 from edge.gateway.build import build
-from edge.gateway.press_stage import PressStage
+from edge.gateway.command_table import COMMANDS
 from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
+
+S = TypeVar("S", bound=PressStage)
 
 
 class SteppedStation:
@@ -33,6 +36,22 @@ class SteppedStation:
             self.parts = build(load_config(config), self.clock, closing, read_again=read_again, labels=labels)
             self._closing = closing.pop_all()
         self.loop = StationLoop(self.parts, lambda report: (self.reports.append(report), on_press(report))[1])
+
+    def find(self, kind: type[S]) -> S:
+        """Return the stage of this kind, which is configured."""
+        stage = self.loop.find(kind)
+        assert stage is not None
+        return stage
+
+    def ask(self, verb: str, **arguments: Any) -> Any:
+        """Do a request at once, as the loop does it; returns the data of its response."""
+        command = next(command for command in COMMANDS if command.verb == verb)
+        return command.do(self.loop, command.arguments.of(arguments))
+
+    @property
+    def raised(self) -> list[str]:
+        """The alarms that are raised, in order."""
+        return sorted(self.parts.status.view().alarms)
 
     def read(self, steps: int) -> None:
         """This number of steps of the reader: the first opens the sensor, each other one reads a frame."""

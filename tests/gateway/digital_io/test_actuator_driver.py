@@ -5,7 +5,7 @@ from fake_io import FakeRelay, FixedBackoff, run
 
 from edge.clock import ManualClock
 from edge.core.digital_io import OutputRule, StationView
-from edge.gateway.digital_io.actuator_driver import ActuatorDriver
+from edge.features.outputs.actuator_driver import ActuatorDriver
 
 MS = 1_000_000
 RULES = (

@@ -3,7 +3,7 @@
 from fake_io import FakePedal, FixedBackoff, run
 
 from edge.clock import ManualClock
-from edge.gateway.digital_io.trigger_reader import TriggerReader
+from edge.features.outputs.trigger_reader import TriggerReader
 
 MS = 1_000_000
 

@@ -8,7 +8,7 @@ from typing import Final
 from edge.core.backoff import Backoff
 from edge.core.digital_io import Debounce, Trigger
 from edge.core.ports import Clock
-from edge.gateway.digital_io.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
+from edge.features.outputs.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
 
 __all__ = ["TriggerReader"]
 

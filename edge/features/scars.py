@@ -1,8 +1,9 @@
 """The scars of the mounted gel: each press is judged with them, and they are kept across restarts."""
 
 import math
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +19,13 @@ from edge.core.gel_scars.press import ScoredPress
 from edge.core.gel_scars.without_marks import without_marks
 from edge.core.press import Press, ScarFindings
 from edge.core.registration.pose import warp
-from edge.gateway.inspector import Inspector
-from edge.gateway.masking import masked
-from edge.gateway.press_stage import PressStage
-from edge.gateway.status import StationStatus
+from edge.features.press_stage import Alarms, PressStage
+from edge.model.bundle import Bundle
+from edge.model.inspector import Inspector
 from edge.store.gel_ledger import GelRecord
 from edge.store.scar_files import ScarFolder
 
-__all__ = ["ScarSettings", "ScarWatch"]
+__all__ = ["ScarWatch", "mask_scars"]
 
 # A new scar is kept at once, everything else of the record after this number of presses.
 _KEPT_EVERY: Final = 16
@@ -37,19 +37,17 @@ _NOWHERE: Final = Blame(
 )
 
 
-@dataclass(frozen=True)
-class ScarSettings:
-    """is_masking: known scars are not judged. most_blind_share: of the contact, above which no press passes."""
-
-    is_masking: bool = True
-    most_blind_share: float = 0.05
-
-
 class ScarWatch(PressStage):
-    """Finds whether gel or part is the cause, and leaves known scars out. It says what is wrong with the gel."""
+    """Finds whether gel or part is the cause, and leaves known scars out. It says what is wrong with the gel.
 
-    def __init__(self, folder: ScarFolder, settings: ScarSettings, status: StationStatus) -> None:
-        self._folder, self._settings, self._status = folder, settings, status
+    is_masking: known scars are not judged. most_blind_share: of the contact, above which no press passes.
+    """
+
+    def __init__(
+        self, folder: ScarFolder, alarms: Alarms, *, is_masking: bool, most_blind_share: float
+    ) -> None:
+        self._folder, self._alarms = folder, alarms
+        self._is_masking, self._most_blind_share = is_masking, most_blind_share
         self._free = FreeViews()
         self._left: View | None = None
         self._scars, self._serial, self._gel_id, self._unsaved = GelScars(), "", "", 0
@@ -63,7 +61,7 @@ class ScarWatch(PressStage):
 
     def _read(self) -> None:
         self._blind = self._mark = None
-        self._status.gel_scars(None, None)
+        self._say()
         self._scars = GelScars(self._folder.load(self._serial, self._gel_id))
         self.relearn()
 
@@ -97,9 +95,26 @@ class ScarWatch(PressStage):
             self._left = found.imprint
             return press
         judged = self._judge(press, inspector, found)
-        self._status.gel_scars(self._blind, self._mark)
+        self._say()
         self._save()
         return judged
+
+    def fields(self, press: Press) -> Mapping[str, Any]:
+        scars, blame = press.scars, press.blame
+        if scars is None:
+            return {}
+        return {
+            "cause": blame.cause if blame else None,
+            "cause_text": blame.why if blame else None,
+            "blind_area_mm2": round(scars.blind_mm2, 4),
+            "blind_share": round(scars.blind_share, 4),
+            "unmasked_score": scars.score,
+        }
+
+    def _say(self) -> None:
+        """Tell that scars hide too much of what is pressed, and that one place exceeds again and again."""
+        self._alarms.say("gel_scar", self._blind)
+        self._alarms.say("gel_mark", self._mark, "warning")
 
     def _judge(self, inspection: Press, inspector: Inspector, found: Findings) -> Press:
         left, self._left = self._left, found.imprint
@@ -108,11 +123,11 @@ class ScarWatch(PressStage):
             return inspection
         if not (can_mask := _is_highest(inspection)):
             press = replace(press, reach=None)
-        is_masking = self._settings.is_masking and can_mask
+        is_masking = self._is_masking and can_mask
         judged = self._scars.judge(press, self._free.mean(), left, is_masking=is_masking)
         self._mark = None if judged.repeated is None else _repeated(judged.repeated)
         self._unsaved = _KEPT_EVERY if judged.is_new else self._unsaved + 1
-        return masked(inspection, self._findings(inspection, judged), inspector.bundle)
+        return mask_scars(inspection, self._findings(inspection, judged), inspector.bundle)
 
     def _save(self) -> None:
         """Keep the record where it is due. Never raises."""
@@ -126,9 +141,9 @@ class ScarWatch(PressStage):
             self._blind = None
         if not judged.masked.any() or inspection.verdict is None:
             return ScarFindings(judged.blame or _NOWHERE)
-        is_too_blind = judged.blind_share > self._settings.most_blind_share
+        is_too_blind = judged.blind_share > self._most_blind_share
         if is_too_blind:
-            self._blind = _too_blind(self._gel_id, judged, self._settings)
+            self._blind = _too_blind(self._gel_id, judged, self._most_blind_share)
         return ScarFindings(
             judged.blame or (Blame(Cause.GEL, self._blind) if is_too_blind and self._blind else _NOWHERE),
             judged.masked,
@@ -139,6 +154,20 @@ class ScarWatch(PressStage):
         )
 
 
+def mask_scars(press: Press, findings: ScarFindings, bundle: Bundle) -> Press:
+    """Judge it without the masked places, which have the lowest score of the map.
+
+    Errors: ValueError for a press without a score.
+    """
+    verdict, score_map = press.verdict, press.score_map
+    if verdict is None or score_map is None:
+        raise ValueError("a press without a score has no places to leave out")
+    if findings.masked is not None:
+        score_map = np.where(findings.masked, score_map.min(), score_map)
+        verdict = bundle.manifest.decide(float(score_map.max()))
+    return replace(press, verdict=verdict, score_map=score_map, scars=findings).distrust()
+
+
 def _is_highest(inspection: Press) -> bool:
     """Whether the score is the highest value of its map, so that places can be left out of it."""
     verdict, score_map = inspection.verdict, inspection.score_map
@@ -147,10 +176,10 @@ def _is_highest(inspection: Press) -> bool:
     return math.isclose(float(score_map.max()), verdict.score, rel_tol=_SAME)
 
 
-def _too_blind(gel_id: str, judged: Judged, settings: ScarSettings) -> str:
+def _too_blind(gel_id: str, judged: Judged, most_blind_share: float) -> str:
     return (
         f"{judged.blind_mm2:.1f} mm2 of the contact, {judged.blind_share:.0%} of it, lie under scars of gel "
-        f"{gel_id} and are not judged, at most {settings.most_blind_share:.0%} are accepted; wipe the gel, or mount a "
+        f"{gel_id} and are not judged, at most {most_blind_share:.0%} are accepted; wipe the gel, or mount a "
         "new one and run `gelgate gel replace`"
     )
 

@@ -15,7 +15,7 @@ from edge.core.backoff import Backoff
 from edge.core.digital_io import Actuator, OutputRule, StationView, levels, next_blink_ns
 from edge.core.errors import DeviceError
 from edge.core.ports import Clock
-from edge.gateway.digital_io.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
+from edge.features.outputs.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
 
 __all__ = ["ActuatorDriver"]
 

@@ -17,11 +17,11 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
 from edge.core.press import Press, ScarFindings
 from edge.core.press_again import is_asked, second_verdict, unsure
-from edge.gateway.black_box import MAP_DTYPE, map_bytes, read_mask
-from edge.gateway.inspector import Inspector
-from edge.gateway.masking import blinded, masked
+from edge.features.black_box.stage import MAP_DTYPE, map_bytes, read_mask
+from edge.features.scars import mask_scars
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
+from edge.model.inspector import Inspector
 from edge.model.machine import fingerprint, how_they_differ
 from edge.model.scorer import Scorer
 from edge.store.press_archive import ArchivedPress, ArchiveFolder
@@ -86,7 +86,7 @@ def replayed(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector)
     now = inspector.inspect(CameraFrame(frame, 0, 0, is_on_demand=True), Touch(*press.touch))
     now = _without_scars(press, now, archive, inspector)
     if inspector.bundle.digest == press.bundle_id:
-        now = blinded(_with_the_other_press(press, now, inspector))
+        now = _with_the_other_press(press, now, inspector).distrust()
     differences = tuple(_differences(press, now, archive))
     return Replayed(press, now, differences, tuple(_machine(press, archive)) if differences else ())
 
@@ -97,7 +97,7 @@ def _without_scars(press: ArchivedPress, now: Press, archive: ArchiveFolder, ins
         return now
     data = archive.read(press.masked, f"the places of press {press.press_id} that were not judged")
     places = read_mask(data, now.score_map.shape)
-    return masked(now, ScarFindings(_AS_THEN, places, is_too_blind=press.is_too_blind), inspector.bundle)
+    return mask_scars(now, ScarFindings(_AS_THEN, places, is_too_blind=press.is_too_blind), inspector.bundle)
 
 
 def _with_the_other_press(press: ArchivedPress, now: Press, inspector: Inspector) -> Press:
@@ -120,10 +120,8 @@ def _differences(press: ArchivedPress, now: Press, archive: ArchiveFolder) -> It
     score = verdict.score if verdict else None
     if score != press.score:
         yield _of_scores(press.score, score)
-    rejection = verdict.rejection if verdict else None
-    reason = f"{rejection.reason.value}: {rejection.text}" if rejection else None
-    if (reason, now.error) != (press.reason, press.error):
-        yield f"reason {press.reason or press.error} then, {reason or now.error} now"
+    if (now.reason, now.error) != (press.reason, press.error):
+        yield f"reason {press.reason or press.error} then, {now.reason or now.error} now"
     found = None if now.score_map is None else hashlib.sha256(map_bytes(now.score_map)).hexdigest()
     if found != press.score_map:
         yield _of_maps(press, now.score_map, archive)

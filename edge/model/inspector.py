@@ -1,5 +1,7 @@
 """One settled frame to one verdict: decode, crop, check light, sensor and contact, score, decide."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +22,6 @@ from edge.core.imaging.quality import (
 from edge.core.imaging.sensor_check import check_sensor
 from edge.core.ports import Clock
 from edge.core.press import Press
-from edge.core.verdict import Verdict
 from edge.model.limit_facts import USUAL_CONTACT
 from edge.model.manifest import ContactRange
 from edge.model.scorer import Scorer
@@ -53,29 +54,32 @@ class Inspector:
             self.bundle.profile.size,
         )
 
-    def inspect(self, frame: CameraFrame, touch: Touch) -> Press:
-        """Judge one frame; `touch` is the touched part of the gel. Never raises because of a frame's content."""
+    def inspect(self, frame: CameraFrame, touch: Touch, press: Press | None = None) -> Press:
+        """Judge one frame; `touch` is the touched part of the gel. Returns the press, a new one by default, with what
+        was found. Never raises because of a frame's content."""
+        press = press or Press()
         if self.fault is not None:
-            return Press(None, error=self.fault)
+            return replace(press, error=self.fault)
         now_ns = self._clock.monotonic_ns()
         stale = None if frame.is_on_demand else check_freshness(frame.timestamp_ns, now_ns, self._quality)
         if stale:
-            return Press(Verdict.rejected(stale))
+            return press.reject(stale)
         started_ns = self._clock.monotonic_ns()
         try:
             picture = decode(frame, self.bundle.profile)
         except FrameCorrupt as error:
-            return Press(None, error=str(error))
+            return replace(press, error=str(error))
         latency = {"decode": (self._clock.monotonic_ns() - started_ns) / 1e6}
         rgb = np.ascontiguousarray(self.bundle.region.crop(picture.rgb))
+        press = replace(press, rgb=rgb, latency_ms=latency)
         rejection = check_light(picture, self._quality)
         if rejection is None and self._colours is not None:
             rejection = check_sensor(rgb, self._colours)
         if rejection is None and self._nominal is not None:
             rejection = check_contact(touch, self._nominal, self.bundle.profile.size)
         if rejection is not None:
-            return Press(Verdict.rejected(rejection), rgb=rgb, latency_ms=latency)
-        return self._scored(rgb, latency)
+            return press.reject(rejection)
+        return self._score(press, rgb)
 
     def score_map(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32] | None:
         """Of another picture of the region, uint8 (h, w, 3); float32 (h, w), None where it cannot be scored."""
@@ -84,20 +88,24 @@ class Inspector:
         except (PoseNotFound, NotScorable):
             return None
 
-    def _scored(self, rgb: NDArray[np.uint8], latency: dict[str, float]) -> Press:
+    def _score(self, press: Press, rgb: NDArray[np.uint8]) -> Press:
+        latency = dict(press.latency_ms)
         try:
             scored = self.scorer.score(rgb)
             verdict = self.bundle.manifest.decide(scored.anomaly_score)
         except PoseNotFound as error:
-            rejection = Rejection(Reason.NO_POSE, str(error))
-            return Press(Verdict.rejected(rejection), rgb=rgb, latency_ms=latency)
+            return press.reject(Rejection(Reason.NO_POSE, str(error)))
         except NotScorable as error:
-            return Press(None, error=str(error), rgb=rgb, latency_ms=latency)
+            return replace(press, error=str(error))
         if scored.registered is not None:
             latency["registration"] = scored.registration_ms
         latency |= {"trunk": scored.trunk_ms, "head": scored.head_ms}
-        return Press(
-            verdict, rgb=rgb, score_map=scored.score_map, latency_ms=latency, registered=scored.registered
+        return replace(
+            press,
+            verdict=verdict,
+            score_map=scored.score_map,
+            latency_ms=latency,
+            registered=scored.registered,
         )
 
 

@@ -1,13 +1,13 @@
 """Snapshots: the camera's frames around a moment, kept in memory, written as a recording when somebody asks for one.
 
-The loop gives every frame and asks for nothing back; a thread writes the files, so no press waits for a disk.
+A thread writes the files, so no press waits for a disk.
 """
 
 import logging
 import shutil
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,9 +16,11 @@ from typing import Final
 from edge.core.errors import GelgateError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, DeviceIdentity
+from edge.features.press_stage import Mounted, PressStage
 from edge.messaging.command_payloads import MOST_SNAPSHOT_S
 from edge.recording.format import RecordingHeader, RecordingWriter
 from edge.store.acts import Act
+from edge.store.press_store import Store
 
 __all__ = ["KEPT", "KEPT_BYTES", "RING_BYTES", "Snapshots"]
 
@@ -44,14 +46,23 @@ class _Wish:
     due_ns: int
 
 
-class Snapshots:
-    """`see`, `request` and `take` by the loop; `step` is one turn of the own thread, which a test may call.
+class Snapshots(PressStage):
+    """`step` is one turn of the own thread, which a test may call; the loop calls the rest.
 
-    folder: of all snapshots; None: off, nothing is kept in memory.
+    folder: of all snapshots. find_sensor: returns the sensor, None while it is not known. find_low_space: returns why
+    nothing more may be written. store: has each snapshot in its table of acts.
     """
 
-    def __init__(self, folder: Path | None, clock: Clock) -> None:
-        self._folder, self._clock = folder, clock
+    def __init__(
+        self,
+        folder: Path,
+        clock: Clock,
+        store: Store,
+        find_sensor: Callable[[], DeviceIdentity | None],
+        find_low_space: Callable[[], str | None],
+    ) -> None:
+        self._folder, self._clock, self._store = folder, clock, store
+        self._find_sensor, self._find_low_space = find_sensor, find_low_space
         self._ring: deque[CameraFrame] = deque()
         self._bytes = 0
         self._wish: _Wish | None = None
@@ -62,13 +73,11 @@ class Snapshots:
         self._thread = threading.Thread(target=self._run, name="snapshots", daemon=True)
 
     def start(self) -> None:
-        """Begin to wait for requests, in the background."""
-        if self._folder is not None:
-            self._thread.start()
+        self._thread.start()
 
-    def see(self, frame: CameraFrame) -> None:
-        """The newest frame; the oldest ones leave."""
-        if self._folder is None or frame.damage is not None:
+    def take(self, frame: CameraFrame) -> None:
+        """Keep the newest frame; the oldest ones leave."""
+        if frame.damage is not None:
             return
         if self._ring and frame.timestamp_ns <= self._ring[-1].timestamp_ns:
             return
@@ -81,8 +90,8 @@ class Snapshots:
     def request(self, before_s: float, after_s: float) -> Path:
         """Write the frames from before to after the newest one; returns the folder of the recording, which is there
         when it is complete. Errors: ValueError while there are no frames, or another one is being made."""
-        if self._folder is None:
-            raise ValueError("snapshots are off; name the command snapshot in [commands]")
+        if (low := self._find_low_space()) is not None:
+            raise ValueError(f"no snapshot is written: {low}")
         if not self._ring:
             raise ValueError("no frame has arrived from a sensor yet; try again later")
         if self._wish is not None or self._job is not None:
@@ -94,17 +103,17 @@ class Snapshots:
         self._wish = _Wish(folder, first_ns, last_ns, due_ns)
         return folder
 
-    def take(self, identity: DeviceIdentity | None) -> Act | None:
-        """A turn of the loop: hand over the frames of a wish when the last one is there; the outcome of one, once.
-        identity: of the sensor."""
-        wish = self._wish
+    def turn(self, mounted: Mounted | None) -> None:
+        """Hand over the frames of a wish when the last one is there, and record the outcome of one."""
+        wish, identity = self._wish, self._find_sensor()
         if wish is not None and identity is not None and self._is_complete(wish):
             frames = [one for one in self._ring if wish.first_ns <= one.timestamp_ns <= wish.last_ns]
             header = RecordingHeader(identity.product, identity.serial, identity.mode, identity.nominal_fps)
             self._wish, self._job = None, (wish.folder, frames, header)
             self._asked.set()
-        done, self._done = self._done, None
-        return done
+        if self._done is not None:
+            self._store.begin_act(self._done, within_s=0)
+            self._done = None
 
     def step(self) -> None:
         """Write the frames that were handed over, if there are some."""

@@ -2,35 +2,24 @@
 first. The rule is in `edge.core.press_again`."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from edge.core.contact.events import PressSettled
 from edge.core.ports import Clock
 from edge.core.press import Again, Press
 from edge.core.press_again import Costs, Plan, is_asked, second_verdict, unsure
-from edge.gateway.inspector import Inspector
-from edge.gateway.masking import blinded
-from edge.gateway.press_stage import Mounted, PressStage
+from edge.features.press_stage import Alarms, Mounted, PressStage
+from edge.messaging.result_payload import PressAgainPart
 from edge.model.bundle import Bundle
+from edge.model.inspector import Inspector
 from edge.model.press_again_facts import again_sentence, plan_for
 from edge.store.gel_ledger import GelRecord
 
-__all__ = ["AgainRule", "PressAgain"]
+__all__ = ["PressAgain"]
 
 log = logging.getLogger(__name__)
-
-Say = Callable[[str | None], None]
-"""Raises the alarm with this sentence, or clears it."""
-
-
-@dataclass(frozen=True)
-class AgainRule:
-    """Configured: what presses cost, and how long a second one is waited for. is_on: False asks for none."""
-
-    is_on: bool
-    costs: Costs
-    within_s: float
 
 
 @dataclass(frozen=True)
@@ -44,10 +33,10 @@ class _First:
 
 class PressAgain(PressStage):
     """Asks for second presses. The press that comes within the time after one that was asked for is taken for the same
-    piece."""
+    piece. within_s: how long a second press is waited for."""
 
-    def __init__(self, rule: AgainRule, clock: Clock, say: Say) -> None:
-        self._rule, self._clock, self._say = rule, clock, say
+    def __init__(self, costs: Costs, within_s: float, clock: Clock, alarms: Alarms) -> None:
+        self._costs, self._within_s, self._clock, self._alarms = costs, within_s, clock, alarms
         self._plan = Plan("no bundle")
         self._bundle: Bundle | None = None
         self._first: _First | None = None
@@ -61,26 +50,32 @@ class PressAgain(PressStage):
         """Ask by the costs of this bundle. A press that was asked for does not count any more."""
         bundle = inspector.bundle
         self.drop(f"{bundle.manifest.part}/{bundle.manifest.position} is inspected now")
-        if not self._rule.is_on or bundle is self._bundle:
+        if bundle is self._bundle:
             return
-        self._bundle, self._plan = bundle, plan_for(bundle.manifest, self._rule.costs)
+        self._bundle, self._plan = bundle, plan_for(bundle.manifest, self._costs)
         level = logging.WARNING if self._plan.bound is None else logging.INFO
         log.log(level, "one more press of a piece, %s: %s", bundle.where, again_sentence(self._plan))
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         """Return it unsure where a second press is asked for, or decided together with the first."""
-        return blinded(self._decide(press))
-
-    def _decide(self, inspection: Press) -> Press:
-        if not self._rule.is_on or inspection.label is not None:
-            return inspection  # also that of a master piece or of a study, which is no piece that waits
+        if press.label is not None:
+            return press  # a master piece and a step of a study are no pieces that wait
         self.turn(None)
         if self._is_said:
             self._is_said = False
-            self._say(None)
-        if self._first is not None:
-            return self._second(inspection, self._first)
-        return self._asked(inspection)
+            self._alarms.say("press_again", None)
+        decided = self._ask(press) if self._first is None else self._decide_second(press, self._first)
+        return decided.distrust()
+
+    def fields(self, press: Press) -> Mapping[str, Any]:
+        again = press.again
+        if again is None:
+            return {}
+        second_of = again.second_of or None
+        part = PressAgainPart(
+            is_asked=again.is_asked, second_of=second_of, first_score=again.first_score, reason=again.reason
+        )
+        return {"press_again": part}
 
     def drop(self, why: str) -> None:
         """A press that was asked for is not waited for any more."""
@@ -90,39 +85,41 @@ class PressAgain(PressStage):
     def turn(self, mounted: Mounted | None) -> None:
         """Say it when a press that was asked for did not come in time."""
         if self._first is not None and self._clock.monotonic_ns() > self._first.due_ns:
-            self._missed(f"did not come within {self._rule.within_s:g} s")
+            self._missed(f"did not come within {self._within_s:g} s")
 
     def _missed(self, what: str) -> None:
         first, self._first = self._first, None
         self._is_said = True
-        self._say(
+        self._alarms.say(
+            "press_again",
             f"the second press after press {first.press_id if first else ''} {what}; its verdict stays unsure: treat "
-            "the piece as not inspected, or press it twice again"
+            "the piece as not inspected, or press it twice again",
+            "warning",
         )
 
-    def _asked(self, inspection: Press) -> Press:
-        verdict = inspection.verdict
+    def _ask(self, press: Press) -> Press:
+        verdict = press.verdict
         if verdict is None or not is_asked(verdict, self._plan.bound) or verdict.score is None:
-            return inspection
-        self._first = _First(verdict.score, self._due_ns(), inspection.press_id)
+            return press
+        self._first = _First(verdict.score, self._due_ns(), press.press_id)
         reason = (
             f"the score {verdict.score:.4g} lies up to {self._plan.bound:.4g}, where one more press should pay; "
             "press the same piece again, a little shifted"
         )
-        return replace(inspection, verdict=unsure(verdict), again=Again(reason, True, bound=self._plan.bound))
+        return replace(press, verdict=unsure(verdict), again=Again(reason, True, bound=self._plan.bound))
 
-    def _second(self, inspection: Press, first: _First) -> Press:
+    def _decide_second(self, press: Press, first: _First) -> Press:
         """A second press without a score is asked for once more."""
-        verdict = inspection.verdict
+        verdict = press.verdict
         if verdict is None or verdict.score is None or self._bundle is None:
             self._first = replace(first, due_ns=self._due_ns())
             reason = "this second press has no score; press the same piece once more"
-            return replace(inspection, again=Again(reason, True, first.press_id, first.score))
+            return replace(press, again=Again(reason, True, first.press_id, first.score))
         self._first = None
         lower = self._bundle.manifest.decide(min(first.score, verdict.score))
         reason = f"decided by the lower score of two presses, {lower.score:.4g}"
         again = Again(reason, False, first.press_id, first.score)
-        return replace(inspection, verdict=second_verdict(first.score, verdict, lower), again=again)
+        return replace(press, verdict=second_verdict(first.score, verdict, lower), again=again)
 
     def _due_ns(self) -> int:
-        return self._clock.monotonic_ns() + round(self._rule.within_s * 1e9)
+        return self._clock.monotonic_ns() + round(self._within_s * 1e9)

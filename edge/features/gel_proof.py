@@ -1,5 +1,7 @@
 """Whether the bundle in use is proven on the mounted gel: found when either changes, and said until it is."""
 
+import logging
+from collections.abc import Callable
 from functools import partial
 from typing import Final, Literal
 
@@ -9,14 +11,15 @@ from edge.core.ports import Clock
 from edge.core.press import Press
 from edge.core.press_label import ReferenceLabel
 from edge.core.verdict import Kind
-from edge.gateway.press_stage import Mounted, PressStage
-from edge.gateway.recorder import PressReport
-from edge.gateway.status import StationStatus
+from edge.features.press_stage import Alarms, Mounted, PressStage
 from edge.store import gel_proofs
+from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle
 from edge.store.press_store import Store
 
 __all__ = ["GelProofWatch"]
+
+log = logging.getLogger(__name__)
 
 # `gelgate gel prove` of another process is looked for this often.
 LOOK_S: Final = 1.0
@@ -25,16 +28,20 @@ LOOK_S: Final = 1.0
 class GelProofWatch(PressStage):
     """Counts the presses that prove a bundle on a gel.
 
-    unproven: what happens while a bundle is not proven: `off`, `warn` or `refuse`.
+    unproven: what happens while a bundle is not proven: `off`, `warn` or `refuse`. say_state: shows in the station's
+    state why it is not, with None that it is.
     """
 
     def __init__(
-        self, unproven: Literal["off", "warn", "refuse"], store: Store, status: StationStatus, clock: Clock
+        self,
+        unproven: Literal["off", "warn", "refuse"],
+        store: Store,
+        alarms: Alarms,
+        say_state: Callable[[str | None], None],
+        clock: Clock,
     ) -> None:
-        self._unproven = unproven
-        self._store = store
-        self._status = status
-        self._clock = clock
+        self._unproven, self._store, self._alarms, self._clock = unproven, store, alarms, clock
+        self._say_state = say_state
         self._mounted: Mounted | None = None
         self._sentence: str | None = None
         self._next_look_ns = 0
@@ -56,15 +63,14 @@ class GelProofWatch(PressStage):
             return press
         return press.reject(Rejection(Reason.GEL_PROOF, self._sentence))
 
-    def record(self, report: PressReport) -> None:
+    def record(self, press: Press, gel: GelRecord) -> None:
         """Count a press where a part, or a master piece that must pass, was judged. Errors:
         StoreError."""
         mounted = self._mounted
-        bundle_id = report.result.bundle_id
-        if self._sentence is None or mounted is None or bundle_id is None or not _is_counted(report):
+        if self._sentence is None or mounted is None or not _is_counted(press):
             return
-        is_alarm = report.result.verdict is not Kind.PASS
-        key = GelBundle(mounted.serial, report.gel.gel_id, bundle_id)
+        is_alarm = press.word != Kind.PASS.value
+        key = GelBundle(mounted.serial, gel.gel_id, press.bundle_id)
         self._store.write(
             "counting a press on a new gel", partial(gel_proofs.count, key=key, is_alarm=is_alarm)
         )
@@ -92,19 +98,27 @@ class GelProofWatch(PressStage):
             time_ns=self._clock.time_ns(),
         )
         proof = self._store.write("reading how far the bundle is proven on this gel", change)
-        before, self._sentence = (
-            self._sentence,
-            proof.unproven(_key(mounted).describe(mounted.part), mounted.gel_id),
-        )
-        if before != self._sentence:
-            self._status.gel_proof(self._sentence, self._unproven)
+        sentence = proof.unproven(_key(mounted).describe(mounted.part), mounted.gel_id)
+        if sentence != self._sentence:
+            self._sentence = sentence
+            self._say()
+
+    def _say(self) -> None:
+        """Say why the bundle is not yet proven in the station's state, and by an alarm or a fault."""
+        self._say_state(self._sentence)
+        if self._unproven == "warn":
+            self._alarms.say("gel_proof", self._sentence, "warning")
+        elif self._unproven == "refuse" and self._sentence is None:
+            self._alarms.clear_fault("gel_proof")
+        elif self._unproven == "refuse" and self._alarms.set_fault("gel_proof", str(self._sentence)):
+            log.warning("%s", self._sentence)
 
 
 def _key(mounted: Mounted) -> GelBundle:
     return GelBundle(mounted.serial, mounted.gel_id, mounted.bundle_id)
 
 
-def _is_counted(report: PressReport) -> bool:
-    label = report.label
+def _is_counted(press: Press) -> bool:
+    label = press.label
     is_sound = label is None or (isinstance(label, ReferenceLabel) and label.expected == Kind.PASS.value)
-    return is_sound and report.result.verdict in (Kind.PASS, Kind.FAIL, Kind.UNSURE)
+    return is_sound and press.score is not None

@@ -2,79 +2,81 @@
 
 import hashlib
 import io
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.reference import View
-from edge.core.imaging.quality import Reason, Rejection
+from edge.core.imaging.quality import Reason
 from edge.core.press import Press
-from edge.gateway.inspector import Inspector
+from edge.features.press_stage import Alarms, PressStage
+from edge.model.inspector import Inspector
 from edge.model.machine import fingerprint, fingerprint_bytes
+from edge.store.gel_ledger import GelRecord
 from edge.store.press_archive import ArchivedPress, PressArchive
-from edge.store.press_store import PressRecord
 
 __all__ = ["BlackBox", "map_bytes", "mask_bytes", "read_mask"]
 
 MAP_DTYPE: Final = np.dtype("<f4")
 
 
-class BlackBox:
-    """Keeps judged presses. station: site/line/station. Used by the loop alone."""
+class BlackBox(PressStage):
+    """Keeps judged presses of parts, not those of master pieces and of studies. station: site/line/station."""
 
-    def __init__(self, archive: PressArchive, station: str, threads: int) -> None:
-        self._archive = archive
-        self._station = station
-        self._threads = threads
+    def __init__(self, archive: PressArchive, station: str, threads: int, alarms: Alarms) -> None:
+        self._archive, self._station, self._threads, self._alarms = archive, station, threads, alarms
+        self._serial = ""
         self._machine: tuple[str, bytes] | None = None
         self._reference: tuple[View, tuple[str, bytes]] | None = None
 
-    @property
-    def fault(self) -> str | None:
-        """Why the last press was not archived; None where it was."""
-        return self._archive.fault
+    def mount(self, gel: GelRecord) -> None:
+        self._serial = gel.serial
 
-    def keep(self, press: PressRecord, inspection: Press, inspector: Inspector) -> bytes | None:
-        """The SHA-256 of what was kept of a press; None for one without a judged frame, and where it cannot be kept."""
-        judged, verdict = inspection.judged, inspection.verdict
-        rejection = verdict.rejection if verdict else None
-        if judged is None or not self._archive.is_on or inspector.fault is not None or _is_late(rejection):
-            return None
+    def keep(self, press: Press, inspector: Inspector) -> Press:
+        """Return it with the SHA-256 of its record; as it was without a judged frame, and where it cannot be kept."""
+        judged = press.judged
+        # A frame that was too old then is not made again.
+        is_late = (press.reason or "").startswith(f"{Reason.STALE.value}:")
+        if judged is None or press.label is not None or inspector.fault is not None or is_late:
+            return press
         frame, machine = _named(judged.frame.payload), self._machine_now()
         reference = None if judged.reference is None else self._reference_now(judged.reference)
-        score_map = None if inspection.score_map is None else _named(map_bytes(inspection.score_map))
-        scars = inspection.scars
+        score_map = None if press.score_map is None else _named(map_bytes(press.score_map))
+        scars, again, manifest = press.scars, press.again, inspector.bundle.manifest
         masked = None if scars is None or scars.masked is None else _named(mask_bytes(scars.masked))
-        manifest = inspector.bundle.manifest
         record = ArchivedPress(
             press_id=press.press_id,
             time_ns=press.time_ns,
             station=self._station,
-            serial=press.serial,
-            part=press.part,
-            position=press.position,
-            bundle_id=inspector.bundle.digest,
+            serial=self._serial,
+            part=manifest.part,
+            position=manifest.position,
+            bundle_id=press.bundle_id,
             revision=manifest.revision,
             threads=self._threads,
             machine=machine[0],
             frame=frame[0],
             touch=(judged.touch.area, judged.touch.x, judged.touch.y),
             reference=reference[0] if reference else None,
-            verdict=press.verdict,
-            reason=f"{rejection.reason.value}: {rejection.text}" if rejection else None,
-            error=inspection.error,
+            verdict=press.word,
+            reason=press.reason,
+            error=press.error,
             score=press.score,
-            threshold=press.threshold,
+            threshold=manifest.threshold.value,
             score_map=score_map[0] if score_map else None,
-            asked_up_to=inspection.again.bound if inspection.again else None,
-            first_score=inspection.again.first_score if inspection.again else None,
-            map_shape=None if inspection.score_map is None else _shape(inspection.score_map),
+            asked_up_to=again.bound if again else None,
+            first_score=again.first_score if again else None,
+            map_shape=None if press.score_map is None else press.score_map.shape,
             masked=masked[0] if masked else None,
             is_too_blind=scars is not None and scars.is_too_blind,
         )
         kept = (frame, machine, reference, score_map, masked)
-        return self._archive.keep(record, dict(one for one in kept if one is not None))
+        evidence = self._archive.keep(record, dict(one for one in kept if one is not None))
+        fault = self._archive.fault
+        self._alarms.say("archive", fault and f"presses are judged and not archived: {fault}", "warning")
+        return replace(press, evidence=evidence)
 
     def _machine_now(self) -> tuple[str, bytes]:
         if self._machine is None:
@@ -106,15 +108,5 @@ def read_mask(data: bytes, shape: tuple[int, int]) -> NDArray[np.bool_]:
     return bits.reshape(shape).astype(np.bool_)
 
 
-def _is_late(rejection: Rejection | None) -> bool:
-    """A frame that was too old then is not made again."""
-    return rejection is not None and rejection.reason is Reason.STALE
-
-
 def _named(data: bytes) -> tuple[str, bytes]:
     return hashlib.sha256(data).hexdigest(), data
-
-
-def _shape(score_map: NDArray[np.float32]) -> tuple[int, int]:
-    h, w = score_map.shape
-    return h, w

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -10,21 +10,23 @@ from typing import Final
 from edge.config.reference_table import MasterPieceTable, ReferenceTable
 from edge.core.contact.events import PressSettled
 from edge.core.imaging.quality import Reason, Rejection
-from edge.core.ports import Clock
+from edge.core.ports import Clock, Message
 from edge.core.press import Press
 from edge.core.press_label import PressLabel, ReferenceLabel
 from edge.core.reference_press.charts import Outcome, ReferencePress, judge
 from edge.core.reference_press.due import why_due
 from edge.core.reference_press.measures import Imprint
 from edge.core.suggest import suggestion
-from edge.gateway.inspector import Inspector
-from edge.gateway.press_stage import Mounted, PressStage
-from edge.gateway.recorder import PressReport
-from edge.gateway.status import StationStatus
+from edge.features.press_stage import Alarms, Mounted, OwnTable, PressStage
+from edge.messaging.reference_payload import ReferencePayload, reference_message
+from edge.messaging.result_payload import ResultPayload, heatmap_message
+from edge.model.inspector import Inspector
 from edge.store import reference_presses
 from edge.store.acts import Act
-from edge.store.press_store import Store
+from edge.store.gel_ledger import GelRecord
+from edge.store.press_store import PressRecord, Store
 from edge.store.reference_presses import PieceKey, ReferenceRequest
+from edge.store.reference_presses import ReferenceTable as PieceTable
 
 __all__ = ["ReferenceGuard"]
 
@@ -47,10 +49,10 @@ class _Armed:
 class ReferenceGuard(PressStage):
     """Knows which press is a master piece's, measures it, and refuses parts while one is due or out of limits."""
 
-    def __init__(self, table: ReferenceTable, store: Store, status: StationStatus, clock: Clock) -> None:
+    def __init__(self, table: ReferenceTable, store: Store, alarms: Alarms, clock: Clock) -> None:
         self._table = table
         self._store = store
-        self._status = status
+        self._alarms = alarms
         self._clock = clock
         self._mounted: Mounted | None = None
         self._armed: _Armed | None = None
@@ -115,8 +117,13 @@ class ReferenceGuard(PressStage):
             return press
         return replace(press, imprint=_measure(press, settled, inspector))
 
-    def record(self, report: PressReport) -> None:
-        if report.label is not None:
+    def table(self, press: Press, row: PressRecord) -> OwnTable | None:
+        if not isinstance(press.label, ReferenceLabel):
+            return None
+        return _PublishedTable(press.label, press, row)
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        if press.label is not None:
             self._read()
             self._look_for_faults()
 
@@ -235,14 +242,41 @@ class ReferenceGuard(PressStage):
             return
         self._said = (is_refusing, text)
         if is_refusing:
-            if self._status.set_fault("reference", text):
+            if self._alarms.set_fault("reference", text):
                 log.warning("%s", text)
             return
-        self._status.clear_fault("reference")
-        if text:
-            self._status.alarm("reference", text, "warning")
-        else:
-            self._status.clear("reference")
+        self._alarms.clear_fault("reference")
+        self._alarms.say("reference", text or None, "warning")
+
+
+class _PublishedTable(PieceTable):
+    """The table of a master piece's presses; its newest one is published with its charts and picture."""
+
+    def __init__(self, label: ReferenceLabel, press: Press, row: PressRecord) -> None:
+        self._label = label
+        key = PieceKey(row.serial, row.part, row.position or "", label.piece)
+        one = ReferencePress(
+            row.press_id,
+            row.time_ns,
+            "",  # the gel is known once the press is counted
+            press.bundle_id,
+            label.expected,
+            row.verdict,
+            row.score,
+            row.threshold,
+            press.imprint or Imprint(),
+            press.reason or press.error,
+            label.is_start,
+        )
+        super().__init__(key, one)
+
+    def publish(
+        self, result: ResultPayload, sequence: int, heatmap_png: bytes | None
+    ) -> tuple[Sequence[Message], Sequence[str]]:
+        judgement = judge(self.presses, self._label.learn)
+        payload = ReferencePayload.of(result, sequence, self._label.piece, self._label.expected, judgement)
+        picture = [] if heatmap_png is None else [heatmap_message(result.press_id, heatmap_png)]
+        return [*picture, reference_message(payload)], judgement.sentences
 
 
 def _measure(press: Press, settled: PressSettled, inspector: Inspector) -> Imprint:

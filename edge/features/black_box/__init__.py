@@ -1,0 +1,1 @@
+"""What verdicts were made from is kept, so that they can be made again."""

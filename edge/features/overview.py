@@ -1,0 +1,211 @@
+"""The overview camera of a running station: its newest still when a contact begins, which presses that admits and,
+with `overview.select`, which bundle judges them."""
+
+import logging
+from collections.abc import Mapping, Set
+from dataclasses import replace
+from typing import Any, Final, Literal, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
+from edge.core.errors import DeviceError, FrameCorrupt, StoreError
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.image_bytes import kind
+from edge.core.overview.rules import OverviewRules, OverviewView
+from edge.core.part_position import PartPosition
+from edge.core.ports import Clock
+from edge.core.press import Press
+from edge.core.press_label import PressLabel
+from edge.features.press_stage import Alarms, PressStage
+from edge.store.acts import Act
+
+__all__ = ["OVERVIEW_STALL_S", "Overview", "say_overview_camera", "still_of"]
+
+log = logging.getLogger(__name__)
+
+# An overview camera may give one picture a second.
+OVERVIEW_STALL_S: Final = 5.0
+# The loop waits this long for a still when the camera streams and none has come: less than the 0.8 s that the sensor's
+# frames may wait.
+WAIT_S: Final = 0.25
+# The largest still that is decoded: twice the pixels of the largest sensor of an OAK.
+MOST_PIXELS: Final = 100_000_000
+JPEG_QUALITY: Final = 85
+
+
+class Selection(Protocol):
+    """The bundles of a station, and the one in use."""
+
+    @property
+    def part(self) -> PartPosition:
+        """What is inspected now."""
+
+    def named_by(self, name: str) -> Set[PartPosition]:
+        """Return all positions that this name, such as the code on a part, may mean."""
+
+    def select(self, part: PartPosition, why: Act | None = None, *, is_pressed: bool) -> None:
+        """Inspect this, unless something is pressed, from now on. Errors: StoreError; then nothing has changed."""
+
+
+class Overview(PressStage):
+    """Looks at each part before its press; master pieces and studies are not looked at. Its camera is read by a thread
+    of its own.
+
+    max_age_s: an older still says nothing of this press. max_side_px: larger stills are made smaller before they are
+    read and published.
+    """
+
+    def __init__(
+        self,
+        camera: Acquisition,
+        rules: OverviewRules,
+        selection: Selection,
+        clock: Clock,
+        *,
+        max_age_s: float,
+        max_side_px: int,
+    ) -> None:
+        self.camera, self.rules, self._selection, self._clock = camera, rules, selection, clock
+        self._max_age_s, self._max_side_px = max_age_s, max_side_px
+        self._frame: CameraFrame | None = None
+        self._grey: NDArray[np.uint8] | None = None
+        self._view: OverviewView | None = None
+        self._unselected: str | None = None
+
+    def start(self) -> None:
+        self.camera.start()
+
+    def close(self) -> None:
+        self.camera.close()
+
+    def begin(self, label: PressLabel | None) -> PressLabel | None:
+        """Look at the part and select its bundle, before anything of this press is judged."""
+        if label is None:
+            self._view, self._unselected = self.look_at_part(), None
+            part = (
+                self.rules.choose_position(self._view, self._selection.named_by)
+                if self.rules.select
+                else None
+            )
+            if part is not None and part != self._selection.part:
+                self._select(part, self._view)
+        return label
+
+    def _select(self, part: PartPosition, view: OverviewView) -> None:
+        before = self._selection.part
+        why = Act(
+            self._clock.time_ns(),
+            "the overview camera",
+            "select_part",
+            arguments={"codes": [code.text for code in view.codes]},
+            outcome="done",
+            before={"part": before.part, "position": before.position},
+            after={"part": part.part, "position": part.position},
+        )
+        try:
+            self._selection.select(part, why, is_pressed=False)  # a press that just begins can still have it
+        except StoreError as error:
+            self._unselected = str(error)
+
+    def admit(self, press: Press) -> Press:
+        """Return it with what was seen when it began, and rejected where that refuses it."""
+        if press.label is not None:
+            return press
+        view, self._view = self._view or self.look_at_part(), None
+        refusal = self.rules.refusal(view, self._selection.part, self._selection.named_by)
+        if refusal is not None and self._unselected is not None:
+            refusal = replace(refusal, text=f"{refusal.text}; it could not be selected: {self._unselected}")
+        self._unselected = None
+        seen = replace(press, overview=view)
+        return seen if refusal is None else seen.reject(refusal)
+
+    def fields(self, press: Press) -> Mapping[str, Any]:
+        view = press.overview
+        if view is None:
+            return {}
+        return {
+            "part_codes": [code.text for code in view.codes],
+            "part_present": view.is_present,
+            "overview_topic": f"overview/{press.press_id}" if view.jpeg else None,
+        }
+
+    def look_at_part(self) -> OverviewView:
+        """Say what the newest still shows."""
+        before, seen = self._frame, self._grey
+        try:
+            self._frame = self._newest()
+            if self._frame is None:
+                fault = self.camera.status.fault
+                return OverviewView(None, fault=fault or "the overview camera has given no new picture")
+            still, self._grey = still_of(self._frame, self._max_side_px)
+            # The noise of a camera changes every picture: an equal one in a later frame is a camera that hangs.
+            if self._frame is not before and seen is not None and np.array_equal(seen, self._grey):
+                self._frame = None
+                return OverviewView(None, fault="the overview camera gives one picture again and again")
+            return self.rules.look(still, self._grey)
+        except DeviceError as error:  # a broken picture, or a recording that is over
+            self._frame = None
+            return OverviewView(None, fault=str(error))
+
+    def _newest(self) -> CameraFrame | None:
+        """The next frame of those made on demand, else the newest. Waits only for a camera that may soon give one."""
+        waiting = self.camera.next(0) or self._frame_of_before()
+        if waiting is not None and self._is_fresh(waiting):
+            return waiting
+        if self.camera.status.state not in (AcquisitionState.CONNECTING, AcquisitionState.STREAMING):
+            return None
+        return self.camera.next(WAIT_S)
+
+    def _frame_of_before(self) -> CameraFrame | None:
+        """The still of an earlier press, while the camera has given no newer one."""
+        return None if self._frame is None or self._frame.is_on_demand else self._frame
+
+    def _is_fresh(self, frame: CameraFrame) -> bool:
+        return frame.is_on_demand or self._clock.monotonic_ns() - frame.timestamp_ns <= self._max_age_s * 1e9
+
+
+def say_overview_camera(alarms: Alarms, camera: AcquisitionStatus, *, is_needed: bool) -> None:
+    """Raise or clear the alarm of the overview camera. is_needed: without it presses are refused."""
+    if camera.state is AcquisitionState.STREAMING:
+        log.info("overview camera %s delivers pictures", camera.identity.serial if camera.identity else "?")
+        alarms.say("overview", None)
+        return
+    is_over = camera.state is AcquisitionState.ENDED
+    fault = "the recording of the overview camera is over" if is_over else camera.fault
+    if fault is not None:
+        effect = "presses are refused" if is_needed else "results come without its still"
+        severity: Literal["warning", "error"] = "error" if is_needed else "warning"
+        alarms.say("overview", f"{fault}; until it is back {effect}", severity)
+
+
+def still_of(frame: CameraFrame, max_side_px: int) -> tuple[bytes, NDArray[np.uint8]]:
+    """The JPEG to publish, and the same in grey, uint8 (h, w). A JPEG that is small enough is published untouched.
+
+    Errors: FrameCorrupt for a picture that cannot be read.
+    """
+    size = frame.size
+    if frame.damage is not None or size is None:
+        raise FrameCorrupt(f"the overview camera's frame {frame.sequence} is {frame.damage or 'no picture'}")
+    if size[0] * size[1] > MOST_PIXELS:
+        raise FrameCorrupt(
+            f"the overview camera's frame {frame.sequence} has {size[0]}x{size[1]} pixels, at most {MOST_PIXELS} are "
+            "read; choose a smaller mode"
+        )
+    if kind(frame.payload) == "jpg" and max(size) <= max_side_px:
+        return frame.payload, _decoded(frame, cv2.IMREAD_GRAYSCALE)
+    colour = _decoded(frame, cv2.IMREAD_COLOR)
+    scale = min(1.0, max_side_px / max(size))
+    small = cv2.resize(colour, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+    return jpeg, np.asarray(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+def _decoded(frame: CameraFrame, flags: int) -> Any:
+    """Errors: FrameCorrupt."""
+    picture = cv2.imdecode(np.frombuffer(frame.payload, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
+    if picture is None:
+        raise FrameCorrupt(f"the overview camera's frame {frame.sequence} cannot be decoded")
+    return picture

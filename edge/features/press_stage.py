@@ -1,0 +1,126 @@
+"""What a press goes through: each concern of a station is one stage, and `edge.gateway.build` lists them in order."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+from edge.core.contact.events import Event, PressSettled
+from edge.core.contact.press_detector import Look
+from edge.core.contact.reference import View
+from edge.core.digital_io import StationView
+from edge.core.gel_proof import MadeOn
+from edge.core.imaging.frames import CameraFrame
+from edge.core.part_position import PartPosition
+from edge.core.ports import Message
+from edge.core.press import Press
+from edge.core.press_label import PressLabel
+from edge.messaging.result_payload import ResultPayload
+from edge.model.inspector import Inspector
+from edge.store.gel_ledger import GelRecord
+from edge.store.press_store import PressRecord, PressTable
+
+__all__ = ["Alarms", "Mounted", "OwnTable", "PressStage"]
+
+
+class Alarms(Protocol):
+    """The alarms of a station, for its stages. Any thread may use it."""
+
+    def say(self, alarm: str, sentence: str | None, severity: Literal["warning", "error"] = "error") -> None:
+        """Raise an alarm for a person, or clear it with None."""
+
+    def set_fault(self, alarm: str, text: str) -> bool:
+        """Raise it, and inspect nothing until `clear_fault`. Returns whether it was not raised before."""
+
+    def clear_fault(self, alarm: str) -> None:
+        """End it; other faults may remain."""
+
+
+class OwnTable(PressTable, Protocol):
+    """Where presses of one label are kept, and what is published of them."""
+
+    def publish(
+        self, result: ResultPayload, sequence: int, heatmap_png: bytes | None
+    ) -> tuple[Sequence[Message], Sequence[str]]:
+        """Return the messages of the press that was inserted, and sentences for the person at the station."""
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """What a press would be made with now."""
+
+    serial: str
+    gel_id: str
+    part: PartPosition
+    bundle_id: str
+    has_contact: bool
+    """Whether something presses the gel."""
+    made: MadeOn
+    """The gel that the bundle was made on."""
+
+
+class PressStage:
+    """One concern of a press. Each method does nothing here: a stage has those that it needs. The loop alone calls it.
+
+    The calls of a press come in this order: `begin`, `admit`, the score, `judge`, `keep`, `fields` and `table`,
+    `record`. The others are about what is mounted, what is seen, and time.
+    """
+
+    def start(self) -> None:
+        """Begin to work in the background."""
+
+    def close(self) -> None:
+        """End it; may be called again, and without `start`."""
+
+    def take(self, frame: CameraFrame) -> None:
+        """Take a frame of the sensor as it arrives."""
+
+    def mount(self, gel: GelRecord) -> None:
+        """Take the gel that is pressed from now on."""
+
+    def use(self, inspector: Inspector) -> None:
+        """Take the bundle that judges from now on."""
+
+    def see(self, event: Event) -> None:
+        """Take a contact event."""
+
+    def look(self, look: Look) -> None:
+        """Take what a frame shows, after its events."""
+
+    def learn(self, first: View | None) -> None:
+        """Take the first picture of this gel, float32 (h, w, 3): the free gel was just learnt, or followed."""
+
+    def relearn(self) -> None:
+        """Forget what was seen of the free gel: it is learnt again."""
+
+    def begin(self, label: PressLabel | None) -> PressLabel | None:
+        """Return what the press that begins is for, None for a part; `label` is the word of the stages before."""
+        return label
+
+    def admit(self, press: Press) -> Press:
+        """Return the press before its score, rejected where it may not be judged."""
+        return press
+
+    def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
+        """Return the press after its score. settled: None for one that gave no frame."""
+        return press
+
+    def keep(self, press: Press, inspector: Inspector) -> Press:
+        """Return the judged press with what is kept of it. It is the last call that has its frame and maps."""
+        return press
+
+    def fields(self, press: Press) -> Mapping[str, Any]:
+        """Return what this stage has to say in the press's result: fields of `ResultPayload`."""
+        return {}
+
+    def table(self, press: Press, row: PressRecord) -> OwnTable | None:
+        """Return the table of this press; None for the history of parts."""
+        return None
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        """Take a press that is in the database, with its gel, this press counted. Errors: StoreError."""
+
+    def show(self, view: StationView) -> None:
+        """Take the state of the station, at the end of every turn of the loop."""
+
+    def turn(self, mounted: Mounted | None) -> None:
+        """Take one turn of a loop whose store does not refuse; None before the sensor is known. Errors: StoreError."""

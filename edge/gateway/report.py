@@ -1,0 +1,386 @@
+"""What a station counts and reports regularly: frames and presses, overload, room on the disk, steps of the clock.
+
+Frames that are not processed in time are dropped, and a press in them is missed. This must raise an alarm.
+"""
+
+import logging
+import shutil
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+from edge.acquisition import Acquisition, AcquisitionStatus
+from edge.core.errors import PressesMissed, StoreError
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.quality import QualitySettings, Reason
+from edge.core.ports import Clock
+from edge.gateway.inspection_session import InspectionSession
+from edge.gateway.recorder import PressReport
+from edge.gateway.status import StationStatus
+from edge.messaging.publisher import Publisher
+from edge.messaging.sink_worker import SinkCounters
+from edge.messaging.status_payloads import StatsPayload, stats_message
+from edge.recording.format import Recording
+from edge.store.acts import Act
+from edge.store.outbox import OutboxStatus
+from edge.store.press_store import Store
+
+__all__ = [
+    "ClockGuard",
+    "FrameCounts",
+    "FreeSpace",
+    "OverloadRule",
+    "Report",
+    "Summary",
+    "check_played",
+    "free_bytes",
+]
+
+log = logging.getLogger(__name__)
+
+# The share of lost frames in one window that raises the alarm: one shortened queue in ten seconds at 18.75 fps is 8 %.
+RAISE_SHARE: Final = 0.05
+# Below this the machine keeps up again; between the two the alarm stays as it is.
+CLEAR_SHARE: Final = 0.01
+LATENCIES_KEPT: Final = 1000
+# A time server that slews a clock moves it by at most 0.5 ms a second; more than this in 10 s is a step.
+STEP_NS: Final = 2 * 10**9
+# The alarm ends when there is this much more room than where it began, so that it does not come and go.
+CLEARED_AT: Final = 1.1
+# A frame older than this when it is processed cannot be judged any more.
+LATE_NS: Final = round(QualitySettings().max_age_s * 1e9)
+
+
+@dataclass(frozen=True)
+class FrameCounts:
+    """Since the start. frames: delivered by the sensor. dropped: of those, never processed. late: processed too late.
+
+    interrupted: how often frames were dropped while the gel was pressed. late_presses: judged too late, so rejected.
+    """
+
+    frames: int = 0
+    dropped: int = 0
+    late: int = 0
+    interrupted: int = 0
+    late_presses: int = 0
+
+    def since(self, before: "FrameCounts") -> "FrameCounts":
+        """The counts since `before`."""
+        return FrameCounts(
+            self.frames - before.frames,
+            self.dropped - before.dropped,
+            self.late - before.late,
+            self.interrupted - before.interrupted,
+            self.late_presses - before.late_presses,
+        )
+
+
+class OverloadRule:
+    """Call `step` once a window, some seconds long, with the counts so far."""
+
+    def __init__(self) -> None:
+        self._before = FrameCounts()
+        self._sentence: str | None = None
+
+    def skip(self, counts: FrameCounts) -> None:
+        """Skip this window: something else delayed the gateway, and has its own alarm."""
+        self._before = counts
+
+    def step(self, counts: FrameCounts) -> str | None:
+        """The fault and what to do while this machine is too slow, None while it keeps up.
+
+        Raised when more than RAISE_SHARE of the window's frames were dropped or late, or when a press could not be
+        followed; cleared by a window without such a press and below CLEAR_SHARE.
+        """
+        window = counts.since(self._before)
+        self._before = counts
+        lost = window.dropped + window.late
+        missed = window.interrupted + window.late_presses
+        if lost > RAISE_SHARE * window.frames or missed:
+            self._sentence = _sentence(window)
+        elif lost <= CLEAR_SHARE * window.frames:
+            self._sentence = None
+        return self._sentence
+
+
+def _sentence(window: FrameCounts) -> str:
+    presses = ""
+    if window.interrupted:
+        presses += f", {window.interrupted} times while the gel was pressed"
+    if window.late_presses:
+        presses += f", and {window.late_presses} presses were rejected because they were judged too late"
+    return (
+        f"this machine is too slow: of the last {window.frames} frames {window.dropped} were dropped and "
+        f"{window.late} came too late{presses}; presses may have been missed. End other programs on it, give it "
+        "more cores, or use a bundle that scores faster"
+    )
+
+
+@dataclass
+class Summary:
+    """The counts of a run. verdicts: word to number, `error` for a press without a verdict, `reference`
+    and `study` for one that is no part's.
+
+    latencies_ms: frame to verdict of the newest presses that were scored; rejected presses and errors are faster, so
+    they do not count. frames: the fate of the sensor's frames. frames_corrupt: not delivered, or delivered and not
+    decodable. frames_stale: came twice. has_ended: a recording was played to its end.
+    """
+
+    presses: int = 0
+    has_ended: bool = False
+    verdicts: Counter[str] = field(default_factory=Counter)
+    latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=LATENCIES_KEPT))
+    frames: FrameCounts = field(default_factory=FrameCounts)
+    frames_corrupt: int = 0
+    frames_stale: int = 0
+
+    def add(self, report: PressReport) -> None:
+        """One more press."""
+        result = report.result
+        self.presses += 1
+        self.verdicts[report.word] += 1
+        if result.score is not None and "total" in result.latency_ms:
+            self.latencies_ms.append(result.latency_ms["total"])
+        if (result.reason or "").startswith(f"{Reason.STALE}:"):
+            self.frames = replace(self.frames, late_presses=self.frames.late_presses + 1)
+
+    def add_lost(self, *, is_late: bool, was_interrupted: bool) -> None:
+        """Count a frame for which this machine was too slow (see FrameCounts)."""
+        self.frames = replace(
+            self.frames,
+            late=self.frames.late + is_late,
+            interrupted=self.frames.interrupted + was_interrupted,
+        )
+
+    def see(self, sensor: AcquisitionStatus, undecodable: int) -> None:
+        """Add the reader thread's counts. undecodable: frames that arrived and could not be decoded."""
+        self.frames = replace(self.frames, frames=sensor.frames, dropped=sensor.dropped)
+        self.frames_corrupt = sensor.corrupt + undecodable
+        self.frames_stale = sensor.stale
+
+    def fields(self) -> dict[str, Any]:
+        """Return what `stats` says of frames and presses."""
+        return {
+            "frames": self.frames.frames,
+            "frames_corrupt": self.frames_corrupt,
+            "frames_stale": self.frames_stale,
+            "frames_dropped": self.frames.dropped,
+            "frames_late": self.frames.late,
+            "presses": self.presses,
+            "presses_interrupted": self.frames.interrupted,
+            "verdicts": dict(self.verdicts),
+            "latency_ms_p50": median(self.latencies_ms) if self.latencies_ms else None,
+            "latency_ms_max": max(self.latencies_ms, default=None),
+        }
+
+
+class ClockGuard:
+    """Call `step` now and then."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._apart_ns = self._now_apart_ns()
+
+    def step(self) -> float | None:
+        """The seconds by which the wall clock was set since the last call, None if it was not."""
+        apart_ns = self._now_apart_ns()
+        step_ns, self._apart_ns = apart_ns - self._apart_ns, apart_ns
+        return step_ns / 1e9 if abs(step_ns) > STEP_NS else None
+
+    def _now_apart_ns(self) -> int:
+        return self._clock.time_ns() - self._clock.monotonic_ns()
+
+
+def free_bytes(path: Path) -> int | None:
+    """Room for the gateway's user on the disk of this file; None where it cannot be asked."""
+    try:
+        return shutil.disk_usage(path.parent).free
+    except OSError:
+        return None
+
+
+class FreeSpace:
+    """The room on the disk of the database. warn_bytes: less is an alarm. ask: how much there is.
+
+    bytes: as last asked.
+    """
+
+    def __init__(
+        self, database: Path, warn_bytes: int, ask: Callable[[Path], int | None] = free_bytes
+    ) -> None:
+        self.bytes: int | None = None
+        self._database = database
+        self._warn_bytes = warn_bytes
+        self._ask = ask
+        self._is_low = False
+
+    def check(self) -> str | None:
+        """Ask again; the sentence of the alarm, None while there is room."""
+        self.bytes = self._ask(self._database)
+        if self.bytes is not None:
+            self._is_low = self.bytes < self._warn_bytes * (CLEARED_AT if self._is_low else 1)
+        if not self._is_low or self.bytes is None:
+            return None
+        return (
+            f"the disk of {self._database} has {self.bytes / 1e6:.0f} MB free, fewer than {self._warn_bytes / 1e6:.0f} "
+            "(store.free_mb); free space before it is full: then inspection halts"
+        )
+
+
+class Report:
+    """Counts while a station runs, and publishes it all now and then. The loop uses it."""
+
+    def __init__(
+        self,
+        store: Store,
+        publisher: Publisher,
+        status: StationStatus,
+        acquisition: Acquisition,
+        free_space: FreeSpace,
+        clock: Clock,
+    ) -> None:
+        self.summary = Summary()
+        self.clock_guard = ClockGuard(clock)
+        self._store, self._publisher, self._status, self._acquisition = store, publisher, status, acquisition
+        self._free_space, self._clock = free_space, clock
+        self._overload = OverloadRule()
+        self._dropped_before = 0
+        self._was_held_up = False
+        self._started_ns = clock.monotonic_ns()
+        self._drops_before: OutboxStatus | None = None
+        self._drops_now: OutboxStatus | None = None
+
+    def count_frame(self, frame: CameraFrame, *, has_contact: bool) -> None:
+        """Count a frame for which this machine was too slow."""
+        dropped, now_ns = self._acquisition.status.dropped, self._clock.monotonic_ns()
+        self.summary.add_lost(
+            is_late=not frame.is_on_demand and now_ns - frame.timestamp_ns > LATE_NS,
+            was_interrupted=dropped > self._dropped_before and has_contact,
+        )
+        self._dropped_before = dropped
+
+    def note_store_fault(self, error: StoreError) -> None:
+        """Raise the fault; frames lost because the store refuses writes are no overload."""
+        self._was_held_up = True
+        if self._status.set_fault("store", str(error)):
+            log.error("%s", error)
+
+    def publish(self, session: InspectionSession | None, *, is_halted: bool) -> None:
+        """Publish the counts so far, and check whether another process replaced the gel."""
+        status, sensor = self._status, self._acquisition.status
+        self.summary.see(sensor, session.corrupt if session else 0)
+        self._say_load()
+        status.say("disk", self._free_space.check(), "warning")
+        try:
+            self._note_clock_step()
+            if session is not None:
+                session.see_gel(self._store.gel(session.gel.serial, self._clock.time_ns()))
+            outbox, head = self._publisher.outbox_status(), str(self._store.ledger_head())
+        except StoreError as error:
+            self.note_store_fault(error)
+            return
+        if not is_halted:
+            status.clear_fault("store")
+        counters = self._publisher.counters()
+        receivers = {name: _describe(sink) for name, sink in counters.items()}
+        gel = session.gel if session else None
+        self.note_drops(outbox)
+        payload = StatsPayload(
+            time_ns=self._clock.time_ns(),
+            uptime_s=(self._clock.monotonic_ns() - self._started_ns) / 1e9,
+            **self.summary.fields(),
+            delivered_fps=sensor.fps,
+            reconnects=sensor.reconnects,
+            outbox_rows=outbox.rows,
+            outbox_bytes=outbox.bytes,
+            outbox_refused=outbox.refused,
+            dropped=dict(outbox.dropped),
+            disk_free_bytes=self._free_space.bytes,
+            gel_presses=gel.presses if gel else None,
+            gel_limit_presses=gel.limit_presses if gel else None,
+            alarms=tuple(sorted(status.view().alarms)),
+            receivers=receivers,
+            ledger_head=head,
+        )
+        status.announce(stats_message(payload))
+        refusals = "; ".join(sink.last_refusal for sink in counters.values() if sink.last_refusal)
+        refused = f"{outbox.refused} messages were refused and are kept: {refusals}"
+        status.say("refused", refused if outbox.refused else None)
+        faults = [f"{name}: {fault}" for name, sink in counters.items() for fault in sink.faults]
+        status.say("receiver", "; ".join(faults) or None, "warning")
+        status.counts(self._store.findings)
+
+    def note_drops(self, outbox: OutboxStatus) -> None:
+        """Raise an alarm for messages dropped since this process started; older ones were published before."""
+        self._drops_now = outbox
+        if self._drops_before is None:
+            self._drops_before = outbox
+        aged = _subtract(self._drops_before.aged, outbox.aged)
+        crowded = _subtract(aged, _subtract(self._drops_before.dropped, outbox.dropped))
+        words = [
+            f"{number} of kind {kind} ({why})"
+            for counts, why in ((aged, "too old"), (crowded, "no room"))
+            for kind, number in counts.items()
+            if number
+        ]
+        if words:
+            self._status.say("outbox_full", f"unsent messages were dropped: {', '.join(words)}")
+
+    def acknowledge_drops(self) -> None:
+        """A person has seen the alarm `outbox_full`: it is raised again by the next drop."""
+        self._drops_before = self._drops_now
+        self._status.say("outbox_full", None)
+
+    def _say_load(self) -> None:
+        """Frames lost because the store refuses writes have their own alarm."""
+        if self._was_held_up:
+            self._overload.skip(self.summary.frames)
+            self._was_held_up = False
+        self._status.say("overload", self._overload.step(self.summary.frames))
+
+    def _note_clock_step(self) -> None:
+        """Write it into the log and the table of acts. Errors: StoreError."""
+        seconds = self.clock_guard.step()
+        if seconds is not None:
+            log.warning("the clock of this machine was set by %+.0f s", seconds)
+            now_ns, step = self._clock.time_ns(), {"seconds": seconds}
+            act = Act(now_ns, "the gateway", "clock_step", arguments=step, outcome="done")
+            self._store.begin_act(act, within_s=0)
+
+
+def _subtract(before: Mapping[str, int], now: Mapping[str, int]) -> dict[str, int]:
+    return {kind: n - before.get(kind, 0) for kind, n in now.items()}
+
+
+def _describe(sink: SinkCounters) -> str:
+    """Return a receiver's state in `stats`."""
+    level = f", MQTT {sink.level}" if sink.level else ""
+    return ("up" if sink.is_up else sink.last_error or "not yet tried") + level
+
+
+def check_played(recording: Recording, summary: Summary, status: AcquisitionStatus) -> None:
+    """Errors: PressesMissed where the labels give another number of presses.
+
+    Without labels: where frames were dropped, or no press was seen. A run that was stopped before the recording's end
+    is not checked.
+    """
+    held = recording.presses()
+    is_unknown = held is None and summary.presses > 0 and not status.dropped
+    if not summary.has_ended or is_unknown or held == summary.presses:
+        return
+    found = (
+        f"its number of presses is not known and the run saw {summary.presses}"
+        if held is None
+        else f"it holds {held} presses and the run saw {summary.presses}"
+    )
+    why = (
+        f"{status.dropped} of its {status.frames} frames were dropped because they were not processed in time; "
+        "play it with pace = 0"
+        if status.dropped
+        else "no frame was dropped; play it with pace 0 or 1, and `gelgate run -v` shows contact in each frame"
+    )
+    cut = "; its index ends in the middle of a line, so the end of it is lost" if recording.is_cut else ""
+    raise PressesMissed(f"recording {recording.folder}: {found}; {why}{cut}")
