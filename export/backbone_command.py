@@ -1,33 +1,12 @@
 """`gelgate export backbone`: weights or a network from other tools become a trunk."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from export.backbone_arguments import (
-    Background,
-    Checkpoint,
-    Encoder,
-    Half,
-    Heads,
-    High,
-    Licence,
-    Mean,
-    Output,
-    Overwrite,
-    Prefix,
-    PrefixTokens,
-    Profile,
-    RegionText,
-    Report,
-    Second,
-    Size,
-    Std,
-    Taps,
-    Topology,
-    Version,
-)
+from edge.cli.arguments import flatten
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,32 +17,69 @@ if TYPE_CHECKING:
     from export.backbone import BackboneOptions
     from plugins.backbones.input_steps import InputSteps
 
-__all__ = ["backbone", "three_numbers"]
+__all__ = ["BackboneArguments", "backbone", "three_numbers"]
 
 
-def backbone(
-    checkpoint: Checkpoint,
-    output: Output = Path("trunk.onnx"),
-    licence: Licence = None,
-    topology: Topology = None,
-    taps: Taps = "",
-    encoder: Encoder = "",
-    mean: Mean = "",
-    std: Std = "",
-    size: Size = "",
-    background: Background = None,
-    profile: Profile = "mini_lr",
-    region: RegionText = "centre",
-    version: Version = None,
-    second: Second = None,
-    prefix: Prefix = None,
-    heads: Heads = None,
-    prefix_tokens: PrefixTokens = None,
-    high: High = 1.0,
-    half: Half = False,
-    report: Report = None,
-    overwrite: Overwrite = False,
-) -> None:
+@dataclass(frozen=True)
+class BackboneArguments:
+    """What the command line says."""
+
+    checkpoint: Annotated[Path, typer.Argument(help="A .pth, .safetensors or .onnx file.")]
+    output: Annotated[Path, typer.Option("--output", "-o", help="The trunk to write.")] = Path("trunk.onnx")
+    licence: Annotated[
+        str | None,
+        typer.Option(help="Licence of the weights, such as MIT; 'own' for your own.", show_default=False),
+    ] = None
+    topology: Annotated[
+        str | None,
+        typer.Option(
+            help="Of a ResNet: resnet18, resnet50 or wide_resnet50_2. Default: the one that the weights have.",
+            show_default=False,
+        ),
+    ] = None
+    taps: Annotated[
+        str,
+        typer.Option(
+            help="Maps to output: layer1,layer2 of a ResNet, block5,norm of a transformer, level2,latent of a VQGAN, "
+            "NAME=VALUE of a graph."
+        ),
+    ] = ""
+    encoder: Annotated[
+        str, typer.Option(help="A touch encoder whose preprocessing is used: tvl, t3, sparsh or unit.")
+    ] = ""
+    mean: Annotated[str, typer.Option(help="Subtracted from RGB in 0..1; default: ImageNet's.")] = ""
+    std: Annotated[str, typer.Option(help="Then RGB is divided by this; default: ImageNet's.")] = ""
+    size: Annotated[str, typer.Option(help="Resize frames to HEIGHTxWIDTH before the network.")] = ""
+    background: Annotated[
+        Path | None, typer.Option(help="A picture of the free gel, subtracted from every frame.")
+    ] = None
+    profile: Annotated[str, typer.Option(help="Sensor profile of the frames.")] = "mini_lr"
+    region: Annotated[str, typer.Option(help="The inspected region, as for `fit`.")] = "centre"
+    version: Annotated[
+        str | None, typer.Option(help="V1 or V2 of torchvision's weights: refused if the file is the other.")
+    ] = None
+    second: Annotated[
+        Path | None, typer.Option(help="Weights of the blocks that follow, such as T3's trunk.")
+    ] = None
+    prefix: Annotated[
+        str | None, typer.Option(help="Of the weights' names, where a file holds several networks.")
+    ] = None
+    heads: Annotated[
+        int | None, typer.Option(min=1, help="Attention heads; default: one per 64 channels.")
+    ] = None
+    prefix_tokens: Annotated[
+        int | None, typer.Option(min=0, help="Tokens before the patches in a graph's sequences.")
+    ] = None
+    high: Annotated[float, typer.Option(help="Value of full brightness in a graph's input: 1 or 255.")] = 1.0
+    half: Annotated[bool, typer.Option(help="Store the weights as float16: half the file.")] = False
+    report: Annotated[
+        Path | None, typer.Option(help="Folder for the comparison with the original, parity.html.")
+    ] = None
+    overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False
+
+
+@flatten
+def backbone(given: BackboneArguments) -> None:
     """Convert weights or a network to a trunk.
 
     It is compared with the original at every tap before it is written."""
@@ -72,27 +88,27 @@ def backbone(
     from edge.core.imaging.region import Region
     from export.backbone import BackboneOptions
 
-    if output.exists() and not overwrite:
-        raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
-    sensor = known_profile(profile)
-    inspected = Region.parse(region, sensor.size)
+    if given.output.exists() and not given.overwrite:
+        raise ConfigError(f"{given.output} exists already; choose another name or pass --overwrite")
+    sensor = known_profile(given.profile)
+    region = Region.parse(given.region, sensor.size)
     options = BackboneOptions(
-        licence=licence,
-        topology=topology,
-        taps=tuple(tap.strip() for tap in taps.split(",") if tap.strip()),
-        encoder=encoder or None,
-        steps=_steps(encoder, mean, std, size),
-        background=None if background is None else _free_gel(background, sensor, inspected),
-        frame=(inspected.height, inspected.width),
-        weights="float16" if half else "float32",
-        version=version,
-        second=second,
-        prefix=prefix,
-        heads=heads,
-        prefix_tokens=prefix_tokens,
-        high=high,
+        licence=given.licence,
+        topology=given.topology,
+        taps=tuple(tap.strip() for tap in given.taps.split(",") if tap.strip()),
+        encoder=given.encoder or None,
+        steps=_steps(given.encoder, given.mean, given.std, given.size),
+        background=None if given.background is None else _free_gel(given.background, sensor, region),
+        frame=(region.height, region.width),
+        weights="float16" if given.half else "float32",
+        version=given.version,
+        second=given.second,
+        prefix=given.prefix,
+        heads=given.heads,
+        prefix_tokens=given.prefix_tokens,
+        high=given.high,
     )
-    _make(checkpoint, output, options, report)
+    _make(given.checkpoint, given.output, options, given.report)
 
 
 def _make(checkpoint: Path, output: Path, options: "BackboneOptions", report: Path | None) -> None:

@@ -1,8 +1,9 @@
 """`gelgate bundle wrap`: a third party's graph becomes a bundle."""
 
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,53 +20,64 @@ from calibration.fitting.options import (
     Threads,
     Threshold,
 )
-from export.wrap_arguments import (
-    Comparison,
-    Graph,
-    Licence,
-    MapOutput,
-    Mean,
-    Method,
-    Negate,
-    Scale,
-    ScoreOutput,
-    Sources,
-    Std,
-)
+from edge.cli.arguments import flatten
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from export.single_graph import GraphInput
-
-__all__ = ["wrap"]
+__all__ = ["WrapArguments", "wrap"]
 
 
-def wrap(
-    graph: Graph,
-    sources: Sources,
-    output: Output,
-    part: Part = None,
-    position: Position = None,
-    licence: Licence = None,
-    method: Method = "external",
-    scale: Scale = "",
-    mean: Mean = "",
-    std: Std = "",
-    map_output: MapOutput = "",
-    score_output: ScoreOutput = "",
-    negate: Negate = False,
-    comparison: Comparison = None,
-    profile: Profile = "",
-    region: RegionText = "centre",
-    alpha: Alpha = 0.05,
-    threshold: Threshold = None,
-    no_contact: NoContact = None,
-    resize: Resize = False,
-    threads: Threads = 2,
-    overwrite: Overwrite = False,
-) -> None:
+@dataclass(frozen=True)
+class WrapArguments:
+    """What the command line says."""
+
+    graph: Annotated[
+        Path, typer.Argument(metavar="GRAPH", help="An ONNX file: a picture to a score map and a score.")
+    ]
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SOURCE...", help="Nominal presses that the graph was not trained on, as for `fit`."
+        ),
+    ]
+    output: Output
+    part: Part = None
+    position: Position = None
+    licence: Annotated[
+        str | None,
+        typer.Option(
+            help="Licence of the graph's weights, such as MIT; 'own' for your own.", show_default=False
+        ),
+    ] = None
+    method: Annotated[str, typer.Option(help="The method's name in results.")] = "external"
+    scale: Annotated[
+        str,
+        typer.Option(
+            "--input", help="0..1, 0..255 or imagenet: where the graph does not show what its input is."
+        ),
+    ] = ""
+    mean: Annotated[str, typer.Option(help="Subtracted from RGB in 0..1, in place of --input.")] = ""
+    std: Annotated[str, typer.Option(help="Then RGB is divided by this.")] = ""
+    map_output: Annotated[str, typer.Option(help="The output that is the score map.")] = ""
+    score_output: Annotated[str, typer.Option(help="The output that is the score.")] = ""
+    negate: Annotated[bool, typer.Option("--negate", help="Lower scores are more anomalous.")] = False
+    comparison: Annotated[
+        Path | None, typer.Option("--report", help="Folder for the comparison with the graph, parity.html.")
+    ] = None
+    profile: Profile = ""
+    region: RegionText = "centre"
+    alpha: Alpha = 0.05
+    threshold: Threshold = None
+    no_contact: NoContact = None
+    resize: Resize = False
+    threads: Threads = 2
+    overwrite: Overwrite = False
+
+
+@flatten
+def wrap(given: WrapArguments) -> None:
     """Make a bundle of another tool's detector graph.
 
     The graph is adapted and compared with itself. The threshold comes from nominal presses."""
@@ -82,53 +94,38 @@ def wrap(
     from export.graph_file import read_graph
     from export.licence import stated_licence
 
-    refuse_existing(output, overwrite)
+    graph = given.graph
+    refuse_existing(given.output, given.overwrite)
     content = read_graph(graph)
-    stated = stated_licence(licence, f"the graph {graph}")
-    sensor = chosen_profile(profile, sources)
-    inspected = Region.parse(region, sensor.size)
-    material = found_sources(sources, part, position, sensor)
-    presses = nominal_presses(material, sensor, inspected, no_contact, resize)
-    given = _graph_input(scale, mean, std, map_output, score_output, negate)
-    ready, facts = _adapt(graph, content, presses.frames, given, comparison)
-    facts = {"licence": stated, "graph": graph.name, **facts}
-    where = (material.part, material.position, sensor, inspected)
-    config = WrapConfig(*where, method, alpha, threshold, threads, facts)
-    typer.echo(f"{counted(len(presses))}, {graph.name} as '{method}', region {inspected}")
-    make(partial(wrap_files, ready, presses, config), output, overwrite)
+    licence = stated_licence(given.licence, f"the graph {graph}")
+    sensor = chosen_profile(given.profile, given.sources)
+    region = Region.parse(given.region, sensor.size)
+    material = found_sources(given.sources, given.part, given.position, sensor)
+    presses = nominal_presses(material, sensor, region, given.no_contact, given.resize)
+    ready, facts = _adapt(given, content, presses.frames)
+    facts = {"licence": licence, "graph": graph.name, **facts}
+    where = (material.part, material.position, sensor, region)
+    config = WrapConfig(*where, given.method, given.alpha, given.threshold, given.threads, facts)
+    typer.echo(f"{counted(len(presses))}, {graph.name} as '{given.method}', region {region}")
+    make(partial(wrap_files, ready, presses, config), given.output, given.overwrite)
 
 
-def _graph_input(
-    scale: str, mean: str, std: str, map_output: str, score_output: str, is_negated: bool
-) -> "GraphInput":
-    from export.single_graph import GraphInput
-
-    colours = _colours("--mean", mean), _colours("--std", std)
-    return GraphInput(scale or None, *colours, map_output or None, score_output or None, is_negated)
-
-
-def _colours(option: str, text: str) -> tuple[float, float, float] | None:
-    from export.backbone_command import three_numbers
-
-    return three_numbers(option, text) if text else None
-
-
-def _adapt(
-    graph: Path, content: bytes, frames: "NDArray[np.uint8]", given: "GraphInput", report: Path | None
-) -> tuple[bytes, dict[str, str]]:
+def _adapt(given: WrapArguments, content: bytes, frames: "NDArray[np.uint8]") -> tuple[bytes, dict[str, str]]:
     """The graph as the gateway runs it, and what was found of it. Errors: as `adapt`; BundleCorrupt."""
-    from edge.extras import is_installed
+    from export.backbone_command import three_numbers
     from export.single_graph import GraphInput, adapt
 
-    if not is_installed("onnx") and given == GraphInput() and report is None:
-        return (
-            content,
-            {},
-        )  # a graph that meets the contract needs no change; others are refused when they are opened
-    ready = adapt(content, frames, given, graph.name)
+    mean, std = (
+        three_numbers(option, text) if text else None
+        for option, text in (("--mean", given.mean), ("--std", given.std))
+    )
+    wanted = GraphInput(
+        given.scale or None, mean, std, given.map_output or None, given.score_output or None, given.negate
+    )
+    ready = adapt(content, frames, wanted, given.graph.name)
     if ready.parity is not None:
-        if report is not None:
-            ready.parity.write(report)
+        if given.comparison is not None:
+            ready.parity.write(given.comparison)
         ready.parity.raise_if_different()
         for name, words in ready.found.items():
             typer.echo(f"{name}: {words}")

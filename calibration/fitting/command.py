@@ -173,7 +173,7 @@ def _detection(
     """The usual detector, its parameters and its trunk, as `FitConfig` takes them. Errors: ConfigError, FitError."""
     from calibration.fitting.trunks import open_trunk
     from edge import registry
-    from edge.cli.named_values import named_values
+    from edge.cli.arguments import named_values
     from edge.core.detector import Mode
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion

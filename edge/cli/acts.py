@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from edge.cli.station_options import CONFIG, ConfigOption, DatabaseOption, database_path
+from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
 
 if TYPE_CHECKING:
     from edge.store.acts import Act

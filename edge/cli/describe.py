@@ -1,18 +1,26 @@
 """`gelgate station describe`: a station, as AsyncAPI, Home Assistant, Node-RED and mosquitto read it."""
 
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from edge.cli.station_options import CONFIG, ConfigOption
+from edge.cli.options import CONFIG, ConfigOption
+from edge.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from edge.config import Config
+    from edge.messaging.descriptions.station import DescribedStation
     from edge.messaging.mqtt_broker import Broker
 
-__all__ = ["Format", "describe", "described_text", "text_at"]
+__all__ = ["Format", "describe", "described_text", "station_at", "text_at"]
+
+# From the subscription on. Retained messages come at once; those of a broker far away take longer.
+WAIT_S: Final = 2.0
+
+_SHOWN: Final = 8
 
 
 class Format(StrEnum):
@@ -52,7 +60,7 @@ def describe(
 
     It reads the configuration alone, or with --host what the station has left at its broker. docs/subscribers.md says
     what to do with each format."""
-    from edge.cli.broker_options import broker_at
+    from edge.cli.options import broker_at
     from edge.config import load_config
     from edge.messaging.subscriber import station_filter
 
@@ -69,21 +77,12 @@ def describe(
 
 def text_at(broker: "Broker", topic_filter: str, form: Format) -> str:
     """The file, from a broker. Errors: ConfigError, SinkUnavailable."""
-    from edge.core.errors import ConfigError
-    from edge.messaging.descriptions.at_broker import station_at
-    from edge.messaging.descriptions.home_assistant import discovery
-    from edge.messaging.descriptions.node_red import flow
-
     if form is Format.MOSQUITTO:
         raise ConfigError(
             "access rules name the users of the broker, which it does not publish; give the station's --config"
         )
-    station, made = station_at(broker, topic_filter)
-    if form is Format.HOME_ASSISTANT:
-        return _json(discovery(station))
-    if form is Format.NODE_RED:
-        return _json(flow(station, broker.host, broker.port, has_tls=broker.tls is not None))
-    return _json(made)
+    station, document = station_at(broker, topic_filter)
+    return _text(form, station, document, broker.host, broker.port, broker.tls is not None)
 
 
 def described_text(config: "Config", form: Format) -> str:
@@ -91,21 +90,69 @@ def described_text(config: "Config", form: Format) -> str:
     from edge.gateway.description import broker_of, described
     from edge.messaging.descriptions.access_rules import access_rules
     from edge.messaging.descriptions.asyncapi import document
-    from edge.messaging.descriptions.home_assistant import discovery
-    from edge.messaging.descriptions.node_red import flow
 
     station, broker = described(config), broker_of(config)
     if form is Format.MOSQUITTO:
         return access_rules(station, broker.user, discovery_prefix=broker.discovery_prefix, node=broker.node)
-    made: object = document(station)
-    if form is Format.HOME_ASSISTANT:
-        made = discovery(station)
-    elif form is Format.NODE_RED:
-        made = flow(station, broker.host, broker.port, has_tls=broker.has_tls)
-    return _json(made)
+    return _text(form, station, document(station), broker.host, broker.port, broker.has_tls)
 
 
-def _json(made: object) -> str:
+def _text(
+    form: Format, station: "DescribedStation", document: object, host: str, port: int, has_tls: bool
+) -> str:
     import json
 
-    return json.dumps(made, indent=2, ensure_ascii=False) + "\n"
+    from edge.messaging.descriptions.home_assistant import discovery
+    from edge.messaging.descriptions.node_red import flow
+
+    if form is Format.HOME_ASSISTANT:
+        document = discovery(station)
+    elif form is Format.NODE_RED:
+        document = flow(station, host, port, has_tls=has_tls)
+    return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
+
+
+def station_at(
+    broker: "Broker", topic_filter: str, wait_s: float = WAIT_S
+) -> "tuple[DescribedStation, Mapping[str, Any]]":
+    """Find the one station with these topics, and its AsyncAPI document.
+
+    topic_filter: as of `station_filter`. Errors: SinkUnavailable without a broker; ConfigError where no station
+    describes itself there, or several do.
+    """
+    import json
+    import time
+    from dataclasses import replace
+
+    from edge.messaging.descriptions.station import DescribedStation
+    from edge.messaging.subscriber import listening, next_message
+
+    documents: dict[str, Mapping[str, Any]] = {}
+    with listening(broker, topic_filter.removesuffix("#") + "asyncapi") as (_, inbox):
+        end = time.monotonic() + wait_s
+        while (message := next_message(inbox, max(0.0, end - time.monotonic()))) is not None:
+            try:
+                content = json.loads(message.payload)
+            except (ValueError, RecursionError):  # anybody may publish
+                continue
+            if isinstance(content, dict) and "asyncapi" in content:
+                documents[message.topic.removesuffix("/asyncapi")] = content
+    if len(documents) != 1:
+        raise ConfigError(_not_one(broker, topic_filter, sorted(documents)))
+    ((root, document),) = documents.items()
+    info = document.get("info")
+    version = info.get("version") if isinstance(info, dict) else None
+    return replace(DescribedStation.of_root(root), version=str(version)), document
+
+
+def _not_one(broker: "Broker", topic_filter: str, roots: list[str]) -> str:
+    from edge.core.printable import printable
+
+    if not roots:
+        return (
+            f"broker {broker} has no station that describes itself below {topic_filter}; check the names, and that its "
+            "gateway has run with this broker"
+        )
+    places = ", ".join(printable("/".join(root.split("/")[1:-2])) for root in roots[:_SHOWN])
+    more = f" and {len(roots) - _SHOWN} more" if len(roots) > _SHOWN else ""
+    return f"broker {broker} has several stations: {places}{more}; name one with --site, --line and --station"

@@ -5,7 +5,7 @@ from typing import Annotated, Final
 
 import typer
 
-from edge.cli.station_options import CONFIG, ConfigOption
+from edge.cli.options import CONFIG, ConfigOption
 
 __all__ = ["overview"]
 

@@ -1,86 +1,86 @@
 """`gelgate record`: frames from a sensor, a film, or a folder of press images, into a recording."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-__all__ = ["record"]
+from edge.cli.arguments import flatten
+
+__all__ = ["RecordArguments", "record"]
 
 _SAY_EVERY_NS = 5_000_000_000
 
-Out = Annotated[Path, typer.Argument(help="The folder to write; it must be empty or not exist.")]
-DeviceName = Annotated[str | None, typer.Option("--device", help="A device plugin, such as gelsight_mini.")]
-OptionTexts = Annotated[
-    list[str] | None, typer.Option("--option", help="A device option, as name=value; repeatable.")
-]
-Seconds = Annotated[float | None, typer.Option(min=0.0, help="Stop after this number of seconds.")]
-Frames = Annotated[int | None, typer.Option(min=1, help="Stop after this number of frames.")]
-Images = Annotated[
-    Path | None, typer.Option("--from-images", help="A folder of press images instead of a device.")
-]
-Video = Annotated[
-    Path | None,
-    typer.Option("--from-video", help="A video instead of a device; its frames keep their times."),
-]
-Resize = Annotated[
-    bool,
-    typer.Option(
-        "--resize",
-        help="Crop a video's frames to the profile's aspect, in the middle, and scale them.",
-    ),
-]
-Pattern = Annotated[str, typer.Option(help="Pattern of the files in that folder, such as '*/gelsight.png'.")]
-Reference = Annotated[Path | None, typer.Option(help="The image without contact, shown between the presses.")]
-Fps = Annotated[float, typer.Option(min=0.1, max=999, help="Frames per second of the recording from images.")]
-Free = Annotated[int, typer.Option("--repeat-free", min=0, help="Frames of every lift.")]
-Lead = Annotated[
-    int,
-    typer.Option(
-        "--lead", min=0, help="Additional frames of the first lift, to learn the no-contact reference."
-    ),
-]
-Press = Annotated[int, typer.Option("--repeat-press", min=1, help="Frames of every press.")]
-Number = Annotated[
-    bool,
-    typer.Option(
-        help="Write a comment into each copy, so that it is not taken for a repeated frame.",
-    ),
-]
-Noise = Annotated[float | None, typer.Option(help="Add noise to copies: standard deviation in grey levels.")]
-Seed = Annotated[int, typer.Option(help="Seed of that noise.")]
-Product = Annotated[str, typer.Option(help="Product string of the recording from images.")]
-Serial = Annotated[str, typer.Option(help="Serial of the recording from images.")]
-Profile = Annotated[
-    str,
-    typer.Option(
-        help="Sensor profile of the frames, kept as a hint; without it presses are counted by their size."
-    ),
-]
+
+@dataclass(frozen=True)
+class RecordArguments:
+    """What the command line says."""
+
+    out: Annotated[Path, typer.Argument(help="The folder to write; it must be empty or not exist.")]
+    device: Annotated[
+        str | None, typer.Option("--device", help="A device plugin, such as gelsight_mini.")
+    ] = None
+    option: Annotated[
+        list[str] | None, typer.Option("--option", help="A device option, as name=value; repeatable.")
+    ] = None
+    seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this number of seconds.")] = None
+    frames: Annotated[int | None, typer.Option(min=1, help="Stop after this number of frames.")] = None
+    from_images: Annotated[
+        Path | None, typer.Option("--from-images", help="A folder of press images instead of a device.")
+    ] = None
+    from_video: Annotated[
+        Path | None,
+        typer.Option("--from-video", help="A video instead of a device; its frames keep their times."),
+    ] = None
+    resize: Annotated[
+        bool,
+        typer.Option(
+            "--resize",
+            help="Crop a video's frames to the profile's aspect, in the middle, and scale them.",
+        ),
+    ] = False
+    pattern: Annotated[
+        str, typer.Option(help="Pattern of the files in that folder, such as '*/gelsight.png'.")
+    ] = "**/*"
+    reference: Annotated[
+        Path | None, typer.Option(help="The image without contact, shown between the presses.")
+    ] = None
+    fps: Annotated[
+        float, typer.Option(min=0.1, max=999, help="Frames per second of the recording from images.")
+    ] = 18.75
+    lead: Annotated[
+        int,
+        typer.Option(
+            "--lead", min=0, help="Additional frames of the first lift, to learn the no-contact reference."
+        ),
+    ] = 20
+    repeat_free: Annotated[int, typer.Option("--repeat-free", min=0, help="Frames of every lift.")] = 20
+    repeat_press: Annotated[int, typer.Option("--repeat-press", min=1, help="Frames of every press.")] = 12
+    number_copies: Annotated[
+        bool,
+        typer.Option(
+            help="Write a comment into each copy, so that it is not taken for a repeated frame.",
+        ),
+    ] = True
+    noise: Annotated[
+        float | None, typer.Option(help="Add noise to copies: standard deviation in grey levels.")
+    ] = None
+    seed: Annotated[int, typer.Option(help="Seed of that noise.")] = 0
+    product: Annotated[str, typer.Option(help="Product string of the recording from images.")] = (
+        "GelSight Mini R0B 2BNN-4ZE7"
+    )
+    serial: Annotated[str, typer.Option(help="Serial of the recording from images.")] = "2BNN4ZE7"
+    profile: Annotated[
+        str,
+        typer.Option(
+            help="Sensor profile of the frames, kept as a hint; without it presses are counted by their size."
+        ),
+    ] = ""
 
 
-def record(
-    out: Out,
-    device: DeviceName = None,
-    option: OptionTexts = None,
-    seconds: Seconds = None,
-    frames: Frames = None,
-    from_images: Images = None,
-    from_video: Video = None,
-    resize: Resize = False,
-    pattern: Pattern = "**/*",
-    reference: Reference = None,
-    fps: Fps = 18.75,
-    lead: Lead = 20,
-    repeat_free: Free = 20,
-    repeat_press: Press = 12,
-    number_copies: Number = True,
-    noise: Noise = None,
-    seed: Seed = 0,
-    product: Product = "GelSight Mini R0B 2BNN-4ZE7",
-    serial: Serial = "2BNN4ZE7",
-    profile: Profile = "",
-) -> None:
+@flatten
+def record(given: RecordArguments) -> None:
     """Record frames from a device, video or press images.
 
     The number of presses that the gateway finds in the recording is printed at the end.
@@ -91,56 +91,48 @@ def record(
     """
     from edge.core.errors import ConfigError
 
-    if sum(source is not None for source in (device, from_images, from_video)) != 1:
+    if sum(source is not None for source in (given.device, given.from_images, given.from_video)) != 1:
         raise ConfigError(
             "name one of --device, --from-video and --from-images; `gelgate devices` lists the devices"
         )
-    if device is not None:
-        typer.echo(_from_device(out, device, option or [], seconds, frames, profile))
-    elif from_video is not None:
-        typer.echo(_from_video(out, from_video, profile, resize, product, serial))
-    elif from_images is not None:
-        images = _images(from_images, pattern, reference)
-        plan = _plan(fps, lead, repeat_free, repeat_press, number_copies, noise, seed)
-        typer.echo(_from_images(out, images, reference, plan, profile, product, serial))
-    _say_presses(out, profile)
+    if given.device is not None:
+        done = _from_device(given, given.device)
+    elif given.from_video is not None:
+        done = _from_video(given, given.from_video)
+    else:
+        assert given.from_images is not None
+        done = _from_images(given, given.from_images)
+    typer.echo(done)
+    _say_presses(given.out, given.profile)
 
 
-def _from_images(
-    out: Path, images: list[Path], reference: Path | None, plan: Any, profile: str, product: str, serial: str
-) -> str:
-    from edge.recording.from_images import record_images
-
-    count = record_images(out, images, reference, plan, product=product, serial=serial, profile=profile)
-    return f"{out}: {count} frames, {len(images)} presses at {plan.fps} fps"
-
-
-def _images(folder: Path, pattern: str, reference: Path | None) -> list[Path]:
-    from edge.recording.from_images import images_in
-
-    return [path for path in images_in(folder, pattern) if reference is None or not path.samefile(reference)]
-
-
-def _plan(
-    fps: float, lead: int, free: int, press: int, number_copies: bool, noise: float | None, seed: int
-) -> Any:
+def _from_images(given: RecordArguments, folder: Path) -> str:
     """Errors: ConfigError."""
     from edge.core.errors import ConfigError
-    from edge.recording.from_images import CopyNoise, PressLift
+    from edge.recording.from_images import CopyNoise, PressLift, images_in, record_images
 
+    free = given.reference
+    images = [path for path in images_in(folder, given.pattern) if free is None or not path.samefile(free)]
+    noise = CopyNoise(given.noise, given.seed) if given.noise else None
     try:
-        return PressLift(fps, lead, free, press, number_copies, CopyNoise(noise, seed) if noise else None)
+        plan = PressLift(
+            given.fps, given.lead, given.repeat_free, given.repeat_press, given.number_copies, noise
+        )
     except ValueError as error:
         raise ConfigError(str(error)) from error
+    names = {"product": given.product, "serial": given.serial, "profile": given.profile}
+    count = record_images(given.out, images, free, plan, **names)
+    return f"{given.out}: {count} frames, {len(images)} presses at {plan.fps} fps"
 
 
-def _from_video(out: Path, path: Path, profile: str, resize: bool, product: str, serial: str) -> str:
+def _from_video(given: RecordArguments, path: Path) -> str:
     """Errors: ConfigError where the film has another size than the profile's camera."""
     from edge.core.errors import ConfigError
     from edge.core.imaging.aspect import cut_in_words
     from edge.core.imaging.known_profiles import profile as named
     from edge.recording.from_video import film_of, record_video
 
+    profile, resize = given.profile, given.resize
     film = film_of(path)
     wanted = named(profile).native if profile else None
     is_other = wanted is not None and wanted != film.size
@@ -158,10 +150,15 @@ def _from_video(out: Path, path: Path, profile: str, resize: bool, product: str,
             )
         )
     count = record_video(
-        out, film, size=wanted if is_other else None, product=product, serial=serial, profile=profile
+        given.out,
+        film,
+        size=wanted if is_other else None,
+        product=given.product,
+        serial=given.serial,
+        profile=profile,
     )
     scaled = f", {cut_in_words(film.size, wanted)}" if is_other and wanted else ""
-    return f"{out}: {count} frames of {path.name}{scaled}"
+    return f"{given.out}: {count} frames of {path.name}{scaled}"
 
 
 def _say_presses(out: Path, name: str) -> None:
@@ -187,30 +184,28 @@ def _say_presses(out: Path, name: str) -> None:
         typer.echo(f"warning: {doubt}", err=True)
 
 
-def _from_device(
-    out: Path, name: str, given: list[str], seconds: float | None, frames: int | None, profile: str
-) -> str:
+def _from_device(given: RecordArguments, name: str) -> str:
     from edge import registry
-    from edge.cli.plugin_options import plugin_options
+    from edge.cli.options import plugin_options
     from edge.clock import SystemClock
     from edge.core.errors import GelgateError
     from edge.recording.format import RecordingHeader, RecordingWriter
 
     clock = SystemClock()
     plugin = registry.device(name)
-    sensor = plugin.open(plugin_options("devices", name, plugin.Options, given), clock)
+    sensor = plugin.open(plugin_options("devices", name, plugin.Options, given.option or []), clock)
     try:
         who = sensor.identity
-        header = RecordingHeader(who.product, who.serial, who.mode, who.nominal_fps, profile)
-        with RecordingWriter(out, header) as writer:
-            typer.echo(f"recording {who.product} to {out}; Ctrl-C ends it", err=True)
-            end_ns = clock.monotonic_ns() + round(seconds * 1e9) if seconds is not None else None
+        header = RecordingHeader(who.product, who.serial, who.mode, who.nominal_fps, given.profile)
+        with RecordingWriter(given.out, header) as writer:
+            typer.echo(f"recording {who.product} to {given.out}; Ctrl-C ends it", err=True)
+            end_ns = None if given.seconds is None else clock.monotonic_ns() + round(given.seconds * 1e9)
             try:
-                corrupt, ending = _copy_frames(sensor, writer, clock, end_ns, frames)
+                corrupt, ending = _copy_frames(sensor, writer, clock, end_ns, given.frames)
             except GelgateError:
-                typer.echo(f"{out}: {len(writer)} frames were recorded and are kept", err=True)
+                typer.echo(f"{given.out}: {len(writer)} frames were recorded and are kept", err=True)
                 raise
-            return f"{out}: {len(writer)} frames, {corrupt} corrupt ones left out{ending}"
+            return f"{given.out}: {len(writer)} frames, {corrupt} corrupt ones left out{ending}"
     finally:
         sensor.close()
 

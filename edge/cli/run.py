@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from edge.cli.station_options import CONFIG, ConfigOption
+from edge.cli.options import CONFIG, ConfigOption
 
 if TYPE_CHECKING:
     from edge.gateway.recorder import PressReport

@@ -6,8 +6,7 @@ from importlib.metadata import version
 from edge.config import Config
 from edge.core.sink_context import Place, topic_root
 from edge.gateway.command_table import COMMANDS
-from edge.messaging.descriptions.sparkplug_node import SparkplugNode
-from edge.messaging.descriptions.station import DescribedStation, ServedCommand
+from edge.messaging.descriptions.station import DescribedStation, ServedCommand, SparkplugNode
 
 __all__ = ["DescribedBroker", "broker_of", "described"]
 

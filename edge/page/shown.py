@@ -5,8 +5,7 @@ from collections import OrderedDict
 from typing import Any, Final
 
 from edge.core.ports import Message
-from edge.messaging.alarm_advice import ADVICE, STAYING
-from edge.messaging.alarm_payload import ALARMS
+from edge.messaging.alarm_payload import ADVICE, ALARMS, STAYING
 from edge.page.readable import readable
 from edge.store.ulid import is_ulid
 

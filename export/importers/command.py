@@ -1,5 +1,6 @@
 """`gelgate export detect` and `gelgate export import`: what a foreign file is, and a bundle of it."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -17,58 +18,75 @@ from calibration.fitting.options import (
     Settings,
     Threads,
 )
+from edge.cli.arguments import flatten, named_values
 
 if TYPE_CHECKING:
     from calibration.fitting.nominal_presses import NominalPresses
     from edge.core.imaging.region import Region
     from edge.core.imaging.sensor_profile import SensorProfile
-    from export.importers.api import ImportedBundle
 
-__all__ = ["detect", "import_"]
+__all__ = ["ImportArguments", "detect", "import_"]
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A file that a research program wrote.")]
-Sources = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="SOURCE...", help="Nominal presses that the model was not trained on, as for `fit`."
-    ),
-]
-Licence = Annotated[
-    str | None,
-    typer.Option(
-        "--licence",
-        help="The licence of model and weights, such as Apache-2.0, or 'own'.",
-        show_default=False,
-    ),
-]
 
-GivenTrunk = Annotated[
-    str | None,
-    typer.Option(
-        help="The trunk, for files without backbone weights: .onnx, or an installed one.", show_default=False
-    ),
-]
-TrainedRegion = Annotated[
-    str | None,
-    typer.Option(
-        help="'centre', 'full', or x,y,WIDTHxHEIGHT; default: what such a model is trained on.",
-        show_default=False,
-    ),
-]
-Rank = Annotated[
-    int | None,
-    typer.Option(min=1, help="Directions of PaDiM at most; default: all, exact.", show_default=False),
-]
-PackingText = Annotated[str, typer.Option(help="How the bank is stored: none, float16 or int8.")]
-ThresholdText = Annotated[
-    str, typer.Option(help="'presses': from the presses; 'model': the model's own; or a number.")
-]
-Channels = Annotated[
-    Path | None, typer.Option(help="PaDiM's channels, where the file lacks them.", show_default=False)
-]
-ImporterName = Annotated[
-    str | None, typer.Option(help="The importer, where several know the file.", show_default=False)
-]
+
+@dataclass(frozen=True)
+class ImportArguments:
+    """What the command line says."""
+
+    file: File
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SOURCE...", help="Nominal presses that the model was not trained on, as for `fit`."
+        ),
+    ]
+    output: Output
+    part: Part = None
+    position: Position = None
+    licence: Annotated[
+        str | None,
+        typer.Option(
+            "--licence",
+            help="The licence of model and weights, such as Apache-2.0, or 'own'.",
+            show_default=False,
+        ),
+    ] = None
+    backbone: Annotated[
+        str | None,
+        typer.Option(
+            help="The trunk, for files without backbone weights: .onnx, or an installed one.",
+            show_default=False,
+        ),
+    ] = None
+    profile: Profile = ""
+    region: Annotated[
+        str | None,
+        typer.Option(
+            help="'centre', 'full', or x,y,WIDTHxHEIGHT; default: what such a model is trained on.",
+            show_default=False,
+        ),
+    ] = None
+    rank: Annotated[
+        int | None,
+        typer.Option(min=1, help="Directions of PaDiM at most; default: all, exact.", show_default=False),
+    ] = None
+    packing: Annotated[str, typer.Option(help="How the bank is stored: none, float16 or int8.")] = "float16"
+    threshold: Annotated[
+        str, typer.Option(help="'presses': from the presses; 'model': the model's own; or a number.")
+    ] = "presses"
+    alpha: Alpha = 0.05
+    channels: Annotated[
+        Path | None, typer.Option(help="PaDiM's channels, where the file lacks them.", show_default=False)
+    ] = None
+    settings: Settings = None
+    no_contact: NoContact = None
+    resize: Resize = False
+    importer: Annotated[
+        str | None, typer.Option(help="The importer, where several know the file.", show_default=False)
+    ] = None
+    threads: Threads = 2
+    overwrite: Overwrite = False
 
 
 def detect(file: File) -> None:
@@ -88,70 +106,47 @@ def detect(file: File) -> None:
         typer.echo(f"  gelgate export import {file} SOURCE... -o BUNDLE --part NAME --licence NAME{needs}")
 
 
-def import_(
-    file: File,
-    sources: Sources,
-    output: Output,
-    part: Part = None,
-    position: Position = None,
-    licence: Licence = None,
-    backbone: GivenTrunk = None,
-    profile: Profile = "",
-    region: TrainedRegion = None,
-    rank: Rank = None,
-    packing: PackingText = "float16",
-    threshold: ThresholdText = "presses",
-    alpha: Alpha = 0.05,
-    channels: Channels = None,
-    settings: Settings = None,
-    no_contact: NoContact = None,
-    resize: Resize = False,
-    importer: ImporterName = None,
-    threads: Threads = 2,
-    overwrite: Overwrite = False,
-) -> None:
+@flatten
+def import_(given: ImportArguments) -> None:
     """Make a bundle of a detector that a research program trained.
 
     The threshold comes from nominal presses that the model has not seen, or from the model."""
     from calibration.fitting.command import chosen_profile, found_sources, nominal_presses, refuse_existing
     from calibration.progress import Stages
-    from edge.cli.named_values import named_values
     from export.importers.api import ImportOptions, import_detector
 
-    refuse_existing(output, overwrite)
-    sensor = chosen_profile(profile, sources)
-    found = found_sources(sources, part, position, sensor)
+    refuse_existing(given.output, given.overwrite)
+    sensor = chosen_profile(given.profile, given.sources)
+    found = found_sources(given.sources, given.part, given.position, sensor)
     options = ImportOptions(
         part=found.part,
-        licence=licence,
+        licence=given.licence,
         position=found.position,
-        backbone=backbone,
+        backbone=given.backbone,
         profile=sensor.name,
-        region=region,
-        rank=rank,
-        packing=packing,  # type: ignore[arg-type]  # ImportOptions checks it
-        threshold=_threshold(threshold),
-        alpha=alpha,
-        channels=channels,
-        values=named_values("--set", settings or []),
-        importer=importer,
-        threads=threads,
+        region=given.region,
+        rank=given.rank,
+        packing=given.packing,  # type: ignore[arg-type]  # ImportOptions checks it
+        threshold=_threshold(given.threshold),
+        alpha=given.alpha,
+        channels=given.channels,
+        values=named_values("--set", given.settings or []),
+        importer=given.importer,
+        threads=given.threads,
     )
 
     def read(profile: "SensorProfile", inspected: "Region") -> "NominalPresses":
-        return nominal_presses(found, profile, inspected, no_contact, resize)
+        return nominal_presses(found, profile, inspected, given.no_contact, given.resize)
 
     with Stages() as report:
-        made = import_detector(file, read, output, options, overwrite=overwrite, report=report)
-    _summary(made)
-    typer.echo(f"bundle {options.part}/{options.position} written to {output}")
-
-
-def _summary(made: "ImportedBundle") -> None:
+        made = import_detector(
+            given.file, read, given.output, options, overwrite=given.overwrite, report=report
+        )
     for warning in made.warnings:
         typer.echo(f"warning: {warning}", err=True)
     for line in (made.what.what, *made.model.says, made.losses.words(), made.isolation):
         typer.echo(line)
+    typer.echo(f"bundle {options.part}/{options.position} written to {given.output}")
 
 
 def _threshold(text: str) -> float | Literal["presses", "model"]:

@@ -23,12 +23,11 @@ from edge.core.errors import SinkError, SinkRejected
 from edge.core.plugins import SinkPlugin
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from edge.messaging.descriptions.sparkplug_node import SparkplugNode
+from edge.messaging.descriptions.station import SparkplugNode
 from edge.messaging.mqtt_broker import Broker, Outgoing, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt_options import BrokerOptions, TopicLevel
-from plugins.sinks.sparkplug_metrics import initial_metrics, metrics_of
-from plugins.sinks.sparkplug_payload import DataType, Metric, decode, encode
+from plugins.sinks.sparkplug_metrics import DataType, Metric, decode, encode, initial_metrics, metrics_of
 
 __all__ = ["Sparkplug", "SparkplugOptions", "SparkplugSink", "plugin"]
 

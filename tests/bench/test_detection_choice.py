@@ -32,7 +32,7 @@ from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.trunks import DEFAULT_BACKBONE, OTHER_BACKBONES, open_trunk
 from calibration.metrics import aupro, auroc
 from edge import registry
-from edge.cli.named_values import named_values
+from edge.cli.arguments import named_values
 from edge.core.errors import PoseNotFound
 from edge.core.imaging.region import Region
 from edge.model.scorer import Scorer

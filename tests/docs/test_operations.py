@@ -3,8 +3,7 @@
 import re
 from pathlib import Path
 
-from edge.messaging.alarm_advice import ADVICE
-from edge.messaging.alarm_payload import ALARMS
+from edge.messaging.alarm_payload import ADVICE, ALARMS
 from edge.store.acts import KEPT_ACTS, KEPT_REFUSALS
 from edge.store.database import JOURNAL_LIMIT_BYTES
 from edge.store.press_history import KEPT_PRESSES

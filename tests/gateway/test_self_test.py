@@ -15,8 +15,7 @@ from edge.core.press import Press
 from edge.core.verdict import decide
 from edge.features.outputs.stage import Outputs
 from edge.gateway.command_table import COMMANDS, Command
-from edge.messaging.alarm_advice import STAYING
-from edge.messaging.alarm_payload import ALARMS
+from edge.messaging.alarm_payload import ALARMS, STAYING
 from edge.store.outbox import OutboxStatus
 
 PEDAL = '\n[[triggers]]\nplugin = "virtual_hid"\naction = "acknowledge"\n'

@@ -18,7 +18,7 @@ from edge.config import Config, load_config
 from edge.gateway.gateway import Gateway
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.store.outbox import Outbox
-from plugins.sinks.sparkplug_payload import decode
+from plugins.sinks.sparkplug_metrics import decode
 
 SPARKPLUG = MQTT.replace('"mqtt"', '"sparkplug"')
 

@@ -8,8 +8,7 @@ import pytest
 from edge.core.errors import SinkRejected
 from edge.messaging.descriptions.access_rules import access_rules
 from edge.messaging.descriptions.home_assistant import discovery_topic
-from edge.messaging.descriptions.sparkplug_node import SparkplugNode
-from edge.messaging.descriptions.station import DescribedStation
+from edge.messaging.descriptions.station import DescribedStation, SparkplugNode
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Outgoing, Received
 from edge.messaging.mqtt_connection import Connection

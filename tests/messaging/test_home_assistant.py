@@ -154,3 +154,11 @@ def test_the_sink_announces_the_station_where_it_is_asked_to(
 
     assert [message.topic for message in late.heard] == [discovery_topic(STATION, "ha")]
     assert json.loads(late.heard[0].payload) == DEVICE
+
+
+@pytest.mark.parametrize(
+    ("component", "words"), [("verdict", Kind), ("cause", Cause), ("gel_state", GelState)]
+)
+def test_every_word_that_a_station_says_is_known(component: str, words: Any) -> None:
+    """Home Assistant takes no other value of an enumeration."""
+    assert {word.value for word in words} <= {*DEVICE["components"][component]["options"]}

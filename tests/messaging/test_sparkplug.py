@@ -28,8 +28,15 @@ from edge.messaging.status_payloads import (
 from edge.messaging.topics import TOPICS
 from edge.store.gel_ledger import GelRecord
 from plugins.sinks.sparkplug import SparkplugOptions, SparkplugSink, plugin
-from plugins.sinks.sparkplug_metrics import _FIELDS, initial_metrics, metrics_of
-from plugins.sinks.sparkplug_payload import DataType, Metric, decode, encode
+from plugins.sinks.sparkplug_metrics import (
+    _FIELDS,
+    DataType,
+    Metric,
+    decode,
+    encode,
+    initial_metrics,
+    metrics_of,
+)
 
 from .conftest import PATIENCE_S, ROOT, Listener
 

@@ -11,8 +11,7 @@ from page_messages import PICTURE, T0_NS, gel, info, press, state, stats
 from edge.core.gel import GelState
 from edge.core.gel_scars.causes import Cause
 from edge.core.verdict import Kind
-from edge.messaging.alarm_advice import ADVICE
-from edge.messaging.alarm_payload import AlarmPayload, alarm_message
+from edge.messaging.alarm_payload import ADVICE, AlarmPayload, alarm_message
 from edge.messaging.result_payload import PressAgainPart
 from plugins.sinks.page import PageSink
 

@@ -18,8 +18,7 @@ from edge.core.errors import ConfigError, SinkRejected
 from edge.core.gel import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from edge.messaging.alarm_advice import ADVICE
-from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.alarm_payload import ADVICE, AlarmPayload, alarm_cleared, alarm_message
 from edge.page.http_server import MOST_OF_ONE, REQUEST_S, HttpHandler, HttpServer
 from edge.page.shown import MOST_PICTURES, MOST_PRESSES
 from edge.pictures import png

@@ -26,7 +26,7 @@ from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_broker import Broker
 from edge.pictures import png
 from edge.store.outbox import Outbox
-from plugins.sinks.sparkplug_payload import DataType, Metric, encode
+from plugins.sinks.sparkplug_metrics import DataType, Metric, encode
 
 pytestmark = pytest.mark.subscribers
 

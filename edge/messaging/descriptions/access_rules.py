@@ -4,8 +4,7 @@ Ref: mosquitto.conf(5), acl_file.
 """
 
 from edge.messaging.descriptions.home_assistant import discovery_topic
-from edge.messaging.descriptions.sparkplug_node import PUBLISHED, REQUESTED, SparkplugNode
-from edge.messaging.descriptions.station import DescribedStation
+from edge.messaging.descriptions.station import PUBLISHED, REQUESTED, DescribedStation, SparkplugNode
 from edge.messaging.topics import TOPICS
 
 __all__ = ["access_rules"]

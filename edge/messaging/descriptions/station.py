@@ -1,13 +1,21 @@
-"""What the descriptions of a station need to know of it."""
+"""What the descriptions of a station need to know of it, and the names of its Sparkplug B edge node."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from importlib.metadata import version
-from typing import Self
+from typing import Any, Final, Self
 
 from edge.messaging.command_payloads import CommandArguments
 
-__all__ = ["DescribedStation", "ServedCommand"]
+__all__ = ["PUBLISHED", "REQUESTED", "DescribedStation", "ServedCommand", "SparkplugNode", "read_template"]
+
+PUBLISHED: Final = ("NBIRTH", "NDATA", "NDEATH")
+"""What a Sparkplug node without devices publishes. Ref: Eclipse Sparkplug 3.0.0, 4.1 (topic namespace)."""
+
+REQUESTED: Final = "NCMD"
+"""What it is asked with."""
 
 
 @dataclass(frozen=True)
@@ -38,3 +46,38 @@ class DescribedStation:
     def id(self) -> str:
         """Letters, digits, `-` and `_` alone; two stations of a plant have different ones."""
         return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in self.root)
+
+
+@dataclass(frozen=True)
+class SparkplugNode:
+    """group, name: the ids of group and edge node; both are one level of a topic."""
+
+    group: str
+    name: str
+
+    @classmethod
+    def of(cls, root: str, group: str | None = None, node: str | None = None) -> Self:
+        """Name the node; by default the site is the group, `<line>-<station>` the node. root: of the topics."""
+        _, site, line, station = root.split("/")[:4]
+        return cls(group or site, node or f"{line}-{station}")
+
+    def topic(self, verb: str) -> str:
+        """Give the topic of one of its messages."""
+        return f"spBv1.0/{self.group}/{verb}/{self.name}"
+
+    def __str__(self) -> str:
+        return f"{self.group}/{self.name}"
+
+
+def read_template(name: str, fill: Callable[[str], str]) -> Any:
+    """Read a JSON file of this folder, with each of its texts filled in."""
+
+    def walk(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: walk(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [walk(item) for item in value]
+        return fill(value) if isinstance(value, str) else value
+
+    text = resources.files("edge.messaging.descriptions").joinpath(name).read_text(encoding="utf-8")
+    return walk(json.loads(text))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from edge.cli.named_values import named_values
+from edge.cli.arguments import named_values
 from edge.core.errors import ConfigError
 
 

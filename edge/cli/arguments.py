@@ -1,0 +1,62 @@
+"""Reads a verb's options as one value, and `NAME=VALUE`, the same for every option that takes it."""
+
+import inspect
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import MISSING, fields
+from datetime import date, time
+from typing import Any, get_type_hints
+
+from edge.core.errors import ConfigError
+
+__all__ = ["flatten", "named_values"]
+
+
+def flatten(verb: Callable[[Any], None]) -> Callable[..., None]:
+    """Make the verb that typer reads from one that takes its options as one dataclass.
+
+    Each field is `Annotated` with its argument or option, and becomes a parameter; the order is that of the help.
+    """
+    ((_, model),) = ((name, hint) for name, hint in get_type_hints(verb).items() if name != "return")
+    hints = get_type_hints(model, include_extras=True)
+
+    def call(**given: Any) -> None:
+        verb(model(**given))
+
+    parameters = [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if field.default is MISSING else field.default,
+            annotation=hints[field.name],
+        )
+        for field in fields(model)
+    ]
+    call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what inspect and typer read
+    call.__annotations__ = hints
+    call.__doc__, call.__name__ = verb.__doc__, verb.__name__
+    return call
+
+
+def named_values(option: str, given: Sequence[str]) -> dict[str, object]:
+    """The values of texts such as `pace=0`, `rank=[1, 2]` or `faults=["drop@3"]`; the last value of a name counts.
+
+    A value is a number, a boolean, a quoted text or a list in TOML syntax, otherwise plain text.
+    Errors: ConfigError for a text without a name or without `=`.
+    """
+    values: dict[str, object] = {}
+    for one in given:
+        name, sign, text = one.partition("=")
+        if not (name.strip().isidentifier() and sign):
+            raise ConfigError(f"'{option} {one}' is not understood; write {option} name=value")
+        values[name.strip()] = _value(text)
+    return values
+
+
+def _value(text: str) -> object:
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+    # No option takes a date, and a serial number may look like one.
+    return text if isinstance(value, date | time) else value
