@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
-from edge.core.contact.reach import expected_reach
+from edge.core.contact.reach import find_expected_reach
 from edge.core.errors import FrameCorrupt, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
@@ -46,7 +46,7 @@ class Inspector:
         colours = self.bundle.manifest.colours
         self._colours = colours.nominal() if colours else None
         self._nominal = _nominal_contact(self.bundle.manifest.contact, self.bundle.profile.size)
-        self.expected = expected_reach(
+        self.expected = find_expected_reach(
             [one.rgb for one in self.bundle.golden if one.score <= self.bundle.manifest.threshold.value],
             self.bundle.free_view,
             self.bundle.bank.get(USUAL_CONTACT),

@@ -105,7 +105,7 @@ class Findings:
 
     @property
     def imprint(self) -> View:
-        """What the press adds to the free gel, levels, float32 (h, w, 3)."""
+        """Return what the press adds to the free gel, levels, float32 (h, w, 3)."""
         return np.asarray(self.level - self.free, np.float32)
 
 

@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 
 from edge.core.contact.reference import View
 
-__all__ = ["Touch", "changed_share", "is_black", "mask_beyond", "squared_distance", "touched", "touched_mask"]
+__all__ = [
+    "Touch",
+    "measure_change",
+    "is_black",
+    "mask_beyond",
+    "squared_distance",
+    "touched",
+    "touched_mask",
+]
 
 # Colour distance in levels, Euclidean over RGB. gs_sdk, GelSLAM and NormalFlow use 15; noise stays below 6.
 TOUCH_LEVELS = 15.0
@@ -75,7 +83,7 @@ def touched(mask: NDArray[np.bool_]) -> Touch:
     )
 
 
-def changed_share(view: View, earlier: View) -> float:
+def measure_change(view: View, earlier: View) -> float:
     """The share of pixels where any channel differs by more than the noise does."""
     bound = (CHANGE_LEVELS, CHANGE_LEVELS, CHANGE_LEVELS, CHANGE_LEVELS)
     same = cv2.inRange(cv2.absdiff(view, earlier), (0.0, 0.0, 0.0, 0.0), bound)

@@ -14,7 +14,7 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region
 
-__all__ = ["expected_reach", "reach"]
+__all__ = ["find_expected_reach", "reach"]
 
 U8 = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
@@ -29,7 +29,7 @@ _EXPECTED_SHARE: Final = 0.5
 
 
 def reach(touched: Mask, relief: Relief) -> Mask:
-    """Where the part touches the gel or bends it, bool (h, w) of the view.
+    """Find where the part touches the gel or bends it, bool (h, w) of the view.
 
     A burr beside the part shows relief there. A speck on the gel that nothing presses is much fainter.
     """
@@ -39,14 +39,14 @@ def reach(touched: Mask, relief: Relief) -> Mask:
     return np.asarray(np.maximum(cv2.dilate(touched.astype(np.uint8), _AROUND), bent) > 0)
 
 
-def expected_reach(
+def find_expected_reach(
     presses: Sequence[U8],
     free: U8 | None,
     usual: NDArray[np.float32] | None,
     region: Region,
     size: tuple[int, int],
 ) -> Mask | None:
-    """Where nominal presses reach, bool (h, w) of the region; None where nothing is known of them.
+    """Find where nominal presses reach, bool (h, w) of the region; None where nothing is known of them.
 
     presses: nominal ones, uint8 (h, w, 3) of the region in a picture of `size` (width, height). free: the view of the
     free gel, uint8 (120, 160, 3). usual: the mean contact of nominal presses over the region, in cells. Either may be
@@ -55,7 +55,7 @@ def expected_reach(
     expected = np.zeros((region.height, region.width), bool)
     if usual is not None:
         cells = (usual >= _EXPECTED_SHARE * usual.max()).astype(np.uint8)
-        expected |= _resized(cells, expected.shape) > 0
+        expected |= _resize(cells, expected.shape) > 0
     if free is not None and presses:
         small = (
             max(4, round(region.height * VIEW_SIZE[1] / size[1])),
@@ -67,7 +67,7 @@ def expected_reach(
         for press in presses:
             added = gel.difference(_view(press, small))
             found = reach(touched_mask(added), structure.of(added, ContactSettings.light_levels))
-            expected |= _resized(found.astype(np.uint8), expected.shape) > 0
+            expected |= _resize(found.astype(np.uint8), expected.shape) > 0
     return expected if expected.any() else None
 
 
@@ -78,5 +78,5 @@ def _view(rgb: U8, shape: tuple[int, int]) -> NDArray[np.float32]:
     )
 
 
-def _resized(mask: U8, shape: tuple[int, ...]) -> U8:
+def _resize(mask: U8, shape: tuple[int, ...]) -> U8:
     return np.asarray(cv2.resize(mask, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST), np.uint8)

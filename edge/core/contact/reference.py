@@ -71,7 +71,7 @@ class Reference:
         """The view at this reference's level minus the reference: signed float32 (h, w, 3), levels."""
         return fit_levels(view, self.view).applied(view) - self.view
 
-    def refreshed(self, view: View, weight: float, timestamp_ns: int) -> "Reference":
+    def refresh(self, view: View, weight: float, timestamp_ns: int) -> "Reference":
         """A new reference, moved towards a fresh mean view by `weight` (0 to 1)."""
         if not 0 <= weight <= 1:
             raise ValueError(f"the weight of a refresh lies in [0, 1], found {weight}")
@@ -85,7 +85,7 @@ def fit_levels(view: View, reference: View) -> Levels:
     Trimmed least squares: each round drops the pixels whose residual, over all channels, is beyond 2.5 robust
     standard deviations. view, reference: float32 (h, w, 3).
     """
-    x, y = _sampled(view), _sampled(reference)
+    x, y = _sample(view), _sample(reference)
     residual = min((_residual(x, y, *start) for start in _starts(x, y)), key=_typical)
     kept = residual <= _KEEP_SIGMAS * max(_MAD_TO_SIGMA * _typical(residual), _NOISE_FLOOR)
     moments = np.concatenate([x, y, x * x, x * y])
@@ -101,7 +101,7 @@ def fit_levels(view: View, reference: View) -> Levels:
     return Levels(gain[:, 0].astype(np.float32), offset[:, 0].astype(np.float32))
 
 
-def _sampled(view: View) -> _Pixels:
+def _sample(view: View) -> _Pixels:
     """Some of the pixels: float64 (3, n), a channel in one piece so that sums over it are fast."""
     return np.ascontiguousarray(view[::_STRIDE, ::_STRIDE].reshape(-1, 3).T, dtype=np.float64)
 

@@ -31,7 +31,7 @@ Energy = NDArray[np.float32]
 
 
 def fine_structure(view: View) -> View:
-    """What varies within about a millimetre: float32 (h / 2, w / 2, 3), signed levels."""
+    """Return what varies within about a millimetre: float32 (h / 2, w / 2, 3), signed levels."""
     height, width = view.shape[:2]
     half = cv2.resize(view, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     return np.asarray(half - cv2.blur(half, (_BAND_PX, _BAND_PX)), np.float32)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from edge.core.contact.mask import Touch
 from edge.core.contact.settings import ContactSettings
 
-__all__ = ["Observation", "Window", "changed_too_much"]
+__all__ = ["Observation", "Window", "is_moving"]
 
 # Frames come slightly early or late; one that is due after `settle_s` still counts when it is this much early.
 _EARLY_SHARE = 0.05
@@ -57,8 +57,8 @@ class Observation:
         return self.strength, self.texture
 
 
-def changed_too_much(seen: Observation, settings: ContactSettings) -> bool:
-    """Without a reference a contact's worth of change is motion; with one, a share of what is touched."""
+def is_moving(seen: Observation, settings: ContactSettings) -> bool:
+    """Tell whether the view moves: a contact's worth of change without a reference, else a share of what is touched."""
     if seen.touch is None:
         return seen.change > settings.on_area
     return seen.change > settings.still_share * max(seen.area, seen.relief, settings.on_area)
@@ -75,12 +75,12 @@ class Window:
     deepest: tuple[float, float] = (0.0, 0.0)
 
     def anchor(self, now_ns: int, settings: ContactSettings) -> Observation | None:
-        """The newest frame that is `settle_s` old, if the press lasts so long."""
+        """Return the newest frame that is `settle_s` old, if the press lasts so long."""
         latest_ns = now_ns - round(settings.settle_s * (1 - _EARLY_SHARE) * 1e9)
         return next((frame for frame in reversed(self.frames) if frame.timestamp_ns <= latest_ns), None)
 
     def after(self, seen: Observation, settings: ContactSettings) -> "Window":
-        """With one more frame, and without those that are too old."""
+        """Add a frame, and leave out those that are too old."""
         anchor = self.anchor(seen.timestamp_ns, settings)
         first_ns = 0 if anchor is None else anchor.timestamp_ns
         old = [frame for frame in self.frames if frame.timestamp_ns < first_ns]
@@ -88,7 +88,7 @@ class Window:
         return Window((*new, seen), _largest([self.deepest, *(frame.depths for frame in old)]))
 
     def is_growing(self, settings: ContactSettings) -> bool:
-        """Whether the newest frames are deeper than all before them; true as well while there are none before."""
+        """Tell whether the newest frames are deeper than all before them; true as well while there are none before."""
         anchor = self.anchor(self.frames[-1].timestamp_ns, settings)
         if anchor is None:
             return True
@@ -97,17 +97,17 @@ class Window:
         return any(n > b * (1 + settings.growth_share) + _NOISE for n, b in zip(now, before, strict=True))
 
     def is_at_rest(self, settings: ContactSettings) -> bool:
-        """The newest frame against the anchor: hardly changed, no deeper, and not being lifted."""
+        """Compare the newest frame with the anchor: hardly changed, no deeper, and not being lifted."""
         if not self.frames:
             return False
         seen = self.frames[-1]
         anchor = self.anchor(seen.timestamp_ns, settings)
-        if anchor is None or changed_too_much(seen, settings) or self.is_growing(settings):
+        if anchor is None or is_moving(seen, settings) or self.is_growing(settings):
             return False
         return seen.depth >= anchor.depth * (1 - settings.growth_share) - _NOISE
 
-    def chosen(self, since_ns: int) -> Observation:
-        """The deepest frame at rest since then; of those as deep, the one that moved least, the later of equals."""
+    def choose(self, since_ns: int) -> Observation:
+        """Choose the deepest frame at rest since then; of those as deep, the one that moved least, the later of equals."""
         frames = [frame for frame in self.frames if frame.timestamp_ns >= since_ns] or [self.frames[-1]]
         depth = max(frame.depth for frame in frames)
         deep = [frame for frame in frames if frame.depth >= depth * (1 - _DEEPEST_SHARE)]

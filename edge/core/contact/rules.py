@@ -24,7 +24,7 @@ from edge.core.contact.events import (
     TriggerWithoutContact,
 )
 from edge.core.contact.mask import Touch
-from edge.core.contact.rest import Observation, Window, changed_too_much
+from edge.core.contact.rest import Observation, Window, is_moving
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.signals import ADDS_STRUCTURE, RESIDUE_SHARE, level_of, signal_of
 from edge.core.contact.table import TABLE, Signal, State
@@ -34,13 +34,13 @@ __all__ = ["gap", "relearn", "step", "trigger"]
 
 
 def step(track: Track, seen: Observation, settings: ContactSettings) -> tuple[Track, tuple[Event, ...]]:
-    """One frame. Errors: ValueError for a timestamp that does not rise: no frame is processed twice."""
+    """Take one frame. Errors: ValueError for a timestamp that does not rise: no frame is processed twice."""
     if track.last_ns is not None and seen.timestamp_ns <= track.last_ns:
         raise ValueError(f"timestamps rise, found {seen.timestamp_ns} after {track.last_ns}")
     track = _resumed(replace(track, last_ns=seen.timestamp_ns), seen, settings)
     if seen.is_black or seen.timestamp_ns < track.blind_until_ns:
         return replace(track, state=TABLE[track.state, Signal.BLIND]), ()
-    track = _measured(_update_rest(track, seen, settings), seen)
+    track = _measure(_update_rest(track, seen, settings), seen)
     track = _watched(track, seen, settings)
     return _transition(track, signal_of(track, seen, settings), seen, settings)
 
@@ -92,7 +92,7 @@ def _update_rest(track: Track, seen: Observation, settings: ContactSettings) -> 
     """Keep the run of still frames that a reference may be learnt from."""
     if track.state not in LEARNING:
         return track
-    if track.still_frames == 0 or changed_too_much(seen, settings):
+    if track.still_frames == 0 or is_moving(seen, settings):
         return replace(track, still_ns=seen.timestamp_ns, still_frames=1)
     return replace(track, still_frames=track.still_frames + 1)
 
@@ -108,7 +108,7 @@ def _watched(track: Track, seen: Observation, settings: ContactSettings) -> Trac
     return replace(track, window=window, grown_ns=grown_ns)
 
 
-def _measured(track: Track, seen: Observation) -> Track:
+def _measure(track: Track, seen: Observation) -> Track:
     """The press's largest area and relief, and the last one's residue, which only shrinks."""
     if track.state in PRESSED:
         strength_peak = max(track.strength_peak, seen.strength)
@@ -214,7 +214,7 @@ def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -
         case State.APPROACH, State.SETTLING:
             return (PressBegan(now, sequence),)
         case State.SETTLING, State.CONTACT if signal is Signal.STILL:
-            chosen = track.window.chosen(track.wanted_ns)
+            chosen = track.window.choose(track.wanted_ns)
             touch = chosen.place or chosen.touch or Touch(0.0)
             return (PressSettled(now, chosen.sequence, began, touch, chosen.strength),)
         case State.SETTLING, State.CONTACT:

@@ -43,7 +43,7 @@ def level_of(track: Track, seen: Observation, settings: ContactSettings) -> Sign
 
 
 def _stands_out(track: Track, seen: Observation, settings: ContactSettings) -> bool:
-    """Whether something presses over a residue, which may be as wide as the press."""
+    """Tell whether something presses over a residue, which may be as wide as the press."""
     return seen.area >= settings.on_area and seen.strength >= _NEW_PRESS_TIMES * track.strength_residue > 0
 
 
@@ -81,7 +81,7 @@ def signal_of(track: Track, seen: Observation, settings: ContactSettings) -> Sig
 
 
 def _has_held(track: Track, level: Signal, seen: Observation, settings: ContactSettings) -> bool:
-    """Whether the state's own condition has held for its time."""
+    """Tell whether the state's own condition has held for its time."""
     condition = {
         State.APPROACH: (Signal.TOUCH, settings.onset_s, settings.min_frames),
         State.EARLY_RELEASE: (Signal.CLEAR, settings.release_s, settings.min_frames),
@@ -128,12 +128,12 @@ def _doubting_signal(track: Track, seen: Observation, settings: ContactSettings)
 
 
 def _is_inverse(track: Track, seen: Observation) -> bool:
-    """Whether the view has lost what the reference shows, as when a part is lifted that was taken for the free gel."""
+    """Tell whether the view lost what the reference shows, as when a part is lifted that was taken for the free gel."""
     return not track.is_confirmed and seen.imprint <= _CLEARLY_INVERSE
 
 
 def _is_doubtful(track: Track, seen: Observation, settings: ContactSettings) -> bool:
-    """The same for a press that has its verdict, and for a first one that never ends and adds no structure."""
+    """Doubt also a press that has its verdict, and a first one that never ends and adds no structure."""
     is_stuck = not track.is_cycled and seconds(seen.timestamp_ns, track.began_ns) >= settings.stuck_s
     adds_none = not track.is_confirmed and seen.imprint < ADDS_STRUCTURE
     return _is_inverse(track, seen) or (is_stuck and adds_none)

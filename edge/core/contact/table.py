@@ -38,7 +38,7 @@ class Signal(StrEnum):
 
 
 def _row(state: State, **moves: State) -> dict[tuple[State, Signal], State]:
-    """One row of the table: a signal that is not named leaves the state as it is."""
+    """Make one row of the table: a signal that is not named leaves the state as it is."""
     return {(state, signal): moves.get(signal.name, state) for signal in Signal}
 
 
@@ -93,12 +93,12 @@ TABLE: dict[tuple[State, Signal], State] = {
 
 
 def table_markdown() -> str:
-    """The table as Markdown, one row per state; a dot means: stay. docs/contact.md shows it."""
+    """Print the table as Markdown, one row per state; a dot means: stay. docs/contact.md shows it."""
     heads = "| state | " + " | ".join(Signal) + " |"
     rule = "|---|" + "---|" * len(Signal)
-    return "\n".join([heads, rule, *(_printed(state) for state in State)]) + "\n"
+    return "\n".join([heads, rule, *(_print(state) for state in State)]) + "\n"
 
 
-def _printed(state: State) -> str:
+def _print(state: State) -> str:
     targets = (TABLE[state, signal] for signal in Signal)
     return f"| **{state}** | " + " | ".join("·" if to is state else to for to in targets) + " |"

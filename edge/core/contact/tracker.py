@@ -10,7 +10,7 @@ from edge.core.contact import rules as contact
 from edge.core.contact.events import Event, Findings, PressSettled, ReferenceCorrected, ReferenceRefreshed
 from edge.core.contact.mask import (
     Touch,
-    changed_share,
+    measure_change,
     is_black,
     mask_beyond,
     squared_distance,
@@ -146,10 +146,10 @@ class ContactTracker:
         return not idle or last_ns is None or timestamp_ns - last_ns >= self.settings.idle_interval_s * 1e9
 
     def feed(self, view: View, timestamp_ns: int, sequence: int) -> list[Event]:
-        """One view: float32 (h, w, 3), 0 to 255. Errors: ValueError for another shape or a time that does not rise."""
+        """Take one view: float32 (h, w, 3), 0 to 255. Errors: ValueError for another shape or a time that does not rise."""
         if view.dtype != np.float32 or view.ndim != 3 or view.shape[2] != 3:
             raise ValueError(f"a view is float32 (h, w, 3), found {view.dtype} {view.shape}")
-        seen, level = self._observed(view, timestamp_ns, sequence)
+        seen, level = self._observe(view, timestamp_ns, sequence)
         before = self.state
         self._recent[sequence] = _Seen(level, self._mask, self._relief)
         self._track, stepped = contact.step(self._track, seen, self.settings)
@@ -190,7 +190,7 @@ class ContactTracker:
         self._free.clear()
         return list(events)
 
-    def _observed(self, view: View, timestamp_ns: int, sequence: int) -> tuple[Observation, View]:
+    def _observe(self, view: View, timestamp_ns: int, sequence: int) -> tuple[Observation, View]:
         """The view in numbers, and at the reference's level; the view itself while there is no reference."""
         if self._reference is None or self._structure is None:
             return self._unreferred(view, timestamp_ns, sequence), view
@@ -221,7 +221,7 @@ class ContactTracker:
         ), level
 
     def _findings(self, settled: PressSettled) -> Findings | None:
-        """None only without a reference, against which no press settles."""
+        """Return None only without a reference, against which no press settles."""
         seen, reference = self._recent[settled.sequence], self._reference
         if seen.mask is None or seen.relief is None or reference is None:
             return None
@@ -249,18 +249,18 @@ class ContactTracker:
     def _change(self, level: View, timestamp_ns: int) -> float:
         """Against the view at rest while learning, and `settle_s` ago during a press; 1 where that is not known."""
         if self.state in LEARNING:
-            return 1.0 if self._rest is None else changed_share(level, self._rest)
+            return 1.0 if self._rest is None else measure_change(level, self._rest)
         anchor = self._track.window.anchor(timestamp_ns, self.settings)
-        return 1.0 if anchor is None else changed_share(level, self._recent[anchor.sequence].level)
+        return 1.0 if anchor is None else measure_change(level, self._recent[anchor.sequence].level)
 
     def _motion(self, level: View) -> float:
         """Against the view before; computed only during a press."""
         if self.state not in WATCHED or self._last is None:
             return 1.0
-        return changed_share(level, self._last)
+        return measure_change(level, self._last)
 
     def _imprint(self, view: View) -> float:
-        """Whether the view shows more or less structure than the reference; 0 where nothing is in doubt."""
+        """Measure whether the view shows more or less structure than the reference; 0 where nothing is in doubt."""
         is_asked = self.state is State.BASELINE or self.state in PRESSED or self.state in WATCHED
         if self._track.is_confirmed or not is_asked or self._relief is None or self._mask is None:
             return 0.0
@@ -269,7 +269,7 @@ class ContactTracker:
         return self._relief.gain(self._mask)
 
     def _agrees_with_witness(self, view: View) -> bool:
-        """Whether an area that looks touched is the free gel of the bundle."""
+        """Tell whether an area that looks touched is the free gel of the bundle."""
         if (
             self._witness is None
             or self._is_lent
@@ -299,9 +299,9 @@ class ContactTracker:
                 self._refer_to(Reference(self._baseline.view(), self._baseline.frames, timestamp_ns))
                 self._is_lent = False
                 self._baseline.clear()
-        return self._refreshed(view, timestamp_ns)
+        return self._refresh(view, timestamp_ns)
 
-    def _refreshed(self, view: View, timestamp_ns: int) -> list[Event]:
+    def _refresh(self, view: View, timestamp_ns: int) -> list[Event]:
         """Follow the free gel, and only it: no press, no residue, and the recovery time over."""
         is_free = self.state is State.NO_CONTACT and self._touch is not None and not is_black(view)
         if (
@@ -317,12 +317,12 @@ class ContactTracker:
         if timestamp_ns - self._free.since_ns < self.settings.refresh_s * 1e9:
             return []
         old = self._reference
-        new = old.refreshed(self._free.view(), self.settings.refresh_weight, timestamp_ns)
+        new = old.refresh(self._free.view(), self.settings.refresh_weight, timestamp_ns)
         self._refer_to(new)
         self._free.clear()
         return [ReferenceRefreshed(timestamp_ns, float(np.abs(new.view - old.view).mean()))]
 
 
 def _is_pressed(touch: Touch, imprint: float) -> bool:
-    """Whether the difference to a lent picture is a part's: it adds structure, and not all over."""
+    """Tell whether the difference to a lent picture is a part's: it adds structure, and not all over."""
     return touch.area < _LENT_AREA and imprint >= ADDS_STRUCTURE

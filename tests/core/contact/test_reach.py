@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import touched_mask
-from edge.core.contact.reach import expected_reach, reach
+from edge.core.contact.reach import find_expected_reach, reach
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.relief import ReliefOfReference
 from edge.core.imaging.region import Region
@@ -50,7 +50,7 @@ def test_nominal_presses_show_where_relief_is_expected() -> None:
     view = pressed(PART, ((130, 134), (20, 24), 40.0))
     picture = np.clip(cv2.resize(view, (320, 240)), 0, 255).astype(np.uint8)
     region = Region.centre((320, 240))
-    expected = expected_reach(
+    expected = find_expected_reach(
         [np.ascontiguousarray(region.crop(picture))], GEL.astype(np.uint8), None, region, (320, 240)
     )
 
@@ -65,9 +65,9 @@ def test_the_usual_contact_shows_it_too() -> None:
     usual = np.zeros((4, 4), np.float32)
     usual[1, 2], usual[3, 3] = 1.0, 0.3
     region = Region(0, 0, 8, 8)
-    expected = expected_reach([], None, usual, region, (8, 8))
+    expected = find_expected_reach([], None, usual, region, (8, 8))
 
     assert expected is not None
     assert np.argwhere(expected).min(axis=0).tolist() == [2, 4]
     assert np.count_nonzero(expected) == 4
-    assert expected_reach([], None, None, region, (8, 8)) is None
+    assert find_expected_reach([], None, None, region, (8, 8)) is None

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from edge.core.contact.mask import Touch, changed_share, is_black, touched, touched_mask
+from edge.core.contact.mask import Touch, measure_change, is_black, touched, touched_mask
 from edge.core.contact.reference import Levels, Reference, View, fit_levels
 
 
@@ -118,8 +118,8 @@ def test_differences_are_signed() -> None:
     """0 against 255 is -255, not 1 as uint8 would have it; darker and brighter are both contact."""
     low, high = np.zeros((120, 160, 3), np.float32), np.full((120, 160, 3), 255, np.float32)
     assert (low - high == -255).all()
-    assert changed_share(low, high) == 1.0
-    assert changed_share(high, low) == 1.0
+    assert measure_change(low, high) == 1.0
+    assert measure_change(high, low) == 1.0
     for sign in (-40.0, 40.0):
         difference = np.zeros((120, 160, 3), np.float32)
         difference[40:80, 60:100, 1] = sign
@@ -160,11 +160,11 @@ def test_the_centroid_is_where_the_part_is() -> None:
 def test_a_refresh_moves_part_of_the_way() -> None:
     """By its weight, and by nothing outside 0 to 1."""
     old = Reference(np.zeros((2, 2, 3), np.float32), 5, 0)
-    new = old.refreshed(np.full((2, 2, 3), 10, np.float32), 0.3, 7)
+    new = old.refresh(np.full((2, 2, 3), 10, np.float32), 0.3, 7)
     assert new.view == pytest.approx(np.full((2, 2, 3), 3.0))
     assert new.learnt_ns == 7
     with pytest.raises(ValueError, match="weight"):
-        old.refreshed(old.view, 1.5, 8)
+        old.refresh(old.view, 1.5, 8)
 
 
 def test_black_is_told_from_dim() -> None:
