@@ -10,9 +10,9 @@ from edge.core.contact.reference import View
 
 __all__ = [
     "Touch",
-    "measure_change",
     "is_black",
     "mask_beyond",
+    "measure_change",
     "squared_distance",
     "touched",
     "touched_mask",

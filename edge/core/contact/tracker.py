@@ -10,9 +10,9 @@ from edge.core.contact import rules as contact
 from edge.core.contact.events import Event, Findings, PressSettled, ReferenceCorrected, ReferenceRefreshed
 from edge.core.contact.mask import (
     Touch,
-    measure_change,
     is_black,
     mask_beyond,
+    measure_change,
     squared_distance,
     touched,
     touched_mask,

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from edge.core.contact.mask import Touch, measure_change, is_black, touched, touched_mask
+from edge.core.contact.mask import Touch, is_black, measure_change, touched, touched_mask
 from edge.core.contact.reference import Levels, Reference, View, fit_levels
 
 
