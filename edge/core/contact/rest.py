@@ -107,7 +107,7 @@ class Window:
         return seen.depth >= anchor.depth * (1 - settings.growth_share) - _NOISE
 
     def choose(self, since_ns: int) -> Observation:
-        """Choose the deepest frame at rest since then; of equally deep ones the one that moved least, then the later."""
+        """Choose the deepest frame at rest since then; of equally deep ones the one that moved least, the later."""
         frames = [frame for frame in self.frames if frame.timestamp_ns >= since_ns] or [self.frames[-1]]
         depth = max(frame.depth for frame in frames)
         deep = [frame for frame in frames if frame.depth >= depth * (1 - _DEEPEST_SHARE)]

@@ -146,7 +146,7 @@ class ContactTracker:
         return not idle or last_ns is None or timestamp_ns - last_ns >= self.settings.idle_interval_s * 1e9
 
     def feed(self, view: View, timestamp_ns: int, sequence: int) -> list[Event]:
-        """Take a view: float32 (h, w, 3), 0 to 255. Errors: ValueError for another shape or a time that does not rise."""
+        """Take a view: float32 (h, w, 3), 0 to 255. Errors: ValueError for a wrong shape or an earlier time."""
         if view.dtype != np.float32 or view.ndim != 3 or view.shape[2] != 3:
             raise ValueError(f"a view is float32 (h, w, 3), found {view.dtype} {view.shape}")
         seen, level = self._observe(view, timestamp_ns, sequence)
