@@ -30,8 +30,7 @@ def evaluate_new_gel(
     from dataclasses import asdict
 
     from calibration.evaluate.report import write_atomically
-    from calibration.gel_change.presses import gel_change
-    from calibration.gel_change.study import METHODS, Figures, measured, table
+    from calibration.gel_change.study import METHODS, Figures, measure_part, table
     from calibration.progress import progress
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
@@ -46,8 +45,7 @@ def evaluate_new_gel(
     figures: list[Figures] = []
     with progress("parts", parts) as advance:
         for number in range(parts):
-            change = gel_change(SEEDS[which], number, is_other_unit=other_unit)
-            figures += measured(change, method or METHODS)
+            figures += measure_part(SEEDS[which], number, method or METHODS, is_other_unit=other_unit)
             advance(number + 1)
             if json is not None:
                 write_atomically(json, json_format.dumps([asdict(one) for one in figures], indent=1).encode())

@@ -1,40 +1,85 @@
-"""What a bundle loses on a new gel, and what each way to keep it brings back.
+"""What a bundle loses on a new gel, and what each way to keep it brings back: presses of one part on two gels.
 
-Banks are compared as they are fitted, with one limit for all places.
+The lamps and the camera stay, so a gel is a variation of the sensor's appearance: its tint, the strength of its coat
+and its stiffness. Its grain, dust and scratches are its own and come from the renderer's `gel_id`. Banks are compared
+as they are fitted, with one limit for all places.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.folds import held_out_folds
 from calibration.fitting.held_out import Learner, ScoredPresses, held_out_scores
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.threshold import conformal_threshold
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
-from calibration.gel_change.presses import PROFILE, REGION, GelChange
-from calibration.metrics.aupro import aupro
-from calibration.metrics.summary import auroc
+from calibration.metrics import aupro, auroc
+from calibration.simulator.defects import DEFECTS
+from calibration.simulator.effects import DEFAULT_EFFECTS
+from calibration.simulator.field_of_view import LR
+from calibration.simulator.parts import PARTS, specimen
+from calibration.simulator.plan import PRESS_CYCLE_S, place_damage
+from calibration.simulator.pose import HeightField, Pose, sample
+from calibration.simulator.random_parts import random_part
+from calibration.simulator.renderer import MASK_DEPTH_MM, Exposure, Renderer
+from calibration.simulator.reproducible_math import reproducible_opencv
+from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
+from calibration.simulator.streams import make_streams
 from edge import registry
-from edge.core.detector import Bank, Features, Grid, Nominal
+from edge.core.detector import Bank, Detector, Features, Grid, Nominal
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
 from edge.model.session import open_session
 
-__all__ = ["AGAIN", "ALPHA", "BEFORE", "METHODS", "WAYS", "Figures", "measured", "table"]
+__all__ = [
+    "AGAIN",
+    "BEFORE",
+    "METHODS",
+    "WAYS",
+    "Figures",
+    "another_gel",
+    "another_unit",
+    "measure_part",
+    "table",
+]
 
 U8 = NDArray[np.uint8]
-F32 = NDArray[np.float32]
 
 METHODS: Final = ("padim", "fapm", "spade", "inreach", "patchcore")
 ALPHA: Final = 0.05
-# Finer marks of a gel are its own, and not its tint.
-_TINT_SIGMA_PX: Final = 3.0
-_LEAST_LEVEL: Final = 1.0
-_MOST_GAIN: Final = 2.0
+PROFILE: Final = profile("cropped_lr")
+REGION: Final = Region.centre(PROFILE.size)
+
+# Between public frames of three units the free gel differs in colour and in how the colour runs over the gel. Part of
+# that is the lamps', which stay: a gel takes up to half of the difference to another unit (assumed).
+_MOST_OF_A_UNIT: Final = 0.5
+# The tint of a coat alone: sd of the logarithm of each colour's level (assumed; between units it is .03 to .13).
+_TINT_SD: Final = 0.04
+# How strongly a coat answers a slope: sd of the logarithm, common and of each colour (assumed). Two units differ up to
+# 1.7 times, lamps included; two sd of this are 1.35 times.
+_COAT_SD, _COAT_COLOUR_SD = 0.15, 0.05
+_MOST_COAT: Final = 0.3
+# The silicone is 4.25 +- 0.20 mm thick (the maker's datasheet), 5 %; its hardness varies as much again (assumed).
+_STIFFNESS_SD: Final = 0.1
+# The strongest answer of one unit in terms of another's, on public frames.
+_UNIT_RESPONSE: Final = 1.7
+
+# As the random parts of the backbones' trials.
+_DEPTH_MM: Final = 0.4
+_FREE_FRAMES: Final = 6
+_NOMINAL: Final = 24
+# What a change of the gel may cost at most.
+_FEW: Final = 8
+_TESTED: Final = 20
+# Presses that each gel has had, in all its pictures: wear is not what is measured.
+_AGE: Final = 20
+# The lamps are warm.
+_POWERED_S: Final = 3600.0
 
 BEFORE, AGAIN = "old gel", "pressed again"
 WAYS: Final[Mapping[str, str]] = {
@@ -42,191 +87,220 @@ WAYS: Final[Mapping[str, str]] = {
     AGAIN: "as many presses on the new gel, bank and limit from them",
     "as it is": "bank and limit of the old gel",
     "limit": "bank of the old gel, limit from the scores of 8 presses: what `gelgate bundle carry` does",
-    "scaled limit": "bank of the old gel, its limit times the change of the median score",
-    "tint, limit": "pictures with the tint of the old gel, by the two free gels; limit as under `limit`",
-    "response, limit": "tint, and one gain for each colour from 8 presses; limit as under `limit`",
     "8 alone": "bank and limit from 8 presses on the new gel",
 }
-"""Every way with what it takes, the losing ones too."""
+"""Every way with what it takes."""
 
 
 @dataclass(frozen=True)
 class Figures:
-    """One way on one part. aupro: up to 1 %, None on the old gel, where no damage was pressed. false_alarms, detected:
-    shares at the limit."""
+    """One way on one part."""
 
     part: str
     method: str
     way: str
     aupro: float | None
+    """Up to 1 %; None on the old gel, where no damage was pressed, as `auroc` and `detected`."""
     auroc: float | None
     false_alarms: float
+    """A share at the limit, as `detected`."""
     detected: float | None
 
 
-@dataclass(frozen=True, eq=False)
-class _Gel:
-    """Features of nominal presses, and the limit and scores of a bank learnt from them."""
-
-    bank: Bank
-    scores: NDArray[np.float64]
-    limit: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Taken:
-    """Features of one change. few, scored: of each look of the pictures, by its name."""
-
-    grid: Grid
-    old: Nominal
-    again: Nominal
-    alone: Nominal
-    before: Features
-    few: Mapping[str, Features]
-    scored: Mapping[str, Features]
+def another_gel(sensor: SensorAppearance, rng: np.random.Generator) -> SensorAppearance:
+    """Give the sensor another pad of its kind."""
+    other = SENSORS[str(rng.choice([name for name in sorted(SENSORS) if name != sensor.name]))]
+    share, tint = float(rng.uniform(0, _MOST_OF_A_UNIT)), rng.normal(0, _TINT_SD, 3)
+    free_gel = (1 - share) * sensor.free_gel + share * other.free_gel
+    free_gel[:, 0] += tint
+    coat = float(np.clip(rng.normal(0, _COAT_SD), -_MOST_COAT, _MOST_COAT))
+    strength = np.exp(coat + rng.normal(0, _COAT_COLOUR_SD, 3))
+    short, long = np.exp(rng.normal(0, _STIFFNESS_SD, 2)).tolist()
+    short_mm = sensor.gel.short_mm * short
+    gel = replace(sensor.gel, short_mm=short_mm, long_mm=max(short_mm, sensor.gel.long_mm * long))
+    return replace(
+        sensor, free_gel=free_gel, slope_response=sensor.slope_response * strength[:, None], gel=gel
+    )
 
 
-def measured(change: GelChange, methods: Sequence[str] = METHODS) -> Iterator[Figures]:
-    """Every method and way on one change of the gel."""
-    taken = _taken(change, methods)
+def another_unit(name: str) -> SensorAppearance:
+    """Give the hard limit: a unit with other lamps and the strongest other response that was seen."""
+    unit = SENSORS[name]
+    return replace(unit, slope_response=unit.slope_response * _UNIT_RESPONSE)
+
+
+class _GelPresses:
+    """One part on one gel."""
+
+    def __init__(
+        self, shape: HeightField, number: int, seed: int, sensor: SensorAppearance, gel: str
+    ) -> None:
+        self.shape, self.streams = shape, make_streams(seed)
+        # Odd and even parts alternate between a hand and a fixture, as those of the backbones' trials.
+        jitter = PARTS["PZ3" if number % 2 else "PZ5"].jitter
+        self.renderer = Renderer(LR, DEFAULT_EFFECTS, sensor, jitter, self.streams, gel, f"session of {gel}")
+
+    def nominal(self, pieces: range) -> NominalPresses:
+        """One press of each sound piece, and the free gel before them."""
+        free = [
+            self.renderer.free_gel(("free", k), _AGE, Exposure(k, _POWERED_S)) for k in range(_FREE_FRAMES)
+        ]
+        pictures = {f"s{piece:05d}_p0": self.press(piece)[0] for piece in pieces}
+        return named_presses(pictures, PROFILE, REGION, no_contact=free)
+
+    def press(self, piece: int, damage: tuple[str, float] | None = None) -> tuple[U8, NDArray[np.bool_]]:
+        """A picture (240, 320, 3) and where damage shows, bool (240, 320). damage: its kind and severity."""
+        placed = self.renderer.place(Pose(), (piece,))
+        whole = specimen(self.shape, self.streams("specimen", piece))
+        if damage is None:
+            imprint = self.renderer.imprint(sample(whole, placed, LR), _DEPTH_MM * placed.depth_factor)
+            mask = np.zeros(LR.shape, np.bool_)
+        else:
+            rng = self.streams("defect", piece)
+            defect = place_damage(self.shape, *damage, _DEPTH_MM, MASK_DEPTH_MM, rng)
+            sound, imprint = self.renderer.imprints(whole, defect, _DEPTH_MM, placed)
+            mask = self.renderer.mask(sound, imprint)
+        light = self.renderer.light(self.renderer.surface(imprint, _AGE), _AGE)
+        exposure = Exposure(0, _POWERED_S + piece * PRESS_CYCLE_S)
+        return self.renderer.expose(light, (piece,), exposure), mask
+
+    def scored(self, number: int) -> tuple[U8, NDArray[np.bool_]]:
+        """Regions of sound and damaged pieces in turn, uint8 (n, h, w, 3), and their masks, bool (n, h, w)."""
+        kinds, pairs = tuple(DEFECTS), []
+        rng = self.streams("severities", number)
+        for k in range(_TESTED):
+            pairs.append(self.press(3000 + k))
+            pairs.append(self.press(4000 + k, (kinds[k % len(kinds)], float(rng.uniform(0.3, 1.0)))))
+        frames, masks = zip(*pairs, strict=True)
+        return np.stack([REGION.crop(f) for f in frames]), np.stack([REGION.crop(m) for m in masks])
+
+
+def _first(presses: NominalPresses, count: int) -> NominalPresses:
+    return replace(
+        presses,
+        frames=presses.frames[:count],
+        names=presses.names[:count],
+        specimens=presses.specimens[:count],
+        touches=presses.touches[:count],
+        reliefs=presses.reliefs[:count],
+    )
+
+
+def measure_part(
+    seed: int, number: int, methods: Sequence[str] = METHODS, *, is_other_unit: bool = False
+) -> Iterator[Figures]:
+    """Measure every method and way on the random part of this number.
+
+    is_other_unit: the hard limit, another unit instead of another gel.
+    """
+    rng = np.random.default_rng([seed, number])
+    shape = random_part(np.random.default_rng([seed, number, 1]))
+    before = another_gel(SENSORS["unit_a" if is_other_unit else "unit_b"], rng)
+    after = another_unit("unit_b") if is_other_unit else another_gel(SENSORS["unit_b"], rng)
+    with reproducible_opencv():
+        old_gel = _GelPresses(shape, number, seed, before, f"old {number}")
+        new_gel = _GelPresses(shape, number, seed, after, f"new {number}")
+        again = new_gel.nominal(range(1000, 1000 + _NOMINAL))
+        old = old_gel.nominal(range(_NOMINAL))
+        sound = np.stack([REGION.crop(old_gel.press(2000 + k)[0]) for k in range(_TESTED)])
+        frames, masks = new_gel.scored(number)
+    few = _first(again, _FEW)
+    reader = _Reader(methods)
+    nominals = [reader.nominal(one) for one in (old, again, few)]
+    features = [reader.take(one) for one in (sound, few.frames, frames)]
     for method in methods:
-        yield from _of_method(change, taken, method)
+        learner = reader.learner(registry.detector(method))
+        yield from _compare(f"part {number}", method, learner, nominals, features, masks)
 
 
-def _of_method(change: GelChange, taken: _Taken, method: str) -> Iterator[Figures]:
-    detector = registry.detector(method)
-    parameters = detector.parameters()
-    read = {tap: taken.grid.taps[tap] for tap in detector.taps(parameters)}
-    learner = Learner(detector, Grid(taken.grid.frame, read, taken.grid.pixels_per_mm), parameters, 0, 1)
-    old, again, alone = (_learnt(learner, one) for one in (taken.old, taken.again, taken.alone))
-    before = learner.scores(old.bank, taken.before, range(len(change.sound_before)))
-    yield Figures(change.name, method, BEFORE, None, None, float((before > old.limit).mean()), None)
+class _Reader:
+    """Reads the taps of several methods by one trunk."""
 
-    def figures(way: str, found: ScoredPresses, limit: float) -> Figures:
-        return _figures(change, method, way, found, limit)
+    def __init__(self, methods: Sequence[str]) -> None:
+        detectors = [registry.detector(method) for method in methods]
+        taps = sorted({tap for one in detectors for tap in one.taps(one.parameters())})
+        self._session = open_session(open_trunk(DEFAULT_BACKBONE, taps).graph, 1, "trunk")
+        frame = (REGION.height, REGION.width)
+        self._grid = trunk_grid(self._session, taps, frame, PROFILE.pixels_per_mm)
 
-    looks = {look: _both(learner, old.bank, taken, look) for look in taken.scored}
-    few, scored = looks["plain"]
-    yield figures("as it is", scored, old.limit)
-    yield figures("scaled limit", scored, old.limit * float(np.median(few) / np.median(old.scores)))
-    for way, (few, scored) in zip(("limit", "tint, limit", "response, limit"), looks.values(), strict=True):
-        yield figures(way, scored, conformal_threshold(few, ALPHA).value)
-    rows = range(len(change.scored.frames))
-    yield figures("8 alone", learner.scored(alone.bank, taken.scored["plain"], rows), alone.limit)
-    yield figures(AGAIN, learner.scored(again.bank, taken.scored["plain"], rows), again.limit)
+    def take(self, frames: U8) -> Features:
+        return extract(self._session, frames, self._grid, lambda fraction: None)
 
+    def nominal(self, presses: NominalPresses) -> Nominal:
+        free = presses.no_contact
+        return Nominal(self.take(presses.frames), presses.touched, None if free is None else self.take(free))
 
-def _both(
-    learner: Learner, bank: Bank, taken: _Taken, look: str
-) -> tuple[NDArray[np.float64], ScoredPresses]:
-    few, scored = taken.few[look], taken.scored[look]
-    return learner.scores(bank, few, range(_count(few))), learner.scored(bank, scored, range(_count(scored)))
+    def learner(self, detector: Detector) -> Learner:
+        parameters = detector.parameters()
+        read = {tap: self._grid.taps[tap] for tap in detector.taps(parameters)}
+        return Learner(
+            detector, Grid(self._grid.frame, read, self._grid.pixels_per_mm), parameters, seed=0, threads=1
+        )
 
 
-def _figures(change: GelChange, method: str, way: str, found: ScoredPresses, limit: float) -> Figures:
-    is_damaged = np.asarray(change.scored.masks.any(axis=(1, 2)), np.bool_)
+def _compare(
+    part: str,
+    method: str,
+    learner: Learner,
+    nominals: Sequence[Nominal],
+    features: Sequence[Features],
+    masks: NDArray[np.bool_],
+) -> Iterator[Figures]:
+    """Every way. nominals: old, again, few. features: sound on the old gel; few and scored ones on the new gel."""
+    (old, old_limit), (again, again_limit), (alone, alone_limit) = (_learn(learner, one) for one in nominals)
+    sound, few, scored = features
+    before = learner.scores(old, sound, range(_TESTED))
+    yield Figures(part, method, BEFORE, None, None, float((before > old_limit).mean()), None)
+    limit = conformal_threshold(learner.scores(old, few, range(_FEW)), ALPHA).value
+    rows = range(len(masks))
+    by_old = learner.scored(old, scored, rows)
+    for way, found, at in (
+        ("as it is", by_old, old_limit),
+        ("limit", by_old, limit),
+        ("8 alone", learner.scored(alone, scored, rows), alone_limit),
+        (AGAIN, learner.scored(again, scored, rows), again_limit),
+    ):
+        yield _measure(part, method, way, found, at, masks)
+
+
+def _measure(
+    part: str, method: str, way: str, found: ScoredPresses, limit: float, masks: NDArray[np.bool_]
+) -> Figures:
+    is_damaged = np.asarray(masks.any(axis=(1, 2)), np.bool_)
     fails = found.scores > limit
     return Figures(
-        change.name,
+        part,
         method,
         way,
-        aupro(found.maps, change.scored.masks),
+        aupro(found.maps, masks),
         auroc(found.scores, is_damaged),
         float(fails[~is_damaged].mean()),
         float(fails[is_damaged].mean()),
     )
 
 
-def _learnt(learner: Learner, nominal: Nominal) -> _Gel:
+def _learn(learner: Learner, nominal: Nominal) -> tuple[Bank, float]:
+    """A bank and its limit, from the scores of held-out presses."""
     bank = learner.bank(nominal)
     folds, _ = held_out_folds((None,) * nominal.presses, 5, np.random.default_rng(0))
-    rows = range(nominal.presses)
-    scores = np.maximum(
-        held_out_scores(learner, nominal, folds), learner.scores(bank, nominal.features, rows)
-    )
-    return _Gel(bank, scores, conformal_threshold(scores, ALPHA).value)
-
-
-def _taken(change: GelChange, methods: Sequence[str]) -> _Taken:
-    detectors = [registry.detector(method) for method in methods]
-    taps = sorted({tap for one in detectors for tap in one.taps(one.parameters())})
-    session = open_session(open_trunk(DEFAULT_BACKBONE, taps).graph, 1, "trunk")
-    frame = (REGION.height, REGION.width)
-    grid = trunk_grid(session, taps, frame, PROFILE.pixels_per_mm)
-
-    def take(frames: U8) -> Features:
-        return extract(session, frames, grid, lambda fraction: None)
-
-    def nominal(presses: NominalPresses) -> Nominal:
-        free = presses.no_contact
-        return Nominal(take(presses.frames), presses.touched, None if free is None else take(free))
-
-    looks = dict(_looks(change))
-    return _Taken(
-        grid,
-        nominal(change.old),
-        nominal(change.again),
-        nominal(change.few),
-        take(change.sound_before),
-        {name: take(_seen(look, change.few.frames)) for name, look in looks.items()},
-        {name: take(_seen(look, change.scored.frames)) for name, look in looks.items()},
-    )
-
-
-def _looks(change: GelChange) -> Iterator[tuple[str, Callable[[F32], F32]]]:
-    """Of a press on the new gel: as it is, with the tint of the old gel, and with its response to a slope."""
-    before, after = _tint(change.old), _tint(change.few)
-    gain = _gain(change, before, after)
-    yield "plain", lambda rgb: rgb
-    yield "tint", lambda rgb: np.asarray(rgb * (before / np.maximum(after, _LEAST_LEVEL)), np.float32)
-    yield "response", lambda rgb: np.asarray(before + gain * (rgb - after), np.float32)
-
-
-def _tint(presses: NominalPresses) -> F32:
-    """The free gel without its fine marks, float32 (h, w, 3)."""
-    if presses.no_contact is None:
-        raise ValueError("the tint of a gel needs pictures of the free gel")
-    mean = presses.no_contact.mean(axis=0, dtype=np.float64).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(mean, (0, 0), _TINT_SIGMA_PX), np.float32)
-
-
-def _gain(change: GelChange, before: F32, after: F32) -> F32:
-    """How much stronger each colour answered on the old gel, float32 (3,), from as many presses of each."""
-    old = _strength(change.old.frames[: len(change.few)], before)
-    gain = np.clip(old / _strength(change.few.frames, after), 1 / _MOST_GAIN, _MOST_GAIN)
-    return np.asarray(gain, np.float32)
-
-
-def _strength(frames: U8, free: F32) -> F32:
-    """The root mean square of the difference from the free gel, float32 (3,), in levels."""
-    difference = frames.astype(np.float32) - free
-    return np.asarray(np.sqrt((difference**2).mean(axis=(0, 1, 2)) + _LEAST_LEVEL), np.float32)
-
-
-def _seen(look: Callable[[F32], F32], frames: U8) -> U8:
-    seen = np.stack([look(frame.astype(np.float32)) for frame in frames])
-    return np.clip(np.rint(seen), 0, 255).astype(np.uint8)
-
-
-def _count(features: Features) -> int:
-    return len(next(iter(features.values())))
+    own = learner.scores(bank, nominal.features, range(nominal.presses))
+    scores = np.maximum(held_out_scores(learner, nominal, folds), own)
+    return bank, conformal_threshold(scores, ALPHA).value
 
 
 def table(figures: Sequence[Figures]) -> str:
-    """Markdown: a section for each method, a row for each way."""
-    methods = list(dict.fromkeys(one.method for one in figures))
+    """Give the figures as Markdown: a section for each method, a row for each way, means over parts."""
     parts = len({one.part for one in figures})
-    said = f"{parts} parts, each on two gels; means over parts, and the most that one part loses."
-    return "\n".join(
-        [said, *(line for method in methods for line in _tabulate_method(figures, method)), "", *_words()]
-    )
-
-
-def _tabulate_method(figures: Sequence[Figures], method: str) -> list[str]:
-    head = f"| {method} | AU-PRO up to 1 % | lost to `{AGAIN}` | most lost | image AUROC | false alarms | detected |"
-    own = [one for one in figures if one.method == method]
-    rows = [_row(own, way) for way in WAYS if any(one.way == way for one in own)]
-    return ["", head, "|---|---|---|---|---|---|---|", *rows]
+    lines = [f"{parts} parts, each on two gels; means over parts, and the most that one part loses."]
+    for method in dict.fromkeys(one.method for one in figures):
+        own = [one for one in figures if one.method == method]
+        lines += [
+            "",
+            f"| {method} | AU-PRO up to 1 % | lost to `{AGAIN}` | most lost | image AUROC | false alarms | detected |",
+            "|---|---|---|---|---|---|---|",
+            *(_row(own, way) for way in WAYS if any(one.way == way for one in own)),
+        ]
+    return "\n".join([*lines, "", *(f"- `{way}`: {what}." for way, what in WAYS.items())])
 
 
 def _row(own: Sequence[Figures], way: str) -> str:
@@ -237,10 +311,11 @@ def _row(own: Sequence[Figures], way: str) -> str:
         for one in rows
         if one.aupro is not None and (reference := again.get(one.part)) is not None
     ]
+    is_compared = lost and way != AGAIN
     cells = [
         _mean([one.aupro for one in rows]),
-        "-" if way in (BEFORE, AGAIN) or not lost else f"{np.mean(lost):+.3f}",
-        "-" if way in (BEFORE, AGAIN) or not lost else f"{max(lost):+.3f}",
+        f"{np.mean(lost):+.3f}" if is_compared else "-",
+        f"{max(lost):+.3f}" if is_compared else "-",
         _mean([one.auroc for one in rows]),
         _mean([one.false_alarms for one in rows]),
         _mean([one.detected for one in rows]),
@@ -251,7 +326,3 @@ def _row(own: Sequence[Figures], way: str) -> str:
 def _mean(values: Sequence[float | None]) -> str:
     known = [value for value in values if value is not None]
     return f"{np.mean(known):.3f}" if known else "-"
-
-
-def _words() -> list[str]:
-    return [f"- `{way}`: {what}." for way, what in WAYS.items()]
