@@ -32,7 +32,7 @@ from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.model.scorer import Scored, Scorer
 
-__all__ = ["MEANINGS", "MOST_BLIND", "PRESSES", "Alarm", "Rate", "Run", "Station", "Truth", "rate", "table"]
+__all__ = ["MEANINGS", "Alarm", "Run", "Station", "Truth", "format_rate", "table"]
 
 U8 = NDArray[np.uint8]
 
@@ -293,25 +293,12 @@ MEANINGS: Final[dict[Truth, str]] = {
 """What raised an alarm, in words."""
 
 
-@dataclass(frozen=True)
-class Rate:
-    """number of `of`, and the limits of the rate: each is crossed with a probability of 10 % at most."""
-
-    number: int
-    of: int
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        share = f"{self.number / self.of:.1%}" if self.of else "-"
-        return f"{share} ({self.number} of {self.of}; {self.low:.1%} to {self.high:.1%})"
-
-
-def rate(number: int, of: int) -> Rate:
-    """Clopper and Pearson, one-sided at 90 % each way. Without trials nothing is known: 0 to 1."""
-    if of == 0:
-        return Rate(0, 0, 0.0, 1.0)
-    return Rate(number, of, *rate_limits(number, of))
+def format_rate(number: int, of: int) -> str:
+    """Write a rate with the limits of Clopper and Pearson, each crossed with a probability of 10 % at most."""
+    if not of:
+        return "- (0 of 0; 0.0% to 100.0%)"
+    low, high = rate_limits(number, of)
+    return f"{number / of:.1%} ({number} of {of}; {low:.1%} to {high:.1%})"
 
 
 def table(alarms: Sequence[Alarm], presses: int) -> str:
@@ -334,7 +321,7 @@ def table(alarms: Sequence[Alarm], presses: int) -> str:
 
 def _row(name: str, alarms: Sequence[Alarm]) -> str:
     counts = Counter(one.cause for one in alarms)
-    cells = [str(rate(counts[cause.value], len(alarms))) for cause in (Cause.GEL, Cause.UNSURE, Cause.PART)]
+    cells = [format_rate(counts[cause.value], len(alarms)) for cause in (Cause.GEL, Cause.UNSURE, Cause.PART)]
     return f"| {name} | {len(alarms)} | {' | '.join(cells)} |"
 
 

@@ -3,7 +3,7 @@
 import json
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -77,13 +77,6 @@ def test_an_interrupted_run_goes_on(
     assert card(tmp_path).kinds == card(output).kinds
 
 
-def test_trials_of_another_bundle_are_not_taken(measured: tuple[Path, Outcome], fitted: Path) -> None:
-    """A row's key depends on the bundle: it is in no other bundle's results."""
-    keys = {json.loads(line)["key"] for line in trials(measured[0])}
-    assert len(keys) == 16
-    assert Bundle.load(fitted).digest not in keys
-
-
 def test_the_card_is_written_and_printed(fitted: Path, pictures: Path, tmp_path: Path) -> None:
     """The bundle keeps every file and field; only its facts gain the card, which `inspect` prints and `load` checks."""
     copy = Path(shutil.copytree(fitted, tmp_path / "bundle"))
@@ -120,62 +113,67 @@ def test_a_bundle_without_a_card_has_no_line_of_it(fitted: Path) -> None:
     assert "detectability" not in gelgate("bundle", "inspect", fitted).out
 
 
-def refused(outcome: Outcome) -> str:
-    assert outcome.code != 0
-    return outcome.sentence()
+Sources = Callable[[Path, Bench], list[Path]]
 
 
-def test_one_press_is_too_few(fitted: Path, pictures: Path, tmp_path: Path) -> None:
-    """The sentence says how many are needed."""
-    one = pictures / "apart" / "p08.png"
-    assert "at least 4 that it has not learnt" in refused(
-        run(fitted, [one], tmp_path, "--no-contact", pictures / "free")
-    )
+def one_press(pictures: Path, bench: Bench) -> list[Path]:
+    return [pictures / "apart" / "p08.png"]
 
 
-def test_learnt_presses_under_another_name_are_noticed(fitted: Path, pictures: Path, tmp_path: Path) -> None:
+def copies(pictures: Path, bench: Bench) -> list[Path]:
     """Copied presses of the fit would find too much: one of them is a golden frame of the bundle."""
-    shutil.copytree(pictures / "learnt", tmp_path / "copied")
-    sentence = refused(
-        run(fitted, [tmp_path / "copied"], tmp_path / "out", "--no-contact", pictures / "free")
-    )
-    assert "has learnt, under another name" in sentence
+    return [Path(shutil.copytree(pictures / "learnt", pictures / "copied", dirs_exist_ok=True))]
 
 
-def test_presses_of_another_sensor_are_refused(
-    fitted: Path, pictures: Path, tmp_path: Path, bench: Bench
-) -> None:
-    """Exchanged colours are another sensor."""
+def other_sensor(pictures: Path, bench: Bench) -> list[Path]:
+    """Exchanged colours."""
     for number in range(5):
-        write(tmp_path / "other" / f"p{number}.png", bench.press(20 + number)[..., [1, 2, 0]])
-    sentence = refused(run(fitted, [tmp_path / "other"], tmp_path / "out", "--no-contact", pictures / "free"))
-    assert "5 of 5 presses are of another sensor" in sentence
+        write(pictures / "other" / f"p{number}.png", bench.press(20 + number)[..., [1, 2, 0]])
+    return [pictures / "other"]
 
 
-def test_presses_without_contact_are_refused(
-    fitted: Path, pictures: Path, tmp_path: Path, bench: Bench
-) -> None:
+def no_contact(pictures: Path, bench: Bench) -> list[Path]:
     """Pictures of the free gel touch nothing."""
     rng = np.random.default_rng(0)
     for number in range(5):
         noisy = bench.free().astype(int) + rng.integers(-1, 2, (240, 320, 3))
-        write(tmp_path / "empty" / f"p{number}.png", np.clip(noisy, 0, 255).astype(np.uint8))
-    sentence = refused(run(fitted, [tmp_path / "empty"], tmp_path / "out", "--no-contact", pictures / "free"))
-    assert "no contact is seen" in sentence
+        write(pictures / "empty" / f"p{number}.png", np.clip(noisy, 0, 255).astype(np.uint8))
+    return [pictures / "empty"]
 
 
-def test_pictures_of_another_size_are_refused(fitted: Path, pictures: Path, tmp_path: Path) -> None:
-    """Frames that do not fit the bundle's profile, by name and size."""
-    write(tmp_path / "small" / "p.png", np.full((60, 80, 3), 120, np.uint8))
-    sentence = refused(run(fitted, [tmp_path / "small"], tmp_path / "out", "--no-contact", pictures / "free"))
-    assert "80x60" in sentence
+def small(pictures: Path, bench: Bench) -> list[Path]:
+    write(pictures / "small" / "p.png", np.full((60, 80, 3), 120, np.uint8))
+    return [pictures / "small"]
 
 
-def test_an_unknown_kind_names_the_nearest(fitted: Path, pictures: Path, tmp_path: Path) -> None:
-    outcome = gelgate("lab", "detectability", fitted, pictures / "apart", "-o", tmp_path, "--kind", "dents")
-    assert "did you mean 'dent'" in refused(outcome)
+@pytest.mark.parametrize(
+    ("sources", "more", "sentence"),
+    [
+        (one_press, (), "at least 4 that it has not learnt"),
+        (copies, (), "has learnt, under another name"),
+        (other_sensor, (), "5 of 5 presses are of another sensor"),
+        (no_contact, (), "no contact is seen"),
+        (small, (), "80x60"),
+        (one_press, ("--kind", "dents"), "did you mean 'dent'"),
+    ],
+)
+def test_what_cannot_be_measured_is_one_sentence(
+    sources: Sources,
+    more: tuple[str, ...],
+    sentence: str,
+    fitted: Path,
+    pictures: Path,
+    bench: Bench,
+    tmp_path: Path,
+) -> None:
+    """The sentence says what is needed."""
+    outcome = run(fitted, sources(pictures, bench), tmp_path, "--no-contact", pictures / "free", *more)
+    assert outcome.code != 0
+    assert sentence in outcome.sentence()
 
 
 def test_an_output_that_is_a_file_is_refused(fitted: Path, pictures: Path, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("a file")
-    assert "cannot be a folder" in refused(run(fitted, [pictures / "apart"], tmp_path / "out"))
+    outcome = run(fitted, [pictures / "apart"], tmp_path / "out")
+    assert outcome.code != 0
+    assert "cannot be a folder" in outcome.sentence()
