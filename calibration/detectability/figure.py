@@ -44,6 +44,7 @@ def draw_map(planned: Plan, found: list[KindResult]) -> bytes:
     for axis, one in zip(axes, found, strict=True):
         _draw_panel(axis, planned, one, scale)
     bar = figure.colorbar(scale, ax=list(axes), format="%g", shrink=0.8)
+    bar.ax.yaxis.set_minor_formatter("{x:g}")
     bar.set_label("a90/95, mm (found in 90 % of cases, 95 % sure)")
     marks = [Line2D([], [], color=_RIM, label="rim of the contact"), Patch(facecolor=_DARK, label=_NO_SIZE)]
     figure.legend(handles=marks, loc="outside lower center", frameon=False, fontsize=8)
