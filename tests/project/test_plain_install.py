@@ -32,7 +32,11 @@ VERBS: list[tuple[str, int, str]] = [
     ("lab simulate demo -o simulated --run nominal --presses 1", 0, "recording: simulated"),
     ("record copy --device recorded --option recording=nominal --option pace=0", 0, ""),
     ("fit nominal -o pz0 --part PZ0", 0, "bundle PZ0/default written"),
-    ("fit nominal -o other --part PZ0 --backbone tactile_lite0 --set ridge=0.3", 0, "bundle PZ0/default written"),
+    (
+        "fit nominal -o other --part PZ0 --backbone tactile_lite0 --set ridge=0.3",
+        0,
+        "bundle PZ0/default written",
+    ),
     ("bundle verify pz0", 0, "sound"),
     ("bundle inspect pz0", 0, "padim"),
     ("bundle wrap theirs.onnx nominal -o theirs --part PZ0 --licence MIT", 0, "written"),
