@@ -313,7 +313,7 @@ def test_a_fault_of_the_sensing_side_is_said_or_does_no_harm(
     assert row.pulses == row.not_passed, "a part that was not passed went by the gate"
     if fault.alarm == "device":
         assert row.halted_s is not None
-        assert row.halted_s <= 2.5
+        assert row.halted_s <= 2.0 + 3 / FPS
 
 
 def test_a_chip_is_really_there() -> None:

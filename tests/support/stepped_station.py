@@ -32,6 +32,7 @@ class SteppedStation:
         self.clock = ManualClock()
         self.reports: list[PressReport] = []
         self.has_ended = False
+        self._pause_s = 0.0  # before the next step of the reader; the loop may look meanwhile
         with ExitStack() as closing:
             self.parts = build(load_config(config), self.clock, closing, read_again=read_again, labels=labels)
             self._closing = closing.pop_all()
@@ -56,8 +57,9 @@ class SteppedStation:
     def read(self, steps: int) -> None:
         """This number of steps of the reader: the first opens the sensor, each other one reads a frame."""
         for _ in range(steps):
+            self.clock.sleep(self._pause_s)
             try:
-                self.clock.sleep(self.parts.acquisition.step())
+                self._pause_s = self.parts.acquisition.step()
             except RecordingEnded:
                 self.has_ended = True
                 return
