@@ -14,12 +14,10 @@ from collections.abc import Callable
 import numpy as np
 import onnxruntime as ort
 import pytest
-from heads import RESNET18, fit, grid, presses_of
+from heads import RESNET18, fit, grid, presses_of, stored_bytes
 
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
-from edge.core.detector import Bank
 from edge.model.graph_cut import cut_trunk
-from edge.model.packing import pack
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 from plugins.detectors.baselines.patchcore import patchcore
@@ -61,14 +59,6 @@ def bound(graph: bytes, feed: dict[str, np.ndarray]) -> Callable[[], None]:
     for output in session.get_outputs():
         binding.bind_output(output.name)
     return lambda: session.run_with_iobinding(binding)
-
-
-def stored_bytes(bank: Bank) -> int:
-    total = 0
-    for name, array in bank.arrays.items():
-        packed = pack(array, bank.packing.get(name, "none"))
-        total += packed.data.nbytes + (0 if packed.scale is None else packed.scale.nbytes)
-    return total
 
 
 def trunk_of(name: str) -> bytes:
