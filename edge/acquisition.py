@@ -206,7 +206,7 @@ class Acquisition:
         self._corrupt_in_a_row, self._last_ns = 0, self._clock.monotonic_ns()
 
     def _read(self, device: Device) -> None:
-        """One read. Waits are short, so that `close` does not wait for a stalled sensor.
+        """Read once. Waits are short, so that `close` does not wait for a stalled sensor.
 
         The time without a frame ends with a read that waited: after a pause of this computer frames are there.
         """

@@ -24,7 +24,7 @@ _PACKAGES = {
 
 
 def is_installed(package: str) -> bool:
-    """Whether a package can be imported, without importing it."""
+    """Say whether a package can be imported, without importing it."""
     try:
         return find_spec(package) is not None
     except ImportError:
@@ -32,7 +32,7 @@ def is_installed(package: str) -> bool:
 
 
 def where_to_get(package: str) -> str:
-    """How a package that an import did not find is installed."""
+    """Say how a package that an import did not find is installed."""
     extra = next((name for name, packages in _PACKAGES.items() if package in packages), None)
     return f"pip install 'gelgate[{extra}]'" if extra else f"pip install {package}, or install gelgate again"
 

@@ -87,11 +87,11 @@ def text_at(broker: "Broker", topic_filter: str, form: Format) -> str:
 
 def described_text(config: "Config", form: Format) -> str:
     """The file, from a configuration. Errors: ConfigError."""
-    from edge.gateway.description import broker_of, described
+    from edge.gateway.description import broker_of, describe_station
     from edge.messaging.descriptions.access_rules import access_rules
     from edge.messaging.descriptions.asyncapi import document
 
-    station, broker = described(config), broker_of(config)
+    station, broker = describe_station(config), broker_of(config)
     if form is Format.MOSQUITTO:
         return access_rules(station, broker.user, discovery_prefix=broker.discovery_prefix, node=broker.node)
     return _text(form, station, document(station), broker.host, broker.port, broker.has_tls)

@@ -97,12 +97,12 @@ class Press:
 
     @property
     def is_decided(self) -> bool:
-        """Whether nothing remains to be scored."""
+        """True where nothing remains to be scored."""
         return self.verdict is not None or self.error is not None
 
     @property
     def blame(self) -> Blame | None:
-        """Of a fail or unsure: part, gel or unsure, and why."""
+        """The cause of a fail or unsure: part, gel or unsure, and why."""
         is_blamed = self.verdict is not None and self.verdict.kind in (Kind.FAIL, Kind.UNSURE)
         return self.scars.blame if self.scars is not None and is_blamed else None
 
@@ -113,7 +113,7 @@ class Press:
 
     @property
     def reason(self) -> str | None:
-        """Why it is rejected."""
+        """The reason of a rejection, with its sentence."""
         rejection = self.verdict.rejection if self.verdict else None
         return f"{rejection.reason.value}: {rejection.text}" if rejection else None
 

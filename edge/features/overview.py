@@ -41,9 +41,9 @@ class Selection(Protocol):
 
     @property
     def part(self) -> PartPosition:
-        """What is inspected now."""
+        """The part and position inspected now."""
 
-    def named_by(self, name: str) -> Set[PartPosition]:
+    def find_all(self, name: str) -> Set[PartPosition]:
         """Return all positions that this name, such as the code on a part, may mean."""
 
     def select(self, part: PartPosition, why: Act | None = None, *, is_pressed: bool) -> None:
@@ -86,7 +86,7 @@ class Overview(PressStage):
         if label is None:
             self._view, self._unselected = self.look_at_part(), None
             part = (
-                self.rules.choose_position(self._view, self._selection.named_by)
+                self.rules.choose_position(self._view, self._selection.find_all)
                 if self.rules.select
                 else None
             )
@@ -115,7 +115,7 @@ class Overview(PressStage):
         if press.label is not None:
             return press
         view, self._view = self._view or self.look_at_part(), None
-        refusal = self.rules.refusal(view, self._selection.part, self._selection.named_by)
+        refusal = self.rules.refusal(view, self._selection.part, self._selection.find_all)
         if refusal is not None and self._unselected is not None:
             refusal = replace(refusal, text=f"{refusal.text}; it could not be selected: {self._unselected}")
         self._unselected = None
@@ -195,16 +195,16 @@ def still_of(frame: CameraFrame, max_side_px: int) -> tuple[bytes, NDArray[np.ui
             "read; choose a smaller mode"
         )
     if kind(frame.payload) == "jpg" and max(size) <= max_side_px:
-        return frame.payload, _decoded(frame, cv2.IMREAD_GRAYSCALE)
-    colour = _decoded(frame, cv2.IMREAD_COLOR)
+        return frame.payload, _decode(frame, cv2.IMREAD_GRAYSCALE)
+    colour = _decode(frame, cv2.IMREAD_COLOR)
     scale = min(1.0, max_side_px / max(size))
     small = cv2.resize(colour, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
     return jpeg, np.asarray(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-def _decoded(frame: CameraFrame, flags: int) -> Any:
-    """Errors: FrameCorrupt."""
+def _decode(frame: CameraFrame, flags: int) -> Any:
+    """Decode a still. Errors: FrameCorrupt."""
     picture = cv2.imdecode(np.frombuffer(frame.payload, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if picture is None:
         raise FrameCorrupt(f"the overview camera's frame {frame.sequence} cannot be decoded")

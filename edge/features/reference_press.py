@@ -69,7 +69,7 @@ class ReferenceGuard(PressStage):
             )
         if self._mounted.has_contact:
             raise ValueError("something presses the gel; lift it, then ask for the reference press")
-        chosen = self._chosen(piece)
+        chosen = self._choose_piece(piece)
         label = ReferenceLabel(chosen.name, chosen.verdict, self._table.learn, is_start)
         self._armed = _Armed(label, self._clock.monotonic_ns() + round(self._table.within_s * 1e9))
         self._say()
@@ -84,7 +84,7 @@ class ReferenceGuard(PressStage):
 
     @property
     def within_s(self) -> float:
-        """How long a press that was asked for is waited for."""
+        """The time in which a press that was asked for must come."""
         return self._table.within_s
 
     def turn(self, mounted: Mounted | None) -> None:
@@ -141,7 +141,7 @@ class ReferenceGuard(PressStage):
         }
 
     def _pieces(self) -> list[MasterPieceTable]:
-        """Those of the selected part and position."""
+        """Return the master pieces of the selected part and position."""
         if self._mounted is None:
             return []
         part = self._mounted.part
@@ -151,8 +151,8 @@ class ReferenceGuard(PressStage):
             if piece.part in (None, part.part) and piece.position in (None, part.position)
         ]
 
-    def _chosen(self, name: str | None) -> MasterPieceTable:
-        """Errors: ValueError, which names those known."""
+    def _choose_piece(self, name: str | None) -> MasterPieceTable:
+        """Return the master piece of this name. Errors: ValueError, which names those known."""
         known = {piece.name: piece for piece in self._pieces()}
         part = self._mounted.part if self._mounted else ""
         if not known:
@@ -166,8 +166,8 @@ class ReferenceGuard(PressStage):
         return known[name]
 
     def _take_request(self) -> None:
-        """One of the command line, and its row in the table of acts; it waits while something presses the gel. Errors:
-        StoreError."""
+        """Take a request of the command line, and write its row in the table of acts; it waits while something presses
+        the gel. Errors: StoreError."""
         if self._mounted is not None and self._mounted.has_contact:
             return
         taken = reference_presses.take(self._store)
@@ -199,11 +199,11 @@ class ReferenceGuard(PressStage):
         return None
 
     def _look_for_faults(self) -> None:
-        self._faults = tuple(self._found())
+        self._faults = tuple(self._warnings())
         self._say()
 
-    def _found(self) -> Iterator[str]:
-        """What is due, or out of limits."""
+    def _warnings(self) -> Iterator[str]:
+        """Say what is due, or out of limits."""
         mounted = self._mounted
         if mounted is None or self._table.enforce == "off":
             return

@@ -118,7 +118,7 @@ class ScarWatch(PressStage):
 
     def _judge(self, inspection: Press, inspector: Inspector, found: Findings) -> Press:
         left, self._left = self._left, found.imprint
-        press = _scored(inspection, inspector, found)
+        press = _press_of_rules(inspection, inspector, found)
         if press is None:
             return inspection
         if not (can_mask := _is_highest(inspection)):
@@ -136,7 +136,7 @@ class ScarWatch(PressStage):
             self._unsaved = 0
 
     def _findings(self, inspection: Press, judged: Judged) -> ScarFindings:
-        """What the scars hide, and why the press is not passed, should it not be."""
+        """Say what the scars hide, and why the press is not passed where it is not."""
         if not self._scars.record.masked.any():
             self._blind = None
         if not judged.masked.any() or inspection.verdict is None:
@@ -169,7 +169,7 @@ def mask_scars(press: Press, findings: ScarFindings, bundle: Bundle) -> Press:
 
 
 def _is_highest(inspection: Press) -> bool:
-    """Whether the score is the highest value of its map, so that places can be left out of it."""
+    """Say whether the score is the highest value of its map, so that places can be left out of it."""
     verdict, score_map = inspection.verdict, inspection.score_map
     if verdict is None or verdict.score is None or score_map is None:
         return False
@@ -198,8 +198,8 @@ def _repeated(place: Repeated) -> str:
     )
 
 
-def _scored(inspection: Press, inspector: Inspector, found: Findings) -> ScoredPress | None:
-    """None for a press without a score."""
+def _press_of_rules(inspection: Press, inspector: Inspector, found: Findings) -> ScoredPress | None:
+    """Return what the rules of scars read; None for a press without a score."""
     verdict, placed, rgb = inspection.verdict, inspection.registered, inspection.rgb
     if rgb is None or inspection.score_map is None or verdict is None or verdict.threshold is None:
         return None
@@ -223,7 +223,7 @@ def _scored(inspection: Press, inspector: Inspector, found: Findings) -> ScoredP
 def _reach(
     press: ScoredPress, inspection: Press, inspector: Inspector, found: Findings
 ) -> NDArray[np.bool_] | None:
-    """Where the part is or should be, of the view; None where the second is not known."""
+    """Return where in the view the part is or should be; None where the second is not known."""
     if inspector.expected is None:
         return None
     placed, usual = inspection.registered, inspector.expected.astype(np.float32)

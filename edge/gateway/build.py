@@ -33,9 +33,9 @@ from edge.gateway.bundle_stage import BundleStage, OpenBundles
 from edge.gateway.command_policy import policy_of
 from edge.gateway.command_table import acknowledge_by_pedal, station_handlers, trigger_by_pedal
 from edge.gateway.commands import Commands
-from edge.gateway.description import described
+from edge.gateway.description import describe_station
 from edge.gateway.loop_calls import LoopCalls
-from edge.gateway.metrics import served
+from edge.gateway.metrics import serve_metrics
 from edge.gateway.opening import BundleOpener, Opened, device_opener, first_part, overview_opener
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
@@ -72,8 +72,8 @@ def build(
     """Every part; a part that cannot work is refused here. closing: gets the calls that close the parts, in reverse.
 
     checked: the parts that the check before the start has opened. read_again: the configuration as it is at a reload;
-    by default as it was at the start. labels: which presses are no part's; by default the reference presses that are
-    asked for. Errors: ConfigError, BundleError, StoreError.
+    by default as it was at the start. labels: names the presses of references and studies; by default the reference
+    presses that are asked for. Errors: ConfigError, BundleError, StoreError.
     """
     calls, retained_state = LoopCalls[StationLoop](), _retained_state(config)
     # The lock first: a second gateway must not migrate the tables of this one, or take its place at the broker.
@@ -147,7 +147,7 @@ def _stages(base: Base, labels: PressStage | None) -> list[PressStage | None]:
 
 
 def _overview(base: Base) -> Overview | None:
-    """Errors: ConfigError for a picture of the empty station that cannot be read."""
+    """Open the overview camera. Errors: ConfigError for a picture of the empty station that cannot be read."""
     table, clock = base.config.overview, base.clock
     if table is None:
         return None
@@ -176,7 +176,7 @@ def _press_again(base: Base) -> PressAgain | None:
 
 
 def _outputs(base: Base) -> Outputs | None:
-    """Errors: ConfigError."""
+    """Open pedals, lights and relays. Errors: ConfigError."""
     if not (base.config.triggers or base.config.actuators):
         return None
     actions = {
@@ -222,7 +222,7 @@ def _publisher(
     closing: ExitStack,
     lock: PublisherLock,
 ) -> Publisher:
-    """With its sinks, and not yet started. Errors: ConfigError."""
+    """Return the publisher with its sinks, not yet started. Errors: ConfigError."""
     sinks = _open_sinks(config, _sink_context(config, clock, retained_state, commands), closing)
     before = _names_before(config)
     return Publisher(
@@ -231,16 +231,16 @@ def _publisher(
 
 
 def _retained_state(config: Config) -> RetainedState:
-    """With the station's description, which does not change while it runs."""
+    """Return the retained state with the station's description, which does not change while it runs."""
     retained_state = RetainedState()
-    retained_state.announce(asyncapi_message(described(config)))
+    retained_state.announce(asyncapi_message(describe_station(config)))
     return retained_state
 
 
 def _open_bundles(
     config: Config, clock: Clock, store: Store, checked: Preflight | None
 ) -> tuple[BundleOpener, BundleSet]:
-    """Those of the check, or opened here. Errors: BundleError, ConfigError: at a start every bundle must be usable."""
+    """Return the bundles of the check, or open them. Errors: BundleError, ConfigError: all must be usable."""
     if checked is not None and checked.bundles.bundles:
         opener, bundles = checked.opener, checked.bundles
         opener.newest = store.newest_revision
@@ -271,7 +271,7 @@ def _announcer(
     """Status messages go to the receivers, and to the metrics where they are served. Errors: ConfigError."""
     serving = None
     if config.metrics.port is not None:
-        serving = closing.enter_context(served(config.metrics.port))
+        serving = closing.enter_context(serve_metrics(config.metrics.port))
 
     def announce(message: Message) -> None:
         if serving is not None:
@@ -314,8 +314,8 @@ def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, c
         offline=availability_message(is_online=False),
         birth=retained_state.all,
         on_command=commands,
-        on_refused=commands.refused,
-        page=PageRequests(commands.page_verbs, commands.from_page, commands.refused_at_page),
+        on_refused=commands.refuse,
+        page=PageRequests(commands.page_verbs, commands.from_page, commands.refuse_at_page),
     )
 
 

@@ -13,7 +13,7 @@ __all__ = ["BundleSet", "OpenBundle", "part_of"]
 
 
 def part_of(bundle: Bundle) -> PartPosition:
-    """What it inspects."""
+    """Return the part and position that a bundle inspects."""
     return PartPosition(bundle.manifest.part, bundle.manifest.position)
 
 
@@ -53,23 +53,23 @@ class BundleSet:
         return next((one for one in self.bundles.values() if one.path == path), None)
 
     def find(self, part: str, position: str | None = None) -> PartPosition:
-        """Errors: ValueError, which names those known."""
+        """Return the position of this part. Errors: ValueError, which names those known."""
         return find_part(self.bundles, part, position)
 
-    def named(self, name: str) -> PartPosition:
-        """The position with this name, such as the code on the part. Errors: ValueError."""
+    def find_by_name(self, name: str) -> PartPosition:
+        """Return the position with this name, such as the code on the part. Errors: ValueError."""
         names = {name: one.part for one in self.bundles.values() for name in one.names}
         return find_named(self.bundles, names, name)
 
-    def named_by(self, name: str) -> frozenset[PartPosition]:
-        """All positions with this name, as `named`: several for a part with several positions, none for an unknown
+    def find_all(self, name: str) -> frozenset[PartPosition]:
+        """Return all positions with this name: several for a part with several positions, none for an unknown
         name."""
         named = frozenset(one.part for one in self.bundles.values() if name in one.names)
         return named or frozenset(part for part in self.bundles if name in (part.part, str(part)))
 
     def with_one(self, new: OpenBundle) -> "BundleSet":
-        """The same with one more. Errors: ConfigError for a position that has one, BundleMismatch for a bundle that
-        needs another reading of the sensor."""
+        """Return this set with one more bundle. Errors: ConfigError for a position that has one,
+        BundleMismatch for a bundle that needs another reading of the sensor."""
         if (other := self.bundles.get(new.part)) is not None:
             raise ConfigError(
                 f"bundle {new.path} is for {new.part}, as {other.path} is; name one of them for this position"

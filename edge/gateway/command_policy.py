@@ -30,7 +30,7 @@ class CommandPolicy:
     page: frozenset[str] = frozenset()
 
     def page_refusal(self, verb: str) -> str | None:
-        """Why a request from the page is not done, as one sentence; None if it may be."""
+        """Say why a request from the page is not done, as one sentence; None if it may be."""
         if verb in self.page:
             return None
         return (
@@ -39,7 +39,7 @@ class CommandPolicy:
         )
 
     def refusal(self, verb: str, request: CommandRequest, now_ns: int) -> str | None:
-        """Why this request is not done, as one sentence; None if it may be. now_ns: wall clock."""
+        """Say why this request is not done, as one sentence; None if it may be. now_ns: wall clock."""
         if verb in self.unsigned:
             return None
         if verb not in self.signed or self.secret is None:

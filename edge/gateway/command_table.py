@@ -90,11 +90,11 @@ def _replace_gel(loop: StationLoop, arguments: ReplaceGelArguments) -> Data:
 def _select_part(loop: StationLoop, arguments: SelectPartArguments) -> Data:
     selection = loop.parts.selection
     if arguments.name is not None:
-        part = selection.bundles.named(arguments.name)
+        part = selection.bundles.find_by_name(arguments.name)
     else:
         part = selection.bundles.find(arguments.part or "", arguments.position)
     selection.select(part, is_pressed=loop.is_pressed)
-    return {**_selected(loop), "is_waiting": selection.is_waiting}
+    return {**_selection(loop), "is_waiting": selection.is_waiting}
 
 
 def _reload(loop: StationLoop, arguments: NoArguments) -> Data:
@@ -250,8 +250,8 @@ def _ask(calls: LoopCalls[StationLoop], command: Command[Any], arguments: Mappin
 
 
 def _facts(loop: StationLoop) -> Data:
-    """As far as it is known: before the first frame the gel is not."""
-    known = {**_selected(loop), "alarms": _alarms(loop)}
+    """Return what is known of the station; before the first frame the gel is not."""
+    known = {**_selection(loop), "alarms": _alarms(loop)}
     if loop.session is None:
         return known
     gel = loop.session.gel
@@ -264,7 +264,7 @@ def _facts(loop: StationLoop) -> Data:
     }
 
 
-def _selected(loop: StationLoop) -> Data:
+def _selection(loop: StationLoop) -> Data:
     part, bundle = loop.parts.selection.part, loop.parts.selection.inspector.bundle
     return {"part": part.part, "position": part.position, "bundle_id": bundle.digest}
 

@@ -95,15 +95,15 @@ class Commands:
 
     @property
     def page_verbs(self) -> frozenset[str]:
-        """Those that a page may serve."""
+        """The verbs that a page may serve."""
         return self._policy.page & self._handlers.keys()
 
     def from_page(self, verb: str, payload: bytes) -> bytes:
         """The response to one request of a person whom a page has admitted."""
         return self._response(verb, payload, self._at_page)
 
-    def refused_at_page(self, verb: str, payload: bytes, why: str) -> bytes:
-        """The response to a request that a page refuses, such as without its token. It is recorded."""
+    def refuse_at_page(self, verb: str, payload: bytes, why: str) -> bytes:
+        """Return the response to a request that a page refuses, such as without its token. It is recorded."""
         self._warn(verb, f"{why} (at the page)")
         transaction = _transaction(payload)
         act = Act(self._clock.time_ns(), PAGE, verb[:64], transaction, outcome="refused", sentence=why)
@@ -119,7 +119,7 @@ class Commands:
         try:
             request = _request(payload)
             transaction = request.transaction
-            return self._allowed(verb, request, admit)
+            return self._do_once(verb, request, admit)
         except (GelgateError, TypeError, ValueError) as error:
             self._warn(verb, error)
             return self._answer(verb, transaction, error=str(error))
@@ -136,8 +136,8 @@ class Commands:
         elif self._flood_lines.take():
             log.warning("more than %d requests a minute are refused: not each has its line", self._per_minute)
 
-    def refused(self, verb: str, payload: bytes, why: str) -> bytes:
-        """The response to a request that a sink refuses unread; a `Station.on_refused`."""
+    def refuse(self, verb: str, payload: bytes, why: str) -> bytes:
+        """Return the response to a request that a sink refuses unread; a `Station.on_refused`."""
         return self._answer(verb, _transaction(payload), error=why)
 
     def _over_mqtt(self, verb: str, request: CommandRequest, now_ns: int) -> _Asked:
@@ -153,7 +153,7 @@ class Commands:
         who = PAGE if request.by is None else f"{request.by}, at the {PAGE}"
         return _Asked(who, self._policy.page_refusal(verb), PAGE)
 
-    def _allowed(self, verb: str, request: CommandRequest, admit: _Admit) -> bytes:
+    def _do_once(self, verb: str, request: CommandRequest, admit: _Admit) -> bytes:
         """Record the request, do it unless it was done before, and record its outcome. Errors: those of a handler."""
         now_ns = self._clock.time_ns()
         asked = admit(verb, request, now_ns)
@@ -187,7 +187,7 @@ class Commands:
         return self._answer(verb, request.transaction, data=change.data)
 
     def _keep(self, act_id: int, *outcome: Any) -> None:
-        """What was done stays done when its outcome cannot be written."""
+        """Write the outcome; where that fails, what was done stays done."""
         try:
             self._store.finish_act(act_id, *outcome)
         except StoreError as error:
@@ -224,7 +224,7 @@ class Commands:
 
 
 def _transaction(payload: bytes) -> str | None:
-    """Of a request that is not done, as far as it can be read."""
+    """Return the transaction of a request that is not done, as far as it can be read."""
     try:
         return _request(payload).transaction
     except ValueError:
@@ -232,7 +232,7 @@ def _transaction(payload: bytes) -> str | None:
 
 
 def _request(payload: bytes) -> CommandRequest:
-    """Errors: ValueError, one sentence."""
+    """Read a request. Errors: ValueError, one sentence."""
     try:
         return CommandRequest.model_validate_json(payload)
     except ValidationError as error:

@@ -8,11 +8,11 @@ from edge.core.sink_context import Place, topic_root
 from edge.gateway.command_table import COMMANDS
 from edge.messaging.descriptions.station import DescribedStation, ServedCommand, SparkplugNode
 
-__all__ = ["DescribedBroker", "broker_of", "described"]
+__all__ = ["DescribedBroker", "broker_of", "describe_station"]
 
 
-def described(config: Config) -> DescribedStation:
-    """The station of this configuration, with the commands that it serves."""
+def describe_station(config: Config) -> DescribedStation:
+    """Describe the station of this configuration, with the commands that it serves."""
     table, commands = config.station, config.commands
     served = {*commands.unsigned, *commands.signed}
     return DescribedStation(
@@ -41,7 +41,7 @@ class DescribedBroker:
 
 
 def broker_of(config: Config) -> DescribedBroker:
-    """That of the first `mqtt` sink; a station without one is described with the usual values."""
+    """Return the broker of the first `mqtt` sink; a station without one is described with the usual values."""
     options = next((sink.options for sink in config.sinks if sink.plugin == "mqtt"), {})
     node = next((sink.options for sink in config.sinks if sink.plugin == "sparkplug"), None)
     has_tls = options.get("tls") is not None
@@ -53,5 +53,5 @@ def broker_of(config: Config) -> DescribedBroker:
         discovery_prefix=options.get("home_assistant"),
         node=None
         if node is None
-        else SparkplugNode.of(described(config).root, node.get("group"), node.get("node")),
+        else SparkplugNode.of(describe_station(config).root, node.get("group"), node.get("node")),
     )

@@ -47,7 +47,7 @@ class Gateway:
         """Build every part; a part that cannot work is refused here, before anything is started.
 
         on_press: called by the loop with every recorded press. checked: the parts opened by the check before the start.
-        read_again: reads the configuration at a reload. labels: which presses are no part's. Errors:
+        read_again: reads the configuration at a reload. labels: names the presses of references and studies. Errors:
         ConfigError, BundleError, StoreError.
         """
         with ExitStack() as closing:

@@ -91,12 +91,12 @@ class InspectionSession:
 
     @property
     def has_contact(self) -> bool:
-        """Whether something presses the gel."""
+        """True while something presses the gel."""
         return self._detector.tracker.has_contact
 
     @property
     def mounted(self) -> Mounted:
-        """What a press would be made with now."""
+        """The sensor, gel, part and bundle that a press would be made with now."""
         bundle = self.inspector.bundle
         part = PartPosition(bundle.manifest.part, bundle.manifest.position)
         made = read_origin(bundle.manifest)

@@ -23,7 +23,7 @@ from edge.page.http_server import HttpHandler, HttpServer
 if TYPE_CHECKING:
     from prometheus_client.core import Metric
 
-__all__ = ["METRICS", "Metrics", "served"]
+__all__ = ["METRICS", "Metrics", "serve_metrics"]
 
 ADDRESS: Final = "127.0.0.1"
 
@@ -89,8 +89,8 @@ class Metrics:
 
 
 @contextmanager
-def served(port: int) -> Iterator[Metrics]:
-    """Metrics that this machine can read at /metrics until the end of the block.
+def serve_metrics(port: int) -> Iterator[Metrics]:
+    """Serve metrics that this machine can read at /metrics until the end of the block.
 
     Errors: ConfigError where the extra is not installed or the port is taken.
     """

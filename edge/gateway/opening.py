@@ -75,7 +75,7 @@ class BundleOpener:
         for one in bundle_tables(table):
             earlier = before.at(one.path)
             try:
-                found = found.with_one(self._opened(one, table, trust, earlier))
+                found = found.with_one(self._open_one(one, table, trust, earlier))
             except GelgateError as error:
                 faults[one.path] = error
                 with contextlib.suppress(GelgateError):
@@ -84,10 +84,10 @@ class BundleOpener:
         self.trunks.keep_only(used)
         return Opened(found, faults)
 
-    def _opened(
+    def _open_one(
         self, one: BundleTable, table: InspectionTable, trust: Trust, earlier: OpenBundle | None
     ) -> OpenBundle:
-        """Errors: BundleError."""
+        """Open one bundle, or take the one that is open and has not changed. Errors: BundleError."""
         is_sound = earlier is not None and earlier.inspector.fault is None
         if earlier is not None and is_sound and _digest(one.path, trust) == earlier.bundle.digest:
             Bundle.load(
@@ -124,7 +124,7 @@ def first_part(table: InspectionTable, bundles: BundleSet, selected: PartPositio
     if table.part is None:
         return next(iter(bundles.bundles))
     try:
-        return bundles.named(table.part)
+        return bundles.find_by_name(table.part)
     except ValueError as error:
         raise ConfigError(f"inspection.part: {error}") from error
 

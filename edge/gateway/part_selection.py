@@ -54,22 +54,22 @@ class PartSelection:
 
     @property
     def inspector(self) -> Inspector:
-        """It judges presses now."""
+        """The inspector that judges presses now."""
         return self._in_use.inspector
 
     @property
     def part(self) -> PartPosition:
-        """What is inspected now."""
+        """The part and position inspected now."""
         return self._in_use.part
 
     @property
     def is_waiting(self) -> bool:
-        """Whether another bundle is selected and waits for the end of a press."""
+        """True while another bundle is selected and waits for the end of a press."""
         return self.bundles[self._wanted].inspector is not self.inspector
 
-    def named_by(self, name: str) -> frozenset[PartPosition]:
+    def find_all(self, name: str) -> frozenset[PartPosition]:
         """Return all positions that this name may mean."""
-        return self.bundles.named_by(name)
+        return self.bundles.find_all(name)
 
     def select(self, part: PartPosition, why: Act | None = None, *, is_pressed: bool) -> None:
         """Inspect this from now on, or from the end of this press on. part: one of `bundles`. why: recorded with the
@@ -96,7 +96,7 @@ class PartSelection:
         return self._golden.request()
 
     def step(self, *, is_pressed: bool) -> None:
-        """One turn: take new bundles, change the one in use, score a golden frame. Errors: StoreError, and then the one
+        """Take one turn: new bundles, change the one in use, score a golden frame. Errors: StoreError, and then the one
         in use has not changed; the next turn tries again."""
         inspector, bundles = self.inspector, self.bundles
         if (staged := self.stage.take()) is not None:
@@ -147,7 +147,7 @@ class PartSelection:
         return new if new.inspector is self.inspector else self._in_use
 
     def _report(self, faults: list[str]) -> None:
-        """Into the log and the alarm; `step` writes it into the table of acts."""
+        """Say it in the log and by the alarm; `step` writes it into the table of acts."""
         for fault in faults:
             log.error("%s", fault)
         self._status.say("bundle", "; ".join(faults) or None)

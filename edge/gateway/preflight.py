@@ -29,7 +29,7 @@ from edge.features.outputs.opening import describe_actuator, describe_trigger
 from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_policy import policy_of
 from edge.gateway.command_table import COMMANDS
-from edge.gateway.metrics import ADDRESS, served
+from edge.gateway.metrics import ADDRESS, serve_metrics
 from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.model.licence import licence_sentence
 from edge.store import bundles_in_use, gel_ledger
@@ -98,7 +98,9 @@ class Preflight:
             self.findings.append(Finding("bundle", str(error), error))
             return
         self.bundles = opened.bundles
-        self.findings += [Finding("bundle", _described(one)) for one in opened.bundles.bundles.values()]
+        self.findings += [
+            Finding("bundle", _describe_bundles(one)) for one in opened.bundles.bundles.values()
+        ]
         self.findings += [Finding("bundle", str(error), error) for error in opened.faults.values()]
 
     def open_sensor(self, config: Config, clock: Clock) -> str:
@@ -126,11 +128,11 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     """
     tried = config.store.path.with_name(config.store.path.name + ".tried")
     opener = BundleOpener(tried, config.inspection.threads, clock, keeps_trials=is_start)
-    opener.newest = lambda part: _stored(config, partial(bundles_in_use.revision, part=part))
+    opener.newest = lambda part: _describe_store(config, partial(bundles_in_use.revision, part=part))
     found = Preflight(opener)
     found.open_bundles(config)
     if config.inspection.part is not None and all(finding.error is None for finding in found.findings):
-        selected = _stored(config, bundles_in_use.read_selected)
+        selected = _describe_store(config, bundles_in_use.read_selected)
         found.try_part("part", lambda: str(first_part(config.inspection, found.bundles, selected)))
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     if config.overview is not None:
@@ -145,11 +147,11 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     for actuator in config.actuators:
         found.try_part(f"actuator {actuator.plugin}", partial(describe_actuator, actuator))
     for index, sink in enumerate(config.sinks):
-        found.try_part(f"sink {sink.plugin}", partial(_reachable, sink, f"sinks.{index}"))
+        found.try_part(f"sink {sink.plugin}", partial(_try_sink, sink, f"sinks.{index}"))
     return found
 
 
-def _described(one: OpenBundle) -> str:
+def _describe_bundles(one: OpenBundle) -> str:
     bundle, manifest = one.bundle, one.bundle.manifest
     licence = licence_sentence(manifest)
     return (
@@ -159,7 +161,7 @@ def _described(one: OpenBundle) -> str:
     )
 
 
-def _stored(config: Config, ask: Callable[[sqlite3.Connection], T]) -> T | None:
+def _describe_store(config: Config, ask: Callable[[sqlite3.Connection], T]) -> T | None:
     """An answer of the database; None of a new one. One that cannot be read has its own finding."""
     with (
         contextlib.suppress(StoreError),
@@ -170,7 +172,7 @@ def _stored(config: Config, ask: Callable[[sqlite3.Connection], T]) -> T | None:
 
 
 def _require_sensor(config: Config) -> None:
-    """Errors: DeviceNotFound."""
+    """Find the sensor. Errors: DeviceNotFound."""
     plugin = registry.device(config.device.plugin)
     options = plugin.Options.model_validate(config.device.options)
     discovered = plugin.discover(options)
@@ -237,13 +239,13 @@ def _commands(config: Config) -> str:
 
 
 def _metrics(port: int) -> str:
-    """Errors: ConfigError where the extra is not installed or the port is taken."""
-    with served(port):
+    """Try to serve metrics. Errors: ConfigError where the extra is not installed or the port is taken."""
+    with serve_metrics(port):
         return f"http://{ADDRESS}:{port}/metrics on this machine"
 
 
-def _reachable(table: PluginTable, key: str) -> str:
-    """Errors: ConfigError for an address that does not exist, or files that cannot be used."""
+def _try_sink(table: PluginTable, key: str) -> str:
+    """Say how a sink answers. Errors: ConfigError for an address that does not exist, or files that cannot be used."""
     options = registry.options("sinks", table.plugin).model_validate(table.options)
     warnings = options.warnings() if isinstance(options, HasWarnings) else ()
     return "; warning: ".join([_answers(options, key), *warnings])

@@ -52,7 +52,7 @@ class PressReport:
 
     @property
     def word(self) -> str:
-        """The verdict, or `error`; `reference` or `study` for a press that is no part's."""
+        """The verdict, or `error`; `reference` or `study` for a press of a master piece or a study."""
         return self.press.word if self.press.label is None else self.press.label.kind
 
 
@@ -105,7 +105,7 @@ class Recorder:
         return WaitingPress(press.drop_pictures(), row, result, heatmap, table)
 
     def record(self, waiting: WaitingPress) -> PressReport:
-        """One transaction: the press, its count, its messages. Errors: StoreError; the same call may be repeated."""
+        """Write press, count and messages in one transaction. Errors: StoreError; the call may be repeated."""
         press, table, heatmap = waiting.press, waiting.table, waiting.heatmap_png
         sentences: Sequence[str] = ()
 

@@ -122,7 +122,7 @@ def _sentence(window: FrameCounts) -> str:
 @dataclass
 class Summary:
     """The counts of a run. verdicts: word to number, `error` for a press without a verdict, `reference`
-    and `study` for one that is no part's.
+    and `study` for presses of master pieces and studies.
 
     latencies_ms: frame to verdict of the newest presses that were scored; rejected presses and errors are faster, so
     they do not count. frames: the fate of the sensor's frames. frames_corrupt: not delivered, or delivered and not
@@ -138,7 +138,7 @@ class Summary:
     frames_stale: int = 0
 
     def add(self, report: PressReport) -> None:
-        """One more press."""
+        """Count one more press."""
         result = report.result
         self.presses += 1
         self.verdicts[report.word] += 1
@@ -362,7 +362,7 @@ def _describe(sink: SinkCounters) -> str:
 
 
 def check_played(recording: Recording, summary: Summary, status: AcquisitionStatus) -> None:
-    """Errors: PressesMissed where the labels give another number of presses.
+    """Compare the presses with the recording's labels. Errors: PressesMissed where they give another number.
 
     Without labels: where frames were dropped, or no press was seen. A run that was stopped before the recording's end
     is not checked.

@@ -87,7 +87,7 @@ class StationLoop:
 
     @property
     def is_pressed(self) -> bool:
-        """Whether something presses the gel."""
+        """True while something presses the gel."""
         return self.session is not None and self.session.has_contact
 
     def find(self, kind: type[S]) -> S | None:
@@ -127,8 +127,8 @@ class StationLoop:
         self.publish_stats()
 
     def step(self, frame: CameraFrame | None) -> None:
-        """One turn, with the next frame if there is one. Without a frame a store that refused is tried again at once,
-        with one after STORE_RETRY_S."""
+        """Take one turn, with the next frame if there is one. Without a frame a store that refused is tried again at
+        once, with one after STORE_RETRY_S."""
         parts, now_ns = self.parts, self.parts.clock.monotonic_ns()
         parts.calls.serve(self)
         if frame is not None:
@@ -172,7 +172,7 @@ class StationLoop:
         self._say_info()
 
     def _say_info(self) -> None:
-        """Before the first frame the sensor is not known, and nothing is said."""
+        """Say what inspects; before the first frame the sensor is not known, and nothing is said."""
         if (identity := self.parts.acquisition.status.identity) is not None:
             selection = self.parts.selection
             names = list(map(str, selection.bundles.bundles))

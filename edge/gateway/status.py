@@ -79,7 +79,7 @@ class StationStatus:
         self._say_device()
 
     def set_blind(self, reason: str | None) -> None:
-        """Why the sensor's frames show nothing, None while they do. Frames alone do not end this fault."""
+        """Say why the sensor's frames show nothing; None while they do. Frames alone do not end this fault."""
         self._blind = reason
         self._say_device()
 

@@ -82,7 +82,7 @@ class Inspector:
         return self._score(press, rgb)
 
     def score_map(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32] | None:
-        """Of another picture of the region, uint8 (h, w, 3); float32 (h, w), None where it cannot be scored."""
+        """Score another picture of the region, uint8 (h, w, 3); float32 (h, w), None where it cannot be scored."""
         try:
             return self.scorer.score(rgb).score_map
         except (PoseNotFound, NotScorable):

@@ -111,7 +111,7 @@ class Trust:
 
 
 def trusted_keys(folder: Path) -> dict[str, tuple[str, "Ed25519PublicKey"]]:
-    """Every `<name>.pub` of a folder, by fingerprint. Errors: ConfigError for no key, or a file that is none."""
+    """Every `<name>.pub` of a folder, by fingerprint. Errors: ConfigError for no key, or a file without a key."""
     try:
         files = sorted(folder.glob(f"*{PUBLIC_SUFFIX}")) if folder.is_dir() else []
     except OSError as error:

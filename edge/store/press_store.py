@@ -188,7 +188,7 @@ class Store:
         return gel
 
     def count_presses(self, serial: str, presses: int, time_ns: int) -> GelRecord:
-        """Presses of which nothing else is known: they wear the gel."""
+        """Count presses of which nothing else is known: they wear the gel."""
         with self._database.writing(f"counting presses of sensor {serial}") as connection:
             ledger.count_press(connection, serial, time_ns, presses)
             gel, sequence = self._require_mounted(connection, serial), _newest_number(connection)

@@ -9,7 +9,7 @@ import pytest
 from edge.cli.describe import Format, describe, described_text
 from edge.config import load_config
 from edge.core.errors import ConfigError
-from edge.gateway.description import described
+from edge.gateway.description import describe_station
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_broker import Broker, Outgoing
@@ -132,7 +132,7 @@ def test_the_address_of_the_broker_is_enough(
     """The same file as from the configuration of the station, with the broker that was named."""
     address = f'host = "{broker.host}", port = {broker.port}, '
     config.write_text(CONFIG.replace('host = "broker.plant", tls = {}, ', address), encoding="utf-8")
-    station = described(load_config(config))
+    station = describe_station(load_config(config))
     leaves(broker, station.root, asyncapi_message(station).payload)
     leaves(broker, station.root.replace("press2", "press3"), b"{")
 
@@ -143,7 +143,7 @@ def test_the_address_of_the_broker_is_enough(
 
 def test_a_broker_without_one_station_is_refused_in_a_sentence(config: Path, broker: LocalBroker) -> None:
     """None, or several: then their names."""
-    station = described(load_config(config))
+    station = describe_station(load_config(config))
     with pytest.raises(ConfigError, match="has no station that describes itself below gelgate/\\+"):
         describe(host=broker.host, port=broker.port)
     for name in ("press2", "press3"):

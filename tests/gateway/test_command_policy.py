@@ -221,7 +221,7 @@ def test_the_page_serves_its_own_verbs_alone(bench: Bench) -> None:
 @pytest.mark.parametrize("payload", [b'{"transaction":"7"}', b"\xff{"])
 def test_what_a_page_refuses_is_answered_and_written_down(bench: Bench, payload: bytes) -> None:
     """Also where it cannot be read; nothing of it but its id is kept."""
-    answer = json.loads(bench.commands.refused_at_page("replace_gel", payload, "the token is wrong"))
+    answer = json.loads(bench.commands.refuse_at_page("replace_gel", payload, "the token is wrong"))
 
     assert (answer["status"], answer["error"]) == ("error", "the token is wrong")
     assert bench.done == []
@@ -234,7 +234,7 @@ def test_a_refusal_at_the_page_that_cannot_be_written_is_answered_nevertheless(b
     """The log has it."""
     bench.store.close()
 
-    answer = json.loads(bench.commands.refused_at_page("replace_gel", b"{}", "the token is wrong"))
+    answer = json.loads(bench.commands.refuse_at_page("replace_gel", b"{}", "the token is wrong"))
 
     assert answer["error"] == "the token is wrong"
 

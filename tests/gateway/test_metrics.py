@@ -11,7 +11,7 @@ from station import station_config
 from stepped_station import SteppedStation
 
 from edge.core.errors import ConfigError
-from edge.gateway.metrics import METRICS, Metrics, served
+from edge.gateway.metrics import METRICS, Metrics, serve_metrics
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, alarm_message
 from edge.messaging.payload_base import Payload
 from edge.messaging.status_payloads import StatePayload, StatsPayload, state_message, stats_message
@@ -107,9 +107,9 @@ def test_a_station_serves_them_until_it_is_closed(
         socket.create_connection(("127.0.0.1", port), timeout=10)
 
 
-def test_they_are_served_on_one_loopback_address_alone(port: int) -> None:
+def test_they_are_serve_metrics_on_one_loopback_address_alone(port: int) -> None:
     """There is no login, so no other address of the machine answers; 127.0.0.2 stands for them."""
-    with served(port):
+    with serve_metrics(port):
         socket.create_connection(("127.0.0.1", port), timeout=10).close()
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.2", port), timeout=10)
@@ -117,7 +117,7 @@ def test_they_are_served_on_one_loopback_address_alone(port: int) -> None:
 
 def test_a_page_of_others_and_slow_clients_are_no_readers(port: int) -> None:
     """A name server of others may answer with our address. Half requests take no place from a whole one."""
-    with served(port), ExitStack() as opened:
+    with serve_metrics(port), ExitStack() as opened:
         for _ in range(MOST_OF_ONE + 10):
             slow = opened.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10))
             slow.sendall(b"GET /metrics")
@@ -129,8 +129,10 @@ def test_a_page_of_others_and_slow_clients_are_no_readers(port: int) -> None:
 def test_a_port_that_is_taken_is_one_sentence(port: int) -> None:
     """Another gateway on the same machine."""
     with (
-        served(port),
-        pytest.raises(ConfigError, match=rf"metrics.port {port} cannot be served .* choose another port"),
-        served(port),
+        serve_metrics(port),
+        pytest.raises(
+            ConfigError, match=rf"metrics.port {port} cannot be serve_metrics .* choose another port"
+        ),
+        serve_metrics(port),
     ):
         pass

@@ -22,7 +22,7 @@ from edge.core.verdict import Kind
 from edge.features.overview import Overview, still_of
 from edge.recording.format import RecordingHeader, RecordingWriter
 
-SELECTION = Mock(part=PartPosition("PZ0", "pos1"), named_by=lambda name: {PartPosition("PZ0", "pos1")})
+SELECTION = Mock(part=PartPosition("PZ0", "pos1"), find_all=lambda name: {PartPosition("PZ0", "pos1")})
 IDENTITY = DeviceIdentity("camera", "C1", (320, 240), 5.0)
 
 

@@ -19,7 +19,7 @@ from edge.config import PluginTable, load_config
 from edge.core.errors import ConfigError, DeviceLost
 from edge.core.part_position import PartPosition
 from edge.gateway.build import build
-from edge.gateway.preflight import Finding, _reachable, preflight
+from edge.gateway.preflight import Finding, _try_sink, preflight
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.store.press_store import Store
@@ -30,7 +30,7 @@ from plugins.devices.usb_mock import UsbMock
 def test_a_name_that_no_host_can_have_is_a_sentence(host: str) -> None:
     """Python refuses such a name with another kind of error."""
     with pytest.raises(ConfigError, match=r"cannot be the name of a host; correct sinks\.1\.options\.host"):
-        _reachable(PluginTable(plugin="mqtt", options={"host": host}), "sinks.1")
+        _try_sink(PluginTable(plugin="mqtt", options={"host": host}), "sinks.1")
 
 
 class Counted:

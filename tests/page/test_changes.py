@@ -76,7 +76,7 @@ def alone(tmp_path: Path) -> Iterator[Bench]:
         done = Commands(
             dict.fromkeys(("replace_gel", "trigger"), lambda asked: Change({})), policy, store, clock
         )
-        page = PageRequests(done.page_verbs, done.from_page, done.refused_at_page)
+        page = PageRequests(done.page_verbs, done.from_page, done.refuse_at_page)
         options = PageOptions(token_file=token_file(tmp_path))
         sink = PageSink(options, Station(ROOT, "press2", page=page), clock, port=0)
         yield Bench(sink.port, store, lambda: time.sleep(0.001))

@@ -65,7 +65,7 @@ class Bundles:
                 self._paths.setdefault(_digest(bundle), bundle)
 
     def inspector(self, press: ArchivedPress) -> Inspector:
-        """With the bundle that judged this press. Errors: ArchiveError where it is not there, BundleError."""
+        """Open the bundle that judged this press. Errors: ArchiveError where it is not there, BundleError."""
         path = self._paths.get(press.bundle_id)
         if path is None:
             revision = "" if press.revision is None else f", revision {press.revision}"
@@ -135,7 +135,7 @@ def _of_scores(then: float | None, now: float | None) -> str:
 
 
 def _of_maps(press: ArchivedPress, now: NDArray[np.float32] | None, archive: ArchiveFolder) -> str:
-    """Where, and by how much, as far as the archived map is there."""
+    """Say where two score maps differ and by how much, as far as the archived map is there."""
     if now is None or press.score_map is None or press.map_shape is None:
         return f"a score map {'then' if now is None else 'now'} alone"
     if now.shape != press.map_shape:

@@ -41,11 +41,11 @@ class BlackBox(PressStage):
         is_late = (press.reason or "").startswith(f"{Reason.STALE.value}:")
         if judged is None or press.label is not None or inspector.fault is not None or is_late:
             return press
-        frame, machine = _named(judged.frame.payload), self._machine_now()
+        frame, machine = _name_by_hash(judged.frame.payload), self._machine_now()
         reference = None if judged.reference is None else self._reference_now(judged.reference)
-        score_map = None if press.score_map is None else _named(map_bytes(press.score_map))
+        score_map = None if press.score_map is None else _name_by_hash(map_bytes(press.score_map))
         scars, again, manifest = press.scars, press.again, inspector.bundle.manifest
-        masked = None if scars is None or scars.masked is None else _named(mask_bytes(scars.masked))
+        masked = None if scars is None or scars.masked is None else _name_by_hash(mask_bytes(scars.masked))
         record = ArchivedPress(
             press_id=press.press_id,
             time_ns=press.time_ns,
@@ -80,7 +80,7 @@ class BlackBox(PressStage):
 
     def _machine_now(self) -> tuple[str, bytes]:
         if self._machine is None:
-            self._machine = _named(fingerprint_bytes(fingerprint(self._threads)))
+            self._machine = _name_by_hash(fingerprint_bytes(fingerprint(self._threads)))
         return self._machine
 
     def _reference_now(self, view: View) -> tuple[str, bytes]:
@@ -88,7 +88,7 @@ class BlackBox(PressStage):
         if self._reference is None or self._reference[0] is not view:
             stream = io.BytesIO()
             np.save(stream, view, allow_pickle=False)
-            self._reference = view, _named(stream.getvalue())
+            self._reference = view, _name_by_hash(stream.getvalue())
         return self._reference[1]
 
 
@@ -103,10 +103,10 @@ def mask_bytes(masked: NDArray[np.bool_]) -> bytes:
 
 
 def read_mask(data: bytes, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """The same again, bool of this shape. Errors: ValueError for another number of bytes."""
+    """Unpack a mask to bool of this shape. Errors: ValueError for another number of bytes."""
     bits = np.unpackbits(np.frombuffer(data, np.uint8), count=shape[0] * shape[1])
     return bits.reshape(shape).astype(np.bool_)
 
 
-def _named(data: bytes) -> tuple[str, bytes]:
+def _name_by_hash(data: bytes) -> tuple[str, bytes]:
     return hashlib.sha256(data).hexdigest(), data

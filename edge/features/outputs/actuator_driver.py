@@ -72,7 +72,7 @@ class ActuatorDriver:
         self._thread.start()
 
     def show(self, view: StationView) -> None:
-        """What the station is now, and the sign that its loop is alive."""
+        """Take what the station is now, which is also the sign that its loop is alive."""
         with self._changed:
             is_new, self._view = view != self._view, view
             self._shown_ns = self._clock.monotonic_ns()
@@ -95,10 +95,10 @@ class ActuatorDriver:
     # The owner thread
 
     def step(self) -> float:
-        """One turn: open where it is away, give pulses, switch levels; returns the seconds until the next one."""
+        """Take one turn: open where it is away, give pulses, switch levels; returns the seconds until the next one."""
         try:
             self._watch()
-            actuator = self._connection.opened()
+            actuator = self._connection.open()
             if actuator is not None:
                 self._connection.check_presence()
                 self._turn(actuator)
@@ -111,7 +111,7 @@ class ActuatorDriver:
 
     def _turn(self, actuator: Actuator) -> None:
         self._check_channels(actuator)
-        while (pulse := self._taken()) is not None:
+        while (pulse := self._take_waiting()) is not None:
             self._give(actuator, pulse)
         now_ns = self._clock.monotonic_ns()
         for channel, is_on in levels(self._rules, self._present_view(), now_ns).items():
@@ -135,7 +135,7 @@ class ActuatorDriver:
             self._on_until_ns[pulse.channel] = end_ns
 
     def _refusal(self, pulse: _Pulse) -> str | None:
-        """Why this pulse is not given, or None."""
+        """Return why this pulse is not given, or None."""
         now_ns = self._clock.monotonic_ns()
         if now_ns > pulse.start_by_ns:
             return f"not given: it is {_after(pulse, now_ns)}"
@@ -150,7 +150,7 @@ class ActuatorDriver:
             actuator.write(channel, is_on)
             self._written[channel] = is_on
 
-    def _taken(self) -> _Pulse | None:
+    def _take_waiting(self) -> _Pulse | None:
         with self._changed:
             return self._asked.popleft() if self._asked else None
 

@@ -43,7 +43,7 @@ class Connection(Generic[P]):
         self._open_port, self._clock, self._backoff, self._on_fault = open_port, clock, backoff, on_fault
         self._fault: str | None = None
 
-    def opened(self) -> P | None:
+    def open(self) -> P | None:
         """The device, opened where it is time to try; None while it is away. Errors: DeviceError."""
         now_ns = self._clock.monotonic_ns()
         if self.port is None:

@@ -33,7 +33,7 @@ def open_outputs(
             partial(alarms.fault, "trigger_device", name),
             debounce_ns=round(table.debounce_ms * 1e6),
         )
-        for name, table in _named(config.triggers).items()
+        for name, table in _label(config.triggers).items()
     ]
     drivers = [
         ActuatorDriver(
@@ -44,7 +44,7 @@ def open_outputs(
             partial(alarms.late, name),
             watchdog_ns=round(table.watchdog_s * 1e9),
         )
-        for name, table in _named(config.actuators).items()
+        for name, table in _label(config.actuators).items()
     ]
     return Outputs(readers, drivers, alarms, clock)
 
@@ -84,7 +84,7 @@ def _describe(table: PluginTable, discovered: Sequence[DiscoveredPort]) -> str:
     )
 
 
-def _named(tables: Sequence[T]) -> dict[str, T]:
+def _label(tables: Sequence[T]) -> dict[str, T]:
     """Each with the name that its alarms carry: the plugin, numbered where it is used several times."""
     plugins = [table.plugin for table in tables]
     return {

@@ -44,9 +44,9 @@ class TriggerReader:
         self._thread.start()
 
     def step(self) -> float:
-        """One read, or one attempt to open; returns the seconds to wait before the next step, 0 for at once."""
+        """Read once, or try to open; returns the seconds to wait before the next step, 0 for at once."""
         try:
-            trigger = self._connection.opened()
+            trigger = self._connection.open()
             if trigger is not None:
                 self._read(trigger)
                 self._connection.works()
