@@ -199,10 +199,10 @@ class ReferenceGuard(PressStage):
         return None
 
     def _look_for_faults(self) -> None:
-        self._faults = tuple(self._warnings())
+        self._faults = tuple(self._find_faults())
         self._say()
 
-    def _warnings(self) -> Iterator[str]:
+    def _find_faults(self) -> Iterator[str]:
         """Say what is due, or out of limits."""
         mounted = self._mounted
         if mounted is None or self._table.enforce == "off":
