@@ -6,7 +6,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from edge.gateway import acquisition
+from edge import acquisition
 from plugins.devices import gelsight_mini, recorded, usb_mock
 from plugins.devices.virtual.faults import FaultKind
 
