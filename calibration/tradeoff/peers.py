@@ -82,7 +82,7 @@ def require_models() -> None:
         # RuntimeError, OSError: a torchvision of another build than torch lacks its operators or their libraries.
         raise ConfigError(
             f"--peers cannot import anomalib ({str(error).splitlines()[0]:.200}); install it in an environment of "
-            "its own (docs/tradeoff.md), with torch and torchvision of the same build, both for CPU or both for CUDA"
+            "its own (docs/studies.md), with torch and torchvision of the same build, both for CPU or both for CUDA"
         ) from error
 
 

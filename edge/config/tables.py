@@ -98,7 +98,7 @@ class InspectionTable(Table):
     press_again: Literal["never", "unsure"] = Field(
         default="never",
         description="unsure: a press a little above the threshold asks for a second one of the same piece, where the "
-        "costs of [press_again] say that it pays; see press_again.md",
+        "costs of [press_again] say that it pays; see limits.md",
     )
 
     @model_validator(mode="after")
@@ -228,7 +228,7 @@ class StoreTable(Table):
 
 class PressAgainTable(Table):
     """What presses and wrong verdicts cost, in any one unit: by that, and by the scores of the fit, a station decides
-    when one more press of a piece pays. See press_again.md.
+    when one more press of a piece pays. See limits.md.
     """
 
     missed_defect: float = Field(
@@ -246,7 +246,7 @@ class PressAgainTable(Table):
 
 
 class ArchiveTable(Table):
-    """What verdicts were made from, so that `gelgate station replay` makes them again: see black_box.md.
+    """What verdicts were made from, so that `gelgate station replay` makes them again: see security.md.
 
     It lies next to the database. On a disk that is full, or has less room than `store.free_mb`, presses are inspected
     and not archived.

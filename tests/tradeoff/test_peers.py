@@ -33,7 +33,7 @@ def test_a_torchvision_of_another_build_is_a_sentence(
         require_models()
     assert said in str(refusal.value)
     assert (
-        "an environment of its own (docs/tradeoff.md), with torch and torchvision of the same build"
+        "an environment of its own (docs/studies.md), with torch and torchvision of the same build"
         in str(refusal.value)
     )
 
