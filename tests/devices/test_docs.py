@@ -17,4 +17,6 @@ def test_every_fault_is_named() -> None:
 
 def test_numbers_are_the_programs() -> None:
     """docs/operations.md has the limit that is in the code."""
-    assert f"after {acquisition._CORRUPT_IN_A_ROW} in a row" in (DOCS / "operations.md").read_text(encoding="utf-8")
+    assert f"after {acquisition._CORRUPT_IN_A_ROW} in a row" in (DOCS / "operations.md").read_text(
+        encoding="utf-8"
+    )

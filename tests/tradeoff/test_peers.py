@@ -32,9 +32,8 @@ def test_a_torchvision_of_another_build_is_a_sentence(
     with pytest.raises(ConfigError, match="--peers cannot import anomalib") as refusal:
         require_models()
     assert said in str(refusal.value)
-    assert (
-        "an environment of its own (docs/studies.md), with torch and torchvision of the same build"
-        in str(refusal.value)
+    assert "an environment of its own (docs/studies.md), with torch and torchvision of the same build" in str(
+        refusal.value
     )
 
 
