@@ -115,7 +115,7 @@ def _fitted(nominal: Path, path: Path) -> Path:
     import datetime
 
     from calibration.fitting.fit import FitConfig, fit_bundle
-    from calibration.fitting.nominal_presses import read_presses
+    from calibration.fitting.presses.nominal_presses import read_presses
     from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
     from calibration.progress import Stages
     from edge import registry

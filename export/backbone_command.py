@@ -149,7 +149,7 @@ def _free_gel(picture: Path, sensor: "SensorProfile", region: "Region") -> "NDAr
     """The region of a picture of the free gel, uint8 (h, w, 3). Errors: as `read_presses`."""
     import numpy as np
 
-    from calibration.fitting.nominal_presses import read_presses
+    from calibration.fitting.presses.nominal_presses import read_presses
 
     return np.asarray(read_presses([picture], sensor, region).frames[0], np.uint8)
 

@@ -66,7 +66,7 @@ def _frames(opened: "Bundle", sources: list[Path]) -> "tuple[NDArray[np.uint8], 
     """Nominal frames of all sources, and damaged ones with masks of those that are datasets."""
     from calibration.dataset import open_dataset, resolution_of
     from calibration.fitting.command import found_sources, nominal_presses
-    from calibration.fitting.sources import is_dataset
+    from calibration.fitting.presses.sources import is_dataset
 
     manifest, sensor, region = opened.manifest, opened.profile, opened.region
     given = any(map(is_dataset, sources))

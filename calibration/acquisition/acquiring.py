@@ -12,7 +12,7 @@ from calibration.acquisition.report import coverage_png
 from calibration.acquisition.sources import FreeGel, LeftOut, Press
 from calibration.dataset.files import read_rgb
 from calibration.fitting.features import extract, trunk_grid
-from calibration.fitting.nominal_presses import lit, named_presses, touched_union
+from calibration.fitting.presses.nominal_presses import lit, named_presses, touched_union
 from calibration.fitting.trunks import Trunk
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region

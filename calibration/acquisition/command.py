@@ -161,7 +161,7 @@ def _stream(
         station_device,
     )
     from calibration.fitting.command import found_sources
-    from calibration.fitting.recorded_presses import PressFinder
+    from calibration.fitting.presses.recorded_presses import PressFinder
     from edge.clock import SystemClock
     from edge.core.gel import DEFAULT_LIMIT_PRESSES
 

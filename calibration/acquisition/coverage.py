@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.threshold import pieces_of
+from calibration.fitting.limits.threshold import pieces_of
 from edge.core.binomial import CONFIDENCE, trials_needed, upper_rate
 
 __all__ = [

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset.files import read_rgb
-from calibration.fitting.nominal_presses import (
+from calibration.fitting.presses.nominal_presses import (
     is_recording,
     listed_pictures,
     lit,
     specimen_of,
     why_unread,
 )
-from calibration.fitting.recorded_presses import FoundPress, PressFinder
+from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
 from edge import registry
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.cli.options import plugin_options

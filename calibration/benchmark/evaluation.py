@@ -12,11 +12,11 @@ from calibration.benchmark.sets import EvaluationSet
 from calibration.benchmark.trial import FORMAT, PROFILE, Trial
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit_config import FitConfig
-from calibration.fitting.folds import held_out_folds
-from calibration.fitting.held_out import Learner
-from calibration.fitting.limit_choice import Choice
-from calibration.fitting.limit_step import LimitStep
-from calibration.fitting.threshold import conformal_threshold
+from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.limits.limit_choice import Choice
+from calibration.fitting.limits.limit_step import LimitStep
+from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.metrics import image_weights, interval, pixel_measures
 from calibration.metrics.summary import image_auroc_of
 from calibration.simulator.workers import in_order

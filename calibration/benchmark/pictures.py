@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.benchmark.trial import PROFILE, REGION, Trial
-from calibration.fitting.nominal_presses import MAX_NO_CONTACT, NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import MAX_NO_CONTACT, NominalPresses, named_presses
 from calibration.simulator import optics, sensor_appearance
 from calibration.simulator.field_of_view import F32, LR, grids
 from calibration.simulator.renderer import MASK_DEPTH_MM

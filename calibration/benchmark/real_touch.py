@@ -17,8 +17,8 @@ from calibration.benchmark import touch_edits
 from calibration.benchmark.pictures import contact_square, read_picture, specks, together
 from calibration.benchmark.touch_edits import Edited
 from calibration.benchmark.trial import PROFILE, REGION, Trial
-from calibration.fitting.nominal_presses import NominalPresses, named_presses
-from calibration.rendered_damage.conditions import relit
+from calibration.fitting.damage.conditions import relit
+from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.simulator.field_of_view import F32
 from edge.core.errors import DatasetError
 from edge.core.imaging.region import Region

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 

@@ -9,7 +9,7 @@ from calibration.fitting.options import NoContact, Part, Pattern, Position, Resi
 
 if TYPE_CHECKING:
     from calibration.detectability.study import Plan, Settings, Trial
-    from calibration.fitting.nominal_presses import NominalPresses
+    from calibration.fitting.presses.nominal_presses import NominalPresses
     from calibration.studies.rows import Rows
     from edge.model.bundle import Bundle
 
@@ -78,7 +78,7 @@ def detectability(
 
 def _kinds(asked: list[str] | None) -> tuple[str, ...]:
     """Errors: ConfigError for an unknown kind."""
-    from calibration.rendered_damage.damage import KINDS
+    from calibration.fitting.damage.damage import KINDS
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
 
@@ -98,8 +98,8 @@ def _presses(
     pattern: str | None,
 ) -> "NominalPresses":
     """The presses, read as the bundle's profile says. Errors: as `read_presses` and `find_sources`."""
-    from calibration.fitting.nominal_presses import read_presses
-    from calibration.fitting.sources import find_sources
+    from calibration.fitting.presses.nominal_presses import read_presses
+    from calibration.fitting.presses.sources import find_sources
 
     own = bundle.manifest
     found = find_sources(sources, part or own.part, position or own.position, bundle.profile.size)

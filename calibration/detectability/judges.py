@@ -8,17 +8,17 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.augmentation import Copies
+from calibration.fitting.damage.damage import KINDS, Damage, Spot
+from calibration.fitting.damage.footprint import surroundings
+from calibration.fitting.damage.imprint import Station
 from calibration.fitting.features import extract
-from calibration.fitting.folds import held_out_folds
-from calibration.fitting.held_out import Learner
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.registration import in_pose_of
-from calibration.map_limits.head_limit import limited_like
-from calibration.map_limits.head_relief import relieved_like
-from calibration.rendered_damage.damage import KINDS, Damage, Spot
-from calibration.rendered_damage.footprint import surroundings
-from calibration.rendered_damage.imprint import Station
+from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.head_limit import limited_like
+from calibration.fitting.limits.head_relief import relieved_like
+from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.pose.registration import in_pose_of
+from calibration.fitting.presses.augmentation import Copies
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge import registry
 from edge.core.detector import Features, Nominal
 from edge.core.errors import DatasetError, PoseNotFound

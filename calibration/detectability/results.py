@@ -6,7 +6,7 @@ from pathlib import Path
 
 from calibration.detectability.pod import Pod, fit_pod
 from calibration.detectability.study import Place, Plan, Trial
-from calibration.rendered_damage.damage import KINDS
+from calibration.fitting.damage.damage import KINDS
 from edge.core.errors import StoreError
 from edge.model.archive import MANIFEST, open_archive, write_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, manifest_bytes, parse_manifest

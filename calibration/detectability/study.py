@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.detectability.judges import MIN_PRESSES, Judge, panel
-from calibration.fitting.colours import refuses
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.rendered_damage.damage import KINDS, Spot
-from calibration.rendered_damage.imprint import Station
-from calibration.rendered_damage.rendering import EditedPress
+from calibration.fitting.damage.damage import KINDS, Spot
+from calibration.fitting.damage.imprint import Station
+from calibration.fitting.damage.rendering import EditedPress
+from calibration.fitting.presses.colours import refuses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.simulator.constants import CROP_MM
 from calibration.simulator.field_of_view import F32, Field, grids
 from calibration.simulator.sensor_appearance import SENSORS, background

@@ -11,8 +11,8 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.threshold import MIN_PRESSES, needed, pieces_of
+from calibration.fitting.limits.threshold import MIN_PRESSES, needed, pieces_of
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge import registry
 from edge.core.contact.light import foreign_free_gel
 from edge.core.contact.mask import Touch, touched, touched_mask

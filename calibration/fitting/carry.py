@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import golden_frames, measured_tolerance, provenance
-from calibration.fitting.colours import nominal_colours
 from calibration.fitting.fit import Fitted
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.threshold import conformal_threshold
+from calibration.fitting.limits.threshold import conformal_threshold
+from calibration.fitting.presses.colours import nominal_colours
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.contact.wear import wear
 from edge.core.detector import Bank
 from edge.core.errors import FitError, PoseNotFound

@@ -18,7 +18,7 @@ from calibration.fitting.options import (
 )
 
 if TYPE_CHECKING:
-    from calibration.fitting.nominal_presses import NominalPresses
+    from calibration.fitting.presses.nominal_presses import NominalPresses
     from edge.model.bundle import Bundle
 
 __all__ = ["carry"]
@@ -70,7 +70,7 @@ def _presses(
     pattern: str | None,
     leave_out: list[str],
 ) -> "NominalPresses":
-    from calibration.fitting.nominal_presses import read_presses
+    from calibration.fitting.presses.nominal_presses import read_presses
 
     return read_presses(
         sources,

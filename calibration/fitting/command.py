@@ -40,8 +40,8 @@ from calibration.fitting.trunks import AUTO
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
     from calibration.fitting.fit_config import FitConfig
-    from calibration.fitting.nominal_presses import NominalPresses
-    from calibration.fitting.sources import Sources
+    from calibration.fitting.presses.nominal_presses import NominalPresses
+    from calibration.fitting.presses.sources import Sources
     from calibration.progress import Report
     from edge.core.imaging.region import Region
     from edge.core.imaging.sensor_profile import SensorProfile
@@ -216,7 +216,7 @@ def found_sources(
     seed: int = 0,
 ) -> "Sources":
     """The sources with datasets resolved; prints the held-out specimens. Errors: as `find_sources`; BadParameter."""
-    from calibration.fitting.sources import check_present, find_sources, is_dataset
+    from calibration.fitting.presses.sources import check_present, find_sources, is_dataset
 
     check_present(sources)
     if part is None and not any(map(is_dataset, sources)):
@@ -237,7 +237,7 @@ def nominal_presses(
     pattern: str | None = None,
 ) -> "NominalPresses":
     """The presses of all sources. Errors: as `read_presses`."""
-    from calibration.fitting.nominal_presses import read_presses
+    from calibration.fitting.presses.nominal_presses import read_presses
 
     return read_presses(
         found.paths,
@@ -308,7 +308,7 @@ def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:
 
 def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
     """The requested profile, or the one that all recordings among the sources name."""
-    from calibration.fitting.nominal_presses import is_recording
+    from calibration.fitting.presses.nominal_presses import is_recording
     from edge.core.errors import ConfigError
     from edge.core.imaging.known_profiles import profile
     from edge.recording.format import Recording

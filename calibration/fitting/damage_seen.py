@@ -13,15 +13,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.augmentation import Copies, augmentation_of
 from calibration.fitting.bundle_measurements import scatter_warnings
-from calibration.fitting.damaged_presses import damaged_presses
+from calibration.fitting.damage.damaged_presses import damaged_presses
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit_config import FitConfig
-from calibration.fitting.folds import held_out_folds
-from calibration.fitting.held_out import Learner, ScoredPresses, held_out
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.pose_decision import PoseChoice, Take, chosen_pose
+from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.held_out import Learner, ScoredPresses, held_out
+from calibration.fitting.pose.pose_decision import PoseChoice, Take, chosen_pose
+from calibration.fitting.presses.augmentation import Copies, augmentation_of
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from calibration.metrics import aupro, auroc
 from edge.core.detector import Detector, Features, Nominal

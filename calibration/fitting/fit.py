@@ -12,12 +12,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.augmentation import (
-    EACH,
-    Copies,
-    augmentation_of,
-    rendered_copies,
-)
 from calibration.fitting.bundle_measurements import (
     contact_range,
     cost_card,
@@ -30,26 +24,32 @@ from calibration.fitting.bundle_measurements import (
     scatter_warnings,
     warnings,
 )
-from calibration.fitting.colours import colour_warnings, nominal_colours, refuses
-from calibration.fitting.covering import covering_bank
 from calibration.fitting.features import extract, feature_warnings, trunk_grid
 from calibration.fitting.fit_config import FitConfig
-from calibration.fitting.folds import held_out_folds
-from calibration.fitting.held_out import Learner
-from calibration.fitting.limit_choice import Choice
-from calibration.fitting.limit_step import LimitStep
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.pose_decision import PoseChoice, chosen_pose
-from calibration.fitting.relief_step import ReliefChoice, relief_of, with_relief
-from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings, unproven_warnings
-from calibration.fitting.threshold import (
+from calibration.fitting.limits.covering import covering_bank
+from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.head_limit import bank_with, head_with_limit, limit_arrays
+from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.limits.kinds import PLAIN
+from calibration.fitting.limits.limit_choice import Choice
+from calibration.fitting.limits.limit_step import LimitStep
+from calibration.fitting.limits.relief_step import ReliefChoice, relief_of, with_relief
+from calibration.fitting.limits.threshold import (
     MIN_PRESSES,
     conformal_threshold,
     of_copies,
     require_enough,
 )
-from calibration.map_limits.head_limit import bank_with, head_with_limit, limit_arrays
-from calibration.map_limits.kinds import PLAIN
+from calibration.fitting.pose.pose_decision import PoseChoice, chosen_pose
+from calibration.fitting.presses.augmentation import (
+    EACH,
+    Copies,
+    augmentation_of,
+    rendered_copies,
+)
+from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
+from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings, unproven_warnings
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Features, Nominal, Progress

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from calibration.fitting.augmentation import Augment
 from calibration.fitting.bundle_measurements import check_given
-from calibration.fitting.pose_decision import Register
-from calibration.fitting.threshold import check_alpha
+from calibration.fitting.limits.threshold import check_alpha
+from calibration.fitting.pose.pose_decision import Register
+from calibration.fitting.presses.augmentation import Augment
 from calibration.fitting.trunks import Trunk
 from edge.core.detector import Detector, Mode
 from edge.core.errors import FitError

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.features import extract, trunk_grid
-from calibration.fitting.folds import held_out_folds
-from calibration.fitting.held_out import Learner, ScoredPresses, held_out_scores
-from calibration.fitting.nominal_presses import NominalPresses, named_presses
-from calibration.fitting.threshold import conformal_threshold
+from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.held_out import Learner, ScoredPresses, held_out_scores
+from calibration.fitting.limits.threshold import conformal_threshold
+from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.metrics import aupro, auroc
 from calibration.simulator.defects import DEFECTS

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.nominal_presses import named_presses
+from calibration.fitting.presses.nominal_presses import named_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.gel_scars.worn_gel import SCARS, Line, Placing, Scar, as_view, random_scar
 from calibration.simulator.defects import DEFECTS, Defect

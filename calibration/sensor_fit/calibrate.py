@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.sensor_fit.fit import BallPress, fit_gel, fit_response
 from calibration.sensor_fit.free_gel import fit_free_gel, fit_noise
 from calibration.sensor_fit.presses import (

@@ -8,7 +8,7 @@ import typer
 from calibration.fitting.options import NoContact, Pattern, Resize
 
 if TYPE_CHECKING:
-    from calibration.fitting.nominal_presses import NominalPresses
+    from calibration.fitting.presses.nominal_presses import NominalPresses
     from calibration.sensor_fit.calibrate import Calibrated
 
 __all__ = ["calibrate"]
@@ -80,7 +80,7 @@ def _check_output(output: Path, overwrite: bool) -> Path:
 def _presses(
     sources: list[Path], no_contact: list[Path] | None, resize: bool, pattern: str | None
 ) -> "NominalPresses":
-    from calibration.fitting.nominal_presses import read_presses
+    from calibration.fitting.presses.nominal_presses import read_presses
     from edge.core.imaging.known_profiles import profile
     from edge.core.imaging.region import Region
 

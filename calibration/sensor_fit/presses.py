@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.sensor_fit.ball import Circle, find_circle
 from calibration.sensor_fit.fit import BallPress
 from calibration.sensor_fit.free_gel import has_markers, marker_dots

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import placeholders, provenance
 from calibration.fitting.features import extract, trunk_grid
-from calibration.fitting.held_out import Learner
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk, open_trunk
 from calibration.tradeoff.point import VIEWS, OperatingPoint, View
 from calibration.tradeoff.presses import Chosen, Seen

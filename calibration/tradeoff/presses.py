@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.dataset import LabelledPress, open_dataset, resolution_of, split_by_specimen
 from calibration.dataset.remarks import empty_masks, repeated_pictures
-from calibration.fitting.nominal_presses import NominalPresses, read_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.tradeoff.point import VIEWS, View
 from edge.core.errors import DatasetError
 from edge.core.imaging.sensor_profile import SensorProfile

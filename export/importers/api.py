@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calibration.fitting.nominal_presses import NominalPresses, read_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.progress import Report
 from calibration.threads import one_blas_thread

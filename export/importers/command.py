@@ -21,7 +21,7 @@ from calibration.fitting.options import (
 from edge.cli.arguments import flatten, named_values
 
 if TYPE_CHECKING:
-    from calibration.fitting.nominal_presses import NominalPresses
+    from calibration.fitting.presses.nominal_presses import NominalPresses
     from edge.core.imaging.region import Region
     from edge.core.imaging.sensor_profile import SensorProfile
 

@@ -6,7 +6,7 @@ import pytest
 from calibration.acquisition.command import alpha
 from calibration.acquisition.coverage import Coverage, Goal, Standing
 from calibration.acquisition.report import forecast_lines, promise_line, summary_lines
-from calibration.fitting.threshold import conformal_threshold
+from calibration.fitting.limits.threshold import conformal_threshold
 
 
 def coverage(presses: int, unseen: int) -> Coverage:

@@ -25,10 +25,10 @@ from acquisition_tables import tables, write_rows
 from numpy.typing import NDArray
 
 from calibration.acquisition.coverage import ROUND, PlaceDistances, Standing
-from calibration.fitting.covering import covering_bank
-from calibration.fitting.folds import held_out_folds
-from calibration.fitting.held_out import Learner, held_out_scores
-from calibration.fitting.threshold import conformal_threshold
+from calibration.fitting.limits.covering import covering_bank
+from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.held_out import Learner, held_out_scores
+from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.metrics import aupro
 from edge import registry
 from edge.core.detector import Bank, Features, Grid, Nominal

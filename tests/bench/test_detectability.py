@@ -23,11 +23,11 @@ from calibration.detectability.judges import Judge
 from calibration.detectability.pod import Pod, fit_pod
 from calibration.detectability.results import results
 from calibration.detectability.study import Plan, Settings, plan, run
+from calibration.fitting.damage.damage import KINDS
+from calibration.fitting.damage.rendering import EditedPress
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import open_trunk
-from calibration.rendered_damage.damage import KINDS
-from calibration.rendered_damage.rendering import EditedPress
 from edge import registry
 from edge.core.errors import DatasetError, FitError
 from edge.core.imaging.known_profiles import profile

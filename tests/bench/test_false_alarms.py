@@ -18,12 +18,12 @@ import pytest
 from numpy.typing import NDArray
 from random_part_presses import RandomPartPresses
 
-from calibration.fitting.covering import covering_bank
 from calibration.fitting.features import extract, trunk_grid
-from calibration.fitting.folds import held_out_folds
-from calibration.fitting.held_out import Learner, held_out_scores
-from calibration.fitting.nominal_presses import NominalPresses, named_presses
-from calibration.fitting.threshold import conformal_threshold
+from calibration.fitting.limits.covering import covering_bank
+from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.held_out import Learner, held_out_scores
+from calibration.fitting.limits.threshold import conformal_threshold
+from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import open_trunk
 from edge import registry
 from edge.core.detector import Features, Grid, Nominal

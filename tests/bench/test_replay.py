@@ -16,7 +16,7 @@ from registered_bundle import registered
 from turned_parts import BLOCK, anywhere
 
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import open_trunk
 from edge import registry
 from edge.clock import SystemClock

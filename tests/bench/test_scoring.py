@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, Trunk, open_trunk
 from edge import registry
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM

@@ -26,7 +26,7 @@ from calibration.benchmark.presses import PARTS, Sizes, development_trial, part_
 from calibration.benchmark.sets import SETS, EvaluationSet, evaluation_sets
 from calibration.benchmark.tables import evaluation_tables
 from calibration.benchmark.trial import REGION, Trial
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import open_trunk
 from calibration.simulator.field_of_view import LR, Field, grids
 from calibration.simulator.pose import Pose, sample

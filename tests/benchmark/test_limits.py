@@ -14,7 +14,7 @@ from calibration.benchmark.evaluation import (
 )
 from calibration.benchmark.sets import EvaluationSet
 from calibration.benchmark.trial import Trial
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 
 
 def known() -> Trial:

@@ -30,7 +30,7 @@ from toy_trunk import toy_trunk
 from typer.main import get_command
 
 from calibration.fitting.fit import FitConfig, fit_bundle
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from edge import registry
 from edge.cli import build

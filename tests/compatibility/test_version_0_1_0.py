@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.fitting.nominal_presses import read_presses
+from calibration.fitting.presses.nominal_presses import read_presses
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.model.bundle import Bundle

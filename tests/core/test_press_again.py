@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calibration.fitting.threshold import conformal_threshold
+from calibration.fitting.limits.threshold import conformal_threshold
 from edge.core.press_again import Costs, KnownScores, Plan, is_asked, plan, second_verdict, unsure
 from edge.core.verdict import Kind, Verdict, decide
 

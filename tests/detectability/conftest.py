@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from pressed_dome import PROFILE, REGION, Bench, write
 
+from calibration.fitting.damage.imprint import Station
 from calibration.fitting.fit import FitConfig, fit_bundle
-from calibration.fitting.nominal_presses import read_presses
+from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.trunks import open_trunk
-from calibration.rendered_damage.imprint import Station
 from calibration.simulator.pose import Jitter
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv

@@ -11,8 +11,8 @@ import turned_parts as parts
 from registered_bundle import PROFILE, nominal
 
 from calibration.detectability.judges import panel
-from calibration.fitting.augmentation import rendered_copies
 from calibration.fitting.fit import FitConfig, fit_files
+from calibration.fitting.presses.augmentation import rendered_copies
 from calibration.fitting.trunks import Trunk
 from edge import registry
 from edge.core.imaging.region import Region

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from registered_bundle import registered
 
 from calibration.detectability.judges import Judge, Press
-from calibration.rendered_damage.damage import Damage
+from calibration.fitting.damage.damage import Damage
 from edge.core.registration.pose import Pose
 from edge.model.scorer import Scorer
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pressed_dome import REGION, Bench
 
 from calibration.detectability.judges import Judge, sizes_mm, smallest_found
-from calibration.rendered_damage.damage import Damage, Spot
-from calibration.rendered_damage.imprint import Station
-from calibration.rendered_damage.rendering import EditedPress
+from calibration.fitting.damage.damage import Damage, Spot
+from calibration.fitting.damage.imprint import Station
+from calibration.fitting.damage.rendering import EditedPress
 from edge.model.manifest import ToleranceEntry
 from edge.model.scorer import Scored
 

@@ -10,7 +10,7 @@ import pytest
 import tiny
 from typer.testing import CliRunner, Result
 
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge import cli
 from edge.core.errors import BundleCorrupt, ConfigError, FitError
 from edge.model.bundle import Bundle

@@ -8,7 +8,9 @@ import tiny
 import turned_parts as parts
 from registered_bundle import PROFILE, PlaceDetector, nominal
 
-from calibration.fitting.augmentation import (
+from calibration.fitting.fit import FitConfig, Fitted, fit_files
+from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.presses.augmentation import (
     EACH,
     MOST,
     Augment,
@@ -16,9 +18,7 @@ from calibration.fitting.augmentation import (
     augmentation_of,
     rendered_copies,
 )
-from calibration.fitting.fit import FitConfig, Fitted, fit_files
-from calibration.fitting.held_out import Learner
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from edge.core.detector import Features, Mode, Nominal
 from edge.core.errors import FitError

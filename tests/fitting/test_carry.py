@@ -17,7 +17,7 @@ from tiny_fit import presses as tiny_presses
 
 from calibration.fitting.carry import CarryConfig, carried
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
-from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import Trunk
 from edge.core.errors import FitError
 from edge.core.imaging.known_profiles import profile

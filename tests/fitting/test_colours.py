@@ -10,9 +10,9 @@ import tiny
 from typer.testing import CliRunner
 
 from calibration.benchmark.presses import Sizes, part_trial
-from calibration.fitting.colours import LEAST_LIMIT, LIMIT_FACTOR, colour_warnings, nominal_colours
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.colours import LEAST_LIMIT, LIMIT_FACTOR, colour_warnings, nominal_colours
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from edge import cli
 from edge.core.errors import BundleCorrupt

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import tiny
 
-from calibration.fitting.covering import covering_bank, is_covered
-from calibration.fitting.held_out import Learner
-from calibration.fitting.threshold import conformal_threshold
+from calibration.fitting.limits.covering import covering_bank, is_covered
+from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.limits.threshold import conformal_threshold
 from edge.core.detector import Bank, Nominal
 
 GRID = tiny.tiny_grid()

@@ -8,8 +8,8 @@ from pressed_dome import PROFILE, REGION, Bench
 
 from calibration.fitting.damage_seen import Brought, DamageJudge, TrunkBench, separated
 from calibration.fitting.fit_config import FitConfig
-from calibration.fitting.held_out import ScoredPresses
-from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.limits.held_out import ScoredPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.simulator.pose import Jitter
 from calibration.simulator.renderer import Renderer

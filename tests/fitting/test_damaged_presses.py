@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pressed_dome import PROFILE, REGION, Bench
 
-from calibration.fitting.damaged_presses import damaged_presses, pieced_presses
-from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.damage.damaged_presses import damaged_presses, pieced_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.simulator.pose import Jitter
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv

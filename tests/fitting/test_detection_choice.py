@@ -11,7 +11,7 @@ from calibration.fitting.candidates import Candidates
 from calibration.fitting.damage_seen import DamageJudge, Seen, TrunkBench
 from calibration.fitting.detection_choice import Comparison, choose_detection
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.simulator.pose import Jitter
 from calibration.simulator.renderer import Renderer

@@ -7,7 +7,7 @@ from tiny_fit import config
 
 from calibration.fitting.features import extract, feature_warnings, trunk_grid
 from calibration.fitting.fit import fit_files
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.detector import Nominal
 from edge.model.session import open_session
 from plugins.detectors.padim import padim

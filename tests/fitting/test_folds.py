@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.fitting.folds import folds, held_out_folds
+from calibration.fitting.limits.folds import folds, held_out_folds
 
 
 @given(

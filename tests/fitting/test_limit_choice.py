@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.fitting.edited_presses import EditedPresses
-from calibration.fitting.held_out import HeldOut, ScoredPresses
-from calibration.fitting.limit_choice import WORTH, Evidence, choose_limit
-from calibration.map_limits.kinds import KINDS
+from calibration.fitting.damage.edited_presses import EditedPresses
+from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
+from calibration.fitting.limits.kinds import KINDS
+from calibration.fitting.limits.limit_choice import WORTH, Evidence, choose_limit
 
 PX = 4.0
 SIDE, PRESSES, EDITS = 48, 24, 24

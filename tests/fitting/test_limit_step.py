@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from pressed_dome import PROFILE, REGION, Bench
 
-from calibration.fitting.edited_presses import SIZE_SHARES, SPOTS, edited_presses
+from calibration.fitting.damage.edited_presses import SIZE_SHARES, SPOTS, edited_presses
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.limits.head_limit import ARRAYS
+from calibration.fitting.limits.head_relief import ARRAYS as RELIEF_ARRAYS
+from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import open_trunk
-from calibration.map_limits.head_limit import ARRAYS
-from calibration.map_limits.head_relief import ARRAYS as RELIEF_ARRAYS
 from calibration.simulator.pose import Jitter
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv

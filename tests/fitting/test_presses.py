@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.fitting.bundle_measurements import free_gel_warnings
-from calibration.fitting.nominal_presses import MAX_NO_CONTACT, read_presses
+from calibration.fitting.presses.nominal_presses import MAX_NO_CONTACT, read_presses
 from edge.core.errors import DatasetError, FitError, RecordingError
 from edge.core.imaging.image_bytes import with_comment
 from edge.core.imaging.region import Region

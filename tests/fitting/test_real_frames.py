@@ -12,7 +12,7 @@ import pytest
 
 from calibration.fitting.bundle_measurements import scatter_warnings
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.nominal_presses import read_presses
+from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge import registry
 from edge.core.imaging.known_profiles import profile

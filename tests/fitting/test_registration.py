@@ -6,8 +6,8 @@ import tiny
 import turned_parts as parts
 from registered_bundle import fitted, nominal, registered
 
-from calibration.fitting.pose_decision import Register
-from calibration.fitting.registration import in_pose_of, learn_pose
+from calibration.fitting.pose.pose_decision import Register
+from calibration.fitting.pose.registration import in_pose_of, learn_pose
 from edge.core.errors import BundleCorrupt, FitError, PoseNotFound
 from edge.core.registration.pose import Pose
 from edge.model.bundle import Bundle

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from pressed_dome import DEPTH_MM, PROFILE, REGION, Bench, pillow
 
+from calibration.fitting.damage.conditions import dimmed, relit
+from calibration.fitting.damage.relief_presses import changed_presses
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
-from calibration.fitting.folds import held_out_folds
-from calibration.fitting.nominal_presses import NominalPresses, named_presses
-from calibration.fitting.relief_presses import changed_presses
-from calibration.fitting.relief_step import USEFUL, ReliefChoice, choose_relief, finest_tap
+from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.head_relief import ARRAYS
+from calibration.fitting.limits.relief_step import USEFUL, ReliefChoice, choose_relief, finest_tap
+from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import open_trunk
-from calibration.map_limits.head_relief import ARRAYS
-from calibration.rendered_damage.conditions import dimmed, relit
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.pose import HeightField, Jitter, sample
 from calibration.simulator.renderer import Exposure, Renderer

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calibration.dataset import open_dataset
-from calibration.fitting.nominal_presses import read_presses
-from calibration.fitting.sources import Sources, find_sources
+from calibration.fitting.presses.nominal_presses import read_presses
+from calibration.fitting.presses.sources import Sources, find_sources
 from edge.core.errors import ConfigError, DatasetError
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from calibration.evaluate.scoring import evaluate_bundle
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from calibration.threads import one_blas_thread
 from export.external_graph import WrapConfig, wrap_files

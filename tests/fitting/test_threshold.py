@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calibration.fitting.threshold import FLOOR_MARGIN, conformal_threshold, needed, rate_range
+from calibration.fitting.limits.threshold import FLOOR_MARGIN, conformal_threshold, needed, rate_range
 from edge.core.errors import FitError
 
 

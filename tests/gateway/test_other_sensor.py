@@ -11,7 +11,7 @@ from station import jpeg, press_recording, station_config
 from tiny import TINY, tiny_trunk
 
 from calibration.fitting.fit import FitConfig, fit_bundle
-from calibration.fitting.nominal_presses import read_presses
+from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.trunks import Trunk
 from edge.clock import SystemClock
 from edge.config import load_config

@@ -13,7 +13,7 @@ import tiny
 from heads import fit, grid, presses_of, run_head, with_spot
 
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.baselines.subspace import subspace

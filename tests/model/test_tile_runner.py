@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from typer.testing import CliRunner
 
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from edge.cli import build
 from edge.core.imaging.region import Region

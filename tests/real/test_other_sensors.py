@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calibration.fitting.colours import nominal_colours
+from calibration.fitting.presses.colours import nominal_colours
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.quality import Reason
 from edge.core.imaging.region import Region

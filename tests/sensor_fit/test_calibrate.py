@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ball_presses import PLACES_MM, RADIUS_MM, UNSEEN, frames, nominal, renderer, without_free_gel
 
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.sensor_fit.calibrate import Calibrated, calibrate_sensor, divided
 from calibration.sensor_fit.result import gain
 from calibration.simulator.sensor_appearance import SENSORS

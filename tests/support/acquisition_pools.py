@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from random_part_presses import RandomPartPresses
 
 from calibration.fitting.features import extract, trunk_grid
-from calibration.fitting.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import open_trunk
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.imaging.known_profiles import profile

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.sensor_fit.ball import Ball, ball_height
 from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.field_of_view import LR, grids

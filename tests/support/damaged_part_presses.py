@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from random_part_presses import DEPTH_MM, RandomPartPresses
 
-from calibration.rendered_damage.damage import KINDS, Damage
-from calibration.rendered_damage.imprint import Station
+from calibration.fitting.damage.damage import KINDS, Damage
+from calibration.fitting.damage.imprint import Station
 from calibration.simulator.defects import Damaged
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.parts import specimen

@@ -8,7 +8,7 @@ import numpy as np
 from damaged_part_presses import with_damage
 from numpy.typing import NDArray
 
-from calibration.rendered_damage.damage import Damage
+from calibration.fitting.damage.damage import Damage
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import Exposure, Renderer

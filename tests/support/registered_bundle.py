@@ -9,8 +9,8 @@ import turned_parts as parts
 from numpy.typing import NDArray
 
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.pose_decision import Register
+from calibration.fitting.pose.pose_decision import Register
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile

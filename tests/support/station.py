@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tiny import TINY, tiny_trunk
 
 from calibration.fitting.fit import FitConfig, fit_bundle
-from calibration.fitting.nominal_presses import read_presses
+from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.trunks import Trunk
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region

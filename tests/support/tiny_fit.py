@@ -5,7 +5,7 @@ import dataclasses
 import tiny
 
 from calibration.fitting.fit import FitConfig
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 
 __all__ = ["config", "presses"]

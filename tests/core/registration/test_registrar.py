@@ -10,7 +10,7 @@ import pytest
 import turned_parts as parts
 from scipy import optimize
 
-from calibration.fitting.registration import LearntPose, learn_pose
+from calibration.fitting.pose.registration import LearntPose, learn_pose
 from edge.core.registration.light import FreeLight
 from edge.core.registration.pose import Pose, depth_inside
 from edge.core.registration.pose_search import PoseSearch

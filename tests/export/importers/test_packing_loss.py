@@ -8,7 +8,7 @@ import pytest
 import tiny
 from toy_trunk import features_of, toy_trunk
 
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from edge.core.detector import Packing
 from edge.core.errors import BundleCorrupt

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.map_limits.head_limit import Operation, bank_with, extend_head
-from calibration.map_limits.missing_relief import FAINT, START, STEEPNESS, TINY, MissingRelief
+from calibration.fitting.limits.head_limit import Operation, bank_with, extend_head
+from calibration.fitting.limits.missing_relief import FAINT, START, STEEPNESS, TINY, MissingRelief
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from edge.model.limit_facts import MISSING

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.threshold import MIN_PRESSES
+from calibration.fitting.limits.threshold import MIN_PRESSES
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.detector import Features, Mode, Nominal
 from edge.core.errors import FitError
 from edge.core.registration.light import FreeLight

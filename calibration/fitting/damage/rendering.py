@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.rendered_damage.compression import compressed, is_compressed, uncompressed
-from calibration.rendered_damage.damage import Damage
-from calibration.rendered_damage.imprint import Station
+from calibration.fitting.damage.compression import compressed, is_compressed, uncompressed
+from calibration.fitting.damage.damage import Damage
+from calibration.fitting.damage.imprint import Station
 from calibration.simulator import gel
 from calibration.simulator.field_of_view import F32, grids
 from calibration.simulator.renderer import MASK_DEPTH_MM

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pressed_dome import REGION, Bench
 
-from calibration.rendered_damage.conditions import dimmed, fainter, relit
-from calibration.rendered_damage.imprint import Station
-from calibration.rendered_damage.rendering import EditedPress
+from calibration.fitting.damage.conditions import dimmed, fainter, relit
+from calibration.fitting.damage.imprint import Station
+from calibration.fitting.damage.rendering import EditedPress
 
 
 def waves() -> np.ndarray:

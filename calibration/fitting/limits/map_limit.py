@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.map_limits.kinds import LimitKind
+from calibration.fitting.limits.kinds import LimitKind
 from plugins.detectors.common.smoothing import gaussian_matrix, upsampling_matrix
 
 __all__ = ["GUARD", "MapLimit", "Spread", "Window", "learn_spread", "window"]

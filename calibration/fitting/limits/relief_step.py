@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.folds import Folds
-from calibration.fitting.held_out import Learner
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.relief_presses import ChangedPresses, changed_presses
-from calibration.map_limits.head_limit import bank_with, can_extend, head_inputs
-from calibration.map_limits.head_relief import head_with_relief, relief_arrays
-from calibration.map_limits.missing_relief import MissingRelief, Pooled, contact_of, pooled
+from calibration.fitting.damage.relief_presses import ChangedPresses, changed_presses
+from calibration.fitting.limits.folds import Folds
+from calibration.fitting.limits.head_limit import bank_with, can_extend, head_inputs
+from calibration.fitting.limits.head_relief import head_with_relief, relief_arrays
+from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.limits.missing_relief import MissingRelief, Pooled, contact_of, pooled
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile

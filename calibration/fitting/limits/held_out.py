@@ -9,7 +9,7 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from calibration.fitting.augmentation import Copies
+from calibration.fitting.presses.augmentation import Copies
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal, Progress
 from edge.core.errors import FitError
 from edge.model.packing import pack, unpack

@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.edited_presses import SIZE_SHARES, edited_presses
-from calibration.fitting.held_out import Learner
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.registration import LearntPose, completed, learn_pose
+from calibration.fitting.damage.edited_presses import SIZE_SHARES, edited_presses
+from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.pose.registration import LearntPose, completed, learn_pose
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.detector import Features, Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region

@@ -6,8 +6,8 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from calibration.map_limits.head_relief import ARRAYS, head_with_relief, relief_arrays, relieved_like
-from calibration.map_limits.missing_relief import MissingRelief, contact_of, pooled
+from calibration.fitting.limits.head_relief import ARRAYS, head_with_relief, relief_arrays, relieved_like
+from calibration.fitting.limits.missing_relief import MissingRelief, contact_of, pooled
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from plugins.detectors.common.smoothing import upsampling_matrix

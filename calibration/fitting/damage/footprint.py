@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.rendered_damage.damage import Damage
+from calibration.fitting.damage.damage import Damage
 from calibration.simulator.field_of_view import Field, grids
 
 __all__ = ["surroundings"]

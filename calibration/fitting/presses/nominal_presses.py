@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from calibration.dataset.files import SUFFIXES, read_rgb
 from calibration.dataset.press import numbered
-from calibration.fitting.recorded_presses import FoundPress, PressFinder
-from calibration.fitting.sources import check_present
+from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
+from calibration.fitting.presses.sources import check_present
 from edge.core.contact.mask import Touch, touched, touched_mask
 from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.reference import Reference, View

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.edited_presses import EditedPresses
-from calibration.fitting.folds import Folds
-from calibration.fitting.held_out import HeldOut, ScoredPresses
-from calibration.fitting.threshold import conformal_threshold
-from calibration.map_limits.kinds import KINDS, PLAIN, LimitKind
-from calibration.map_limits.map_limit import MapLimit, Spread, learn_spread
+from calibration.fitting.damage.edited_presses import EditedPresses
+from calibration.fitting.limits.folds import Folds
+from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
+from calibration.fitting.limits.kinds import KINDS, PLAIN, LimitKind
+from calibration.fitting.limits.map_limit import MapLimit, Spread, learn_spread
+from calibration.fitting.limits.threshold import conformal_threshold
 from edge.model.manifest import ThresholdEntry
 
 __all__ = ["WORTH", "Choice", "Chosen", "Evidence", "choose_limit"]

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.rendered_damage.conditions import dimmed, fainter, relit
-from calibration.rendered_damage.imprint import Station
-from calibration.rendered_damage.rendering import EditedPress
+from calibration.fitting.damage.conditions import dimmed, fainter, relit
+from calibration.fitting.damage.imprint import Station
+from calibration.fitting.damage.rendering import EditedPress
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 

@@ -4,9 +4,15 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from calibration.map_limits.head_limit import ARRAYS, can_extend, head_with_limit, limit_arrays, limited_like
-from calibration.map_limits.kinds import KINDS, LimitKind
-from calibration.map_limits.map_limit import GUARD, learn_spread, window
+from calibration.fitting.limits.head_limit import (
+    ARRAYS,
+    can_extend,
+    head_with_limit,
+    limit_arrays,
+    limited_like,
+)
+from calibration.fitting.limits.kinds import KINDS, LimitKind
+from calibration.fitting.limits.map_limit import GUARD, learn_spread, window
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from plugins.onnx_builder import Graph

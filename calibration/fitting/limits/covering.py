@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.held_out import Learner
+from calibration.fitting.limits.held_out import Learner
 from edge.core.detector import Bank, Nominal
 from edge.core.errors import FitError
 from edge.model.manifest import ThresholdEntry

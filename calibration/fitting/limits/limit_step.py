@@ -7,15 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import SCATTERED_MM, scatter_mm
-from calibration.fitting.colours import nominal_colours, refuses
-from calibration.fitting.edited_presses import edited_presses
-from calibration.fitting.folds import Folds
-from calibration.fitting.held_out import HeldOut, Learner, ScoredPresses, held_out
-from calibration.fitting.limit_choice import Choice, Evidence, choose_limit
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.fitting.threshold import pieces_of
-from calibration.map_limits.head_limit import can_extend
-from calibration.map_limits.kinds import KINDS, PLAIN
+from calibration.fitting.damage.edited_presses import edited_presses
+from calibration.fitting.limits.folds import Folds
+from calibration.fitting.limits.head_limit import can_extend
+from calibration.fitting.limits.held_out import HeldOut, Learner, ScoredPresses, held_out
+from calibration.fitting.limits.kinds import KINDS, PLAIN
+from calibration.fitting.limits.limit_choice import Choice, Evidence, choose_limit
+from calibration.fitting.limits.threshold import pieces_of
+from calibration.fitting.presses.colours import nominal_colours, refuses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.detector import Bank, Features, Nominal, Progress
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile

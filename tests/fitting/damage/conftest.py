@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pressed_dome import PROFILE, REGION, Bench
 
-from calibration.rendered_damage.imprint import Station
+from calibration.fitting.damage.imprint import Station
 from calibration.simulator.pose import Jitter
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv

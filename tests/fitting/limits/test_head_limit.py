@@ -5,7 +5,7 @@ import onnx
 import onnxruntime as ort
 import pytest
 
-from calibration.map_limits.head_limit import Operation, extend_head, head_inputs
+from calibration.fitting.limits.head_limit import Operation, extend_head, head_inputs
 from edge.core.errors import FitError
 from edge.model.onnx_validation import check_graph
 from plugins.onnx_builder import Graph

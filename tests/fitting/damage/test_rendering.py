@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from pressed_dome import DEPTH_MM, REGION, Bench
 
-from calibration.rendered_damage.compression import is_compressed
-from calibration.rendered_damage.damage import KINDS, Damage, Spot
-from calibration.rendered_damage.imprint import Station
-from calibration.rendered_damage.rendering import EditedPress
+from calibration.fitting.damage.compression import is_compressed
+from calibration.fitting.damage.damage import KINDS, Damage, Spot
+from calibration.fitting.damage.imprint import Station
+from calibration.fitting.damage.rendering import EditedPress
 from calibration.simulator.field_of_view import grids
 from edge.core.imaging.region import Region
 

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.edited_presses import edited_presses
-from calibration.fitting.nominal_presses import NominalPresses
+from calibration.fitting.damage.edited_presses import edited_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.map_limits.map_limit import MapLimit
+from calibration.fitting.limits.map_limit import MapLimit
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 

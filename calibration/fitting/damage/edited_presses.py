@@ -6,11 +6,11 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.nominal_presses import NominalPresses
-from calibration.rendered_damage.damage import KINDS, Damage, Spot
-from calibration.rendered_damage.footprint import surroundings
-from calibration.rendered_damage.imprint import Station
-from calibration.rendered_damage.rendering import EditedPress
+from calibration.fitting.damage.damage import KINDS, Damage, Spot
+from calibration.fitting.damage.footprint import surroundings
+from calibration.fitting.damage.imprint import Station
+from calibration.fitting.damage.rendering import EditedPress
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.simulator.field_of_view import grids
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile

@@ -1,0 +1,1 @@
+"""Nominal presses: found in recordings, folders and datasets, and copied where there are few."""
