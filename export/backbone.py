@@ -1,4 +1,4 @@
-"""`export backbone`: weights of a ResNet, a vision transformer or a VQGAN, or an ONNX network, become a trunk.
+"""`export backbone`: weights of a ResNet or a vision transformer, or an ONNX network, become a trunk.
 
 Before anything is written, the trunk is compared with a NumPy reference of the same network (or with the ONNX network
 itself) at its input and at every tap. The licence of the weights is in the trunk's metadata, and so in every bundle
@@ -39,9 +39,6 @@ from plugins.backbones.topology import (
 from plugins.backbones.vit import list_vit_taps, vit_shape
 from plugins.backbones.vit_reference import vit_forward
 from plugins.backbones.vit_trunk import build_vit_trunk
-from plugins.backbones.vqgan import FIRST, vqgan_layers
-from plugins.backbones.vqgan_reference import vqgan_forward
-from plugins.backbones.vqgan_trunk import build_vqgan_trunk
 
 __all__ = ["BackboneExport", "BackboneOptions", "export_backbone", "read_checkpoint", "weights_sha256"]
 
@@ -177,7 +174,7 @@ def _from_weights(
     state = _select(read_weights(source), options.prefix, source)
     if options.second is not None:
         state = _append_blocks(state, read_weights(options.second), options.second)
-    network = _vit if PATCHES in state else _vqgan if FIRST in state else _resnet
+    network = _vit if PATCHES in state else _resnet
     return network(state, source, options, steps, facts)
 
 
@@ -212,7 +209,7 @@ def _topology(state: State, stated: str | None, source: Path) -> Topology:
     if known is None:
         raise ConfigError(
             f"the weights in {source} ({len(state)} names, such as {', '.join(sorted(state)[:3])}) are not of a "
-            f"{', '.join(TOPOLOGIES)}, a vision transformer or a VQGAN; export the network to ONNX and name taps: "
+            f"{', '.join(TOPOLOGIES)} or a vision transformer; write the network with torch.onnx.export and name taps: "
             "gelgate export backbone NETWORK.onnx --taps NAME,NAME"
         )
     return known
@@ -232,22 +229,6 @@ def _vit(
     return _compare_taps(
         trunk, taps, planes, vit_forward(state, shape, planes, taps), frames, source, facts, options.weights
     )
-
-
-def _vqgan(
-    state: State, source: Path, options: BackboneOptions, steps: InputSteps, facts: dict[str, str]
-) -> BackboneExport:
-    layers = vqgan_layers(state, options.taps, f"the weights in {source}")
-    known = [layer.tap for layer in layers if layer.tap]
-    # The latent has three channels, too few to tell patches apart; the deeper levels have hundreds.
-    taps = options.taps or tuple(tap for tap in known if tap.startswith("level"))[-2:]
-    used = sorted({key for layer in vqgan_layers(state, taps) for key in layer.shapes})
-    facts = {**facts, "weights_sha256": _sha256_of(state, used)}
-    trunk = build_vqgan_trunk(state, taps, steps, options.frame, weights=options.weights, facts=facts)
-    frames = _probe(options.frame)
-    planes = apply_steps(steps, frames)
-    expected = vqgan_forward(state, planes, taps)
-    return _compare_taps(trunk, taps, planes, expected, frames, source, facts, options.weights)
 
 
 def _compare_taps(
@@ -285,7 +266,7 @@ def _probe(frame: tuple[int, int]) -> NDArray[np.uint8]:
 def _select(state: State, prefix: str | None, source: Path) -> State:
     """The weights of one network, without the prefix of their names. Errors: ConfigError where there are several."""
     if prefix is None:
-        ends = (PATCHES, "layer1.0.conv1.weight", FIRST)
+        ends = (PATCHES, "layer1.0.conv1.weight")
         prefixes = sorted({key.removesuffix(end) for key in state for end in ends if key.endswith(end)})
         if len(prefixes) > 1:
             raise ConfigError(

@@ -40,7 +40,7 @@ class BackboneArguments:
     taps: Annotated[
         str,
         typer.Option(
-            help="Maps to output: layer1,layer2 of a ResNet, block5,norm of a transformer, level2,latent of a VQGAN, "
+            help="Maps to output: layer1,layer2 of a ResNet, block5,norm of a transformer, "
             "NAME=VALUE of a graph."
         ),
     ] = ""

@@ -137,7 +137,7 @@ def test_a_network_of_another_family_goes_through_onnx(tmp_path: Path) -> None:
         "blocks.0.0.conv_dw.weight": np.zeros((16, 1, 3, 3)),
     }
     with pytest.raises(
-        ConfigError, match=r"export the network to ONNX and name taps: gelgate export backbone"
+        ConfigError, match=r"write the network with torch.onnx.export and name taps: gelgate export backbone"
     ):
         export_backbone(saved(tmp_path, mobilenet), None, BackboneOptions("own"))
 

@@ -16,7 +16,6 @@ import tiny
 from anomalib_files import SMALL
 from typer.testing import CliRunner
 from vit_states import random_vit, save_safetensors
-from vqgan_states import random_vqgan
 
 from edge.cli import build
 from edge.model.bundle import Bundle, write_bundle
@@ -84,7 +83,11 @@ def encoders(folder: Path) -> None:
         for k, v in random_vit(patch=56, channels=6, registers=1).items()
     }
     save_safetensors(folder / "sparsh.safetensors", both)
-    save_safetensors(folder / "unit.safetensors", random_vqgan())
+    parsed(
+        folder / "unit.onnx",
+        "theirs (float[n, 3, 128, 160] image) => (float[n, 3, 8, 10] level1) "
+        "{ level1 = AveragePool <kernel_shape = [16, 16], strides = [16, 16]> (image) }",
+    )
     cv2.imwrite(str(folder / "free_gel.png"), np.full((240, 320, 3), 120, np.uint8))
 
 

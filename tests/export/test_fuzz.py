@@ -13,7 +13,6 @@ import onnx.parser
 import pytest
 import tiny
 from vit_states import random_vit, save_safetensors
-from vqgan_states import random_vqgan
 
 from edge.core.errors import GelgateError
 from edge.model.bundle import Bundle
@@ -48,10 +47,6 @@ def write_vit(path: Path) -> None:
     save_safetensors(path, {key: value for key, value in random_vit(1).items() if "mlp" not in key})
 
 
-def write_vqgan(path: Path) -> None:
-    save_safetensors(path, random_vqgan())
-
-
 def write_stages(path: Path) -> None:
     np.savez(path, frames=FRAMES, map=np.zeros((1, 32, 32)), score=np.zeros(1))
 
@@ -62,10 +57,6 @@ def write_checkpoint(path: Path) -> None:
 
 def transformer(path: Path) -> object:
     return export_backbone(path, None, BackboneOptions("own", taps=("block0",), frame=(32, 32)))
-
-
-def vqgan(path: Path) -> object:
-    return export_backbone(path, None, BackboneOptions("own", taps=("level0",), frame=(8, 8)))
 
 
 def taps(path: Path) -> object:
@@ -82,7 +73,6 @@ def detector(path: Path) -> object:
 
 KINDS: dict[str, tuple[str, Callable[[Path], object], Importer]] = {
     "transformer": ("w.safetensors", write_vit, transformer),
-    "VQGAN": ("w.safetensors", write_vqgan, vqgan),
     "taps of a graph": ("g.onnx", lambda path: path.write_bytes(graph()), taps),
     "single graph": ("d.onnx", lambda path: path.write_bytes(graph()), detector),
     "stages": ("s.npz", write_stages, stages),

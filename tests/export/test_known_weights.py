@@ -1,5 +1,7 @@
 """Releases are known by their hash; licences are asked for, kept, and printed."""
 
+import cv2
+import numpy as np
 import pytest
 import tiny
 
@@ -8,6 +10,7 @@ from edge.model.licence import is_non_commercial, licence_of, licence_sentence
 from edge.model.manifest import Manifest
 from export.known_weights import ENCODERS, RELEASES, check_release, encoder, release_of
 from export.licence import stated_licence
+from plugins.backbones.input_steps import apply_steps
 
 V1, V2 = "95faca4d" + 56 * "0", "9ba9bcbe" + 56 * "0"
 
@@ -45,6 +48,17 @@ def test_releases_are_those_that_torchvision_publishes() -> None:
         found[release.topology][digits] = release.version
     assert found == PUBLISHED
     assert release_of("32ee1156" + 56 * "0") is None
+
+
+def test_units_preprocessing_is_opencvs_resize() -> None:
+    """Levels in 0..1, 128x160, linear without antialiasing."""
+    steps = ENCODERS["unit"].steps
+    assert steps is not None
+    frames = np.random.default_rng(0).integers(0, 256, (1, 240, 320, 3), dtype=np.uint8)
+
+    expected = cv2.resize(frames[0].astype(np.float32) / 255, (160, 128))
+
+    np.testing.assert_allclose(apply_steps(steps, frames)[0].transpose(1, 2, 0), expected, atol=1e-5)
 
 
 def test_encoders_have_licences() -> None:

@@ -167,6 +167,10 @@ def test_sparsh_reads_two_frames_without_the_free_gel(tmp_path: Path) -> None:
         (lambda s: s.update({"norm.bias": np.full(WIDTH, np.nan, np.float32)}), "not finite, in norm.bias"),
         (lambda s: s.pop("pos_embed"), "'pos_embed' is missing"),
         (lambda s: s.update({"pos_embed": np.ones((1, 20, WIDTH), np.float32)}), "20 positions for 1 prefix"),
+        (
+            lambda s: (s.clear(), s.update({"encoder.conv_in.weight": np.ones((8, 3, 3, 3), np.float32)})),
+            r"\(1 names, such as encoder.conv_in.weight\) are not of a .* or a vision transformer; .*torch.onnx.export",
+        ),
     ],
 )
 def test_what_is_no_plain_transformer_is_named(tmp_path: Path, change: Any, words: str) -> None:
