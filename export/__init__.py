@@ -6,12 +6,13 @@
 Names are loaded at use: importing this package imports neither onnx nor torch. docs/export.md has the whole way.
 """
 
-from typing import TYPE_CHECKING, Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from export.backbone import BackboneExport, BackboneOptions, export_backbone
     from export.bundle_stages import compare_bundle
-    from export.external_graph import WrapConfig, wrap_files
+    from export.finish import WrapConfig, wrap_files
     from export.importers.api import (
         ImportedBundle,
         ImportOptions,
@@ -58,31 +59,23 @@ __all__ = [
     "write_openvino",
 ]
 
+_HOMES: Final = (
+    *(
+        "backbone",
+        "bundle_stages",
+        "finish",
+        "importers.api",
+        "merge",
+        "openvino_model",
+        "parity",
+        "precision",
+    ),
+    "single_graph",
+)
+
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"export has no '{name}'; it has {', '.join(__all__)}")
-    from export import (
-        backbone,
-        bundle_stages,
-        external_graph,
-        merge,
-        openvino_model,
-        parity,
-        precision,
-        single_graph,
-    )
-    from export.importers import api
-
-    homes = (
-        api,
-        backbone,
-        bundle_stages,
-        external_graph,
-        merge,
-        openvino_model,
-        parity,
-        precision,
-        single_graph,
-    )
+    homes = (import_module(f"export.{home}") for home in _HOMES)
     return next(getattr(home, name) for home in homes if hasattr(home, name))

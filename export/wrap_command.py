@@ -90,7 +90,7 @@ def wrap(given: WrapArguments) -> None:
         refuse_existing,
     )
     from edge.core.imaging.region import Region
-    from export.external_graph import WrapConfig, wrap_files
+    from export.finish import WrapConfig, wrap_files
     from export.graph_file import read_graph
     from export.licence import stated_licence
 

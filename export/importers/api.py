@@ -23,9 +23,11 @@ from edge.core.imaging.known_profiles import profile as known_profile
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import write_bundle
+from edge.model.licence import LICENCE
+from export.finish import WrapConfig
 from export.importers.contract import Imported, Importer, Recognised, Settings
 from export.importers.finding import importer_of, importers
-from export.importers.finish import ImportConfig, Losses, import_files
+from export.importers.finish import Losses, import_files
 from export.licence import stated_licence
 from plugins.reading.foreign import Foreign
 from plugins.reading.isolated import read_foreign
@@ -127,15 +129,16 @@ def import_detector(
         if method is not None and model.method != method:
             raise ConfigError(f"{source} is {what.what}, {method} was expected; use import_{model.method}")
         given = _collect_presses(presses, sensor, region)
-        config = ImportConfig(
+        config = WrapConfig(
             options.part,
             options.position,
             sensor,
             region,
-            licence,
-            options.threshold,
+            model.method,
             options.alpha,
+            _threshold(options.threshold, model, source),
             options.threads,
+            {LICENCE: licence},
         )
         created = datetime.date.today().isoformat()
         fitted, losses = import_files(model, given, config, source, created=created, report=report)
@@ -171,6 +174,17 @@ def import_fapm(file: str | Path, presses: Any, output: str | Path, **options: A
 def import_inreach(file: str | Path, presses: Any, output: str | Path, **options: Any) -> ImportedBundle:
     """InReaCh's nominal points. Otherwise as `import_padim`."""
     return import_detector(file, presses, output, ImportOptions(**options), method="inreach")
+
+
+def _threshold(wanted: float | str, model: Imported, source: Path) -> float | None:
+    """Return the stated threshold, None for that of the presses. Errors: ConfigError where the model has none."""
+    if not isinstance(wanted, str):
+        return wanted
+    if wanted == "model" and model.threshold is None:
+        raise ConfigError(
+            f"{source} has no threshold of its own; leave --threshold out to find one from the presses"
+        )
+    return model.threshold if wanted == "model" else None
 
 
 def _importer(file: Foreign, name: str | None) -> tuple[Importer, Recognised]:

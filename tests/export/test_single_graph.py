@@ -15,7 +15,7 @@ from edge import cli
 from edge.core.errors import ConfigError, FitError
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
-from export.external_graph import WrapConfig, wrap_files
+from export.finish import WrapConfig, wrap_files
 from export.single_graph import Adapted, GraphInput, adapt
 
 RNG = np.random.default_rng(0)

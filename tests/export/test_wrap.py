@@ -15,7 +15,7 @@ from edge import cli
 from edge.core.errors import BundleCorrupt, ConfigError, FitError
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
-from export.external_graph import WrapConfig, wrap_files
+from export.finish import WrapConfig, wrap_files
 
 CONFIG = WrapConfig("bolt", "crest", tiny.PROFILE, tiny.REGION, "theirs")
 

@@ -16,7 +16,7 @@ from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from calibration.threads import one_blas_thread
-from export.external_graph import WrapConfig, wrap_files
+from export.finish import WrapConfig, wrap_files
 
 
 def threads() -> int:

@@ -12,13 +12,14 @@ from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from edge.core.detector import Packing
 from edge.core.errors import BundleCorrupt
+from export.finish import WrapConfig
 from export.importers.contract import Settings
-from export.importers.finish import ImportConfig, Losses, import_files
+from export.importers.finish import Losses, import_files
 from export.importers.memory_scripts import spade_features
 from plugins.reading.files import read_here
 from plugins.reading.foreign import Foreign
 
-CONFIG = ImportConfig("bolt", "crest", tiny.PROFILE, tiny.REGION, "own")
+CONFIG = WrapConfig("bolt", "crest", tiny.PROFILE, tiny.REGION, "spade")
 
 
 def losses(folder: Path, packing: Packing) -> Losses:
