@@ -9,8 +9,7 @@ from typing import Any, Final, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from edge import registry
-from edge.config.overview_table import OverviewTable
-from edge.config.plugin_tables import PluginTable, SinkTable
+from edge.config.plugin_tables import PluginTable, SinkTable, Table
 from edge.config.tables import Config
 from edge.core.errors import ConfigError
 from edge.core.plugins import HasIdentity
@@ -19,7 +18,6 @@ from edge.validation_messages import numbered, sentences, types_in
 __all__ = ["load_config", "sink_names"]
 
 M = TypeVar("M", bound=BaseModel)
-T = TypeVar("T", bound="PluginTable")
 
 
 def load_config(path: Path, state_dir: Path | None = None) -> Config:
@@ -44,7 +42,9 @@ def load_config(path: Path, state_dir: Path | None = None) -> Config:
     faults += _equal_sinks(config) if config is not None and not faults else []
     if faults or config is None:
         raise ConfigError(numbered(f"configuration {path}", faults))
-    return _with_paths_from(path.parent, config, state_dir)
+    rooted: Config = _root_paths(path.parent, config)
+    store = rooted.store.model_copy(update={"path": (state_dir or path.parent) / config.store.path})
+    return rooted.model_copy(update={"store": store})
 
 
 def sink_names(sinks: Sequence[SinkTable]) -> list[str]:
@@ -88,70 +88,44 @@ def _plugin_faults(table: Mapping[str, Any]) -> list[str]:
 
 
 def _plugin_tables(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGroup, str, Mapping[str, Any]]]:
-    device = table.get("device")
-    if isinstance(device, dict) and "plugin" in device:
-        yield "devices", "device", device
-    overview = table.get("overview")
-    if isinstance(overview, dict) and "plugin" in overview:
-        yield "overviews", "overview", overview
-    for kind in _LISTS:
-        listed = table.get(kind)
-        for index, one in enumerate(listed if isinstance(listed, list) else []):
+    for key, kind in _KINDS.items():
+        value = table.get(key)
+        places = (
+            {f"{key}.{index}": one for index, one in enumerate(value)}
+            if isinstance(value, list)
+            else {key: value}
+        )
+        for where, one in places.items():
             if isinstance(one, dict) and "plugin" in one:
-                yield kind, f"{kind}.{index}", one
+                yield kind, where, one
 
 
-_LISTS: Final[tuple[registry.PluginGroup, ...]] = ("sinks", "triggers", "actuators")
+# The keys of the tables that name a plugin, and its kind.
+_KINDS: Final[Mapping[str, registry.PluginGroup]] = {
+    "device": "devices",
+    "overview": "overviews",
+    "sinks": "sinks",
+    "triggers": "triggers",
+    "actuators": "actuators",
+}
 
 
-def _with_paths_from(folder: Path, config: Config, state_dir: Path | None = None) -> Config:
-    """Take every relative path, also in plugin options, from the folder of the configuration's file."""
-    table = config.inspection
-    inspection = table.model_copy(
-        update={
-            "bundle": _under(folder, table.bundle),
-            "bundles": tuple(one.model_copy(update={"path": folder / one.path}) for one in table.bundles),
-            "bundle_folder": _under(folder, table.bundle_folder),
-            "trusted_keys": _under(folder, table.trusted_keys),
-        }
-    )
-    store = config.store.model_copy(update={"path": (state_dir or folder) / config.store.path})
-    secret = _under(folder, config.commands.secret_file)
-    commands = config.commands.model_copy(update={"secret_file": secret})
-    device = _with_options_from(folder, "devices", config.device)
-    return config.model_copy(
-        update={
-            "inspection": inspection,
-            "store": store,
-            "commands": commands,
-            "device": device,
-            "overview": _overview_from(folder, config.overview),
-            **{
-                kind: [_with_options_from(folder, kind, one) for one in getattr(config, kind)]
-                for kind in _LISTS
-            },
-        }
-    )
+def _root_paths(folder: Path, value: Any, kind: registry.PluginGroup | None = None) -> Any:
+    """Take every relative path from the folder, in nested tables and in plugin options too. kind: of a plugin."""
+    if isinstance(value, Path):
+        return folder / value
+    if type(value) in (list, tuple):
+        return type(value)(_root_paths(folder, one, kind) for one in value)
+    if not isinstance(value, Table):
+        return value
+    rooted = {name: _root_paths(folder, one, _KINDS.get(name)) for name, one in value}
+    if isinstance(value, PluginTable) and kind is not None:
+        rooted["options"] = _root_options(folder, registry.options(kind, value.plugin), value.options)
+    return value.model_copy(update=rooted)
 
 
-def _under(folder: Path, path: Path | None) -> Path | None:
-    return None if path is None else folder / path
-
-
-def _overview_from(folder: Path, table: OverviewTable | None) -> OverviewTable | None:
-    if table is None:
-        return None
-    rooted = _with_options_from(folder, "overviews", table)
-    return rooted.model_copy(update={"empty": _under(folder, table.empty)})
-
-
-def _with_options_from(folder: Path, kind: registry.PluginGroup, table: T) -> T:
-    model = registry.options(kind, table.plugin)
-    return table.model_copy(update={"options": _take_paths_from(folder, model, table.options)})
-
-
-def _take_paths_from(folder: Path, model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Take each path among the options from the folder, in nested tables too."""
+def _root_options(folder: Path, model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Take each path among the options, which are not validated yet, from the folder."""
     rooted = dict(options)
     for name, value in options.items():
         kinds = set(types_in(model.model_fields[name].annotation))
@@ -159,5 +133,5 @@ def _take_paths_from(folder: Path, model: type[BaseModel], options: Mapping[str,
         if Path in kinds and isinstance(value, str):
             rooted[name] = str(folder / value)
         elif inner is not None and isinstance(value, dict):
-            rooted[name] = _take_paths_from(folder, inner, value)
+            rooted[name] = _root_options(folder, inner, value)
     return rooted
