@@ -326,12 +326,13 @@ def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
 def summary(fitted: "Fitted", output: Path) -> None:
     """The summary of the bundle, in a few lines."""
     from edge.model.limit_facts import (
+        AUGMENTATION,
+        BACKBONE_CHOICE,
+        LIMIT,
+        METHOD_CHOICE,
+        MISSING,
         UNPROVEN,
-        augmentation_sentence,
-        backbone_sentence,
-        limit_sentence,
-        method_sentence,
-        missing_sentence,
+        choice_sentence,
     )
     from edge.model.promise import promise
 
@@ -339,18 +340,18 @@ def summary(fitted: "Fitted", output: Path) -> None:
     limit, cost = manifest.threshold, manifest.cost
     for warning in manifest.provenance.warnings:
         typer.echo(f"warning: {warning}", err=True)
-    if sentence := method_sentence(manifest.facts):
+    if sentence := choice_sentence(manifest.facts, METHOD_CHOICE):
         typer.echo(f"method: {sentence}")
-    if sentence := backbone_sentence(manifest.facts):
+    if sentence := choice_sentence(manifest.facts, BACKBONE_CHOICE):
         typer.echo(f"backbone: {sentence}")
     if why := manifest.facts.get("registration"):
         typer.echo(f"registration: {why}")
-    if sentence := augmentation_sentence(manifest.facts):
+    if sentence := choice_sentence(manifest.facts, AUGMENTATION):
         typer.echo(f"augmentation: {sentence}")
     typer.echo(f"threshold {limit.value:.5g}: {limit.method}")
-    if sentence := limit_sentence(manifest.facts):
+    if sentence := choice_sentence(manifest.facts, LIMIT):
         typer.echo(f"limit: {sentence}")
-    if sentence := missing_sentence(manifest.facts):
+    if sentence := choice_sentence(manifest.facts, MISSING):
         typer.echo(f"missing relief: {sentence}")
     typer.echo(f"false alarms: {promise(limit)}")
     if cost:

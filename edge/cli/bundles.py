@@ -52,12 +52,7 @@ def inspect(
 
 
 def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
-    from edge.model.limit_facts import (
-        augmentation_sentence,
-        limit_sentence,
-        method_sentence,
-        missing_sentence,
-    )
+    from edge.model.limit_facts import AUGMENTATION, LIMIT, METHOD_CHOICE, MISSING, choice_sentence
     from edge.model.press_again_facts import DEFAULT_COSTS, again_sentence, plan_for
     from edge.model.promise import promise
 
@@ -67,7 +62,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
         ("revision", str(manifest.revision or "none")),
         *(("warning", warning) for warning in manifest.provenance.warnings),
         ("method", manifest.method + (f", mode {manifest.mode}" if manifest.mode else "")),
-        ("method choice", method_sentence(manifest.facts) or "named, not chosen by the fit"),
+        ("method choice", choice_sentence(manifest.facts, METHOD_CHOICE) or "named, not chosen by the fit"),
         ("parameters", ", ".join(f"{k}={v}" for k, v in manifest.parameters.items()) or "none"),
         ("repairs", ", ".join(manifest.repairs) or "none"),
         (
@@ -97,10 +92,10 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
             )
         )
     rows += [
-        ("augmentation", augmentation_sentence(manifest.facts) or "none"),
+        ("augmentation", choice_sentence(manifest.facts, AUGMENTATION) or "none"),
         ("threshold", f"{limit.value:.6g} ({limit.method})"),
-        ("limit", limit_sentence(manifest.facts) or "plain"),
-        ("missing relief", missing_sentence(manifest.facts) or "not checked"),
+        ("limit", choice_sentence(manifest.facts, LIMIT) or "plain"),
+        ("missing relief", choice_sentence(manifest.facts, MISSING) or "not checked"),
         ("false alarms", promise(limit)),
         ("press again", again_sentence(plan_for(manifest, DEFAULT_COSTS))),
         ("tolerance", f"score {manifest.tolerance.score:.2g}, map {manifest.tolerance.score_map:.2g}, "
@@ -111,7 +106,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
 
 
 def _trunk_rows(manifest: "Manifest") -> list[tuple[str, str]]:
-    from edge.model.limit_facts import backbone_sentence
+    from edge.model.limit_facts import BACKBONE_CHOICE, choice_sentence
 
     if manifest.backbone is None:
         return []
@@ -120,7 +115,7 @@ def _trunk_rows(manifest: "Manifest") -> list[tuple[str, str]]:
     said = f"{manifest.backbone.id}, {_mb(trunk.size_bytes)}, {place}, {trunk.sha256[:12]}"
     return [
         ("trunk", said),
-        ("backbone", backbone_sentence(manifest.facts) or "named, not chosen by the fit"),
+        ("backbone", choice_sentence(manifest.facts, BACKBONE_CHOICE) or "named, not chosen by the fit"),
     ]
 
 

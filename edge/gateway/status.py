@@ -20,7 +20,7 @@ from edge.messaging.status_payloads import (
     state_message,
 )
 from edge.model.bundle import Bundle
-from edge.model.limit_facts import backbone_sentence, method_sentence
+from edge.model.limit_facts import BACKBONE_CHOICE, METHOD_CHOICE, choice_sentence
 from edge.model.promise import promise
 from edge.store.gel_ledger import GelRecord
 
@@ -174,9 +174,9 @@ class StationStatus:
             position=manifest.position,
             parts=tuple(parts),
             method=manifest.method,
-            method_choice=method_sentence(manifest.facts) or None,
+            method_choice=choice_sentence(manifest.facts, METHOD_CHOICE) or None,
             backbone=manifest.backbone.id if manifest.backbone else None,
-            backbone_choice=backbone_sentence(manifest.facts) or None,
+            backbone_choice=choice_sentence(manifest.facts, BACKBONE_CHOICE) or None,
             bundle_id=bundle.digest,
             revision=manifest.revision,
             threshold=manifest.threshold.value,

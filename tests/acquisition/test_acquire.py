@@ -14,7 +14,7 @@ import pytest
 from command_line import gelgate
 
 from edge.model.bundle import Bundle
-from edge.model.limit_facts import backbone_sentence
+from edge.model.limit_facts import BACKBONE_CHOICE, choice_sentence
 
 # Twelve presses of six pieces promise 18 %; the region keeps the trunk small.
 OPTIONS = ("--part", "bolt", "--position", "pos1", "--profile", "cropped_lr", "--promise", "0.2")
@@ -71,7 +71,7 @@ def test_pictures_know_their_pieces_and_are_fitted_at_once(pictures: Path, tmp_p
     assert done.code == 0, done.err
     assert rows(tmp_path / "acquired")[-1]["pieces"] == 6
     manifest = Bundle.load(tmp_path / "bundle").manifest
-    assert "in the nominal presses its banks see most" in backbone_sentence(manifest.facts)
+    assert "in the nominal presses its banks see most" in choice_sentence(manifest.facts, BACKBONE_CHOICE)
     assert manifest.threshold.pieces == 6
     assert manifest.contact is not None
 

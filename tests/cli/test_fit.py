@@ -18,7 +18,7 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import cli, registry
 from edge.core.errors import ConfigError, GelgateError
 from edge.model.bundle import Bundle
-from edge.model.limit_facts import method_sentence
+from edge.model.limit_facts import METHOD_CHOICE, choice_sentence
 
 
 @pytest.fixture(autouse=True)
@@ -207,7 +207,7 @@ def test_a_fit_chooses_its_method_and_says_why(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "padim or patchcore (corrected) on tactile_resnet18" in result.output
     manifest = Bundle.load(tmp_path / "dome").manifest
-    why = method_sentence(manifest.facts)
+    why = choice_sentence(manifest.facts, METHOD_CHOICE)
     assert why.startswith(
         f"{manifest.method}: of rendered damage and pieces of relief in the nominal presses"
     )

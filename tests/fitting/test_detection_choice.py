@@ -19,7 +19,7 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import registry
 from edge.core.detector import Detector
 from edge.core.errors import FitError
-from edge.model.limit_facts import backbone_sentence, method_sentence
+from edge.model.limit_facts import BACKBONE_CHOICE, METHOD_CHOICE, choice_sentence
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 
@@ -67,8 +67,8 @@ def test_the_trunk_that_sees_more_is_chosen(
     seen = {name: np.mean(list(of.values())) for name, of in facts["found"].items()}
     assert seen[TACTILE] > seen["random.onnx"] > 0
     fitted = fit_files(presses, replace(chosen, threshold=9.0), created="").manifest.facts
-    assert backbone_sentence(fitted) == facts["why"]
-    assert method_sentence(fitted) == ""
+    assert choice_sentence(fitted, BACKBONE_CHOICE) == facts["why"]
+    assert choice_sentence(fitted, METHOD_CHOICE) == ""
 
 
 def test_the_method_that_sees_more_is_chosen(presses: NominalPresses, config: FitConfig) -> None:
@@ -83,8 +83,8 @@ def test_the_method_that_sees_more_is_chosen(presses: NominalPresses, config: Fi
     assert chosen.trunk.graph == open_trunk(TACTILE, taps).graph
     fitted = fit_files(presses, replace(chosen, threshold=9.0), created="").manifest
     assert fitted.method == facts["chosen"]
-    assert method_sentence(fitted.facts) == facts["why"]
-    assert backbone_sentence(fitted.facts) == ""
+    assert choice_sentence(fitted.facts, METHOD_CHOICE) == facts["why"]
+    assert choice_sentence(fitted.facts, BACKBONE_CHOICE) == ""
 
 
 class SaidSeen(DamageJudge):
@@ -127,10 +127,12 @@ def test_method_and_trunk_are_chosen_together(config: FitConfig) -> None:
     assert (chosen.detector.name, chosen.trunk.id) == ("patchcore", LITE)
     of = "of rendered damage and pieces of relief in the nominal presses its banks see most"
     how = "mean of image AUROC and AU-PRO up to 1 %, out of fold"
-    assert method_sentence(chosen.choice_facts) == (
+    assert choice_sentence(chosen.choice_facts, METHOD_CHOICE) == (
         f"patchcore: {of} (padim 0.400, 7.2 ms a press with registration; patchcore 0.600, 4.0 ms a press; {how})"
     )
-    assert backbone_sentence(chosen.choice_facts) == (f"{LITE}: {of} ({TACTILE} 0.500, {LITE} 0.600; {how})")
+    assert choice_sentence(chosen.choice_facts, BACKBONE_CHOICE) == (
+        f"{LITE}: {of} ({TACTILE} 0.500, {LITE} 0.600; {how})"
+    )
     assert chosen.choice_facts["backbone_choice"]["found"][LITE] == dict.fromkeys(KINDS, 0.6)
 
 
@@ -145,8 +147,8 @@ def test_what_cannot_be_tried_is_left_out_and_said(config: FitConfig) -> None:
     }
     chosen = compared(config, said)
     assert (chosen.detector.name, chosen.trunk.id) == ("patchcore", LITE)
-    assert method_sentence(chosen.choice_facts).endswith(f"; padim was not tried: {refused}")
-    assert backbone_sentence(chosen.choice_facts).endswith(
+    assert choice_sentence(chosen.choice_facts, METHOD_CHOICE).endswith(f"; padim was not tried: {refused}")
+    assert choice_sentence(chosen.choice_facts, BACKBONE_CHOICE).endswith(
         f"; {TACTILE} was not tried: the trunk has no such tap"
     )
     with pytest.raises(FitError, match=r"more than 4\.0 mm from their middle"):
@@ -178,7 +180,7 @@ def test_the_usual_trunk_is_kept_where_nothing_can_be_compared(
         presses = replace(presses, no_contact=None)
     chosen = choose_detection(presses, config, Candidates(("padim",), (TACTILE, LITE)))
     assert chosen.trunk is config.trunk
-    said = backbone_sentence(chosen.choice_facts)
+    said = choice_sentence(chosen.choice_facts, BACKBONE_CHOICE)
     assert said.startswith(f"{TACTILE}, without a comparison: ")
     assert said.endswith(why)
     with pytest.raises(

@@ -17,7 +17,7 @@ from calibration.simulator.renderer import Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import registry
 from edge.core.contact.mask import Touch
-from edge.model.limit_facts import limit_sentence, missing_sentence
+from edge.model.limit_facts import LIMIT, MISSING, choice_sentence
 from edge.model.scorer import Scorer
 
 
@@ -61,7 +61,7 @@ def test_a_fit_says_what_it_chose(presses: NominalPresses, config: FitConfig) ->
     found = manifest.facts["limit"]["found"]
     assert {"plain", "places", "surroundings"} <= found.keys()
     assert 0 < found["plain"] < 1
-    assert limit_sentence(manifest.facts).startswith(manifest.facts["limit"]["kind"])
+    assert choice_sentence(manifest.facts, LIMIT).startswith(manifest.facts["limit"]["kind"])
     assert (manifest.threshold.value == 1) == bool(set(ARRAYS) & set(manifest.bank))
 
 
@@ -78,7 +78,7 @@ def test_a_fit_keeps_the_plain_limit(
     """Where it is asked for, and where there is nothing to choose."""
     manifest = fit_files(presses, replace(config, **changes), created="").manifest  # type: ignore[arg-type]
     assert manifest.facts["limit"] == {"kind": "plain", "why": why, "found": {}}
-    assert missing_sentence(manifest.facts) == f"not checked: {why}"
+    assert choice_sentence(manifest.facts, MISSING) == f"not checked: {why}"
     assert not {*ARRAYS, *RELIEF_ARRAYS} & set(manifest.bank)
 
 

@@ -26,7 +26,7 @@ from edge.core.detector import Features, Grid, Nominal
 from edge.core.imaging.frames import CameraFrame
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
-from edge.model.limit_facts import missing_sentence
+from edge.model.limit_facts import MISSING, choice_sentence
 from edge.model.scorer import Scorer
 
 TRUNK = open_trunk("tactile_resnet18", ("layer1",))
@@ -177,7 +177,7 @@ def fitted(presses: Presses) -> Fitted:
 def test_a_bundle_says_what_it_checks(fitted: Fitted) -> None:
     """The manifest has the reason and the tap, and the arrays are in the bank."""
     facts = fitted.manifest.facts
-    assert missing_sentence(facts).startswith("checked: ")
+    assert choice_sentence(facts, MISSING).startswith("checked: ")
     assert facts["missing_relief"]["tap"] == "layer1"
     assert facts["missing_relief"]["found"] >= USEFUL
     assert set(ARRAYS) <= set(fitted.manifest.bank)
