@@ -22,8 +22,8 @@ from edge.core.registration.pose import warp
 from edge.features.press_stage import Alarms, PressStage
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
+from edge.store.gel_files import ScarFolder
 from edge.store.gel_ledger import GelRecord
-from edge.store.scar_files import ScarFolder
 
 __all__ = ["ScarWatch", "mask_scars"]
 

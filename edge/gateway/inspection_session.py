@@ -38,8 +38,8 @@ from edge.gateway.status import StationStatus
 from edge.logs import about_press
 from edge.model.gel_facts import read_origin
 from edge.model.inspector import Inspector
+from edge.store.gel_files import ReferenceFolder
 from edge.store.gel_ledger import GelRecord
-from edge.store.reference_files import ReferenceFolder
 from edge.store.ulid import new_ulid
 
 __all__ = ["InspectionSession"]

@@ -23,8 +23,8 @@ from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.report import FreeSpace, Report, Summary
 from edge.gateway.status import StationStatus
 from edge.messaging.publisher import Publisher
+from edge.store.gel_files import ReferenceFolder
 from edge.store.press_store import Store
-from edge.store.reference_files import ReferenceFolder
 
 __all__ = ["OnPress", "Parts", "StationLoop"]
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 from edge.store import ledger_chain
+from edge.store.database import insert
 
 __all__ = ["Act", "Outcome", "begin", "earlier", "finish", "newest"]
 
@@ -48,29 +49,16 @@ class Act:
 
 def begin(connection: sqlite3.Connection, act: Act, running_ns: int) -> int:
     """Add it, and return its number."""
-    (number,) = connection.execute(
-        "INSERT INTO acts (time_ns, running_ns, who, verb, request, arguments, signature, outcome, sentence, before, "
-        "after) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING act_id",
-        (
-            act.time_ns,
-            running_ns,
-            act.who,
-            act.verb,
-            act.request,
-            json.dumps(dict(act.arguments)),
-            act.signature,
-            act.outcome,
-            act.sentence,
-            _json(act.before),
-            _json(act.after),
-        ),
-    ).fetchone()
+    row = {**vars(act), "running_ns": running_ns}
+    row |= {name: _json(row[name]) for name in ("arguments", "before", "after")}
+    del row["act_id"]
+    number = insert(connection, "acts", row)
     if act.outcome != "refused":
         ledger_chain.append(connection, "act", number)
     _remove_old(connection, "= 'refused'", KEPT_REFUSALS)
     if removed := _remove_old(connection, "IS NOT 'refused'", KEPT_ACTS):
         ledger_chain.note_removed_acts(connection, removed)
-    return int(number)
+    return number
 
 
 def _remove_old(connection: sqlite3.Connection, condition: str, kept: int) -> int:

@@ -6,7 +6,7 @@ the publisher read while the gateway writes; synchronous=FULL makes a committed 
 
 import sqlite3
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Final
@@ -15,7 +15,7 @@ from edge.core.errors import StoreError
 from edge.store import ledger_chain
 from edge.store.schema import MIGRATIONS, SCHEMA_VERSION
 
-__all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "Database", "open_read_only", "schema_version"]
+__all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "Database", "insert", "open_read_only", "schema_version"]
 
 # "GelG" in the file's header: a database of another program is recognised.
 APPLICATION_ID: Final = 0x47656C47
@@ -119,6 +119,13 @@ def open_read_only(path: Path, doing: str, *, any_version: bool = False) -> Iter
                 _refuse_older(connection, path)
             connection.execute("BEGIN")
             yield connection
+
+
+def insert(connection: sqlite3.Connection, table: str, row: Mapping[str, object]) -> int:
+    """Add a row inside the caller's transaction, and return its number. row: column to value."""
+    places = ", ".join("?" * len(row))
+    cursor = connection.execute(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({places})", (*row.values(),))
+    return int(cursor.lastrowid or 0)
 
 
 def schema_version(connection: sqlite3.Connection) -> int:

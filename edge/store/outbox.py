@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, Self
 
 from edge.core.ports import Message
-from edge.store.database import Database
+from edge.store.database import Database, insert
 
 __all__ = [
     "Bounds",
@@ -94,22 +94,16 @@ def put(
     for message in messages:
         if message.retain:
             connection.execute("DELETE FROM outbox WHERE topic = ? AND retain = 1", (message.topic,))
-        connection.execute(
-            "INSERT INTO outbox (worth, created_ns, bytes, topic, qos, retain, content_type, expiry_s, payload, "
-            "running_ns) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-            (
-                drop_priority_of(message, verdict),
-                time_ns,
-                len(message.payload) + ROW_OVERHEAD_BYTES,
-                message.topic,
-                message.qos,
-                int(message.retain),
-                message.content_type,
-                message.expiry_s,
-                message.payload,
-                running_ns,
-            ),
-        )
+        names = ("topic", "qos", "content_type", "expiry_s", "payload")
+        row = {
+            **{name: getattr(message, name) for name in names},
+            "created_ns": time_ns,
+            "running_ns": running_ns,
+            "retain": int(message.retain),
+            "worth": drop_priority_of(message, verdict),
+            "bytes": len(message.payload) + ROW_OVERHEAD_BYTES,
+        }
+        insert(connection, "outbox", row)
 
 
 def enforce(connection: sqlite3.Connection, bounds: Bounds, running_ns: int) -> None:

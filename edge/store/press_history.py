@@ -5,6 +5,7 @@ from typing import Final
 
 from edge.core.errors import StoreError
 from edge.store import ledger_chain
+from edge.store.database import insert
 from edge.store.press_record import PressRecord
 
 __all__ = ["KEPT_PRESSES", "History", "cut_history", "find_number"]
@@ -20,7 +21,13 @@ class History:
     name = "presses"
 
     def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
-        return _insert(connection, press, gel_id, running_ns)
+        """Add the press to the history and return its number, which SQLite's AUTOINCREMENT never uses twice."""
+        (gel_presses,) = connection.execute(
+            "SELECT presses FROM gels WHERE serial = ? AND removed_ns IS NULL", (press.serial,)
+        ).fetchone()
+        row = {**vars(press), "gel_id": gel_id, "running_ns": running_ns, "gel_presses": gel_presses}
+        del row["wear_index"]  # of the gel
+        return insert(connection, "presses", row)
 
 
 def find_number(connection: sqlite3.Connection, table: str, press: PressRecord) -> int | None:
@@ -33,31 +40,6 @@ def find_number(connection: sqlite3.Connection, table: str, press: PressRecord) 
     if row[1:] != (press.serial, press.time_ns, press.verdict, press.score):
         raise StoreError(f"press id {press.press_id} was already given to another press")
     return int(row[0])
-
-
-def _insert(connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
-    """Add the press to the history and return its number, which SQLite's AUTOINCREMENT never uses twice."""
-    columns: dict[str, object] = {
-        "press_id": press.press_id,
-        "time_ns": press.time_ns,
-        "serial": press.serial,
-        "gel_id": gel_id,
-        "part": press.part,
-        "position": press.position,
-        "verdict": press.verdict,
-        "score": press.score,
-        "threshold": press.threshold,
-        "running_ns": running_ns,
-        "cause": press.cause,
-        "evidence": press.evidence,
-        "second_of": press.second_of,
-    }
-    number = connection.execute(
-        f"INSERT INTO presses ({', '.join(columns)}, gel_presses) VALUES ({', '.join('?' * len(columns))}, "
-        "(SELECT presses FROM gels WHERE serial = ? AND removed_ns IS NULL))",
-        (*columns.values(), press.serial),
-    ).lastrowid
-    return int(number or 0)
 
 
 def cut_history(connection: sqlite3.Connection) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.measures import Imprint
-from edge.store.database import open_read_only
+from edge.store.database import insert, open_read_only
 from edge.store.press_store import PressRecord, Store
 
 __all__ = [
@@ -71,23 +71,25 @@ class ReferenceTable:
         self._press = press
 
     def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
-        one, imprint = self._press, self._press.imprint
-        values = (
-            *(press.press_id, press.time_ns, gel_id, one.bundle_id, one.expected, one.verdict, one.score),
-            *(one.threshold, imprint.strength_levels, imprint.x_mm, imprint.y_mm, imprint.turn_deg),
-            *(imprint.noise_levels, one.reason, int(one.is_start), running_ns, *self._key),
-        )
-        number = connection.execute(
-            f"INSERT INTO reference_presses ({_COLUMNS}, running_ns, serial, part, position, piece) "
-            f"VALUES ({', '.join('?' * len(values))})",
-            values,
-        ).lastrowid
+        one = self._press
+        own = ("bundle_id", "expected", "verdict", "reason", "score", "threshold")
+        row = {
+            **self._key._asdict(),
+            **{name: getattr(one, name) for name in own},
+            **vars(one.imprint),
+            "press_id": press.press_id,
+            "time_ns": press.time_ns,
+            "running_ns": running_ns,
+            "gel_id": gel_id,
+            "is_start": int(one.is_start),
+        }
+        number = insert(connection, "reference_presses", row)
         connection.execute(
             "DELETE FROM reference_presses WHERE number <= (SELECT max(number) FROM reference_presses) - ?",
             (KEPT_REFERENCES,),
         )
         self.presses = of_piece(connection, self._key)
-        return int(number or 0)
+        return number
 
 
 def of_piece(connection: sqlite3.Connection, key: PieceKey) -> list[ReferencePress]:

@@ -6,10 +6,10 @@ Functions that take a connection run inside the caller's transaction.
 import sqlite3
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import ClassVar, Final
 
 from edge.store import ledger_chain
-from edge.store.database import open_read_only
+from edge.store.database import insert, open_read_only
 from edge.store.press_store import PressRecord
 
 __all__ = ["StudyPress", "StudyTable", "begin_study", "of_study", "plan_of", "read_study", "studies", "void"]
@@ -43,35 +43,23 @@ class StudyPress:
     is_void: bool = False
 
 
+@dataclass(frozen=True)
 class StudyTable:
     """A press of this step of this study, as `PressTable`."""
 
-    name = "study_presses"
-
-    def __init__(
-        self,
-        study_id: str,
-        step: int,
-        piece: str,
-        operator: str,
-        repeat: int,
-        bundle_id: str,
-        reason: str | None,
-    ) -> None:
-        self._label = (study_id, step, piece, operator, repeat, bundle_id, reason)
+    study_id: str
+    step: int
+    piece: str
+    operator: str
+    repeat: int
+    bundle_id: str
+    reason: str | None
+    name: ClassVar = "study_presses"
 
     def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
-        values = (
-            *(press.press_id, press.time_ns, running_ns, press.serial, gel_id, press.part),
-            *(press.position or "", press.verdict, press.score, press.threshold, *self._label),
-        )
-        number = connection.execute(
-            "INSERT INTO study_presses (press_id, time_ns, running_ns, serial, gel_id, part, position, verdict, score, "
-            "threshold, study_id, step, piece, operator, repeat, bundle_id, reason) "
-            f"VALUES ({', '.join('?' * len(values))})",
-            values,
-        ).lastrowid
-        return int(number or 0)
+        row = {"gel_id": gel_id, "running_ns": running_ns, **vars(self), "position": press.position or ""}
+        names = ("press_id", "time_ns", "serial", "part", "verdict", "score", "threshold")
+        return insert(connection, "study_presses", {**row, **{name: getattr(press, name) for name in names}})
 
     def publish(self, *_: object) -> tuple[tuple[()], tuple[()]]:
         """Publish nothing: who presses must not see it."""

@@ -6,8 +6,8 @@ from pathlib import Path
 from edge.messaging.alarm_payload import ADVICE, ALARMS
 from edge.store.acts import KEPT_ACTS, KEPT_REFUSALS
 from edge.store.database import JOURNAL_LIMIT_BYTES
+from edge.store.gel_files import KEPT_GELS
 from edge.store.press_history import KEPT_PRESSES
-from edge.store.reference_files import KEPT_GELS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "operations.md").read_text(encoding="utf-8")
 

@@ -1,0 +1,134 @@
+"""What is known of each gel, in files: the first picture of the free gel, to measure wear, the last, and the scars.
+
+They are no records: a damaged or missing one is learnt again, and no count depends on them.
+"""
+
+import logging
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.reference import Reference
+from edge.core.gel_scars.record import PLANES, ScarRecord
+from edge.core.imaging.decode import VIEW_SIZE
+
+__all__ = ["KEPT_GELS", "ReferenceFolder", "ScarFolder"]
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+Name = Literal["first", "last", "scars"]
+
+# Gels of one sensor whose files are kept, the newest ones; 1.5 MB each.
+KEPT_GELS: Final = 20
+
+
+class _GelFiles:
+    """A folder of `<serial>/<gel id>.<name>.npy`. A file that cannot be read or written is logged, and never raises."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def _load(self, serial: str, gel_id: str, name: Name, make: Callable[[NDArray[Any]], T]) -> T | None:
+        """Read an array. make: gives what it is. Errors: ValueError of `make` is logged."""
+        path = self._path(serial, gel_id, name)
+        try:
+            return make(np.load(path, allow_pickle=False))
+        except FileNotFoundError:
+            return None
+        except (OSError, EOFError, ValueError) as error:  # EOFError: an empty file after a power cut
+            log.warning("%s of a gel cannot be used and is learnt again: %s", path, error)
+            return None
+
+    def _save(self, serial: str, gel_id: str, name: Name, array: NDArray[Any]) -> bool:
+        """Write the file, complete or not at all; returns whether it was written."""
+        path = self._path(serial, gel_id, name)
+        part = path.with_suffix(".part")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with part.open("wb") as file:
+                np.save(file, array, allow_pickle=False)
+            os.replace(part, path)
+        except OSError as error:
+            log.warning("%s was not kept: %s", path, error.strerror or error)
+            return False
+        return True
+
+    def _forget(self, serial: str, gel_id: str, *names: Name) -> None:
+        for name in names:
+            path = self._path(serial, gel_id, name)
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                log.warning("%s was not removed: %s", path, error.strerror or error)
+
+    def _path(self, serial: str, gel_id: str, name: Name) -> Path:
+        return self.folder / _file_name(serial) / f"{_file_name(gel_id)}.{name}.npy"
+
+
+class ReferenceFolder(_GelFiles):
+    """The pictures of the free gel: float32 (h, w, 3), RGB."""
+
+    def load(self, serial: str, gel_id: str, which: Literal["first", "last"]) -> Reference | None:
+        """Read the picture; None when it is missing or cannot be read."""
+        return self._load(serial, gel_id, which, _reference)
+
+    def save(self, serial: str, gel_id: str, reference: Reference) -> None:
+        """Keep this picture as the last of its gel, and as the first if it has none."""
+        is_kept = self._save(serial, gel_id, "last", reference.view)
+        if is_kept and not self._path(serial, gel_id, "first").exists():
+            self._save(serial, gel_id, "first", reference.view)
+            self._remove_old(serial)
+
+    def forget(self, serial: str, gel_id: str) -> None:
+        """Forget the pictures of this gel, which proved to show no free gel; they are learnt again."""
+        self._forget(serial, gel_id, "first", "last")
+
+    def _remove_old(self, serial: str) -> None:
+        """Remove the files of gels that were replaced long ago: nothing is compared with them any more."""
+        folder, end = self.folder / _file_name(serial), ".last.npy"
+        try:
+            lasts = sorted(folder.glob(f"*{end}"), key=lambda path: path.stat().st_mtime_ns)
+            for last in lasts[:-KEPT_GELS]:
+                for other in (end, ".first.npy", ".scars.npy"):
+                    last.with_name(last.name.replace(end, other)).unlink(missing_ok=True)
+        except OSError as error:
+            log.warning("old files in %s were not removed: %s", folder, error.strerror or error)
+
+
+class ScarFolder(_GelFiles):
+    """The scars of gels: float32 (7, 120, 160)."""
+
+    def load(self, serial: str, gel_id: str) -> ScarRecord | None:
+        """Read the record; None when it is missing or cannot be read."""
+        return self._load(serial, gel_id, "scars", _scars)
+
+    def save(self, serial: str, gel_id: str, record: ScarRecord) -> None:
+        """Keep the record."""
+        self._save(serial, gel_id, "scars", record.planes)
+
+    def forget(self, serial: str, gel_id: str) -> None:
+        """Forget the scars of this gel; they are learnt again."""
+        self._forget(serial, gel_id, "scars")
+
+
+def _reference(view: NDArray[Any]) -> Reference:
+    if view.shape != (*reversed(VIEW_SIZE), 3):
+        raise ValueError(f"it is {view.shape}")
+    return Reference(view, frames=1, learnt_ns=0)
+
+
+def _scars(planes: NDArray[Any]) -> ScarRecord:
+    """Make the record; versions before this one had one more plane at the end."""
+    if planes.shape[1:] != tuple(reversed(VIEW_SIZE)):
+        raise ValueError(f"it is {planes.shape}")
+    return ScarRecord(planes[:PLANES])
+
+
+def _file_name(text: str) -> str:
+    """Make a file name of any id: a character that is not a letter, a digit, `-` or `_` is replaced by its code."""
+    return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else f"%{ord(c):x}" for c in text)
