@@ -6,8 +6,7 @@
 Names are loaded at use: importing this package imports neither onnx nor torch. docs/export.md has the whole way.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from export.backbone import BackboneExport, BackboneOptions, export_backbone
@@ -59,23 +58,12 @@ __all__ = [
     "write_openvino",
 ]
 
-_HOMES: Final = (
-    *(
-        "backbone",
-        "bundle_stages",
-        "finish",
-        "importers.api",
-        "merge",
-        "openvino_model",
-        "parity",
-        "precision",
-    ),
-    "single_graph",
-)
-
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"export has no '{name}'; it has {', '.join(__all__)}")
-    homes = (import_module(f"export.{home}") for home in _HOMES)
+    from export import backbone, bundle_stages, finish, merge, openvino_model, parity, precision, single_graph
+    from export.importers import api
+
+    homes = (api, backbone, bundle_stages, finish, merge, openvino_model, parity, precision, single_graph)
     return next(getattr(home, name) for home in homes if hasattr(home, name))

@@ -159,8 +159,8 @@ def finish_bundle(
 
 
 def _pack(parts: Parts, facts: Facts, golden: Sequence[GoldenFrame] = ()) -> Fitted:
-    named = {"backbone": parts.backbone, "free_view": parts.free_view}
-    return Fitted(*bundle_files(facts, parts.graphs, parts.bank, golden, **named))
+    trunk, view = parts.backbone, parts.free_view
+    return Fitted(*bundle_files(facts, parts.graphs, parts.bank, golden, backbone=trunk, free_view=view))
 
 
 def _score(scorer: Scorer, presses: NominalPresses, report: Report) -> NDArray[np.float64]:
