@@ -21,11 +21,11 @@ from calibration.fitting.bundle_measurements import (
     provenance,
     warnings,
 )
-from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.fit import Fitted
+from calibration.fitting.limits.threshold import check_alpha, conformal_threshold, require_enough
+from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.self_check import apart_warnings, black_warnings
-from calibration.fitting.limits.threshold import check_alpha, conformal_threshold, require_enough
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Grid
