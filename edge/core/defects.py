@@ -11,16 +11,16 @@ __all__ = ["Defect", "find_defects"]
 
 @dataclass(frozen=True)
 class Defect:
-    """One connected part above the threshold (diagonal neighbours count as connected).
-
-    box_px: (left, top, width, height). centroid_px: (x, y), centre of area; the middle of the first pixel is 0.5.
-    Both from the top left corner of the map. area_px: its pixels. score: the largest in it.
-    """
+    """One connected part above the threshold (diagonal neighbours count as connected)."""
 
     box_px: tuple[int, int, int, int]
+    """(left, top, width, height)."""
     centroid_px: tuple[float, float]
+    """(x, y), centre of area; the middle of the first pixel is 0.5. Both from the top left corner of the map."""
     area_px: int
+    """Its pixels."""
     score: float
+    """The largest in it."""
 
 
 def find_defects(score_map: NDArray[np.floating], threshold: float) -> list[Defect]:

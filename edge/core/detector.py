@@ -47,17 +47,17 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Grid:
-    """The geometry that a head is built for.
-
-    frame: (h, w) of the inspected region in pixels. taps: tap name to (channels, h, w). pixels_per_mm scales
-    physical sizes such as the blur. tiles: set where the trunk sees the frame in overlapping tiles and gives its taps
-    as mosaics of tiles; the head joins raw distances before it blurs.
-    """
+    """The geometry that a head is built for."""
 
     frame: tuple[int, int]
+    """(h, w) of the inspected region in pixels."""
     taps: Mapping[str, tuple[int, int, int]]
+    """Tap name to (channels, h, w)."""
     pixels_per_mm: float
+    """Scales physical sizes such as the blur."""
     tiles: Tiles | None = None
+    """Set where the trunk sees the frame in overlapping tiles and gives its taps as mosaics of tiles; the head joins
+    raw distances before it blurs."""
 
     def __post_init__(self) -> None:
         if self.tiles is not None and self.tiles.frame != self.frame:
@@ -68,18 +68,17 @@ class Grid:
 
 @dataclass(frozen=True)
 class Nominal:
-    """The data of a fit: nominal presses alone.
-
-    features: n presses. touched: bool (h, w) of the frame, True where any nominal press touches, None if unknown.
-    no_contact: features of the untouched gel (m >= 1 frames), None if there are none. room: a factor on every limit
-    of the bank's size. For a fold it is the fold's share of the presses: otherwise its bank would hold more of each
-    press than the final bank does. A bank that left out a place gets more than 1.
-    """
+    """The data of a fit: nominal presses alone."""
 
     features: Features
+    """Of n presses."""
     touched: NDArray[np.bool_] | None = None
+    """Bool (h, w) of the frame, True where any nominal press touches, None if unknown."""
     no_contact: Features | None = None
+    """Features of the untouched gel (m >= 1 frames), None if there are none."""
     room: float = 1.0
+    """a factor on every limit of the bank's size. For a fold it is the fold's share of the presses: otherwise its bank
+    would hold more of each press than the final bank does. A bank that left out a place gets more than 1."""
 
     def __post_init__(self) -> None:
         if not self.room > 0:
@@ -96,24 +95,24 @@ class Nominal:
 
 @dataclass(frozen=True)
 class Bank:
-    """A normality bank.
-
-    arrays: name to array, in the dtype of the head's input of that name (float32, int64 or bool). packing: how an array
-    is stored; arrays not named are stored unchanged. facts: results and choices of the fit, plain JSON (rank, ridge,
-    seed, channel count, warnings), for the manifest.
-    """
+    """A normality bank."""
 
     arrays: Mapping[str, NDArray[Any]]
+    """Name to array, in the dtype of the head's input of that name (float32, int64 or bool)."""
     packing: Mapping[str, Packing] = field(default_factory=dict)
+    """How an array is stored; arrays not named are stored unchanged."""
     facts: Mapping[str, Any] = field(default_factory=dict)
+    """Results and choices of the fit, plain JSON (rank, ridge, seed, channel count, warnings), for the manifest."""
 
 
 @dataclass(frozen=True)
 class ScoreMaps:
-    """The oracle's result. score_map: float64 (n, h, w); score: float64 (n,). Higher is more anomalous."""
+    """The oracle's result."""
 
     score_map: NDArray[np.float64]
+    """float64 (n, h, w)."""
     score: NDArray[np.float64]
+    """float64 (n,). Higher is more anomalous."""
 
 
 @runtime_checkable

@@ -27,15 +27,15 @@ VERDICTS: Final[tuple[str, ...]] = get_args(Word)
 
 @dataclass(frozen=True)
 class DiscoveredPort:
-    """A trigger or an actuator that a plugin found, or something similar that is refused.
-
-    place: where it is, such as `/dev/hidraw3`. serial: None where it has none. refusal: why it cannot be opened.
-    """
+    """A trigger or an actuator that a plugin found, or something similar that is refused."""
 
     place: str
+    """Where it is, such as `/dev/hidraw3`."""
     product: str
     serial: str | None = None
+    """None where it has none."""
     refusal: str | None = None
+    """Why it cannot be opened."""
 
 
 @runtime_checkable
@@ -112,19 +112,19 @@ class Debounce:
 
 @dataclass(frozen=True)
 class OutputRule:
-    """One output of an actuator. All times in nanoseconds.
-
-    when: the conditions that switch it on. safe: its level in a state that is not named in `when`, except `ready`.
-    pulse_ns: on for this time after a verdict, instead of until the next one; the pulse starts within `deadline_ns`
-    of the judged frame, or not at all. blink_ns: on and off for this time each.
-    """
+    """One output of an actuator. All times in nanoseconds."""
 
     channel: int
     when: frozenset[str]
+    """The conditions that switch it on."""
     safe: bool = False
+    """Its level in a state that is not named in `when`, except `ready`."""
     pulse_ns: int | None = None
+    """On for this time after a verdict, instead of until the next one; the pulse starts within `deadline_ns` of the
+    judged frame, or not at all."""
     deadline_ns: int | None = None
     blink_ns: int | None = None
+    """On and off for this time each."""
 
     def __post_init__(self) -> None:
         if self.channel < 1:
@@ -155,10 +155,11 @@ class OutputRule:
 
 @dataclass(frozen=True)
 class StationView:
-    """What outputs show. verdict: of the last press, None before the first one and after an acknowledgement."""
+    """What outputs show."""
 
     state: State = "starting"
     verdict: str | None = None
+    """Of the last press, None before the first one and after an acknowledgement."""
     alarms: frozenset[str] = frozenset()
 
     def conditions(self) -> frozenset[str]:

@@ -27,31 +27,35 @@ class Proven(StrEnum):
 
 @dataclass(frozen=True)
 class MadeOn:
-    """What a bundle says of its own gel. created: a date, as 2026-01-31. gel_id: None where it names none."""
+    """What a bundle says of its own gel."""
 
     created: str
+    """a date, as 2026-01-31."""
     gel_id: str | None = None
+    """None where it names none."""
 
 
 @dataclass(frozen=True)
 class UsedBefore:
-    """What is known of a bundle that is used on a gel for the first time. mounted: the date of the gel; None for the
-    first gel of a sensor, which may be older than the record of it. used_on: the gel on which the bundle was used last.
-    was_in_use: it inspected here before this gel was mounted."""
+    """What is known of a bundle that is used on a gel for the first time."""
 
     gel_id: str
     mounted: str | None
+    """The date of the gel; None for the first gel of a sensor, which may be older than the record of it."""
     used_on: str | None = None
+    """The gel on which the bundle was used last."""
     was_in_use: bool = False
+    """It inspected here before this gel was mounted."""
 
 
 @dataclass(frozen=True)
 class GelProof:
-    """One bundle on one gel. proven: why it is, None where it is not. known_from: where it comes from, in words.
-    presses, alarms: of presses of sound parts, counted while it is not proven."""
+    """One bundle on one gel. presses, alarms: of presses of sound parts, counted while it is not proven."""
 
     proven: Proven | None
+    """Why it is, None where it is not."""
     known_from: str = ""
+    """Where it comes from, in words."""
     presses: int = 0
     alarms: int = 0
 

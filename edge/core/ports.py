@@ -40,16 +40,15 @@ class DeviceIdentity:
 
 @dataclass(frozen=True)
 class DiscoveredDevice:
-    """One thing found by a device plugin: a sensor, or something similar that is refused.
-
-    place: where it is, such as `bus 1 port 2 address 7` or a folder. identity: of a sensor that can be opened.
-    refusal: why it cannot be opened, as one sentence.
-    """
+    """One thing found by a device plugin: a sensor, or something similar that is refused."""
 
     place: str
+    """Where it is, such as `bus 1 port 2 address 7` or a folder."""
     product: str
     identity: DeviceIdentity | None = None
+    """Of a sensor that can be opened."""
     refusal: str | None = None
+    """Why it cannot be opened, as one sentence."""
 
     def __post_init__(self) -> None:
         if (self.identity is None) == (self.refusal is None):

@@ -21,41 +21,46 @@ __all__ = ["Again", "JudgedFrame", "Press", "ScarFindings"]
 
 @dataclass(frozen=True)
 class JudgedFrame:
-    """What a press was judged by. touch: where that frame touches. reference: the free gel that it was compared with,
-    float32 (h, w, 3)."""
+    """What a press was judged by."""
 
     frame: CameraFrame
     touch: Touch
+    """Where that frame touches."""
     reference: View | None = None
+    """The free gel that it was compared with, float32 (h, w, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ScarFindings:
     """A press and the scars of its gel.
 
-    blame: why it is not passed, should it not be. masked: bool (h, w) of the region, places that were not judged, None
-    for none. blind_mm2, blind_share: their area within the contact, and its share of it. is_too_blind: more than is
-    accepted. score: with those places.
+    blind_mm2, blind_share: their area within the contact, and its share of it.
     """
 
     blame: Blame
+    """Why it is not passed, should it not be."""
     masked: NDArray[np.bool_] | None = None
+    """Bool (h, w) of the region, places that were not judged, None for none."""
     blind_mm2: float = 0.0
     blind_share: float = 0.0
     is_too_blind: bool = False
+    """More than is accepted."""
     score: float | None = None
+    """With those places."""
 
 
 @dataclass(frozen=True)
 class Again:
-    """One more press of the same piece. reason: one sentence. is_asked: it is asked for. second_of, first_score: of the
-    first press, where this is the second. bound: up to this score a second press is asked for."""
+    """One more press of the same piece. second_of, first_score: of the first press, where this is the second."""
 
     reason: str
+    """One sentence."""
     is_asked: bool
+    """It is asked for."""
     second_of: str | None = None
     first_score: float | None = None
     bound: float | None = None
+    """Up to this score a second press is asked for."""
 
 
 @dataclass(frozen=True)

@@ -48,13 +48,16 @@ _NORMAL: Final = NormalDist()
 
 @dataclass(frozen=True)
 class Costs:
-    """In any one unit. missed: a damaged piece that passes. false_alarm: a sound piece that fails. press: one more
-    press, in time and gel. defect_rate: the share of damaged pieces."""
+    """In any one unit."""
 
     missed: float
+    """a damaged piece that passes."""
     false_alarm: float
+    """a sound piece that fails."""
     press: float
+    """One more press, in time and gel."""
     defect_rate: float
+    """The share of damaged pieces."""
 
     def __post_init__(self) -> None:
         if min(self.missed, self.false_alarm, self.press) < 0 or not 0 <= self.defect_rate <= 1:
@@ -63,24 +66,26 @@ class Costs:
 
 @dataclass(frozen=True)
 class KnownScores:
-    """What `fit` knows. sound: scores of nominal presses by banks without them, piece by piece. damaged: of presses
-    with rendered damage, for each kind and size."""
+    """What `fit` knows."""
 
     sound: tuple[tuple[float, ...], ...]
+    """Scores of nominal presses by banks without them, piece by piece."""
     damaged: tuple[tuple[float, ...], ...]
+    """Of presses with rendered damage, for each kind and size."""
 
 
 @dataclass(frozen=True)
 class Plan:
     """What one more press is expected to bring.
 
-    bound: it is asked for from the threshold up to this score; None where it never pays, and `why` says so. presses: of
-    a piece, expected. false_alarms, misses: shares of sound and of damaged pieces, with one press and as planned.
+    false_alarms, misses: shares of sound and of damaged pieces, with one press and as planned.
     """
 
     why: str
     bound: float | None = None
+    """It is asked for from the threshold up to this score; None where it never pays, and `why` says so."""
     presses: float = 1.0
+    """The expected presses of a piece."""
     false_alarms: tuple[float, float] = (0.0, 0.0)
     misses: tuple[float, float] = (0.0, 0.0)
 

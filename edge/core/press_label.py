@@ -7,13 +7,15 @@ __all__ = ["PressLabel", "ReferenceLabel", "StudyLabel"]
 
 @dataclass(frozen=True)
 class ReferenceLabel:
-    """A master piece. expected: the verdict that it must give. learn: presses that its limits are made from. is_start:
-    its charts begin again."""
+    """A master piece."""
 
     piece: str
     expected: str
+    """The verdict that it must give."""
     learn: int
+    """Presses that its limits are made from."""
     is_start: bool = False
+    """Its charts begin again."""
 
     @property
     def kind(self) -> str:

@@ -35,14 +35,14 @@ OnRefused = Callable[[str, bytes, str], bytes]
 
 @dataclass(frozen=True)
 class PageRequests:
-    """Requests of a person at a page, whom the page itself admits, such as by a token.
-
-    verbs: that may be served. do: does and answers one that is admitted. refuse: records and answers one that is not.
-    """
+    """Requests of a person at a page, whom the page itself admits, such as by a token."""
 
     verbs: frozenset[str]
+    """The verbs that may be served."""
     do: OnCommand
+    """Does and answers one that is admitted."""
     refuse: OnRefused
+    """Records and answers one that is not."""
 
 
 def _no_messages() -> Sequence[Message]:

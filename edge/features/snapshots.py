@@ -38,12 +38,13 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class _Wish:
-    """Frames of this time span, by the frames' own clock. due_ns: by the station's; then what is there is written."""
+    """Frames of this time span, by the frames' own clock."""
 
     folder: Path
     first_ns: int
     last_ns: int
     due_ns: int
+    """By the station's; then what is there is written."""
 
 
 class Snapshots(PressStage):

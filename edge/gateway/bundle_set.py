@@ -19,13 +19,15 @@ def part_of(bundle: Bundle) -> PartPosition:
 
 @dataclass(frozen=True)
 class OpenBundle:
-    """One bundle, ready to score. path: where it is configured. names: that select it, other than `part/position`.
-    golden_difference: the largest of its golden scores when it was opened."""
+    """One bundle, ready to score."""
 
     path: Path
+    """Where it is configured."""
     names: tuple[str, ...]
+    """Names that select it, other than `part/position`."""
     inspector: Inspector
     golden_difference: float
+    """The largest of its golden scores when it was opened."""
 
     @property
     def bundle(self) -> Bundle:

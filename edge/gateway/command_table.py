@@ -38,17 +38,16 @@ Data = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Command(Generic[A]):
-    """One verb: its arguments' model, the loop's action, and its text in the manual.
-
-    changes: what it changes for good, for the manual; empty for nothing. do: returns the data of the response, plain
-    JSON, or what makes them on the requester's thread while the loop goes on. Errors of both: GelgateError, ValueError.
-    """
+    """One verb: its arguments' model, the loop's action, and its text in the manual."""
 
     verb: str
     arguments: type[A]
     do: Callable[[StationLoop, A], Data | Callable[[], Data]]
+    """Returns the data of the response, plain JSON, or what makes them on the requester's thread while the loop goes
+    on. Errors of both: GelgateError, ValueError."""
     help: str
     changes: str = ""
+    """What it changes for good, for the manual; empty for nothing."""
 
 
 def _trigger(loop: StationLoop, arguments: NoArguments) -> Data:

@@ -37,10 +37,10 @@ _KINDS: Final = ("signed", "unsigned", PAGE, "refused", "refused at the page", "
 
 @dataclass(frozen=True)
 class Change:
-    """What a request did. data: of the response. before, after: the gel and the state of contact, for the table of
-    acts. All are plain JSON."""
+    """What a request did. before, after: gel and contact, for the table of acts. All are plain JSON."""
 
     data: Mapping[str, Any]
+    """Of the response."""
     before: Mapping[str, Any] | None = None
     after: Mapping[str, Any] | None = None
 

@@ -29,13 +29,14 @@ def describe_station(config: Config) -> DescribedStation:
 
 @dataclass(frozen=True)
 class DescribedBroker:
-    """The broker of a station. user: the station's name there. discovery_prefix, node: of Home Assistant and of
-    Sparkplug, None where the station has none."""
+    """The broker of a station. discovery_prefix, node: of Home Assistant and of Sparkplug, None where the station has
+    none."""
 
     host: str = "localhost"
     port: int = 1883
     has_tls: bool = False
     user: str = ""
+    """The station's name there."""
     discovery_prefix: str | None = None
     node: SparkplugNode | None = None
 

@@ -45,11 +45,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Finding:
-    """One part, tried. error: why the gateway cannot start with it, None if it can. text: what was found."""
+    """One part, tried."""
 
     part: str
     text: str
+    """What was found."""
     error: GelgateError | None = None
+    """Why the gateway cannot start with it, None if it can."""
 
 
 class Preflight:

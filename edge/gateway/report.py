@@ -56,16 +56,18 @@ LATE_NS: Final = round(QualitySettings().max_age_s * 1e9)
 
 @dataclass(frozen=True)
 class FrameCounts:
-    """Since the start. frames: delivered by the sensor. dropped: of those, never processed. late: processed too late.
-
-    interrupted: how often frames were dropped while the gel was pressed. late_presses: judged too late, so rejected.
-    """
+    """Since the start."""
 
     frames: int = 0
+    """Delivered by the sensor."""
     dropped: int = 0
+    """Of those, never processed."""
     late: int = 0
+    """Processed too late."""
     interrupted: int = 0
+    """How often frames were dropped while the gel was pressed."""
     late_presses: int = 0
+    """Judged too late, so rejected."""
 
     def since(self, before: "FrameCounts") -> "FrameCounts":
         """The counts since `before`."""
@@ -121,21 +123,23 @@ def _sentence(window: FrameCounts) -> str:
 
 @dataclass
 class Summary:
-    """The counts of a run. verdicts: word to number, `error` for a press without a verdict, `reference`
-    and `study` for presses of master pieces and studies.
-
-    latencies_ms: frame to verdict of the newest presses that were scored; rejected presses and errors are faster, so
-    they do not count. frames: the fate of the sensor's frames. frames_corrupt: not delivered, or delivered and not
-    decodable. frames_stale: came twice. has_ended: a recording was played to its end.
-    """
+    """The counts of a run."""
 
     presses: int = 0
     has_ended: bool = False
+    """a recording was played to its end."""
     verdicts: Counter[str] = field(default_factory=Counter)
+    """Word to number, `error` for a press without a verdict, `reference` and `study` for presses of master pieces and
+    studies."""
     latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=LATENCIES_KEPT))
+    """Frame to verdict of the newest presses that were scored; rejected presses and errors are faster, so they do not
+    count."""
     frames: FrameCounts = field(default_factory=FrameCounts)
+    """The fate of the sensor's frames."""
     frames_corrupt: int = 0
+    """Not delivered, or delivered and not decodable."""
     frames_stale: int = 0
+    """Came twice."""
 
     def add(self, report: PressReport) -> None:
         """Count one more press."""

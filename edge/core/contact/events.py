@@ -49,10 +49,11 @@ class ReferenceReady:
 
 @dataclass(frozen=True)
 class ReferenceRefreshed:
-    """The reference followed the free gel. change: mean absolute difference, levels."""
+    """The reference followed the free gel."""
 
     timestamp_ns: int
     change: float
+    """Mean absolute difference, levels."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +83,11 @@ class StartedTouched:
 
 @dataclass(frozen=True)
 class PressBegan:
-    """A contact was confirmed. sequence: the frame that confirmed it."""
+    """A contact was confirmed."""
 
     timestamp_ns: int
     sequence: int
+    """The frame that confirmed it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,17 +115,20 @@ class Findings:
 class PressSettled:
     """The press rests: score frame `sequence`, the deepest one at rest. Once per press.
 
-    timestamp_ns: of the frame that decided. began_ns: of `PressBegan`. touch, strength: of the frame to score; strength
-    grows with depth, levels. findings: added by the tracker. frame: the one to score, added by the detector.
+    touch, strength: of the frame to score; strength grows with depth, levels.
     """
 
     timestamp_ns: int
+    """Of the frame that decided."""
     sequence: int
     began_ns: int
+    """Of `PressBegan`."""
     touch: Touch
     strength: float = 0.0
     findings: Findings | None = None
+    """Added by the tracker."""
     frame: CameraFrame | None = None
+    """The one to score, added by the detector."""
 
 
 @dataclass(frozen=True)

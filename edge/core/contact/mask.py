@@ -36,9 +36,10 @@ _BLACK_LEVEL = 8.0
 
 @dataclass(frozen=True)
 class Touch:
-    """The touched area. area: fraction of the view. x, y: centroid as fractions of width and height, 0.5 if none."""
+    """The touched area. x, y: centroid as fractions of width and height, 0.5 if none."""
 
     area: float
+    """Fraction of the view."""
     x: float = 0.5
     y: float = 0.5
 

@@ -55,9 +55,10 @@ class Levels:
 
 @dataclass(frozen=True)
 class Reference:
-    """The untouched gel: the mean of `frames` still views. view: float32 (h, w, 3), RGB, 0 to 255."""
+    """The untouched gel: the mean of `frames` still views."""
 
     view: View
+    """float32 (h, w, 3), RGB, 0 to 255."""
     frames: int
     learnt_ns: int
 

@@ -70,15 +70,14 @@ class ReliefOfReference:
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """What one view adds to a reference.
-
-    added: signed structure. mask: bool (h / 2, w / 2), where it is an imprint's. level: how strong it is there, root
-    mean square of a millimetre, averaged over the whole view, levels.
-    """
+    """What one view adds to a reference."""
 
     added: View
+    """Signed structure."""
     mask: NDArray[np.bool_]
+    """Bool (h / 2, w / 2), where it is an imprint's."""
     level: float
+    """How strong it is there, root mean square of a millimetre, averaged over the whole view, levels."""
     reference: ReliefOfReference
 
     @cached_property

@@ -22,25 +22,27 @@ _DEEPEST_SHARE = 0.03
 class Observation:
     """One frame in numbers.
 
-    touch: None while there is no reference to compare with. change: share of the view's pixels that differ from the
-    view at rest while learning, and from the view `settle_s` ago while something presses; 1 where there is none.
-    motion: the same against the frame before. relief: share of the view with an imprint's fine structure. strength,
-    texture: how much the imprint differs from the reference, coarse and fine, levels; both grow with depth. imprint:
-    log ratio of the view's structure to the reference's (`Relief.gain`). place: the touched area by relief too, where
-    it is too light for one by itself.
+    strength, texture: how much the imprint differs from the reference, coarse and fine, levels; both grow with depth.
     """
 
     timestamp_ns: int
     sequence: int
     touch: Touch | None
+    """None while there is no reference to compare with."""
     change: float
+    """Share of the view's pixels that differ from the view at rest while learning, and from the view `settle_s` ago
+    while something presses; 1 where there is none."""
     motion: float
+    """The same against the frame before."""
     is_black: bool = False
     relief: float = 0.0
+    """Share of the view with an imprint's fine structure."""
     strength: float = 0.0
     texture: float = 0.0
     imprint: float = 0.0
+    """Log ratio of the view's structure to the reference's (`Relief.gain`)."""
     place: Touch | None = None
+    """The touched area by relief too, where it is too light for one by itself."""
 
     @property
     def area(self) -> float:
@@ -66,13 +68,11 @@ def is_moving(seen: Observation, settings: ContactSettings) -> bool:
 
 @dataclass(frozen=True)
 class Window:
-    """The frames of one press that may still be chosen: the anchor, which is `settle_s` old, and all after it.
-
-    deepest: the largest depths of the frames before the anchor.
-    """
+    """The frames of one press that may still be chosen: the anchor, which is `settle_s` old, and all after it."""
 
     frames: tuple[Observation, ...] = ()
     deepest: tuple[float, float] = (0.0, 0.0)
+    """The largest depths of the frames before the anchor."""
 
     def anchor(self, now_ns: int, settings: ContactSettings) -> Observation | None:
         """Return the newest frame that is `settle_s` old, if the press lasts so long."""

@@ -7,10 +7,7 @@ __all__ = ["ContactSettings"]
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """When a frame counts as touched, at rest and released. Areas are fractions of the view, times seconds.
-
-    is_external: presses are scored on a trigger (command, pedal) instead of by themselves.
-    """
+    """When a frame counts as touched, at rest and released. Areas are fractions of the view, times seconds."""
 
     # On 500-1,000 and off 100-200 of 76,800 pixels separated contact from residue on the maker's press video.
     on_area: float = 0.010
@@ -45,6 +42,7 @@ class ContactSettings:
     # frames a second: docs/contact.md.
     idle_interval_s: float = 0.15
     is_external: bool = False
+    """Presses are scored on a trigger (command, pedal) instead of by themselves."""
 
     def __post_init__(self) -> None:
         if not 0 < self.off_area < self.on_area < 1:

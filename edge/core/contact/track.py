@@ -18,13 +18,9 @@ WATCHED = UNJUDGED | {State.APPROACH, State.DOUBT}
 class Track:
     """The memory of contact detection between frames.
 
-    since_ns, frames: when the present state began, and over how many frames. still_ns, still_frames: the same for
-    the view at rest while learning. window: the frames of this press that may be chosen. wanted_ns: since when a
-    verdict is wanted. grown_ns: when the imprint last grew. peak, relief_peak, strength_peak: the largest area, relief
-    and strength of this press. sunk_ns: since when its strength is that of a residue, None while it is held. residue,
-    relief_residue, strength_residue: the rest of the last press. is_counted: false for a part that was there at the
-    start. is_confirmed: another picture of the free gel, or a press, has shown that the reference is one; is_cycled: a
-    press has come and gone.
+    since_ns, frames: when the present state began, and over how many frames. still_ns, still_frames: the same for the
+    view at rest while learning. peak, relief_peak, strength_peak: the largest area, relief and strength of this press.
+    residue, relief_residue, strength_residue: the rest of the last press.
     """
 
     state: State = State.WARM_UP
@@ -34,20 +30,27 @@ class Track:
     still_ns: int = 0
     still_frames: int = 0
     window: Window = field(default_factory=Window)
+    """The frames of this press that may be chosen."""
     began_ns: int = 0
     is_wanted: bool = False
     wanted_ns: int = 0
+    """Since when a verdict is wanted."""
     grown_ns: int = 0
+    """When the imprint last grew."""
     peak: float = 0.0
     relief_peak: float = 0.0
     strength_peak: float = 0.0
     sunk_ns: int | None = None
+    """Since when its strength is that of a residue, None while it is held."""
     residue: float = 0.0
     relief_residue: float = 0.0
     strength_residue: float = 0.0
     is_counted: bool = True
+    """False for a part that was there at the start."""
     is_confirmed: bool = False
+    """Another picture of the free gel, or a press, has shown that the reference is one."""
     is_cycled: bool = False
+    """a press has come and gone."""
     adds_structure: bool = False
     is_interrupted: bool = False
     blind_until_ns: int = 0

@@ -42,18 +42,18 @@ _WORN_LEVEL_CHANGE = 0.5
 
 @dataclass(frozen=True)
 class Wear:
-    """How much a gel has changed since it was new. index: 0 (as new) to 1 (worn out), that of its worst part.
-
-    specks: new compact marks. scratch_length: total length of new long marks, in picture widths. shading_levels: mean
-    absolute broad change that no exposure explains (coat loss, a weak light on one side). level_change: largest
-    relative change of a channel's mean; exposure moves it too, so judge it with the exposure locked.
-    """
+    """How much a gel has changed since it was new."""
 
     index: float
+    """0 (as new) to 1 (worn out), that of its worst part."""
     specks: int
+    """New compact marks."""
     scratch_length: float
+    """Total length of new long marks, in picture widths."""
     shading_levels: float
+    """Mean absolute broad change that no exposure explains (coat loss, a weak light on one side)."""
     level_change: float
+    """Largest relative change of a channel's mean; exposure moves it too, so judge it with the exposure locked."""
 
 
 def wear(first: View, now: View) -> Wear:

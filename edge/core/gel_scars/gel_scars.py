@@ -32,12 +32,12 @@ _REPEATED: Final = 5
 
 @dataclass(frozen=True)
 class Repeated:
-    """A place of the gel that exceeded the limit in press after press. x_mm, y_mm: from the region's top left corner.
-    is_outside: no part reaches it."""
+    """A place of the gel that exceeded the limit in press after press. x_mm, y_mm: from the region's corner."""
 
     x_mm: float
     y_mm: float
     is_outside: bool
+    """No part reaches it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,12 +29,14 @@ _FORGOTTEN = 0.1
 
 @dataclass(frozen=True)
 class Repeats:
-    """How often a place of the gel exceeded the limit before. hits: presses, decayed. rate: of the presses that showed
-    it. spread_mm: standard deviation of the part's place in those; 0 where it is not known."""
+    """How often a place of the gel exceeded the limit before."""
 
     hits: float = 0.0
+    """Presses, decayed."""
     rate: float = 0.0
+    """Of the presses that showed it."""
     spread_mm: float = 0.0
+    """Standard deviation of the part's place in those; 0 where it is not known."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,17 +14,16 @@ __all__ = ["CameraFrame", "Picture"]
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """One frame exactly as the camera sent it.
-
-    payload: the JPEG (or PNG) bytes, unchanged, so the archive holds what the camera sent.
-    timestamp_ns: monotonic nanoseconds at arrival. sequence: rises by one per frame that the device delivered.
-    is_on_demand: made when it was requested; its time is that of the recording, and its age has no meaning.
-    """
+    """One frame exactly as the camera sent it."""
 
     payload: bytes
+    """The JPEG (or PNG) bytes, unchanged, so the archive holds what the camera sent."""
     timestamp_ns: int
+    """Monotonic nanoseconds at arrival."""
     sequence: int
+    """Rises by one per frame that the device delivered."""
     is_on_demand: bool = False
+    """Made when it was requested; its time is that of the recording, and its age has no meaning."""
 
     @cached_property
     def damage(self) -> str | None:
@@ -47,12 +46,10 @@ class CameraFrame:
 
 @dataclass(frozen=True)
 class Picture:
-    """A decoded frame in the geometry of a sensor profile.
-
-    rgb: uint8, (h, w, 3), channel order red, green, blue. The other fields are those of its camera frame.
-    """
+    """A decoded frame in the geometry of a sensor profile."""
 
     rgb: NDArray[np.uint8]
+    """uint8, (h, w, 3), channel order red, green, blue. The other fields are those of its camera frame."""
     timestamp_ns: int
     sequence: int
 

@@ -48,10 +48,11 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class Rejection:
-    """A press that cannot be judged. text: one sentence for the operator."""
+    """A press that cannot be judged."""
 
     reason: Reason
     text: str
+    """One sentence for the operator."""
 
 
 @dataclass(frozen=True)

@@ -38,13 +38,12 @@ _LEAST_GAIN: Final = 1 / 64
 
 @dataclass(frozen=True)
 class NominalColours:
-    """The coarse colours of nominal presses. cells: levels, float64 (rows, columns, 3) RGB over the inspected region.
-
-    limit: the largest `colour_distance` of a press from the same sensor.
-    """
+    """The coarse colours of nominal presses."""
 
     cells: F64
+    """Levels, float64 (rows, columns, 3) RGB over the inspected region."""
     limit: float
+    """The largest `colour_distance` of a press from the same sensor."""
 
     def __post_init__(self) -> None:
         if self.cells.ndim != 3 or self.cells.shape[2] != 3 or not self.cells.size:

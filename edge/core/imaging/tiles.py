@@ -25,9 +25,10 @@ FLOOR = 0.05
 
 @dataclass(frozen=True)
 class Tiles:
-    """Squares over a frame. frame: (h, w). rows, columns: the first pixel of each tile along each axis, rising."""
+    """Squares over a frame. rows, columns: the first pixel of each tile along each axis, rising."""
 
     frame: tuple[int, int]
+    """(h, w)."""
     size: int
     rows: tuple[int, ...]
     columns: tuple[int, ...]

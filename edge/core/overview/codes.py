@@ -22,10 +22,11 @@ MOST_LETTERS: Final = 256
 
 @dataclass(frozen=True)
 class Code:
-    """One code that was read. text: of a QR code or DataMatrix, printable; of an AprilTag its number."""
+    """One code that was read."""
 
     kind: CodeKind
     text: str
+    """Of a QR code or DataMatrix, printable; of an AprilTag its number."""
 
 
 def read_codes(

@@ -20,18 +20,18 @@ NamedBy = Callable[[str], Collection[PartPosition]]
 
 @dataclass(frozen=True)
 class OverviewView:
-    """One look before a press.
-
-    jpeg: the still, or None where there was none; fault: then why. changed: the share of the region that differs from
-    the empty station, None where no picture of it is configured. is_present: whether a part is there, None where
-    nothing says so. codes: those read in the region.
-    """
+    """One look before a press."""
 
     jpeg: bytes | None
+    """The still, or None where there was none."""
     fault: str | None = None
+    """Why there is no still."""
     changed: float | None = None
+    """The share of the region that differs from the empty station, None where no picture of it is configured."""
     is_present: bool | None = None
+    """Whether a part is there, None where nothing says so."""
     codes: tuple[Code, ...] = ()
+    """Those read in the region."""
 
     def __post_init__(self) -> None:
         if (self.jpeg is None) == (self.fault is None):

@@ -71,24 +71,27 @@ class ReferencePress:
 
 @dataclass(frozen=True)
 class Chart:
-    """One measure over the presses of its scope, oldest first. presses: those that have the measure. limits: None while
-    they are learnt, from `learnt` of `learn` presses. signals: of the last press."""
+    """One measure over the presses of its scope, oldest first."""
 
     measure: Measure
     presses: tuple[ReferencePress, ...]
+    """Those that have the measure."""
     values: tuple[float, ...]
     learnt: int
     learn: int
     limits: Limits | None
+    """None while they are learnt, from `learnt` of `learn` presses."""
     signals: tuple[Signal, ...]
+    """Of the last press."""
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the newest press says. sentences: each thing that was found, with what to do; for people."""
+    """What the newest press says."""
 
     outcome: Outcome
     sentences: tuple[str, ...]
+    """Each thing that was found, with what to do; for people."""
     charts: tuple[Chart, ...]
 
 

@@ -12,16 +12,17 @@ Scope = Literal["bundle", "gel", "place"]
 class Imprint:
     """One press in numbers; None for what is not known of it.
 
-    strength_levels: the colour difference to the free gel over the whole view; it grows with depth. x_mm, y_mm: the
-    centre of the contact, from the picture's left and top. turn_deg: of the part, where it is registered. noise_levels:
-    the temporal noise of the free gel just before, of one pixel of the small view.
+    x_mm, y_mm: the centre of the contact, from the picture's left and top.
     """
 
     strength_levels: float | None = None
+    """The colour difference to the free gel over the whole view; it grows with depth."""
     x_mm: float | None = None
     y_mm: float | None = None
     turn_deg: float | None = None
+    """Of the part, where it is registered."""
     noise_levels: float | None = None
+    """The temporal noise of the free gel just before, of one pixel of the small view."""
 
 
 @dataclass(frozen=True)

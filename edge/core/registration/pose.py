@@ -16,12 +16,13 @@ F32 = NDArray[np.float32]
 class Pose:
     """A point q of the bank lies at turn(q - centre) + centre + shift in the press.
 
-    x_px, y_px: right and down. turn_rad: clockwise in the picture, about the picture's centre.
+    x_px, y_px: right and down.
     """
 
     x_px: float = 0.0
     y_px: float = 0.0
     turn_rad: float = 0.0
+    """Clockwise in the picture, about the picture's centre."""
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(value) for value in (self.x_px, self.y_px, self.turn_rad)):

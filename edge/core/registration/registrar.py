@@ -62,11 +62,12 @@ class PartInPose:
 
 @dataclass(frozen=True)
 class PoseUncertainty:
-    """One standard deviation. turn_rad: None where the part has no turn."""
+    """One standard deviation."""
 
     x_px: float
     y_px: float
     turn_rad: float | None
+    """None where the part has no turn."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,13 +35,14 @@ _AS_THEN = Blame(Cause.UNSURE, "see the recorded result")
 
 @dataclass(frozen=True)
 class Replayed:
-    """One press, judged again. differences: from what was archived, one sentence each; none where verdict, score and
-    score map are equal bit for bit. machine: what is not as it was, as far as it may change a score."""
+    """One press, judged again."""
 
     then: ArchivedPress
     now: Press
     differences: tuple[str, ...] = ()
+    """From what was archived, one sentence each; none where verdict, score and score map are equal bit for bit."""
     machine: tuple[str, ...] = ()
+    """What is not as it was, as far as it may change a score."""
 
     @property
     def is_equal(self) -> bool:
