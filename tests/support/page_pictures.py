@@ -79,7 +79,6 @@ class Scene:
     size: tuple[int, int] = (1280, 900)
     is_dark: bool = False
     is_unlocked: bool = False
-    is_confirming: bool = False
     away: str | None = None
     waits_for: str = "#verdict.fail"
 
@@ -89,11 +88,7 @@ SCENES: Final = {
     "page_alarm": Scene(
         (*READY, DROPPED, DUE, WORN, *PASSED, *FAILED), (900, 700), is_dark=True, is_unlocked=True
     ),
-    "page_gel": Scene(
-        (*READY, *PASSED), (900, 600), is_unlocked=True, is_confirming=True, waits_for="#verdict.pass"
-    ),
     "page_away": Scene((*READY, *PASSED), (900, 480), away=AWAY, waits_for="#verdict.pass"),
-    "page_phone": Scene((*READY, *PASSED, *FAILED), (360, 720)),
 }
 """Name of the file to scene."""
 
@@ -134,8 +129,6 @@ def picture_of(browser: Any, scene: Scene) -> bytes:
             tab.press("#token", "Enter")
             tab.wait_for_selector("#new-gel", state="visible")
             tab.evaluate("scrollTo(0, 0); document.activeElement.blur()")
-        if scene.is_confirming:
-            tab.click("#new-gel")
         shot = bytes(tab.screenshot())
         tab.close()
     return _small(shot)
