@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import replace
 
-from edge.core.contact.events import Event
+from edge.core.contact.events import Event, PressNotSettled
 from edge.core.contact.mask import Touch
 from edge.core.contact.rest import Observation
 from edge.core.contact.rules import step
@@ -14,6 +14,8 @@ from edge.core.contact.track import Track
 RULES = ContactSettings()
 FREE, FAINT, PRESSED = 0.0, 0.007, 0.10
 MS = 1_000_000
+HELD, PRESS = "PressBegan PressSettled", "PressBegan PressSettled PressEnded"
+RELEASED = "PressBegan PressNotSettled:RELEASED PressEnded"
 
 
 def seen(
@@ -47,8 +49,12 @@ def unconfirmed() -> Track:
     return replace(free(), is_confirmed=False)
 
 
-def names(events: Iterable[Event]) -> list[str]:
-    return [type(event).__name__ for event in events]
+def story(events: Iterable[Event]) -> str:
+    """Name the events in their order, and why a press did not settle."""
+    reasons = (
+        (event, f":{event.reason.name}" if isinstance(event, PressNotSettled) else "") for event in events
+    )
+    return " ".join(type(event).__name__ + reason for event, reason in reasons)
 
 
 def pressed(at_ms: float, strength: float, motion: float = 0.01, change: float = 0.0) -> Observation:
