@@ -68,29 +68,21 @@ def test_a_mark_is_named_once_and_then_masked_with_its_area() -> None:
     assert after.blind_share == pytest.approx(after.blind_mm2 / (224 * 0.0634) ** 2, rel=0.01)
 
 
-def test_damage_at_a_mark_is_damage() -> None:
-    """It is there without the mark too: where the free gel shows a mark, a part may be damaged as well."""
-    blame = GelScars(first=FREE).judge(press(8, free=marked(20)), marked(20)).blame
+BLAMED = {
+    "damage that is there without the mark": (press(8, free=marked(20)), Cause.PART),
+    **{f"a mark that contact flattens to {n}": (press(free=marked(n)), Cause.GEL) for n in (9, 14, 20)},
+    "damage that the mark has doubled": (press(2.4, free=marked(20)), Cause.UNSURE),
+    "no second score": (replace(press(free=marked(20)), without=lambda change: None), Cause.PART),
+}
 
+
+@pytest.mark.parametrize("name", BLAMED)
+def test_a_press_at_a_mark_of_twenty_levels(name: str) -> None:
+    """Where the free gel shows a mark, a part may be damaged as well; neither alone may give what the press shows."""
+    seen, cause = BLAMED[name]
+    blame = GelScars(first=FREE).judge(seen, marked(20)).blame
     assert blame is not None
-    assert blame.cause is Cause.PART
-
-
-@pytest.mark.parametrize("levels", [9, 14, 20])
-def test_a_mark_that_contact_flattens_is_the_gel_s(levels: float) -> None:
-    """Of its 20 levels on the free gel a press shows less: less of the change is taken out."""
-    blame = GelScars(first=FREE).judge(press(free=marked(levels)), marked(20)).blame
-
-    assert blame is not None
-    assert blame.cause is Cause.GEL
-
-
-def test_damage_that_a_mark_has_doubled_is_unsure() -> None:
-    """Neither alone gives what the press shows."""
-    blame = GelScars(first=FREE).judge(press(2.4, free=marked(20)), marked(20)).blame
-
-    assert blame is not None
-    assert blame.cause is Cause.UNSURE
+    assert blame.cause is cause
 
 
 def test_damage_at_a_masked_scar_is_damage_as_far_as_it_is_seen() -> None:
@@ -99,15 +91,6 @@ def test_damage_at_a_masked_scar_is_damage_as_far_as_it_is_seen() -> None:
     gel.judge(press(free=marked(60)), marked(60))
     dent[48:68, 72:88] += 6
     blame = gel.judge(scored(dent), marked(60)).blame
-
-    assert blame is not None
-    assert blame.cause is Cause.PART
-
-
-def test_a_press_that_cannot_be_scored_again_is_not_explained() -> None:
-    """Such as a part that is not found without the mark."""
-    only = replace(press(free=marked(20)), without=lambda change: None)
-    blame = GelScars(first=FREE).judge(only, marked(20)).blame
 
     assert blame is not None
     assert blame.cause is Cause.PART
