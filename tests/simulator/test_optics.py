@@ -1,5 +1,6 @@
 """Light: three sides, three colours, shadows behind relief, and what the camera adds."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -7,7 +8,7 @@ from calibration.simulator import camera as cam
 from calibration.simulator import gel_surface, optics, sensor_appearance
 from calibration.simulator.field_of_view import F32, HR, LR, Field, grids, native_field
 from calibration.simulator.pose import Pose, contact, sample
-from calibration.simulator.renderer import Exposure, Renderer
+from calibration.simulator.renderer import Renderer
 from calibration.simulator.sensor_appearance import SENSORS
 
 
@@ -174,8 +175,6 @@ def test_dust_and_wear_only_grow() -> None:
 
 def test_the_native_frame_shows_the_rim_and_crops_to_the_low_resolution_frame() -> None:
     """Outside the pad it is dark; inside, cutting a seventh and shrinking gives the 320x240 frame again."""
-    import cv2
-
     names = ("illumination", "deformation", "vignette")
     whole = Renderer(native_field(), names).press(ball(), 0.5)
     direct = Renderer(LR, names).press(ball(), 0.5)
@@ -197,8 +196,3 @@ def test_jpeg_stays_near_its_picture() -> None:
     rgb = Renderer(LR, ("illumination",)).free_gel()
     back = cam.jpeg(rgb)
     assert 0 < np.abs(back.astype(np.int16) - rgb).mean() < 2
-
-
-def test_exposures_default_to_a_warm_sensor() -> None:
-    """A picture without a given time is not from the first seconds of warm-up."""
-    assert Exposure().time_s >= 60
