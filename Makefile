@@ -88,7 +88,6 @@ lint: $(VENV)/.test
 # Pages that are printed from the program; the tests compare them.
 docs: $(VENV)/.test
 	$(BIN)/python docs/generate.py
-	$(BIN)/python docs/msa_example.py
 
 # The shape of the source: rooms, circles, lengths. tests/project/test_shape.py holds the limits.
 measure: $(VENV)/.test

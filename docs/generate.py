@@ -55,7 +55,7 @@ def verbs() -> Iterator[tuple[str, Callable[..., None]]]:
 
 
 def _exit_codes() -> Iterator[str]:
-    yield "Every refusal is one sentence on the standard error output. Results go to the standard output.\n"
+    yield "A reference. Refusals are one sentence on the standard error output; results go to the standard output.\n"
     yield "| exit code | meaning |\n| --- | --- |"
     yield from (f"| {code} | {meaning} |" for code, meaning in EXIT_MEANINGS.items())
     yield "\n[errors.md](errors.md) says which error gives which code.\n"
@@ -154,10 +154,9 @@ _PLUGIN_TABLES: Final[dict[registry.PluginGroup, str]] = {
 def _config() -> Iterator[str]:
     yield (
         "# Configuration\n\n"
-        "One TOML file describes a station. It is read at the start, and its `[inspection]` again at a reload; an\n"
-        "unknown key is refused with the nearest known name, and every fault is in one report (`gelgate check`).\n"
-        "Relative paths, those in plugin options too, are taken from the file's own folder. `gelgate check --example`\n"
-        "prints this one:\n\n"
+        "A reference. One TOML file describes a station. It is read at the start, and its `[inspection]` again at a\n"
+        "reload; every fault is in one report (`gelgate check`). Relative paths, those in plugin options too, are taken\n"
+        "from the file's own folder. `gelgate check --example` prints this one:\n\n"
         f"```toml\n{EXAMPLE}```\n"
     )
     schema = Config.model_json_schema()
@@ -286,7 +285,7 @@ def _written(value: object) -> str:
 _ABOUT_PARAMETERS: Final = """\
 # Parameters of a fit and of the detectors
 
-`gelgate fit --method METHOD --set NAME=VALUE` sets one; a value is written as JSON (`--set rank=8`, `--set
+A reference. `gelgate fit --method METHOD --set NAME=VALUE` sets one; a value is written as JSON (`--set rank=8`, `--set
 dims=[31]`, `--set window_mm=null`). The first table is of every fit. In the others the two columns in the middle are
 the defaults of `--set mode=corrected` and `--set mode=paper`. Where the first is empty the switch re-creates a
 published defect: it is off unless named. [detectors.md](detectors.md) explains the methods, and what their settings
@@ -348,9 +347,9 @@ def errors_page() -> str:
 _ABOUT_ERRORS: Final = """\
 # Errors
 
-Each error is one sentence with the thing, what was found, what was expected and what to do. Before the start it ends
-the command with the exit code given here. While the gateway runs, what the sensor, the broker or the disk does is no
-end: it is announced (`state`, `alarm`), counted, and tried again.
+A reference. Each error is one sentence with the thing, what was found, what was expected and what to do. Before the
+start it ends the command with the exit code given here. While the gateway runs, what the sensor, the broker or the disk
+does is announced (`state`, `alarm`), counted, and tried again.
 
 | error | what it means | whose fault | what comes next | exit code |
 | --- | --- | --- | --- | --- |"""

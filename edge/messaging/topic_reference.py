@@ -9,6 +9,7 @@ from pydantic import BaseModel
 from edge.core.sink_context import TOPIC_VERSION
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS
+from edge.messaging.payload_base import Payload
 from edge.messaging.request_signature import signature_of, signed_text
 from edge.messaging.topics import TOPICS
 from edge.pictures.heatmap import FULL_SCALE
@@ -71,15 +72,14 @@ gives this request on `cmd/replace_gel`:
 _HEAD: Final = f"""\
 # MQTT topics and payloads
 
-This page is printed by `gelgate station topics` from the payload models; a test compares the two.
+A reference, printed by `gelgate station topics` from the payload models.
 
 Every topic is below `<prefix>/<site>/<line>/<station>/gel/{TOPIC_VERSION}/`. The four levels come from the
 configuration: 1 to 64 characters each, without blanks and without `+ # / $`.
 
 Payloads are JSON in UTF-8, except the pictures. Every field is always there; its type says whether it may be null.
-Within {TOPIC_VERSION} fields may be added: ignore those you do not know. Units are in the names. Times are given three
-times: `time` for people, `time_ns` for programs with 64-bit integers, and `time_ms` for the others. JavaScript, and so
-Node-RED, rounds integers above 2^53 without an error.
+Within {TOPIC_VERSION} fields may be added: ignore those you do not know. Units are in the names. `time_ns` is for
+programs with 64-bit integers: JavaScript, and so Node-RED, rounds integers above 2^53 without an error.
 
 A subscriber can rely on this:
 
@@ -95,9 +95,8 @@ A subscriber can rely on this:
 - **A press without a score is never a pass**: its `verdict` is null and `error` says why.
 - **No press is missing while `sequence` rises by one.** It is counted in the station's database, in the transaction
   that records the press. `gel_presses` starts again with every gel.
-- **An empty payload on a retained topic means "nothing here"**: MQTT removes a retained message in this way. On every
+- **An empty payload on a retained topic means "nothing here"**: look at its length before you parse it. On every
   connection each `alarm/<alarm>` that is not raised is emptied, so that no alarm outlives the process that raised it.
-  Look at the payload's length before you parse it.
 - `state`, `availability`, `info`, `alarm` and `stats` are the current ones. They are not kept for later, and are sent
   again on every connection.
 - MQTT 5 and 3.1.1 carry the same topics and payloads. At level 5 messages also have a content type, a request may name
@@ -165,8 +164,13 @@ def _alarms() -> Iterator[str]:
 
 
 def _payloads() -> Iterator[str]:
+    yield from _fields("## Every payload of a station", Payload.model_json_schema(), {})
     for model in dict.fromkeys(one.payload for one in TOPICS if not isinstance(one.payload, str)):
         schema = model.model_json_schema()
+        if issubclass(model, Payload):
+            schema["properties"] = {
+                k: v for k, v in schema["properties"].items() if k not in Payload.model_fields
+            }
         inner = schema.get("$defs", {})
         yield from _fields(f"## {model.__name__}", schema, inner)
         for name, part in inner.items():
