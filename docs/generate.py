@@ -155,8 +155,8 @@ def _config() -> Iterator[str]:
     yield (
         "# Configuration\n\n"
         "A reference. One TOML file describes a station. It is read at the start, and its `[inspection]` again at a\n"
-        "reload; every fault is in one report (`gelgate check`). Relative paths, those in plugin options too, are taken\n"
-        "from the file's own folder. `gelgate check --example` prints this one:\n\n"
+        "reload; every fault is in one report (`gelgate check`). Relative paths, those in plugin options too, are\n"
+        "taken from the file's own folder. `gelgate check --example` prints this one:\n\n"
         f"```toml\n{EXAMPLE}```\n"
     )
     schema = Config.model_json_schema()

@@ -51,10 +51,10 @@ def test_the_manual_is_listed_and_printed() -> None:
 
 def test_a_page_that_does_not_exist_is_refused_with_the_nearest() -> None:
     """One sentence, with a page that exists."""
-    ended = gelgate("station", "docs", "sensor")
+    ended = gelgate("station", "docs", "detector")
 
     assert ended.code == 3
-    assert "did you mean 'sensors'?" in ended.sentence()
+    assert "did you mean 'detectors'?" in ended.sentence()
 
 
 @pytest.fixture
