@@ -25,7 +25,6 @@ def evaluate_backbone(
     ] = None,
     random: Annotated[bool, typer.Option(help="compare with random weights, under the name random")] = True,
     tactile: Annotated[Path | None, typer.Option(help="folder of real tactile frames")] = None,
-    screws: Annotated[Path | None, typer.Option(help="folder of screw pictures in MVTec's layout")] = None,
     only: Annotated[
         list[str] | None,
         typer.Option("--set", help="only this set of trials, for every trunk; may be given several times"),
@@ -58,7 +57,7 @@ def evaluate_backbone(
     # Workers are separate processes; several linear algebra threads in each would compete for the cores.
     if workers > 1:
         os.environ.setdefault("OMP_NUM_THREADS", "1")
-    sets = _chosen_sets(tactile, screws, only or [], trials)
+    sets = _chosen_sets(tactile, only or [], trials)
     graphs = _graphs(trunks or _SHIPPED, random)
     _say_missing(sets)
     is_quiet = json or sys.stderr.isatty()
@@ -78,9 +77,7 @@ def evaluate_backbone(
     typer.echo(text if json else evaluation_tables(found), nl=not json)
 
 
-def _chosen_sets(
-    tactile: Path | None, screws: Path | None, only: list[str], trials: int
-) -> dict[str, "EvaluationSet"]:
+def _chosen_sets(tactile: Path | None, only: list[str], trials: int) -> dict[str, "EvaluationSet"]:
     """The sets to compare on; a set that is named is run for every trunk, one on request only then.
 
     Errors: ConfigError for an unknown set.
@@ -94,7 +91,7 @@ def _chosen_sets(
     for name in only:
         if name not in SETS:
             raise ConfigError(f"no set of trials is named '{name}'; {suggestion(name, SETS)}")
-    sets = {name: of for name, of in evaluation_sets(tactile, screws).items() if name in (only or SETS)}
+    sets = {name: of for name, of in evaluation_sets(tactile).items() if name in (only or SETS)}
     return {
         name: replace(chosen, trials=(), missing=f"it is opened only with --set {name}")
         if chosen.is_on_request and not only

@@ -186,7 +186,7 @@ def _written(of: EvaluationSet, trials: Sequence[tuple[str, Scored]]) -> dict[st
 
 def _row(trunk: str, method: str, trials: Sequence[tuple[str, dict[str, Column]]]) -> dict[str, Any]:
     columns = [column for _, column in trials]
-    # Not every trial has foreign frames or presses of another object.
+    # Not every trial has presses of another object.
     names = dict.fromkeys(name for column in columns for name in column)
     return {
         "backbone": trunk,
@@ -225,9 +225,8 @@ def _features(graph: bytes, trial: Trial, taps: Sequence[str] = ()) -> _Taken:
 
 
 def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: int) -> dict[str, Column]:
-    """The measures of one detector on one trial. `foreign_out` is added where the trial has foreign frames: the share
-    of them that score above every sound held-out press. Where the trial states a false-alarm rate, AU-PRO up to 5 % and
-    the measures at the fitted limit are added (`calibration.benchmark.evaluation`).
+    """Measure one detector on one trial. Where the trial states a false-alarm rate, AU-PRO up to 5 % and the measures
+    at the fitted limit are added.
     """
     learner = _learner(detector, taken.grid)
     bank = learner.bank(taken.nominal)
@@ -249,10 +248,6 @@ def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: i
         pixel.aupro,
     )
     columns = dict(zip(_MEASURES, values, strict=True))
-    if trial.is_foreign.any():
-        share = (scores[trial.is_foreign] > scores[own][~label].max()).mean()
-        # The few foreign frames were selected, not sampled: an interval would be misleading.
-        columns["foreign_out"] = np.concatenate([[share], np.full(replicates, np.nan)])
     if trial.alpha is not None:
         more = pixel_measures(maps[own], masks, weights, _MORE_FALSE_ALARMS)
         columns["aupro_fpr05"] = more.aupro

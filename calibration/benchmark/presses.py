@@ -166,7 +166,6 @@ class _Rendered:
             named_presses(learnt, PROFILE, REGION, no_contact=free),
             np.stack([REGION.crop(p.rgb) for p in scored]),
             np.stack([REGION.crop(p.mask) for p in scored]),
-            np.zeros(len(scored), np.bool_),
         )
 
     def _is_learnt(self, plan: PressPlan) -> bool:

@@ -251,7 +251,6 @@ def real_touch_trial(data: Path, name: str, edits: int = EDITS) -> Trial:
         _nominal(learnt, presses.free, chosen.is_registered),
         np.stack(frames),
         masks,
-        np.zeros(len(frames), np.bool_),
         is_other=kind == 1,
         is_relit=kind == 2,
         alpha=ALPHA,

@@ -12,13 +12,6 @@ from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
-from calibration.benchmark.pictures import (
-    BALLS,
-    REGISTERED_BALLS,
-    ball_trial,
-    registered_ball_trial,
-    screw_trial,
-)
 from calibration.benchmark.presses import PARTS, development_trial, part_trial
 from calibration.benchmark.real_touch import missing_sensors, trials_of
 from calibration.benchmark.trial import Trial
@@ -63,11 +56,10 @@ SETS = tuple(_DESCRIPTIONS)
 _FEW = tuple(part for part in PARTS if part in ("PZ1", "PZ4", "PZ5"))
 
 
-def evaluation_sets(real_tactile: Path | None, screws: Path | None) -> dict[str, EvaluationSet]:
-    """Every set by its name in `SETS`. real_tactile, screws: folders of real frames, None to omit their sets."""
-    no_balls = _missing(real_tactile, "real tactile frames", "--tactile")
-    no_screws = _missing(screws, "pictures of screws", "--screws")
-    missing = {"registered-presses": no_balls, "real-presses": no_balls, "screws": no_screws}
+def evaluation_sets(real_tactile: Path | None) -> dict[str, EvaluationSet]:
+    """Return every set by its name in `SETS`. real_tactile: the folder of real frames, None to omit their sets."""
+    no_frames = _missing(real_tactile)
+    missing = {}
     trials: dict[str, Sequence[Callable[[], Trial]]] = {
         "random-parts": [partial(development_trial, number) for number in range(6)],
         "parts": [partial(part_trial, part) for part in PARTS],
@@ -77,25 +69,18 @@ def evaluation_sets(real_tactile: Path | None, screws: Path | None) -> dict[str,
         "residual-imprint": [partial(part_trial, part, "residual imprint") for part in _FEW],
         "sliding-press": [partial(part_trial, part, "sliding press") for part in _FEW],
     }
-    if real_tactile is not None and not no_balls:
-        trials["registered-presses"] = [
-            partial(registered_ball_trial, real_tactile, ball) for ball in REGISTERED_BALLS
-        ]
-        trials["real-presses"] = [partial(ball_trial, real_tactile, ball) for ball in BALLS]
     for name, sensors in SENSORS.items():
-        missing[name] = no_balls
-        if real_tactile is not None and not no_balls:
+        missing[name] = no_frames
+        if real_tactile is not None and not no_frames:
             missing[name] = missing_sensors(real_tactile, list(sensors))
             trials[name] = [] if missing[name] else trials_of(real_tactile, list(sensors))
-    if screws is not None and not no_screws:
-        trials["screws"] = [partial(screw_trial, screws)]
     return {
         name: EvaluationSet(**about, trials=tuple(trials.get(name, ())), missing=missing.get(name, ""))
         for name, about in _DESCRIPTIONS.items()
     }
 
 
-def _missing(folder: Path | None, what: str, option: str) -> str:
+def _missing(folder: Path | None) -> str:
     if folder is None:
-        return f"no folder of {what} was given ({option})"
-    return "" if folder.is_dir() else f"the folder of {what} given with {option} does not exist"
+        return "no folder of real tactile frames was given (--tactile)"
+    return "" if folder.is_dir() else "the folder of real tactile frames given with --tactile does not exist"

@@ -22,23 +22,23 @@ REGION = Region.centre(PROFILE.size)
 class Trial:
     """The presses that a detector learns, and those that it scores.
 
-    frames: uint8 (n, h, w, 3). masks: bool (n, h, w), all False for an undamaged press. is_foreign: bool (n,), frames
-    of another kind of sensor, which have no mask and are neither sound nor damaged. is_other, is_relit: bool (n,), None
-    for no such frames: presses of another object by the same sensor, and sound presses under another light. alpha: the
-    false-alarm rate of the fitted limit, None where no limit is fitted and no measure at it is given.
+    is_other, is_relit: bool (n,), None for no such frames: presses of another object by the same sensor, and sound
+    presses under another light.
     """
 
     name: str
     nominal: NominalPresses
     frames: NDArray[np.uint8]
+    """uint8 (n, h, w, 3)."""
     masks: NDArray[np.bool_]
-    is_foreign: NDArray[np.bool_]
+    """bool (n, h, w), all False for an undamaged press."""
     is_other: NDArray[np.bool_] | None = None
     is_relit: NDArray[np.bool_] | None = None
     alpha: float | None = None
+    """The false-alarm rate of the fitted limit; None where no limit is fitted and no measure at it is given."""
 
     @property
     def is_own(self) -> NDArray[np.bool_]:
         """The sound and the damaged presses of the learnt object under its light, bool (n,)."""
-        apart = [kind for kind in (self.is_foreign, self.is_other, self.is_relit) if kind is not None]
-        return np.asarray(~np.logical_or.reduce(apart), np.bool_)
+        apart = [kind for kind in (self.is_other, self.is_relit) if kind is not None]
+        return np.asarray(~np.logical_or.reduce([np.zeros(len(self.frames), np.bool_), *apart]), np.bool_)

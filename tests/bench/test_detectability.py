@@ -18,7 +18,6 @@ import pytest
 from damaged_part_presses import DamagedPartPresses, DamagedPress
 from numpy.typing import NDArray
 
-from calibration.benchmark.pictures import REGISTERED_BALLS
 from calibration.detectability.judges import Judge
 from calibration.detectability.pod import Pod, fit_pod
 from calibration.detectability.results import results
@@ -72,7 +71,7 @@ def test_the_prediction_agrees_with_real_damage() -> None:
     assert abs(np.median(ratios) - 1) <= WITHIN
 
 
-@pytest.mark.parametrize("ball", REGISTERED_BALLS)
+@pytest.mark.parametrize("ball", ["rpl-cmu__gelslam/6.310mm", "skleff1994__gs_sdk/9.470mm"])
 def test_balls_on_a_real_sensor(ball: str, real_tactile: Path) -> None:
     """Real presses of a ball, moved to one place, with rendered damage: reported, for no real damage is at hand."""
     for row in cached(ball.replace("/", "_"), lambda: ball_rows(real_tactile, ball)):

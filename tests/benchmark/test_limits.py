@@ -28,7 +28,6 @@ def known() -> Trial:
         nominal,
         np.zeros((8, 32, 32, 3), np.uint8),
         masks,
-        np.zeros(8, np.bool_),
         is_other=kind == 1,
         is_relit=kind == 2,
         alpha=0.05,
@@ -92,7 +91,7 @@ def noisy(alpha: float | None) -> Trial:
         rng.integers(110, 140, (16, 64, 64, 3), dtype=np.uint8), tuple(map(str, range(16)))
     )
     kind = np.repeat([0, 1, 2], [8, 2, 2])
-    return Trial("noisy", nominal, frames, masks, np.zeros(12, np.bool_), kind == 1, kind == 2, alpha)
+    return Trial("noisy", nominal, frames, masks, kind == 1, kind == 2, alpha)
 
 
 def test_the_evaluation_fits_the_limit_where_a_rate_is_stated() -> None:
