@@ -18,7 +18,6 @@ from calibration.studies.material import Material, material
 from calibration.studies.presses import TEST_SEED, hold_out, opened, subset
 from calibration.studies.rows import Rows
 from calibration.studies.scoring import TestPresses, fit_and_score
-from calibration.studies.stable import StableFractions
 from calibration.studies.study import Options, chosen_places, prepare, run_cells
 from edge import registry
 from edge.core.errors import DatasetError
@@ -99,7 +98,6 @@ def _test(
 def bad_presses_cells(
     places: Sequence[tuple[str, str]],
     options: Options,
-    fractions: StableFractions,
     shares: Sequence[float] = BAD_SHARES,
 ) -> list[Cell]:
     """All cells. Errors: ConfigError for a method whose stable fraction is not known."""
@@ -115,7 +113,7 @@ def bad_presses_cells(
             seed,
             (
                 ("bad", float(share)),
-                ("fraction", fractions.of(method, mode, backbone, split)),
+                ("fraction", options.fraction_of(method, mode, backbone, split)),
                 ("held_out", options.held_out),
             ),
         )
@@ -129,10 +127,10 @@ def bad_presses_cells(
     ]
 
 
-def study_bad_presses(options: Options, fractions: StableFractions) -> Rows:
+def study_bad_presses(options: Options) -> Rows:
     """Run the study; its rows are in the output folder. Errors: DatasetError, ConfigError, FitError, StoreError."""
     places = chosen_places(opened(options.dataset), options.parts, options.position)
-    cells = bad_presses_cells(places, options, fractions)
+    cells = bad_presses_cells(places, options)
     evaluate = BadPresses(options.dataset.absolute(), options.features, options.taps())
     materials = prepare((evaluate.place(cell) for cell in cells), options.jobs, options.show)
     for found in materials:

@@ -20,7 +20,6 @@ from calibration.studies.material import Material, Place, material
 from calibration.studies.presses import HeldOut, hold_out, opened, subset
 from calibration.studies.rows import Rows
 from calibration.studies.scoring import Scored, TestPresses, fit_and_score, measures
-from calibration.studies.stable import StableFractions
 from calibration.studies.study import Options, chosen_places, prepare, run_cells
 from edge import registry
 from edge.core.detector import Nominal
@@ -140,7 +139,6 @@ def _of_each(scored: Scored, source: TestPresses, target: TestPresses) -> dict[s
 def cross_position_cells(
     places: Sequence[tuple[str, str, str]],
     options: Options,
-    fractions: StableFractions,
     target_fractions: Sequence[float] = TARGET_FRACTIONS,
 ) -> list[Cell]:
     """All cells. places: (part, source, target). Errors: ConfigError for a method whose fraction is not known."""
@@ -155,7 +153,7 @@ def cross_position_cells(
             split,
             seed,
             (
-                ("fraction", fractions.of(method, mode, backbone, split)),
+                ("fraction", options.fraction_of(method, mode, backbone, split)),
                 ("held_out", options.held_out),
                 ("target", target),
                 ("target_fraction", float(share)),
@@ -171,14 +169,14 @@ def cross_position_cells(
     ]
 
 
-def study_cross_position(options: Options, fractions: StableFractions, target: str | None = None) -> Rows:
+def study_cross_position(options: Options, target: str | None = None) -> Rows:
     """Run the study; its rows are in the output folder.
 
     target: the target position, None is each part's second by name; parts with one position are left out. Errors:
     DatasetError, ConfigError, FitError, StoreError.
     """
     places = crossed_places(opened(options.dataset), options, target)
-    cells = cross_position_cells(places, options, fractions)
+    cells = cross_position_cells(places, options)
     evaluate = CrossPosition(options.dataset.absolute(), options.features, options.taps())
     found = prepare((place for cell in cells for place in evaluate.places(cell)), options.jobs, options.show)
     for cell in {(c.part, c.backbone, c.split): c for c in cells}.values():

@@ -12,9 +12,7 @@ from calibration.studies.presses import opened
 from calibration.studies.report import write_report
 from calibration.studies.resolution_study import MOST_PRESSES, fine_places, study_resolution
 from calibration.studies.rows import TIMES, Rows, read_rows
-from calibration.studies.stable import StableFractions
 from calibration.studies.study import ROWS_FILE, Options
-from calibration.studies.views import VIEWS
 from edge.core.errors import DatasetError
 
 __all__ = ["study_all"]
@@ -26,20 +24,19 @@ def study_all(
     *,
     fractions: Sequence[float] = FRACTIONS,
     shots: Sequence[int] = SHOTS,
-    views: Sequence[str] = tuple(VIEWS),
+    views: Sequence[str] = (),
 ) -> Iterator[str]:
     """Run the studies in the order in which they need each other's rows; gives a line for each, with its time.
 
     A study for which the dataset has no presses, such as a second position, is left out with its sentence; the first
     one must run. Errors: as the studies.
     """
-    stable = StableFractions(None, options.output / ROWS_FILE)
     began = time.monotonic()
     yield _timed("good-fraction", lambda: study_good_fraction(options, fractions=fractions, shots=shots))
     for name, study in {
-        "cross-position": lambda: study_cross_position(_fitting(options, _crossed), stable),
-        "resolution": lambda: study_resolution(_fitting(options, fine_places), stable, views, most_presses),
-        "bad-presses": lambda: study_bad_presses(options, stable),
+        "cross-position": lambda: study_cross_position(_fitting(options, _crossed)),
+        "resolution": lambda: study_resolution(_fitting(options, fine_places), views, most_presses),
+        "bad-presses": lambda: study_bad_presses(options),
     }.items():
         try:
             yield _timed(name, study)

@@ -28,8 +28,15 @@ from calibration.studies.presses import TEST_SEED, HeldOut, StudyPresses, hold_o
 from calibration.studies.rows import Rows, read_rows
 from calibration.studies.runner import Show
 from calibration.studies.scoring import Scored, TestPresses, fit_and_score, measures
-from calibration.studies.stable import StableFractions
-from calibration.studies.study import ROWS_FILE, Options, check_same, chosen_places, run_cells, say_once
+from calibration.studies.study import (
+    ROWS_FILE,
+    Options,
+    check_same,
+    chosen_places,
+    require_known,
+    run_cells,
+    say_once,
+)
 from calibration.studies.views import COMMON, VIEWS, common_map, tiled
 from edge import registry
 from edge.core.detector import Progress
@@ -180,7 +187,6 @@ def _fine_presses(place: ViewPlace) -> tuple[LabelledPress, ...]:
 def resolution_cells(
     places: Sequence[tuple[str, str]],
     options: Options,
-    fractions: StableFractions,
     views: Sequence[str] = tuple(VIEWS),
     most_presses: int = MOST_PRESSES,
 ) -> list[Cell]:
@@ -196,7 +202,7 @@ def resolution_cells(
             split,
             seed,
             (
-                ("fraction", fractions.of(method, mode, backbone, split)),
+                ("fraction", options.fraction_of(method, mode, backbone, split)),
                 ("held_out", options.held_out),
                 ("most_presses", most_presses),
                 ("view", view),
@@ -212,15 +218,15 @@ def resolution_cells(
     ]
 
 
-def study_resolution(
-    options: Options,
-    fractions: StableFractions,
-    views: Sequence[str] = tuple(VIEWS),
-    most_presses: int = MOST_PRESSES,
-) -> Rows:
-    """Run the study; its rows are in the output folder. Errors: DatasetError, ConfigError, FitError, StoreError."""
+def study_resolution(options: Options, views: Sequence[str] = (), most_presses: int = MOST_PRESSES) -> Rows:
+    """Run the study; its rows are in the output folder. views: all if empty.
+
+    Errors: DatasetError, ConfigError, FitError, StoreError.
+    """
+    views = tuple(dict.fromkeys(views or VIEWS))
+    require_known("view", views, VIEWS)
     places = fine_places(options)
-    cells = resolution_cells(places, options, fractions, views, most_presses)
+    cells = resolution_cells(places, options, views, most_presses)
     evaluate = ResolutionStudy(options.dataset.absolute(), options.features, options.taps())
     _extract_all(list(dict.fromkeys(evaluate.place(cell) for cell in cells)), options)
     return run_cells(cells, evaluate, options)

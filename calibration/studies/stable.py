@@ -1,7 +1,6 @@
 """The stable fraction of a method: the share of the nominal presses at which validations 2 and 3 fix it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -12,41 +11,29 @@ from calibration.studies.rows import read_rows
 from edge.core.detector import Mode
 from edge.core.errors import ConfigError
 
-__all__ = ["STABLE_WITHIN", "StableFractions", "stable_from"]
+__all__ = ["STABLE_WITHIN", "find_stable_fraction", "stable_from"]
 
 STABLE_WITHIN = 0.01
 """How far the mean over seeds may be from that of all presses, for every larger fraction, part and measure."""
 
 
-@dataclass(frozen=True)
-class StableFractions:
-    """Where stable fractions come from.
+def find_stable_fraction(file: Path, method: str, mode: Mode, backbone: str, split: str) -> float:
+    """Return the stable fraction of a method, in (0, 1].
 
-    given: the user's, for every method. rows: a file with rows of the good-fraction study. In `paper` mode a method of
-    the paper has the paper's own value.
+    file: with rows of the good-fraction study; those of another split serve where this one has none. In `paper` mode a
+    method of the paper has the paper's own value. Errors: ConfigError where it is not known.
     """
-
-    given: float | None
-    rows: Path
-
-    def of(self, method: str, mode: Mode, backbone: str, split: str) -> float:
-        """The stable fraction, in (0, 1]. Rows of another split serve where this one has none.
-
-        Errors: ConfigError where it is not known.
-        """
-        if self.given is not None:
-            return self.given
-        if mode == "paper" and (own := stable_fraction(method)) is not None:
-            return own
-        wanted = {"study": "good-fraction", "method": method, "mode": mode, "backbone": backbone}
-        rows = [row for row in read_rows(self.rows) if all(row[k] == v for k, v in wanted.items())]
-        found = stable_from([row for row in rows if row["split"] == split]) or stable_from(rows)
-        if found is None:
-            raise ConfigError(
-                f"the stable fraction of {method} ({mode}, {backbone}) is not known: '{self.rows}' has no rows of "
-                "good-fraction with it; run `gelgate lab study good-fraction` into the same folder, or give --fraction"
-            )
-        return found
+    if mode == "paper" and (own := stable_fraction(method)) is not None:
+        return own
+    wanted = {"study": "good-fraction", "method": method, "mode": mode, "backbone": backbone}
+    rows = [row for row in read_rows(file) if all(row[k] == v for k, v in wanted.items())]
+    found = stable_from([row for row in rows if row["split"] == split]) or stable_from(rows)
+    if found is None:
+        raise ConfigError(
+            f"the stable fraction of {method} ({mode}, {backbone}) is not known: '{file}' has no rows of "
+            "good-fraction with it; run `gelgate lab study good-fraction` into the same folder, or give --fraction"
+        )
+    return found
 
 
 def stable_from(rows: Sequence[Mapping[str, Any]]) -> float | None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, get_args
 
 from calibration.dataset import Dataset
 from calibration.fitting.trunks import DEFAULT_BACKBONE, Trunk, every_cut
@@ -17,6 +17,7 @@ from calibration.studies.detector_settings import taps_of
 from calibration.studies.material import Material, Place, extracted
 from calibration.studies.rows import ROWS_FILE, Rows
 from calibration.studies.runner import Evaluate, Show, run
+from calibration.studies.stable import find_stable_fraction
 from edge import registry
 from edge.core.detector import Mode
 from edge.core.errors import ConfigError, DatasetError, FitError
@@ -26,11 +27,10 @@ from edge.extras import needs
 __all__ = [
     "ROWS_FILE",
     "Options",
-    "as_modes",
-    "as_splits",
     "check_same",
     "chosen_places",
     "prepare",
+    "require_known",
     "run_cells",
     "say_once",
 ]
@@ -43,8 +43,8 @@ class Options:
     """What a study is asked for. Empty methods, modes, backbones and splits become the defaults.
 
     cache: of features; None is a folder in the output. position: the reference position, None is each part's first.
-    Errors: ConfigError for an unknown method, an output that is a file, what is no address, or a missing
-    extra.
+    fraction: of the pool, in (0, 1], that every method learns from; None is each method's stable one. Errors:
+    ConfigError for an unknown method, mode or split, an output that is a file, what is no address, or a missing extra.
     """
 
     dataset: Path
@@ -58,6 +58,7 @@ class Options:
     splits: tuple[Split, ...] = ()
     seeds: int = 10
     held_out: int = 20
+    fraction: float | None = None
     jobs: int = 1
     dask: str | None = None
     show: Show = progress
@@ -71,6 +72,7 @@ class Options:
         if self.dask is not None:
             check_address(self.dask)
         defaults = {
+            "parts": (),
             "methods": compared_methods(),
             "modes": ("corrected",),
             "backbones": (DEFAULT_BACKBONE,),
@@ -78,12 +80,20 @@ class Options:
         }
         for name, default in defaults.items():
             object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))) or default)
-        _known("method", self.methods, registry.names("detectors"))
+        require_known("mode", self.modes, get_args(Mode))
+        require_known("split", self.splits, get_args(Split))
+        require_known("method", self.methods, registry.names("detectors"))
 
     @property
     def features(self) -> Path:
         """The folder of the cache, absolute: a worker may have another working folder."""
         return (self.cache or self.output / "features").absolute()
+
+    def fraction_of(self, method: str, mode: Mode, backbone: str, split: str) -> float:
+        """Return the share of the pool that a method learns from. Errors: ConfigError where it is not known."""
+        if self.fraction is not None:
+            return self.fraction
+        return find_stable_fraction(self.output / ROWS_FILE, method, mode, backbone, split)
 
     def taps(self) -> dict[str, tuple[str, ...]]:
         """By backbone, the taps that all methods read. Errors: ConfigError, FitError."""
@@ -95,19 +105,8 @@ def compared_methods() -> tuple[str, ...]:
     return tuple(n for n in registry.names("detectors") if not registry.detector(n).is_baseline)
 
 
-def as_modes(given: Sequence[str]) -> tuple[Mode, ...]:
-    """Words of a command line. Errors: ConfigError for an unknown mode."""
-    _known("mode", given, get_args(Mode))
-    return tuple(cast(Mode, name) for name in given)
-
-
-def as_splits(given: Sequence[str]) -> tuple[Split, ...]:
-    """Words of a command line. Errors: ConfigError for an unknown split."""
-    _known("split", given, get_args(Split))
-    return tuple(cast(Split, name) for name in given)
-
-
-def _known(what: str, given: Sequence[str], names: Iterable[str]) -> None:
+def require_known(what: str, given: Iterable[str], names: Iterable[str]) -> None:
+    """Errors: ConfigError, with the nearest name, for one that is not known."""
     for name in given:
         if name not in (known := tuple(names)):
             raise ConfigError(f"no {what} is named '{name}'; {suggestion(name, known)}")

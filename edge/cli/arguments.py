@@ -2,7 +2,7 @@
 
 import inspect
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import MISSING, fields
 from datetime import date, time
 from typing import Any, get_type_hints
@@ -12,10 +12,11 @@ from edge.core.errors import ConfigError
 __all__ = ["flatten", "named_values"]
 
 
-def flatten(verb: Callable[[Any], None]) -> Callable[..., None]:
+def flatten(verb: Callable[[Any], None], without: Collection[str] = ()) -> Callable[..., None]:
     """Make the verb that typer reads from one that takes its options as one dataclass.
 
     Each field is `Annotated` with its argument or option, and becomes a parameter; the order is that of the help.
+    without: fields with a default that this verb has no option for.
     """
     ((_, model),) = ((name, hint) for name, hint in get_type_hints(verb).items() if name != "return")
     hints = get_type_hints(model, include_extras=True)
@@ -31,6 +32,7 @@ def flatten(verb: Callable[[Any], None]) -> Callable[..., None]:
             annotation=hints[field.name],
         )
         for field in fields(model)
+        if field.name not in without
     ]
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what inspect and typer read
     call.__annotations__ = hints

@@ -9,7 +9,6 @@ from study_dataset import study_dataset
 
 from calibration.studies.bad_presses import BAD_SHARES, halves, mixed, study_bad_presses
 from calibration.studies.bad_presses_page import page
-from calibration.studies.stable import StableFractions
 from calibration.studies.study import Options
 from edge.core.errors import DatasetError
 
@@ -46,9 +45,15 @@ def test_the_study_has_rows_and_a_page(tmp_path: Path) -> None:
     pd = pytest.importorskip("pandas", reason="SKIPPED, NOT TESTED: the extra `studies` brings pandas")
     dataset = study_dataset(tmp_path / "data", positions=("pos1",))
     asked = Options(
-        dataset=dataset, output=tmp_path / "rows", methods=("subspace",), seeds=1, held_out=2, show=quiet
+        dataset=dataset,
+        output=tmp_path / "rows",
+        methods=("subspace",),
+        seeds=1,
+        held_out=2,
+        fraction=1.0,
+        show=quiet,
     )
-    rows = study_bad_presses(asked, StableFractions(1.0, tmp_path)).read()
+    rows = study_bad_presses(asked).read()
     text = page(pd.DataFrame(rows)).markdown
 
     assert [(row["bad"], row["bad_presses"], row["presses"]) for row in rows] == [

@@ -18,7 +18,6 @@ from calibration.studies.cross_position_study import (
 )
 from calibration.studies.material import Material, material
 from calibration.studies.rows import read_rows
-from calibration.studies.stable import StableFractions
 from calibration.studies.study import Options
 from edge.core.errors import DatasetError
 
@@ -29,7 +28,13 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def options(dataset: Path, output: Path, **changed: Any) -> Options:
-    asked: dict[str, Any] = {"methods": ("subspace",), "seeds": 2, "held_out": 2, "show": quiet}
+    asked: dict[str, Any] = {
+        "methods": ("subspace",),
+        "seeds": 2,
+        "held_out": 2,
+        "fraction": 1.0,
+        "show": quiet,
+    }
     return Options(dataset=dataset, output=output, **(asked | changed))
 
 
@@ -38,7 +43,7 @@ def folder(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The output of the study, run twice."""
     asked = options(dataset, tmp_path_factory.mktemp("rows"), splits=("press", "specimen"))
     for _ in range(2):
-        study_cross_position(asked, StableFractions(1.0, asked.output))
+        study_cross_position(asked)
     return asked.output
 
 
@@ -94,7 +99,7 @@ def test_a_specimen_that_is_tested_at_one_position_is_learnt_at_none(tmp_path: P
     for picture in (root / "PZ3" / "pos2" / "rgb_320x240").glob("*_s004_*"):
         picture.unlink()
     asked = options(root, tmp_path / "rows", splits=("specimen",))
-    cell = cross_position_cells([("PZ3", "pos1", "pos2")], asked, StableFractions(1.0, tmp_path))[0]
+    cell = cross_position_cells([("PZ3", "pos1", "pos2")], asked)[0]
     evaluate = CrossPosition(asked.dataset, asked.features, asked.taps())
     found = [material(place) for place in evaluate.places(cell)]
     held = both_held_out(found[0], found[1], cell)
@@ -113,15 +118,14 @@ def specimens(found: Material, rows: np.ndarray[Any, Any]) -> set[str | None]:
 def test_what_has_no_second_position_is_refused(dataset: Path, tmp_path: Path) -> None:
     """The part, the positions that it has, and what the study needs."""
     alone = study_dataset(tmp_path / "alone", positions=("pos1",))
-    fractions = StableFractions(1.0, tmp_path)
     with pytest.raises(DatasetError, match=r"no part of dataset .* has a second position; this study needs"):
-        study_cross_position(options(alone, tmp_path), fractions)
+        study_cross_position(options(alone, tmp_path))
     with pytest.raises(DatasetError, match="PZ3 has the one position pos1"):
-        study_cross_position(options(alone, tmp_path, parts=("PZ3",)), fractions)
+        study_cross_position(options(alone, tmp_path, parts=("PZ3",)))
     with pytest.raises(
         DatasetError, match="no position 'pos9' other than its source 'pos1'; it has pos1, pos2"
     ):
-        study_cross_position(options(dataset, tmp_path, parts=("PZ3",)), fractions, "pos9")
+        study_cross_position(options(dataset, tmp_path, parts=("PZ3",)), "pos9")
 
 
 def test_the_command_needs_a_fraction(dataset: Path, tmp_path: Path) -> None:

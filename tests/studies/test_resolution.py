@@ -12,7 +12,6 @@ from study_cells import quiet
 from study_dataset import study_dataset
 
 from calibration.studies.resolution_study import ViewPlace, capped_presses, study_resolution
-from calibration.studies.stable import StableFractions
 from calibration.studies.study import Options
 from calibration.studies.views import COMMON, VIEWS, common_map
 from edge.core.errors import ConfigError, DatasetError
@@ -24,7 +23,13 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def options(dataset: Path, output: Path, **changed: Any) -> Options:
-    asked: dict[str, Any] = {"methods": ("subspace",), "seeds": 1, "held_out": 2, "show": quiet}
+    asked: dict[str, Any] = {
+        "methods": ("subspace",),
+        "seeds": 1,
+        "held_out": 2,
+        "fraction": 1.0,
+        "show": quiet,
+    }
     return Options(dataset=dataset, output=output, **(asked | changed))
 
 
@@ -61,7 +66,7 @@ def test_a_view_has_a_row_with_common_measures(dataset: Path, tmp_path: Path) ->
     """With the shipped trunk; the pool is capped, the same number of presses everywhere."""
     asked = options(dataset, tmp_path)
     views = ("lr", "hr_tiled", "lr_full")
-    rows = study_resolution(asked, StableFractions(1.0, tmp_path), views, most_presses=3).read()
+    rows = study_resolution(asked, views, most_presses=3).read()
 
     assert [row["view"] for row in rows] == list(views)
     assert {(row["presses"], row["pool"], row["test_nominal"]) for row in rows} == {(3, 6, 2)}
@@ -94,9 +99,9 @@ def test_one_resolution_alone_is_refused(tmp_path: Path) -> None:
     for folder in ("rgb", "fault/rgb", "fault/mask"):
         shutil.rmtree(root / "PZ3" / "pos1" / folder)
     with pytest.raises(DatasetError, match=r"no position with both rgb \(1280x720\) and rgb_320x240"):
-        study_resolution(options(root, tmp_path), StableFractions(1.0, tmp_path))
+        study_resolution(options(root, tmp_path))
     with pytest.raises(DatasetError, match=r"PZ3/pos1 of dataset .* has pictures of one resolution only"):
-        study_resolution(options(root, tmp_path, parts=("PZ3",)), StableFractions(1.0, tmp_path))
+        study_resolution(options(root, tmp_path, parts=("PZ3",)))
 
 
 def test_an_unknown_view_is_refused(dataset: Path, tmp_path: Path) -> None:
@@ -109,12 +114,12 @@ def test_an_unknown_view_is_refused(dataset: Path, tmp_path: Path) -> None:
 def test_rows_of_other_pictures_are_not_continued(tmp_path: Path) -> None:
     """A folder with rows of one dataset does not take rows of another, in any view."""
     asked = options(study_dataset(tmp_path / "one", positions=("pos1",)), tmp_path / "rows")
-    study_resolution(asked, StableFractions(1.0, tmp_path), ("lr",), most_presses=3)
+    study_resolution(asked, ("lr",), most_presses=3)
     file = sorted((tmp_path / "one").glob("PZ3/pos1/rgb_320x240/*.png"))
     for name in file:
         name.write_bytes(file[0].read_bytes())
     with pytest.raises(ConfigError, match="rows of PZ3/pos1 from other pictures"):
-        study_resolution(asked, StableFractions(1.0, tmp_path), ("lr",), most_presses=3)
+        study_resolution(asked, ("lr",), most_presses=3)
 
 
 def test_rows_of_the_other_mode_are_added_in_tiles(
@@ -125,10 +130,9 @@ def test_rows_of_the_other_mode_are_added_in_tiles(
     cv2.imwrite(
         str(copy / "PZ3/pos1/fault/mask_320x240/PZ3_pos1_s005_p01.png"), np.zeros((240, 320), np.uint8)
     )
-    half = StableFractions(0.5, tmp_path / "rows.jsonl")
-    study_resolution(options(copy, tmp_path), half, ("lr_tiled",), 2)
-    asked = options(copy, tmp_path, methods=("padim",), modes=("paper",))
-    rows = study_resolution(asked, half, ("lr_tiled",), 2).read()
+    study_resolution(options(copy, tmp_path, fraction=0.5), ("lr_tiled",), 2)
+    asked = options(copy, tmp_path, methods=("padim",), modes=("paper",), fraction=0.5)
+    rows = study_resolution(asked, ("lr_tiled",), 2).read()
 
     assert [row["mode"] for row in rows] == ["corrected", "paper"]
     assert capsys.readouterr().err.count("has an empty mask") == 2  # once in each run

@@ -1,5 +1,6 @@
 """The stable fraction: by the rule from rows, the paper's own in paper mode, or the user's."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,8 @@ import pytest
 
 from calibration.studies.published import published, stable_fraction
 from calibration.studies.rows import Rows
-from calibration.studies.stable import STABLE_WITHIN, StableFractions, stable_from
+from calibration.studies.stable import STABLE_WITHIN, find_stable_fraction, stable_from
+from calibration.studies.study import Options
 from edge.core.errors import ConfigError
 
 
@@ -55,23 +57,22 @@ def test_rows_of_the_folder_give_it(tmp_path: Path) -> None:
     rows = Rows(tmp_path / "rows.jsonl")
     for row in curve({0.3: 0.8, 1.0: 0.8}):
         rows.append(row)
-    fractions = StableFractions(None, rows.path)
 
-    assert fractions.of("padim", "corrected", "b", "press") == 0.3
-    assert fractions.of("padim", "corrected", "b", "specimen") == 0.3
+    assert find_stable_fraction(rows.path, "padim", "corrected", "b", "press") == 0.3
+    assert find_stable_fraction(rows.path, "padim", "corrected", "b", "specimen") == 0.3
     for method, backbone in (("spade", "b"), ("padim", "other")):
         with pytest.raises(
             ConfigError, match=rf"stable fraction of {method} \(corrected, {backbone}\) is not known"
         ):
-            fractions.of(method, "corrected", backbone, "press")
+            find_stable_fraction(rows.path, method, "corrected", backbone, "press")
 
 
 def test_the_user_and_the_paper_come_first(tmp_path: Path) -> None:
     """In paper mode a method of the paper has the paper's share; a given one is for all."""
-    absent = tmp_path / "absent"
+    asked = partial(Options, tmp_path, tmp_path / "absent")
 
-    assert StableFractions(None, absent).of("padim", "paper", "b", "press") == stable_fraction("padim") == 0.4
-    assert StableFractions(0.7, absent).of("padim", "paper", "b", "press") == 0.7
+    assert asked().fraction_of("padim", "paper", "b", "press") == stable_fraction("padim") == 0.4
+    assert asked(fraction=0.7).fraction_of("padim", "paper", "b", "press") == 0.7
 
 
 def test_the_published_numbers_are_complete() -> None:
