@@ -5,24 +5,18 @@ position: none, 5, 10 or 15 %. Nominal test presses, held out of both positions,
 scored. The measures are of both positions together, as in the paper, and of each alone.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.dataset import Dataset
 from calibration.studies.cells import Cell
-from calibration.studies.detector_settings import overrides_for
-from calibration.studies.material import Material, Place, material
+from calibration.studies.material import Drawn, Evaluation, Material, Place, fit_cell, material
 from calibration.studies.presses import HeldOut, hold_out, opened, subset
 from calibration.studies.rows import Rows
-from calibration.studies.scoring import Scored, TestPresses, fit_and_score, measures
-from calibration.studies.study import Options, chosen_places, prepare, run_cells
-from edge import registry
-from edge.core.detector import Nominal
+from calibration.studies.scoring import Scored, TestPresses, measures
+from calibration.studies.study import Options, chosen_places, make_cells, prepare, run_cells
 from edge.core.errors import DatasetError
 
 __all__ = ["STUDY", "TARGET_FRACTIONS", "CrossPosition", "cross_position_cells", "study_cross_position"]
@@ -33,52 +27,26 @@ TARGET_FRACTIONS = (0.0, 0.05, 0.10, 0.15)
 """Shares of the target position's pool, as in the paper."""
 
 
-@dataclass(frozen=True)
-class CrossPosition:
-    """Evaluates a cell. taps: by backbone, those that are extracted for all cells."""
-
-    dataset: Path
-    cache: Path
-    taps: Mapping[str, tuple[str, ...]]
+class CrossPosition(Evaluation):
+    """Evaluates a cell."""
 
     def places(self, cell: Cell) -> tuple[Place, Place]:
-        """Where the features come from: the source position, then the target."""
-        source, target = (
-            Place(self.dataset, self.cache, cell.part, position, cell.backbone, self.taps[cell.backbone])
-            for position in (cell.position, str(cell.setting("target")))
-        )
-        return source, target
+        """Return where the features come from: the source position, then the target."""
+        return self.place(cell), self.place(cell, str(cell.setting("target")))
 
     def __call__(self, cell: Cell) -> dict[str, Any]:
         source, target = (material(place) for place in self.places(cell))
         held = both_held_out(source, target, cell)
-        rows = (
-            subset(
-                held[0].pool, max(1, round(float(cell.setting("fraction")) * len(held[0].pool))), cell.seed
-            ),
-            subset(
-                held[1].pool, round(float(cell.setting("target_fraction")) * len(held[1].pool)), cell.seed
-            ),
-        )
-        detector = registry.detector(cell.method)
-        overrides = overrides_for(cell.method, cell.mode, cell.backbone)
-        taps = detector.taps(detector.parameters(cell.mode, **overrides))
-        tests = source.test(held[0].test, taps), target.test(held[1].test, taps)
-        found = fit_and_score(
-            detector,
-            cell.mode,
-            _nominal_of_both(source, target, rows, taps),
-            source.taken.grid_of(taps),
-            _test_of_both(*tests),
-            seed=cell.seed,
-            overrides=overrides,
-            also=lambda scored: _of_each(scored, *tests),
-        )
+        shares = (float(cell.setting(name)) for name in ("fraction", "target_fraction"))
+        counts = [round(share * len(one.pool)) for share, one in zip(shares, held, strict=True)]
+        drawn = [
+            Drawn(found, subset(one.pool, max(least, count), cell.seed), found.presses.tested(one))
+            for found, one, count, least in zip((source, target), held, counts, (1, 0), strict=True)
+        ]
         return {
-            **found,
-            "source_presses": len(rows[0]),
-            "target_presses": len(rows[1]),
-            **source.facts,
+            **fit_cell(cell, *drawn, also=_of_each),
+            "source_presses": len(drawn[0].learnt),
+            "target_presses": len(drawn[1].learnt),
             "target_pictures_sha256": target.facts["pictures_sha256"],
         }
 
@@ -110,62 +78,27 @@ def _without(found: Material, held: HeldOut, tested: set[str | None]) -> HeldOut
     return HeldOut(held.test, np.array(pool, np.int64))
 
 
-def _nominal_of_both(
-    source: Material, target: Material, rows: Sequence[NDArray[np.int64]], taps: Sequence[str]
-) -> Nominal:
-    own, other = source.nominal(rows[0], taps), target.nominal(rows[1], taps)
-    return Nominal({tap: np.concatenate([own.features[tap], other.features[tap]]) for tap in taps})
-
-
-def _test_of_both(source: TestPresses, target: TestPresses) -> TestPresses:
-    return TestPresses(
-        {tap: [*maps, *target.features[tap]] for tap, maps in source.features.items()},
-        np.concatenate([source.masks, target.masks]),
-        np.concatenate([source.is_defective, target.is_defective]),
-    )
-
-
-def _of_each(scored: Scored, source: TestPresses, target: TestPresses) -> dict[str, float | None]:
-    """The measures of each position alone, such as `aupro_001_source`."""
-    n = len(source)
-    parts = {"source": (slice(None, n), source), "target": (slice(n, None), target)}
+def _of_each(scored: Scored, tests: Sequence[TestPresses]) -> dict[str, float | None]:
+    """Return the measures of each position alone, such as `aupro_001_source`."""
+    n = len(tests[0])
     return {
         f"{measure}_{name}": value
-        for name, (rows, test) in parts.items()
+        for name, rows, test in zip(("source", "target"), (slice(n), slice(n, None)), tests, strict=True)
         for measure, value in measures(Scored(scored.maps[rows], scored.scores[rows], ()), test).items()
     }
 
 
-def cross_position_cells(
-    places: Sequence[tuple[str, str, str]],
-    options: Options,
-    target_fractions: Sequence[float] = TARGET_FRACTIONS,
-) -> list[Cell]:
-    """All cells. places: (part, source, target). Errors: ConfigError for a method whose fraction is not known."""
+def cross_position_cells(places: Sequence[tuple[str, str, str]], options: Options) -> list[Cell]:
+    """Return all cells. places: (part, source, target). Errors: ConfigError for an unknown stable fraction."""
     return [
-        Cell(
-            STUDY,
-            part,
-            source,
-            method,
-            mode,
-            backbone,
-            split,
-            seed,
-            (
-                ("fraction", options.fraction_of(method, mode, backbone, split)),
-                ("held_out", options.held_out),
-                ("target", target),
-                ("target_fraction", float(share)),
-            ),
-        )
+        cell
         for part, source, target in places
-        for backbone in options.backbones
-        for seed in range(options.seeds)
-        for share in target_fractions
-        for split in options.splits
-        for mode in options.modes
-        for method in options.methods
+        for cell in make_cells(
+            STUDY,
+            options,
+            (part, source),
+            [{"target": target, "target_fraction": share} for share in TARGET_FRACTIONS],
+        )
     ]
 
 
@@ -177,8 +110,8 @@ def study_cross_position(options: Options, target: str | None = None) -> Rows:
     """
     places = crossed_places(opened(options.dataset), options, target)
     cells = cross_position_cells(places, options)
-    evaluate = CrossPosition(options.dataset.absolute(), options.features, options.taps())
-    found = prepare((place for cell in cells for place in evaluate.places(cell)), options.jobs, options.show)
+    evaluate = CrossPosition.of(options)
+    found = prepare((place for cell in cells for place in evaluate.places(cell)), options)
     for cell in {(c.part, c.backbone, c.split): c for c in cells}.values():
         source, other = (material(place) for place in evaluate.places(cell))
         both_held_out(source, other, cell)

@@ -38,10 +38,6 @@ class Taken:
     grid: Grid
     features: Features
 
-    def of(self, rows: Sequence[int] | NDArray[np.int64], taps: Sequence[str]) -> Features:
-        """The maps of some presses, for some taps, in memory."""
-        return {tap: np.asarray(self.features[tap][np.asarray(rows)]) for tap in taps}
-
     def each(
         self, rows: Sequence[int] | NDArray[np.int64], taps: Sequence[str]
     ) -> dict[str, list[NDArray[np.float32]]]:

@@ -1,24 +1,30 @@
-"""What the cells of one part, position and backbone have in common: presses, features, masks; kept by each process."""
+"""What the cells of one part, position and backbone have in common: presses, features, masks."""
 
 import importlib.metadata
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset.remarks import empty_masks, repeated_pictures
 from calibration.fitting.trunks import Trunk, open_trunk
+from calibration.studies.cells import Cell
+from calibration.studies.detector_settings import overrides_for, written
 from calibration.studies.feature_cache import FeatureCache, Taken
 from calibration.studies.presses import StudyPresses, opened, presses_of
-from calibration.studies.scoring import TestPresses
+from calibration.studies.scoring import Scored, TestPresses, fit_and_score
+from edge import registry
 from edge.core.detector import Nominal, Progress
 from edge.core.errors import DatasetError
 
-__all__ = ["Material", "Place", "extracted", "material"]
+if TYPE_CHECKING:
+    from calibration.studies.study import Options
+
+__all__ = ["Drawn", "Evaluation", "Material", "Place", "fit_cell", "material"]
 
 
 @dataclass(frozen=True)
@@ -32,28 +38,47 @@ class Place:
     backbone: str
     taps: tuple[str, ...]
 
+    def __str__(self) -> str:
+        return f"{self.part}/{self.position} on {self.backbone}"
+
+    def show(self, trunk: Trunk) -> Trunk:
+        """Return a trunk as it sees the presses here."""
+        return trunk
+
+    def require_room(self) -> None:
+        """Errors: StoreError where the features of large pictures do not fit on the disk."""
+
+    def covers(self, row: Mapping[str, Any]) -> bool:
+        """Return whether a row of this study was made from what is here."""
+        return all(row[name] == getattr(self, name) for name in ("part", "position", "backbone"))
+
+    def extract(self, progress: Progress = lambda fraction: None, threads: int = 1) -> "Material":
+        """Return the material, its features from the cache. Errors: DatasetError, FitError, ConfigError, StoreError."""
+        presses = presses_of(opened(self.dataset), self.part, self.position)
+        return Material(self, presses, *self.take(presses, progress, threads))
+
+    def take(self, presses: StudyPresses, progress: Progress, threads: int) -> tuple[Trunk, Taken]:
+        """Return the trunk, and the features that it gives of the presses."""
+        trunk = self.show(open_trunk(self.backbone, self.taps))
+        features = FeatureCache(self.cache).features
+        return trunk, features(trunk, self.taps, presses.pictures, progress, threads)
+
 
 @dataclass(frozen=True)
 class Material:
-    """Presses with the features of all of them. backbone: as in the cell. trunk: the one that gave the features."""
+    """Presses with the features of all of them. trunk: the one that gave the features."""
 
+    place: Place
     presses: StudyPresses
-    backbone: str
     trunk: Trunk
     taken: Taken
 
-    def nominal(self, rows: NDArray[np.int64], taps: Sequence[str]) -> Nominal:
-        """What is learnt from some nominal presses."""
-        return Nominal(self.taken.of(rows, taps))
-
-    def test(self, nominal: NDArray[np.int64], taps: Sequence[str]) -> TestPresses:
-        """Some nominal presses and all defective ones."""
-        rows = np.concatenate([nominal, self.presses.defective])
-        return TestPresses(
-            self.taken.each(rows, taps),
-            np.concatenate([np.zeros((len(nominal), *self.masks.shape[1:]), np.bool_), self.masks]),
-            rows >= self.presses.nominal,
-        )
+    def test(self, rows: NDArray[np.int64], taps: Sequence[str]) -> TestPresses:
+        """Return some presses to be scored."""
+        is_defective = rows >= self.presses.nominal
+        masks = np.zeros((len(rows), *self.masks.shape[1:]), np.bool_)
+        masks[is_defective] = self.masks[rows[is_defective] - self.presses.nominal]
+        return TestPresses(self.taken.each(rows, taps), masks, is_defective)
 
     @cached_property
     def masks(self) -> NDArray[np.bool_]:
@@ -90,19 +115,61 @@ class Material:
 
 @lru_cache(maxsize=2)
 def material(place: Place) -> Material:
-    """The material of a place, its features from the cache.
+    """Return the material of a place; that of the last two is kept."""
+    return place.extract()
 
-    Errors: DatasetError, FitError, ConfigError, StoreError.
+
+@dataclass(frozen=True)
+class Drawn:
+    """What a cell takes of one material. learnt, tested: rows of presses."""
+
+    material: Material
+    learnt: NDArray[np.int64]
+    tested: NDArray[np.int64]
+
+
+def fit_cell(
+    cell: Cell,
+    *drawn: Drawn,
+    also: Callable[[Scored, Sequence[TestPresses]], Mapping[str, Any]] = lambda scored, tests: {},
+) -> dict[str, Any]:
+    """Fit the cell's method on all that is learnt and score all that is tested; return the columns of its row.
+
+    also: more columns, from the scores and the test presses of each material. Errors: FitError, NotScorable.
     """
-    return extracted(place)
+    detector = registry.detector(cell.method)
+    overrides = overrides_for(cell.method, cell.mode, cell.backbone)
+    taps = detector.taps(detector.parameters(cell.mode, **overrides))
+    learnt = {tap: [one.material.taken.features[tap][one.learnt] for one in drawn] for tap in taps}
+    tests = [one.material.test(one.tested, taps) for one in drawn]
+    measured = fit_and_score(
+        detector,
+        cell.mode,
+        Nominal({tap: np.asarray(np.concatenate(maps)) for tap, maps in learnt.items()}),
+        drawn[0].material.taken.grid_of(taps),
+        TestPresses.join(tests),
+        seed=cell.seed,
+        overrides=overrides,
+        also=lambda scored: also(scored, tests),
+    )
+    changed = {"changed": written(overrides)} if overrides else {}
+    return {**measured, **drawn[0].material.facts, **changed}
 
 
-def extracted(place: Place, progress: Progress = lambda fraction: None, threads: int = 1) -> Material:
-    """The same, with the progress of an extraction."""
-    presses = presses_of(opened(place.dataset), place.part, place.position)
-    trunk = open_trunk(place.backbone, place.taps)
-    cache = FeatureCache(place.cache)
-    taken = cache.features(trunk, place.taps, presses.pictures, progress, threads)
-    found = Material(presses, place.backbone, trunk, taken)
-    assert found.masks.any()  # refused here, not in the first cell
-    return found
+@dataclass(frozen=True)
+class Evaluation:
+    """Evaluates the cells of a study. taps: by backbone, those that are extracted for all cells."""
+
+    dataset: Path
+    cache: Path
+    taps: Mapping[str, tuple[str, ...]]
+
+    @classmethod
+    def of(cls, options: "Options") -> Self:
+        """Return that of what a study is asked for."""
+        return cls(options.dataset.absolute(), options.features, options.taps())
+
+    def place(self, cell: Cell, position: str | None = None) -> Place:
+        """Return where the cell's features come from. position: another one than the cell's."""
+        where = cell.part, position or cell.position, cell.backbone
+        return Place(self.dataset, self.cache, *where, self.taps[cell.backbone])

@@ -37,6 +37,10 @@ class StudyPresses:
         """Of the nominal presses."""
         return tuple(press.specimen for press in self.pictures.presses[: self.nominal])
 
+    def tested(self, held: "HeldOut") -> NDArray[np.int64]:
+        """Return the rows that are scored: the held-out presses, and all defective ones."""
+        return np.concatenate([held.test, self.defective])
+
     @property
     def defective(self) -> NDArray[np.int64]:
         """The rows of the defective presses."""

@@ -5,12 +5,10 @@ the pool of nominal presses is capped; every view has the same capped pool.
 """
 
 import math
-import os
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from pathlib import Path
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,32 +16,20 @@ from numpy.typing import NDArray
 
 from calibration.dataset import LabelledPress
 from calibration.fitting.features import trunk_grid
-from calibration.fitting.trunks import open_trunk
+from calibration.fitting.trunks import Trunk, open_trunk
 from calibration.studies.cells import Cell, Split
-from calibration.studies.detector_settings import overrides_for
-from calibration.studies.feature_cache import FeatureCache
-from calibration.studies.material import Material
+from calibration.studies.material import Drawn, Evaluation, Material, Place, fit_cell, material
 from calibration.studies.pictures import PressPictures
 from calibration.studies.presses import TEST_SEED, HeldOut, StudyPresses, hold_out, opened, presses_of, subset
-from calibration.studies.rows import Rows, read_rows
-from calibration.studies.runner import Show
-from calibration.studies.scoring import Scored, TestPresses, fit_and_score, measures
-from calibration.studies.study import (
-    ROWS_FILE,
-    Options,
-    check_same,
-    chosen_places,
-    require_known,
-    run_cells,
-    say_once,
-)
+from calibration.studies.rows import Rows
+from calibration.studies.scoring import Scored, TestPresses, measures
+from calibration.studies.study import Options, chosen_places, make_cells, prepare, require_known, run_cells
 from calibration.studies.views import COMMON, VIEWS, common_map, tiled
-from edge import registry
 from edge.core.detector import Progress
 from edge.core.errors import DatasetError, StoreError
 from edge.model.session import open_session
 
-__all__ = ["MOST_PRESSES", "STUDY", "ResolutionStudy", "resolution_cells", "study_resolution"]
+__all__ = ["MOST_PRESSES", "STUDY", "ResolutionStudy", "ViewPlace", "capped_presses", "study_resolution"]
 
 STUDY = "resolution"
 
@@ -52,72 +38,100 @@ MOST_PRESSES = 40
 
 
 @dataclass(frozen=True)
-class Seen:
-    """The presses of one part in one view. held_out: rows of them. common: masks in the common field of view."""
+class ViewPlace(Place):
+    """A place in one view. most: presses of the pool."""
 
-    material: Material
-    held: HeldOut
-    pool: int
-    common: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class ViewPlace:
-    """What identifies features: as `calibration.studies.material.Place`, with the view, the split and the cap."""
-
-    dataset: Path
-    cache: Path
-    part: str
-    position: str
-    backbone: str
-    taps: tuple[str, ...]
     view: str
     split: Split
     held_out: int
     most: int
 
+    def __str__(self) -> str:
+        return f"{self.part}/{self.position}, {self.view}, on {self.backbone}"
+
+    def show(self, trunk: Trunk) -> Trunk:
+        return tiled(trunk, VIEWS[self.view])
+
+    def covers(self, row: Mapping[str, Any]) -> bool:
+        own = {"view": self.view, "split": self.split, "held_out": self.held_out, "most_presses": self.most}
+        return super().covers(row) and all(row.get(name) == value for name, value in own.items())
+
+    def require_room(self) -> None:
+        view = VIEWS[self.view]
+        trunk = self.show(open_trunk(self.backbone, self.taps))
+        session = open_session(trunk.graph, 1, f"trunk '{trunk.id}'")
+        grid = trunk_grid(session, self.taps, view.view.shape, view.view.pixels_per_mm)
+        presses = len(capped_presses(self)[0].pictures)
+        needed = 4 * presses * sum(math.prod(shape) for shape in grid.taps.values())
+        self.cache.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(self.cache).free
+        if needed > free:
+            raise StoreError(
+                f"the features of {self.part} in the view {self.view} on {self.backbone} need {needed / 1e9:.1f} GB, "
+                f"'{self.cache}' has {free / 1e9:.1f} GB free; give another --cache, or fewer --presses"
+            )
+
+    def extract(self, progress: Progress = lambda fraction: None, threads: int = 1) -> "Seen":
+        presses, held, pool = capped_presses(self)
+        return Seen(self, presses, *self.take(presses, progress, threads), held, pool)
+
 
 @dataclass(frozen=True)
-class ResolutionStudy:
-    """Evaluates a cell. taps: by backbone, those that are extracted for all cells."""
+class Seen(Material):
+    """The presses of one part in one view. held: rows of them. pool: presses without the cap."""
 
-    dataset: Path
-    cache: Path
-    taps: Mapping[str, tuple[str, ...]]
+    held: HeldOut
+    pool: int
 
-    def place(self, cell: Cell) -> ViewPlace:
-        """Where the cell's features come from."""
+    @cached_property
+    def common(self) -> NDArray[np.bool_]:
+        """The 1280x720 masks of the defective presses in the common field of view, bool (n, h, w).
+
+        Errors: DatasetError for a press without 1280x720 pictures, and where all masks are empty there.
+        """
+        fine = {press.path.name: press for press in _fine_presses(self.place)}
+        for press in self.presses.pictures.presses:
+            if press.path.name not in fine:
+                raise DatasetError(
+                    f"'{press.path}' has no 1280x720 picture of the same name; both are compared here"
+                )
+        defective = self.presses.pictures.presses[self.presses.nominal :]
+        masks = np.stack([COMMON.crop(fine[press.path.name].mask()) for press in defective])
+        if not masks.any():
+            raise DatasetError(
+                f"the 1280x720 masks of {self.place.part}/{self.place.position} are empty in the region that both "
+                "resolutions show; export masks that show the damage"
+            )
+        return masks
+
+    @property
+    def remarks(self) -> list[str]:
+        assert self.common.any()  # refused before any cell runs
+        return super().remarks
+
+
+class ResolutionStudy(Evaluation):
+    """Evaluates a cell."""
+
+    def place(self, cell: Cell, position: str | None = None) -> ViewPlace:
         return ViewPlace(
-            self.dataset,
-            self.cache,
-            cell.part,
-            cell.position,
-            cell.backbone,
-            self.taps[cell.backbone],
-            str(cell.setting("view")),
-            cell.split,
-            int(cell.setting("held_out")),
-            int(cell.setting("most_presses")),
+            **vars(super().place(cell, position)),
+            view=str(cell.setting("view")),
+            split=cell.split,
+            held_out=int(cell.setting("held_out")),
+            most=int(cell.setting("most_presses")),
         )
 
     def __call__(self, cell: Cell) -> dict[str, Any]:
-        seen = seen_at(self.place(cell))
-        count = max(1, round(float(cell.setting("fraction")) * seen.pool))
-        rows = subset(seen.held.pool, count, cell.seed)
-        detector = registry.detector(cell.method)
-        overrides = overrides_for(cell.method, cell.mode, cell.backbone)
-        taps = detector.taps(detector.parameters(cell.mode, **overrides))
-        found = fit_and_score(
-            detector,
-            cell.mode,
-            seen.material.nominal(rows, taps),
-            seen.material.taken.grid_of(taps),
-            test := seen.material.test(seen.held.test, taps),
-            seed=cell.seed,
-            overrides=overrides,
-            also=lambda scored: _in_common(scored, seen.common, test.is_defective, str(cell.setting("view"))),
-        )
-        return {**found, "pool": seen.pool, **seen.material.facts}
+        seen = material(self.place(cell))
+        assert isinstance(seen, Seen)
+        rows = subset(seen.held.pool, max(1, round(float(cell.setting("fraction")) * seen.pool)), cell.seed)
+
+        def in_common(scored: Scored, tests: Sequence[TestPresses]) -> dict[str, float | None]:
+            return _in_common(scored, seen.common, tests[0].is_defective, str(cell.setting("view")))
+
+        drawn = Drawn(seen, rows, seen.presses.tested(seen.held))
+        return {**fit_cell(cell, drawn, also=in_common), "pool": seen.pool}
 
 
 def _in_common(
@@ -129,21 +143,6 @@ def _in_common(
     test = TestPresses({}, np.concatenate([blank, masks]), is_defective)
     found = measures(Scored(maps, scored.scores, ()), test)
     return {f"{name}_common": found[name] for name in ("aupro_001", "aupro_005", "auprc", "pixel_auroc")}
-
-
-@lru_cache(maxsize=2)
-def seen_at(place: ViewPlace) -> Seen:
-    """The presses of a place in its view; features come from the cache."""
-    return look(place)
-
-
-def look(place: ViewPlace, progress: Progress = lambda fraction: None, threads: int = 1) -> Seen:
-    """The same, with the progress of an extraction. Errors: DatasetError, FitError, ConfigError, StoreError."""
-    presses, held, pool = capped_presses(place)
-    trunk = tiled(open_trunk(place.backbone, place.taps), VIEWS[place.view])
-    taken = FeatureCache(place.cache).features(trunk, place.taps, presses.pictures, progress, threads)
-    found = Material(presses=presses, backbone=place.backbone, trunk=trunk, taken=taken)
-    return Seen(found, held, pool, _common_masks(place, presses))
 
 
 def capped_presses(place: ViewPlace) -> tuple[StudyPresses, HeldOut, int]:
@@ -159,63 +158,8 @@ def capped_presses(place: ViewPlace) -> tuple[StudyPresses, HeldOut, int]:
     return presses, kept, len(held.pool)
 
 
-def _common_masks(place: ViewPlace, presses: StudyPresses) -> NDArray[np.bool_]:
-    """The 1280x720 masks of the defective presses in the common field of view, bool (n, h, w).
-
-    Errors: DatasetError for a press without 1280x720 pictures, and where all masks are empty there.
-    """
-    fine = {press.path.name: press for press in _fine_presses(place)}
-    defective = [presses.pictures.presses[row] for row in presses.defective]
-    for press in presses.pictures.presses:
-        if press.path.name not in fine:
-            raise DatasetError(
-                f"'{press.path}' has no 1280x720 picture of the same name; both are compared here"
-            )
-    masks = np.stack([COMMON.crop(fine[press.path.name].mask()) for press in defective])
-    if not masks.any():
-        raise DatasetError(
-            f"the 1280x720 masks of {place.part}/{place.position} are empty in the region that both resolutions "
-            "show; export masks that show the damage"
-        )
-    return masks
-
-
-def _fine_presses(place: ViewPlace) -> tuple[LabelledPress, ...]:
+def _fine_presses(place: Place) -> tuple[LabelledPress, ...]:
     return opened(place.dataset, "hr").select(place.part, place.position).presses
-
-
-def resolution_cells(
-    places: Sequence[tuple[str, str]],
-    options: Options,
-    views: Sequence[str] = tuple(VIEWS),
-    most_presses: int = MOST_PRESSES,
-) -> list[Cell]:
-    """All cells. Errors: ConfigError for a method whose stable fraction is not known."""
-    return [
-        Cell(
-            STUDY,
-            part,
-            position,
-            method,
-            mode,
-            backbone,
-            split,
-            seed,
-            (
-                ("fraction", options.fraction_of(method, mode, backbone, split)),
-                ("held_out", options.held_out),
-                ("most_presses", most_presses),
-                ("view", view),
-            ),
-        )
-        for part, position in places
-        for backbone in options.backbones
-        for view in views
-        for split in options.splits
-        for seed in range(options.seeds)
-        for mode in options.modes
-        for method in options.methods
-    ]
 
 
 def study_resolution(options: Options, views: Sequence[str] = (), most_presses: int = MOST_PRESSES) -> Rows:
@@ -225,11 +169,16 @@ def study_resolution(options: Options, views: Sequence[str] = (), most_presses: 
     """
     views = tuple(dict.fromkeys(views or VIEWS))
     require_known("view", views, VIEWS)
-    places = fine_places(options)
-    cells = resolution_cells(places, options, views, most_presses)
-    evaluate = ResolutionStudy(options.dataset.absolute(), options.features, options.taps())
-    _extract_all(list(dict.fromkeys(evaluate.place(cell) for cell in cells)), options)
-    return run_cells(cells, evaluate, options)
+    # View by view: the features of few are in memory at once.
+    cells = [
+        cell
+        for place in fine_places(options)
+        for view in views
+        for cell in make_cells(STUDY, options, place, [{"view": view, "most_presses": most_presses}])
+    ]
+    evaluate = ResolutionStudy.of(options)
+    materials = prepare(map(evaluate.place, cells), options)
+    return run_cells(cells, evaluate, options, materials)
 
 
 def fine_places(options: Options) -> list[tuple[str, str]]:
@@ -256,52 +205,3 @@ def fine_places(options: Options) -> list[tuple[str, str]]:
             "`gelgate lab simulate paper` makes one"
         )
     return both
-
-
-def _extract_all(places: Sequence[ViewPlace], options: Options) -> None:
-    """Features of every place in the cache, before any cell runs.
-
-    Errors: as `look`; StoreError for a small disk; ConfigError for rows from other pictures or another trunk.
-    """
-    rows, remarks = read_rows(options.output / ROWS_FILE), list[str]()
-    for place in places:
-        _check_room(place)
-        seen = _extract(place, min(options.jobs, os.cpu_count() or 1), options.show)
-        check_same(
-            (row for row in rows if _is_of(row, place)),
-            [seen.material],
-            options.output / ROWS_FILE,
-            partial(tiled, view=VIEWS[place.view]),
-        )
-        remarks += seen.material.remarks
-    say_once(remarks)
-
-
-def _is_of(row: Mapping[str, Any], place: ViewPlace) -> bool:
-    """Whether a row was made from the pictures of a place."""
-    own: dict[str, object] = {"study": STUDY, "view": place.view, "split": place.split}
-    own |= {"held_out": place.held_out, "most_presses": place.most}
-    return all(row.get(name) == value for name, value in own.items())
-
-
-def _extract(place: ViewPlace, threads: int, show: Show) -> Seen:
-    what = f"features of {place.part}/{place.position}, {place.view}, on {place.backbone}"
-    with show(what, 100) as advance:
-        return look(place, lambda share: advance(int(100 * share)), threads)
-
-
-def _check_room(place: ViewPlace) -> None:
-    """Refuse features that do not fit on the disk. Errors: StoreError."""
-    view = VIEWS[place.view]
-    trunk = tiled(open_trunk(place.backbone, place.taps), view)
-    session = open_session(trunk.graph, 1, f"trunk '{trunk.id}'")
-    grid = trunk_grid(session, place.taps, view.view.shape, view.view.pixels_per_mm)
-    presses = capped_presses(place)[0]
-    needed = 4 * len(presses.pictures) * sum(math.prod(shape) for shape in grid.taps.values())
-    place.cache.mkdir(parents=True, exist_ok=True)
-    free = shutil.disk_usage(place.cache).free
-    if needed > free:
-        raise StoreError(
-            f"the features of {place.part} in the view {place.view} on {place.backbone} need {needed / 1e9:.1f} GB, "
-            f"'{place.cache}' has {free / 1e9:.1f} GB free; give another --cache, or fewer --presses"
-        )

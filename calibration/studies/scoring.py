@@ -47,6 +47,13 @@ class TestPresses:
     def __len__(self) -> int:
         return len(self.is_defective)
 
+    @classmethod
+    def join(cls, every: Sequence["TestPresses"]) -> "TestPresses":
+        """Return the presses of all of them, in their order."""
+        features = {tap: [found for one in every for found in one.features[tap]] for tap in every[0].features}
+        masks, labels = ([getattr(one, name) for one in every] for name in ("masks", "is_defective"))
+        return cls(features, np.concatenate(masks), np.concatenate(labels))
+
 
 @dataclass(frozen=True)
 class Scored:

@@ -5,16 +5,18 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, get_args
 
 from calibration.dataset import Dataset
-from calibration.fitting.trunks import DEFAULT_BACKBONE, Trunk, every_cut
+from calibration.fitting.trunks import DEFAULT_BACKBONE, every_cut
 from calibration.progress import progress
-from calibration.studies.cells import Cell, Split
+from calibration.studies.cells import Cell, Setting, Split
 from calibration.studies.cluster import check_address
 from calibration.studies.detector_settings import taps_of
-from calibration.studies.material import Material, Place, extracted
+from calibration.studies.material import Material, Place
 from calibration.studies.rows import ROWS_FILE, Rows
 from calibration.studies.runner import Evaluate, Show, run
 from calibration.studies.stable import find_stable_fraction
@@ -29,6 +31,7 @@ __all__ = [
     "Options",
     "check_same",
     "chosen_places",
+    "make_cells",
     "prepare",
     "require_known",
     "run_cells",
@@ -126,23 +129,53 @@ def chosen_places(dataset: Dataset, parts: Sequence[str], position: str | None) 
     return places
 
 
-def prepare(places: Iterable[Place], jobs: int, show: Show) -> list[Material]:
-    """Features of each place in the cache, before any cell runs. Errors: DatasetError, FitError, StoreError."""
-    found = [_prepared(place, min(jobs, os.cpu_count() or 1), show) for place in dict.fromkeys(places)]
-    say_once(sentence for one in found for sentence in one.remarks)
-    return found
+def make_cells(
+    study: str, options: Options, place: tuple[str, str], varied: Sequence[Mapping[str, Setting]]
+) -> list[Cell]:
+    """Return the cells of a part and position with each of some settings.
+
+    Those without a number of presses have each method's fraction. The seed is the outer loop within a backbone, so that
+    an interrupted study has complete curves of fewer seeds, and the time left is estimated from cells of every kind.
+    Errors: ConfigError for a method whose stable fraction is not known.
+    """
+    fraction = cache(options.fraction_of)
+
+    def settings(own: Mapping[str, Setting], *setup: Any) -> tuple[tuple[str, Setting], ...]:
+        learnt = {} if own.keys() & {"fraction", "shots"} else {"fraction": fraction(*setup)}
+        return tuple(sorted({**own, **learnt, "held_out": options.held_out}.items(), key=itemgetter(0)))
+
+    return [
+        Cell(study, *place, method, mode, backbone, split, seed, settings(own, method, mode, backbone, split))
+        for backbone in options.backbones
+        for seed in range(options.seeds)
+        for own in varied
+        for split in options.splits
+        for mode in options.modes
+        for method in options.methods
+    ]
 
 
-def _prepared(place: Place, threads: int, show: Show) -> Material:
-    with show(f"features of {place.part}/{place.position} on {place.backbone}", 100) as advance:
-        return extracted(place, lambda share: advance(int(100 * share)), threads)
+def prepare(places: Iterable[Place], options: Options) -> list[Material]:
+    """Extract the features of each place, before any cell runs. Errors: DatasetError, FitError, StoreError."""
+    materials, remarks = list[Material](), list[str]()
+    for place in dict.fromkeys(places):
+        place.require_room()
+        materials.append(_extract(place, options))
+        remarks += materials[-1].remarks
+    say_once(remarks)
+    return materials
+
+
+def _extract(place: Place, options: Options) -> Material:
+    with options.show(f"features of {place}", 100) as advance:
+        return place.extract(lambda share: advance(int(100 * share)), min(options.jobs, os.cpu_count() or 1))
 
 
 def run_cells(
     cells: Sequence[Cell],
     evaluate: Evaluate,
     options: Options,
-    materials: Iterable[Material] = (),
+    materials: Sequence[Material] = (),
     say: Say | None = None,
 ) -> Rows:
     """Run the cells that have no row in the output folder yet.
@@ -157,38 +190,35 @@ def run_cells(
     return rows
 
 
-def check_same(
-    rows: Iterable[Mapping[str, Any]],
-    materials: Iterable[Material],
-    path: Path,
-    shown: Callable[[Trunk], Trunk] = lambda trunk: trunk,
-) -> None:
+def check_same(rows: Iterable[Mapping[str, Any]], materials: Sequence[Material], path: Path) -> None:
     """Errors: ConfigError where rows of a place are from other pictures, another trunk or another program.
 
-    shown: what a study makes of a trunk. Other methods and the other mode read other layers: rows from the same trunk,
-    cut after another one, are continued.
+    Other methods and the other mode read other layers: rows from the same trunk, cut after another one, are continued.
     """
-    known = {(m.presses.part, m.presses.position, m.backbone): m.facts for m in materials}
     for row in rows:
-        facts = known.get((row["part"], row["position"], row["backbone"]), {})
-        for name, what in _FACTS.items():
-            if name not in facts or (found := row.get(name, facts[name])) == facts[name]:
-                continue
-            if name == "trunk_sha256" and found in _cuts(row["backbone"], shown):
-                continue
+        for known in materials:
+            if known.place.covers(row):
+                _check_facts(row, known, path)
+
+
+def _check_facts(row: Mapping[str, Any], known: Material, path: Path) -> None:
+    for name, what in _FACTS.items():
+        now = known.facts[name]
+        found = row.get(name, now)
+        if found != now and not (name == "trunk_sha256" and found in _cuts(known.place)):
             raise ConfigError(
-                f"'{path}' has rows of {row['part']}/{row['position']} from {what} ({found}, now {facts[name]}); "
-                "choose another output folder"
+                f"'{path}' has rows of {row['part']}/{row['position']} from {what} ({found}, now {now}); choose "
+                "another output folder"
             )
 
 
-def _cuts(backbone: str, shown: Callable[[Trunk], Trunk]) -> set[str]:
-    """Hashes, as in rows, of every cut of a backbone's trunk that a study may have used."""
+def _cuts(place: Place) -> set[str]:
+    """Return hashes, as in rows, of every cut of a backbone's trunk that a study may have used."""
     asked: set[tuple[str, ...]] = {()}
     for mode in get_args(Mode):
         with suppress(FitError):  # a backbone without the layers of one mode has rows of the other only
-            asked.add(taps_of(compared_methods(), (mode,), backbone))
-    return {shown(cut).sha256[:16] for taps in asked for cut in every_cut(backbone, taps)}
+            asked.add(taps_of(compared_methods(), (mode,), place.backbone))
+    return {place.show(cut).sha256[:16] for taps in asked for cut in every_cut(place.backbone, taps)}
 
 
 _FACTS = {

@@ -100,7 +100,7 @@ def test_a_specimen_that_is_tested_at_one_position_is_learnt_at_none(tmp_path: P
         picture.unlink()
     asked = options(root, tmp_path / "rows", splits=("specimen",))
     cell = cross_position_cells([("PZ3", "pos1", "pos2")], asked)[0]
-    evaluate = CrossPosition(asked.dataset, asked.features, asked.taps())
+    evaluate = CrossPosition.of(asked)
     found = [material(place) for place in evaluate.places(cell)]
     held = both_held_out(found[0], found[1], cell)
     tested = [specimens(one, apart.test) for one, apart in zip(found, held, strict=True)]

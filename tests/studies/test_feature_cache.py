@@ -53,7 +53,6 @@ def test_features_are_those_of_the_trunk(cache: FeatureCache, presses: tuple[Lab
     assert taken.grid.taps == {"layer1": (3, 4, 4), "layer2": (3, 2, 2)}
     assert taken.grid.frame == (32, 32)
     assert not taken.features["layer1"].flags.writeable
-    assert list(taken.of([2, 0], ["layer2"])) == ["layer2"]
     assert list(taken.grid_of(["layer2"]).taps) == ["layer2"]
 
 

@@ -3,9 +3,7 @@
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, cast
 
 import cv2
@@ -20,11 +18,13 @@ from calibration.fitting.trunks import open_trunk
 from calibration.progress import Advance
 from calibration.studies import figure, good_fraction
 from calibration.studies.detector_settings import overrides_for
-from calibration.studies.good_fraction_study import good_fraction_cells, study_good_fraction
+from calibration.studies.good_fraction_study import study_good_fraction
 from calibration.studies.material import Material
+from calibration.studies.pictures import LR_VIEW, PressPictures
+from calibration.studies.presses import StudyPresses
+from calibration.studies.resolution_study import ViewPlace
 from calibration.studies.rows import read_rows
-from calibration.studies.study import Options, check_same
-from calibration.studies.views import VIEWS, tiled
+from calibration.studies.study import Options, check_same, make_cells
 from edge.core.errors import ConfigError, DatasetError, FitError
 
 METHODS = ("subspace", "padim")
@@ -158,18 +158,19 @@ def test_rows_of_the_other_mode_are_added(dataset: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize("view", ["lr", "hr_tiled"])
 def test_rows_of_another_trunk_are_not_continued(tmp_path: Path, view: str) -> None:
     """Cuts of the same one are, as the view shows them to it."""
-    shown = partial(tiled, view=VIEWS[view])
-    hashes = [shown(open_trunk("tactile_resnet18", (tap,))).sha256[:16] for tap in ("layer1", "layer3")]
-    place = {"part": "PZ3", "position": "pos1", "backbone": "tactile_resnet18"}
-    now = SimpleNamespace(
-        presses=SimpleNamespace(part="PZ3", position="pos1"),
-        backbone="tactile_resnet18",
-        facts={"trunk_sha256": hashes[0]},
-    )
-    check_same([place | {"trunk_sha256": known} for known in hashes], [cast(Material, now)], tmp_path, shown)
+    place = ViewPlace(tmp_path, tmp_path, "PZ3", "pos1", "tactile_resnet18", (), view, "press", 2, 3)
+    trunks = [place.show(open_trunk("tactile_resnet18", (tap,))) for tap in ("layer1", "layer3")]
+    now = [
+        Material(
+            place, StudyPresses("PZ3", "pos1", PressPictures((), LR_VIEW), 0), trunks[0], cast(Any, None)
+        )
+    ]
+    row = {"part": "PZ3", "position": "pos1", "backbone": "tactile_resnet18", "view": view, "split": "press"}
+    row |= {"held_out": 2, "most_presses": 3}
+    check_same([row | {"trunk_sha256": trunk.sha256[:16]} for trunk in trunks], now, tmp_path)
 
     with pytest.raises(ConfigError, match=r"has rows of PZ3/pos1 from another trunk \(0123456789abcdef, now"):
-        check_same([place | {"trunk_sha256": "0123456789abcdef"}], [cast(Material, now)], tmp_path, shown)
+        check_same([row | {"trunk_sha256": "0123456789abcdef"}], now, tmp_path)
 
 
 def test_empty_masks_are_a_sentence(dataset: Path, tmp_path: Path) -> None:
@@ -316,11 +317,10 @@ def test_the_paper_mode_runs_with_the_shipped_backbone(dataset: Path, tmp_path: 
     }
 
 
-def test_cells_of_one_seed_come_before_those_of_the_next() -> None:
+def test_cells_of_one_seed_come_before_those_of_the_next(tmp_path: Path) -> None:
     """An interrupted study has complete curves of fewer seeds."""
-    cells = good_fraction_cells(
-        [("PZ1", "pos1")], METHODS, backbones=("b",), seeds=3, fractions=(0.5,), shots=(1,)
-    )
+    asked = options(tmp_path, tmp_path / "rows", methods=METHODS, seeds=3)
+    cells = make_cells("good-fraction", asked, ("PZ1", "pos1"), [{"fraction": 0.5}, {"shots": 1}])
 
     assert [cell.seed for cell in cells] == [0] * 4 + [1] * 4 + [2] * 4
     assert len({cell.key for cell in cells}) == 12
