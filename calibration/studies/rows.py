@@ -145,7 +145,8 @@ def _row(line: bytes, number: int, path: Path) -> dict[str, Any]:
         found, _ = row["format"], row["key"]
     except (ValueError, KeyError, TypeError):
         raise ConfigError(
-            f"line {number} of '{path}' is not a row of a study; name the rows.jsonl that `gelgate lab study` wrote"
+            f"line {number} of '{path}' is not a row of results; name the rows.jsonl that `gelgate lab study` or "
+            "`gelgate lab tradeoff` wrote"
         ) from None
     if found != ROW_FORMAT:
         raise ConfigError(

@@ -8,33 +8,22 @@ from typing import Any
 import numpy as np
 
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
-from calibration.tradeoff.accuracy import Truth, measured
+from calibration.tradeoff.accuracy import measured
 from calibration.tradeoff.fitting import content_sha256, detector_of, first, trunk_of
 from calibration.tradeoff.point import VIEWS, OperatingPoint
-from calibration.tradeoff.presses import Chosen, masks_of, on_common_grid, see
+from calibration.tradeoff.presses import on_common_grid, see
 from calibration.tradeoff.rows import Row
-from calibration.tradeoff.run import RunSettings
-from edge.core.errors import ConfigError
-from edge.core.suggest import suggestion
+from calibration.tradeoff.run import Run
 from edge.model.archive import MANIFEST
 from edge.model.bundle import manifest_bytes
 from edge.model.scorer import Scorer
 
-__all__ = ["bundle_of", "point_of"]
-
-
-def point_of(key: str, points: "tuple[OperatingPoint, ...]") -> OperatingPoint:
-    """The point of a key. Errors: ConfigError with the nearest known key."""
-    named = {point.key: point for point in points}
-    if key not in named:
-        raise ConfigError(f"no operating point is named '{key}'; {suggestion(key, named)}")
-    return named[key]
+__all__ = ["bundle_of"]
 
 
 def bundle_of(
     point: OperatingPoint,
-    chosen: Chosen,
-    settings: RunSettings,
+    run: Run,
     *,
     row: Row | None = None,
     report: Callable[[str, float], None] = lambda stage, fraction: None,
@@ -43,7 +32,7 @@ def bundle_of(
 
     row: the measured point, whose times and fingerprint go into the manifest as its cost card. Errors: FitError.
     """
-    view = VIEWS[point.view]
+    view, chosen, settings = VIEWS[point.view], run.chosen, run.settings
     seen = see(chosen, view)
     detector, _ = detector_of(point)
     config = FitConfig(
@@ -64,9 +53,8 @@ def bundle_of(
     fitted = fit_files(presses, config, created=datetime.date.today().isoformat(), report=report)
     scorer = Scorer(fitted.bundle(), settings.threads)
     scored = [scorer.score(frame) for frame in seen.frames]
-    truth = Truth.of(chosen.label, masks_of(chosen), chosen.specimens, settings.replicates, settings.seed)
     maps = [on_common_grid(one.score_map) for one in scored]
-    accuracy = measured(maps, np.array([one.anomaly_score for one in scored]), truth)
+    accuracy = measured(maps, np.array([one.anomaly_score for one in scored]), run.truth)
     return with_cards(fitted, accuracy, point, row)
 
 

@@ -5,33 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from calibration.tradeoff.options import (
-    Backbones,
-    Bootstrap,
-    BundlePath,
-    Check,
-    DatasetFolder,
-    Methods,
-    Minutes,
-    Output,
-    Overwrite,
-    Part,
-    Peers,
-    Picture,
-    Point,
-    Position,
-    Presses,
-    Rounds,
-    Seed,
-    Threads,
-    Under,
-    Within,
-)
+from calibration.tradeoff.options import TradeoffArguments
+from edge.cli.arguments import flatten
 
 if TYPE_CHECKING:
-    from calibration.tradeoff.point import OperatingPoint
-    from calibration.tradeoff.presses import Chosen
-    from calibration.tradeoff.run import RunSettings
+    from calibration.tradeoff.run import Run
 
 __all__ = ["tradeoff"]
 
@@ -39,28 +17,8 @@ LOSS = 7
 """The exit code of `--check` where something became worse."""
 
 
-def tradeoff(
-    dataset: DatasetFolder,
-    output: Output = Path("tradeoff"),
-    part: Part = None,
-    position: Position = None,
-    method: Methods = None,
-    backbone: Backbones = None,
-    within: Within = None,
-    under: Under = None,
-    presses: Presses = None,
-    point: Point = None,
-    bundle: BundlePath = None,
-    check: Check = None,
-    picture: Picture = None,
-    peers: Peers = False,
-    rounds: Rounds = 25,
-    minutes: Minutes = 12.0,
-    bootstrap: Bootstrap = 200,
-    seed: Seed = 0,
-    threads: Threads = 2,
-    overwrite: Overwrite = False,
-) -> None:
+@flatten
+def tradeoff(given: TradeoffArguments) -> None:
     """Measure what accuracy costs: time, memory, presses.
 
     Some 80 operating points in one run: detectors, trunks, precisions, bank sizes, resolutions, numbers of presses.
@@ -68,117 +26,76 @@ def tradeoff(
     that holds rows is not measured again; an interrupted run goes on.
     """
     from calibration.progress import progress
-    from calibration.tradeoff.measured import measured_rows, points_of
-    from calibration.tradeoff.pick import Limits, size, time_ms
-    from calibration.tradeoff.run import RunSettings, presses_of
+    from calibration.tradeoff.measured import measured_rows
+    from calibration.tradeoff.pick import pick
+    from calibration.tradeoff.run import Run
+    from edge.core.errors import ConfigError
     from edge.extras import needs
 
     needs("studies", "tradeoff")
-    if peers:
-        _require_models()
-    limits = Limits(time_ms(within) if within else None, size(under) if under else None, presses)
-    is_choosing = bool(limits.names) or point is not None
-    _check_options(output, bundle, overwrite, is_choosing, check)
-    settings = RunSettings(
-        dataset,
-        part,
-        position,
-        seed=seed,
-        threads=threads,
-        rounds=rounds,
-        replicates=bootstrap,
-        minutes=minutes,
-    )
-    chosen = presses_of(settings)
-    points = points_of(chosen, method, backbone)
-    if point is not None:
-        _write_bundle(point, points, chosen, settings, bundle or Path(point), overwrite, None)
+    if given.peers:
+        from calibration.tradeoff.peers import require_models
+
+        require_models()
+    limits = given.limits()
+    _require_sense(given, bool(limits.names))
+    run = Run.of(given.settings(), given.method or (), given.backbone or ())
+    if given.point is not None:
+        _write_bundle(given.point, run, given.bundle or Path(given.point), given.overwrite)
         return
-    rows = measured_rows(
-        points, chosen, settings, output, overwrite=overwrite, with_peers=peers, show=progress, say=typer.echo
-    )
-    _report(rows, output, picture)
+    rows = measured_rows(run, given.output, given.overwrite, given.peers, progress, typer.echo)
+    _report(rows, given.output, given.picture)
     if limits.names:
-        _choose(rows, limits, points, chosen, settings, bundle or output / "bundle", overwrite)
-    if check is not None:
-        _check(rows, check)
+        picked = pick(rows, limits)
+        if picked.row is None:
+            raise ConfigError(picked.reasons[0])
+        typer.echo("\n".join(picked.reasons))
+        bundle = given.bundle or given.output / "bundle"
+        _write_bundle(picked.row["key"], run, bundle, given.overwrite, picked.row)
+    if given.check is not None:
+        _check(rows, given.check)
 
 
-def _require_models() -> None:
-    from calibration.tradeoff.peers import require_models
-
-    require_models()
-
-
-def _check_options(
-    output: Path, bundle: Path | None, overwrite: bool, is_choosing: bool, check: Path | None
-) -> None:
+def _require_sense(given: TradeoffArguments, has_limits: bool) -> None:
     """Before any work. Errors: ConfigError."""
     from calibration.tradeoff.rows import read_rows
     from edge.core.errors import ConfigError
 
-    if bundle is not None and not is_choosing:
+    if given.bundle is not None and not has_limits and given.point is None:
         raise ConfigError("--bundle needs a point: give limits (--within, --under, --presses) or --point")
-    if bundle is not None and bundle.exists() and not overwrite:
-        raise ConfigError(f"{bundle} exists already; choose another name or add --overwrite")
-    if output.exists() and not output.is_dir():
-        raise ConfigError(f"--output {output} is a file; name a folder")
-    if check is not None:
-        read_rows(check)
+    if given.bundle is not None and given.bundle.exists() and not given.overwrite:
+        raise ConfigError(f"{given.bundle} exists already; choose another name or add --overwrite")
+    if given.output.exists() and not given.output.is_dir():
+        raise ConfigError(f"--output {given.output} is a file; name a folder")
+    if given.check is not None:
+        read_rows(given.check)
 
 
 def _report(rows: list[dict[str, Any]], output: Path, picture: Path | None) -> None:
-    """The page, the picture where wanted, and a table of the front."""
+    """Write the page, and the picture where wanted; print the front."""
     from calibration.evaluate.report import write_atomically
-    from calibration.tradeoff.measured import write_page
-    from calibration.tradeoff.table import table
+    from calibration.tradeoff.figure import svg
+    from calibration.tradeoff.page import table, write_page
 
     page = write_page(rows, output)
     if picture is not None:
-        from calibration.tradeoff.figure import svg
-
         write_atomically(picture, svg(rows))
     typer.echo(table(rows))
     typer.echo(f"{len(rows)} points; the page is {page}")
 
 
-def _choose(
-    rows: list[dict[str, Any]],
-    limits: Any,
-    points: "tuple[OperatingPoint, ...]",
-    chosen: "Chosen",
-    settings: "RunSettings",
-    bundle: Path,
-    overwrite: bool,
-) -> None:
-    from calibration.tradeoff.pick import pick
-    from edge.core.errors import ConfigError
-
-    picked = pick(rows, limits)
-    if picked.row is None:
-        raise ConfigError(picked.reasons[0])
-    typer.echo("\n".join(picked.reasons))
-    _write_bundle(picked.row["key"], points, chosen, settings, bundle, overwrite, picked.row)
-
-
 def _write_bundle(
-    key: str,
-    points: "tuple[OperatingPoint, ...]",
-    chosen: "Chosen",
-    settings: "RunSettings",
-    bundle: Path,
-    overwrite: bool,
-    row: dict[str, Any] | None,
+    key: str, run: "Run", bundle: Path, overwrite: bool, row: dict[str, Any] | None = None
 ) -> None:
-    """Fit the point and write its bundle; says so where its bank differs from the measured one."""
+    """Fit the point and write its bundle; says so where its bank differs from the measured one, `row`."""
     from calibration.fitting.command import refuse_existing, summary, write
     from calibration.progress import Stages
-    from calibration.tradeoff.chosen_bundle import bundle_of, point_of
+    from calibration.tradeoff.chosen_bundle import bundle_of
 
-    found = point_of(key, points)
+    point = run.point(key)
     refuse_existing(bundle, overwrite)
     with Stages() as report:
-        fitted = bundle_of(found, chosen, settings, row=row, report=report)
+        fitted = bundle_of(point, run, row=row, report=report)
     made = fitted.manifest.facts["tradeoff"]["content_sha256"]
     if row is not None and made != row["content_sha256"]:
         typer.echo(

@@ -5,10 +5,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.progress import progress
+from calibration.studies.rows import ROWS_FILE
+from calibration.studies.runner import Show
 from calibration.tradeoff.figure import figure
-from calibration.tradeoff.measured import ROWS_FILE, measured_rows, points_of, write_page
+from calibration.tradeoff.measured import measured_rows
+from calibration.tradeoff.page import write_page
+from calibration.tradeoff.peers import require_models
 from calibration.tradeoff.rows import read_rows
-from calibration.tradeoff.run import RunSettings, Show, presses_of
+from calibration.tradeoff.run import Run, RunSettings
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,17 +41,10 @@ def tradeoff(
     import pandas as pd
 
     if peers:
-        from calibration.tradeoff.peers import require_models
-
         require_models()
-    settings = RunSettings(Path(dataset), **asked)
-    chosen = presses_of(settings)
-    points = points_of(chosen, methods, backbones)
-    folder = Path(output)
-    rows = measured_rows(
-        points, chosen, settings, folder, overwrite=overwrite, with_peers=peers, show=show, say=print
-    )
-    write_page(rows, folder)
+    run = Run.of(RunSettings(Path(dataset), **asked), methods, backbones)
+    rows = measured_rows(run, Path(output), overwrite, peers, show, print)
+    write_page(rows, Path(output))
     return pd.json_normalize(rows)
 
 

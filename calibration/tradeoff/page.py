@@ -1,10 +1,12 @@
-"""The page of a run: one HTML file with everything inside, made from rows alone."""
+"""A run for people, from rows alone: a page, one HTML file with everything inside, and the front as lines of text."""
 
 import json
 from collections.abc import Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Any, Final
 
+from calibration.evaluate.report import write_atomically
 from calibration.tradeoff.accuracy import MEASURES
 from calibration.tradeoff.front import MARGIN
 from calibration.tradeoff.machine import busy
@@ -13,7 +15,7 @@ from calibration.tradeoff.rows import Row
 from calibration.tradeoff.timing import STAGES
 from edge.core.gel import DEFAULT_LIMIT_PRESSES
 
-__all__ = ["FIRST", "METHOD_NAMES", "SHORT", "page", "view_name"]
+__all__ = ["FIRST", "METHOD_NAMES", "SHORT", "page", "table", "view_name", "write_page"]
 
 FIRST: Final = "aupro_fpr01"
 """The measure by which the front is decided."""
@@ -58,6 +60,12 @@ def page(rows: Sequence[Row]) -> str:
     ):
         text = text.replace(mark, part)
     return text
+
+
+def write_page(rows: Sequence[Row], output: Path) -> Path:
+    """Write `tradeoff.html` into a folder."""
+    write_atomically(output / "tradeoff.html", page(rows).encode())
+    return output / "tradeoff.html"
 
 
 def _data(rows: Sequence[Row]) -> dict[str, Any]:
@@ -132,4 +140,24 @@ def _notes(first: Row) -> Sequence[str]:
         f"{peak['int8_per_s'] / 1e9:.0f} Gop/s in int8, {peak['bytes_per_s'] / 1e9:.1f} GB/s copied.",
         f"Processor flags: {' '.join(machine['flags']) or 'not shown'}.",
         f"Presses: SHA-256 {first['dataset_sha256']}, seed {first['seed']}.",
+    )
+
+
+def table(rows: Sequence[Row]) -> str:
+    """One line per point on the front, fastest first."""
+    front = sorted((row for row in rows if row["is_on_front"]), key=lambda row: float(row["ms"]["median"]))
+    width = max((len(row["key"]) for row in front), default=5)
+    lines = [
+        f"{'on the front':<{width}}  {'AU-PRO':>7} {'interval':>14} {'ms':>8} {'p95':>8} {'floor':>7} {'bank MB':>8}"
+    ]
+    return "\n".join([*lines, *(_line(row, width) for row in front)])
+
+
+def _line(row: Row, width: int) -> str:
+    accuracy, ms = row["accuracy"]["aupro_fpr01"], row["ms"]
+    interval = "-" if accuracy["low"] is None else f"{accuracy['low']:.3f} to {accuracy['high']:.3f}"
+    value = "-" if accuracy["value"] is None else f"{accuracy['value']:.3f}"
+    return (
+        f"{row['key']:<{width}}  {value:>7} {interval:>14} {ms['median']:>8.1f} {ms['p95']:>8.1f} "
+        f"{row['floor']['ms']:>7.1f} {row['bank_bytes'] / 1e6:>8.2f}"
     )

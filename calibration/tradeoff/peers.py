@@ -14,20 +14,24 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
-from calibration.tradeoff.accuracy import Truth, measured
+from calibration.studies.rows import ROW_FORMAT
+from calibration.tradeoff.accuracy import measured
 from calibration.tradeoff.point import VIEWS
-from calibration.tradeoff.presses import Chosen, see
-from calibration.tradeoff.rows import FORMAT, Row
+from calibration.tradeoff.presses import Seen, see
+from calibration.tradeoff.rows import Row
 from calibration.tradeoff.timing import Drawing
 from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.frames import CameraFrame
+
+if TYPE_CHECKING:
+    from calibration.tradeoff.run import Run
 
 __all__ = ["NOTE", "Peer", "learn", "load_weights", "map_large_blocks", "peers", "require_models"]
 
@@ -86,49 +90,43 @@ def require_models() -> None:
         ) from error
 
 
-def peers(
-    chosen: Chosen, truth: Truth, frames: Sequence[CameraFrame], *, threads: int, seed: int
-) -> list[Peer]:
+def peers(run: "Run", frames: Sequence[CameraFrame]) -> list[Peer]:
     """Both models, fitted on the first presses and scored on the same ones as every point.
 
     frames: camera frames to be timed on. Errors: ConfigError where the dataset gives too few presses.
     """
     import torch
 
-    torch.set_num_threads(threads)
-    seen = see(chosen, VIEWS["lr"])
+    torch.set_num_threads(run.settings.threads)
+    seen = see(run.chosen, VIEWS["lr"])
     if len(seen.nominal) < PRESSES:
         raise ConfigError(
             f"--peers fits {PRESSES} presses, the dataset gives {len(seen.nominal)}; press more good parts"
         )
     normalise = _normaliser()
-    return [
-        _fitted(method, chosen, seen.nominal.frames[:PRESSES], seen.frames, truth, normalise, frames, seed)
-        for method in LAYERS
-    ]
+    return [_fitted(method, run, seen, normalise, frames) for method in LAYERS]
 
 
 def _fitted(
     method: str,
-    chosen: Chosen,
-    nominal: NDArray[np.uint8],
-    scored: NDArray[np.uint8],
-    truth: Truth,
+    run: "Run",
+    seen: Seen,
     normalise: Callable[[NDArray[np.uint8]], Any],
     frames: Sequence[CameraFrame],
-    seed: int,
 ) -> Peer:
     import torch
 
-    torch.manual_seed(seed)
+    torch.manual_seed(run.settings.seed)
     model = _model(method)
     start = time.perf_counter()
-    learn(method, model, [normalise(frame) for frame in nominal])
+    nominal = [normalise(frame) for frame in seen.nominal.frames[:PRESSES]]
+    learn(method, model, nominal)
     seconds = time.perf_counter() - start
-    found = [_score(model, normalise(frame)) for frame in scored]
-    accuracy = measured([score_map for score_map, _ in found], np.array([score for _, score in found]), truth)
-    drawing = Drawing(VIEWS["lr"], frames, f"{chosen.part}/{chosen.position}", found[0][0])
-    return Peer(_row(method, model, accuracy, seconds, normalise(nominal[0])), model, normalise, drawing)
+    found = [_score(model, normalise(frame)) for frame in seen.frames]
+    maps, scores = zip(*found, strict=True)
+    accuracy = measured(maps, np.array(scores), run.truth)
+    drawing = Drawing(VIEWS["lr"], frames, f"{run.chosen.part}/{run.chosen.position}", maps[0])
+    return Peer(_row(method, model, accuracy, seconds, nominal[0]), model, normalise, drawing)
 
 
 def learn(method: str, model: Any, planes: Sequence[Any]) -> None:
@@ -259,7 +257,7 @@ def _row(method: str, model: Any, accuracy: dict[str, Any], seconds: float, plan
     for name, one in sorted(model.state_dict().items()):
         content.update(name.encode() + one.cpu().numpy().tobytes())
     return {
-        "format": FORMAT,
+        "format": ROW_FORMAT,
         "key": f"{NAMES[method]}.resnet18.lr.{PRESSES}",
         "peer": f"anomalib {version('anomalib')}, torch {version('torch')}",
         "method": NAMES[method],

@@ -3,9 +3,9 @@
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.progress import Advance
-from calibration.studies.rows import Rows
+from calibration.studies.rows import ROW_FORMAT, Rows
+from calibration.studies.runner import Show
 from calibration.threads import one_blas_thread
 from calibration.tradeoff.accuracy import Truth, measured
 from calibration.tradeoff.fitting import FittedPoint, content_sha256, fit_points
@@ -22,16 +22,19 @@ from calibration.tradeoff.floor import Work, floor_ms, work_of
 from calibration.tradeoff.front import dominators
 from calibration.tradeoff.machine import Peak, best, fingerprint, probe
 from calibration.tradeoff.memory import peak_bytes
+from calibration.tradeoff.plan import BACKBONES, chosen_points
 from calibration.tradeoff.point import VIEWS, OperatingPoint
 from calibration.tradeoff.presses import Chosen, choose_presses, masks_of, on_common_grid, see
-from calibration.tradeoff.rows import FORMAT, Row
+from calibration.tradeoff.rows import Row
 from calibration.tradeoff.statistics import PressTimes, press_times
 from calibration.tradeoff.timing import STAGES, Lane, Timed, bundle_lanes, camera_frames, measure_rounds
+from edge import registry
 from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES
+from edge.core.suggest import suggestion
 from edge.model.bundle import Bundle, write_bundle
 
-__all__ = ["LEAST_ROUNDS", "RunSettings", "clean", "measure", "presses_of", "require_same_run"]
+__all__ = ["LEAST_ROUNDS", "Run", "RunSettings", "clean", "measure", "require_same_run"]
 
 LEAST_ROUNDS: Final = 7
 """Below this the interval of a median over rounds is as wide as the samples."""
@@ -41,8 +44,6 @@ CAMERA_FRAMES: Final = 3
 
 MOST_SCORED: Final = 40
 """Good and defective presses that are scored, each."""
-
-Show = Callable[[str, int], AbstractContextManager[Advance]]
 
 
 @dataclass(frozen=True)
@@ -68,40 +69,78 @@ class RunSettings:
             raise ConfigError(f"times need at least {LEAST_ROUNDS} rounds, found {self.rounds}")
 
 
-def presses_of(settings: RunSettings) -> Chosen:
-    """The presses of a run. Errors: DatasetError."""
-    return choose_presses(
-        settings.dataset,
-        settings.part,
-        settings.position,
-        most_fitted=settings.most_fitted,
-        most_scored=settings.most_scored,
-        seed=settings.seed,
-    )
+@dataclass(frozen=True)
+class Run:
+    """Points that are measured on presses."""
+
+    settings: RunSettings
+    chosen: Chosen
+    points: tuple[OperatingPoint, ...]
+
+    @classmethod
+    def of(cls, settings: RunSettings, methods: Sequence[str] = (), backbones: Sequence[str] = ()) -> "Run":
+        """Return the run of every point that the presses allow; no method or backbone: all of them.
+
+        Errors: DatasetError, ConfigError.
+        """
+        chosen = choose_presses(
+            settings.dataset,
+            settings.part,
+            settings.position,
+            most_fitted=settings.most_fitted,
+            most_scored=settings.most_scored,
+            seed=settings.seed,
+        )
+        points = chosen_points(
+            tuple(backbones) or BACKBONES,
+            tuple(methods) or registry.names("detectors"),
+            has_high_resolution=bool(chosen.high),
+            most_presses=len(chosen.fitted),
+        )
+        return cls(settings, chosen, points)
+
+    def point(self, key: str) -> OperatingPoint:
+        """Return the point of a key. Errors: ConfigError with the nearest known key."""
+        named = {point.key: point for point in self.points}
+        if key not in named:
+            raise ConfigError(f"no operating point is named '{key}'; {suggestion(key, named)}")
+        return named[key]
+
+    @cached_property
+    def truth(self) -> Truth:
+        """What is known of the scored presses."""
+        return Truth.of(
+            self.chosen.label,
+            masks_of(self.chosen),
+            self.chosen.specimens,
+            self.settings.replicates,
+            self.settings.seed,
+        )
+
+    @property
+    def command(self) -> str:
+        """The command that measures these presses again, with the dataset's folder name alone."""
+        chosen = self.chosen
+        return (
+            f"gelgate lab tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} "
+            f"--seed {self.settings.seed}"
+        )
 
 
 @one_blas_thread()
-def measure(
-    points: Sequence[OperatingPoint],
-    chosen: Chosen,
-    settings: RunSettings,
-    folder: Path,
-    show: Show,
-    *,
-    with_peers: bool = False,
-) -> list[Row]:
+def measure(run: Run, folder: Path, show: Show, *, with_peers: bool = False) -> list[Row]:
     """Measure every point and give its row; points that the folder already holds are not fitted again.
 
     Times are always measured together, so an interrupted timing starts again. folder: is made; holds bundles until
     the end. Errors: FitError, ConfigError (the folder holds another run), GelgateError (disk).
     """
     begun = time.perf_counter()
-    machine = fingerprint(settings.threads)
-    dataset = chosen.sha256()
+    points, settings, chosen = run.points, run.settings, run.chosen
+    machine, dataset = fingerprint(settings.threads), chosen.sha256()
     _claim(folder, settings, dataset)
     finished = Rows(folder / "points.jsonl")
     with finished.held():
-        _fit_missing(points, chosen, settings, folder, finished, show)
+        _fit_missing(run, folder, finished, show)
     found = {row["key"]: row for row in finished.read()}
     rows = [found[point.key] for point in points]
     bundles = [_bundle_folder(folder, point) for point in points]
@@ -110,40 +149,36 @@ def measure(
     frames = _frames(points, chosen)
     lanes = bundle_lanes(_timed(points, rows, bundles), frames, settings.threads)
     for row, most, point in zip(rows, memory, points, strict=True):
-        row |= {"peak_memory_bytes": most, "note": "", "command": command_of(point, chosen, settings)}
+        command = f"{run.command} --point {point.key} --bundle {point.method}"
+        row |= {"peak_memory_bytes": most, "note": "", "command": command}
     if with_peers:
         from calibration.tradeoff.peers import peers
 
-        others = peers(
-            chosen,
-            _truth(chosen, settings),
-            frames[VIEWS["lr"].profile_name],
-            threads=settings.threads,
-            seed=settings.seed,
-        )
+        others = peers(run, frames[VIEWS["lr"].profile_name])
         lanes += others
-        rows += [other.row | {"command": peers_command(chosen, settings)} for other in others]
+        rows += [other.row | {"command": f"{run.command} --peers"} for other in others]
     before = probe(settings.threads)
     times = _times(lanes, settings, begun, show)
     peak = best(before, probe(settings.threads))
-    common = {"dataset_sha256": dataset, "machine": machine, "peak": asdict(peak), "rounds": times.rounds}
-    complete = [
-        row | _timed_row(k, row, times, peak) | _scope(chosen, settings) | common
-        for k, row in enumerate(rows)
-    ]
+    common = {
+        "part": chosen.part,
+        "position": chosen.position,
+        "seed": settings.seed,
+        "scored": {"good": int((~chosen.label).sum()), "defective": int(chosen.label.sum())},
+        "dataset_sha256": dataset,
+        "machine": machine,
+        "peak": asdict(peak),
+        "rounds": times.rounds,
+    }
+    complete = [row | _timed_row(k, row, times, peak) | common for k, row in enumerate(rows)]
     return with_front(complete, times.ratios)
 
 
-def require_same_run(
-    rows: Sequence[Row],
-    points: Sequence[OperatingPoint],
-    chosen: Chosen,
-    settings: RunSettings,
-    file: Path,
-) -> None:
+def require_same_run(rows: Sequence[Row], run: Run, file: Path) -> None:
     """Errors: ConfigError where finished rows are of other presses, another seed or other points than wanted now."""
     keys = {row["key"] for row in rows if not row.get("peer")}
-    wanted = {"presses": chosen.sha256(), "seed": settings.seed, "points": {point.key for point in points}}
+    points = {point.key for point in run.points}
+    wanted = {"presses": run.chosen.sha256(), "seed": run.settings.seed, "points": points}
     found = {"presses": rows[0]["dataset_sha256"], "seed": rows[0]["seed"], "points": keys}
     other = [name for name in wanted if wanted[name] != found[name]]
     if other:
@@ -161,7 +196,12 @@ def clean(folder: Path) -> None:
 
 def _claim(folder: Path, settings: RunSettings, dataset: str) -> None:
     """Mark a folder as this run's. Errors: ConfigError where it holds another one."""
-    wanted = {"format": FORMAT, "dataset": dataset, "seed": settings.seed, "replicates": settings.replicates}
+    wanted = {
+        "format": ROW_FORMAT,
+        "dataset": dataset,
+        "seed": settings.seed,
+        "replicates": settings.replicates,
+    }
     path = folder / "run.json"
     folder.mkdir(parents=True, exist_ok=True)
     if path.is_file() and json.loads(path.read_text()) != wanted:
@@ -176,28 +216,16 @@ def _bundle_folder(folder: Path, point: OperatingPoint) -> Path:
     return folder / "bundles" / point.key
 
 
-def _fit_missing(
-    points: Sequence[OperatingPoint],
-    chosen: Chosen,
-    settings: RunSettings,
-    folder: Path,
-    rows: Rows,
-    show: Show,
-) -> None:
+def _fit_missing(run: Run, folder: Path, rows: Rows, show: Show) -> None:
     """Fit and score every point without a row, view by view and backbone by backbone."""
-    missing = [point for point in points if point.key not in rows.done()]
+    missing = [point for point in run.points if point.key not in rows.done()]
     if not missing:
         return
-    truth = _truth(chosen, settings)
-    with show("operating points", len(points)) as advance:
-        for fitted in _fitted(missing, chosen, settings):
+    with show("operating points", len(run.points)) as advance:
+        for fitted in _fitted(missing, run.chosen, run.settings):
             _write_point(fitted, folder)
-            rows.append(_accuracy_row(fitted, truth))
+            rows.append(_accuracy_row(fitted, run.truth))
             advance(len(rows.done()))
-
-
-def _truth(chosen: Chosen, settings: RunSettings) -> Truth:
-    return Truth.of(chosen.label, masks_of(chosen), chosen.specimens, settings.replicates, settings.seed)
 
 
 def _fitted(points: Iterable[OperatingPoint], chosen: Chosen, settings: RunSettings) -> Iterator[FittedPoint]:
@@ -226,7 +254,7 @@ def _accuracy_row(fitted: FittedPoint, truth: Truth) -> Row:
     assert manifest.backbone is not None
     stored = sum(entry.bytes_stored for entry in manifest.bank.values())
     return {
-        "format": FORMAT,
+        "format": ROW_FORMAT,
         "key": point.key,
         "method": point.method,
         "mode": point.mode,
@@ -307,34 +335,8 @@ def _timed_row(k: int, row: Row, times: PressTimes, peak: Peak) -> Row:
     }
 
 
-def _scope(chosen: Chosen, settings: RunSettings) -> Row:
-    """What the row is about."""
-    return {
-        "part": chosen.part,
-        "position": chosen.position,
-        "seed": settings.seed,
-        "scored": {"good": int((~chosen.label).sum()), "defective": int(chosen.label.sum())},
-    }
-
-
 def _plain(values: dict[str, Any]) -> dict[str, float]:
     return {name: float(value) for name, value in values.items()}
-
-
-def command_of(point: OperatingPoint, chosen: Chosen, settings: RunSettings) -> str:
-    """The command that makes the point's bundle again, with the dataset's folder name alone."""
-    return (
-        f"gelgate lab tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} "
-        f"--seed {settings.seed} --point {point.key} --bundle {point.method}"
-    )
-
-
-def peers_command(chosen: Chosen, settings: RunSettings) -> str:
-    """The command that measures the peers again, in a run with every point."""
-    return (
-        f"gelgate lab tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} "
-        f"--seed {settings.seed} --peers"
-    )
 
 
 def with_front(rows: Sequence[Row], ratios: NDArray[np.float64]) -> list[Row]:

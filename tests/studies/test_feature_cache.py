@@ -64,7 +64,7 @@ def test_presses_that_are_scored_one_by_one_stay_in_the_file(
     maps = taken.each([2, 0], ["layer1"])["layer1"]
 
     assert [one.shape for one in maps] == [(1, 3, 4, 4)] * 2
-    np.testing.assert_array_equal(np.concatenate(maps), taken.of([2, 0], ["layer1"])["layer1"])
+    np.testing.assert_array_equal(np.concatenate(maps), taken.features["layer1"][[2, 0]])
     assert all(np.shares_memory(one, taken.features["layer1"]) for one in maps)
 
 

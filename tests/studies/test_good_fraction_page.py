@@ -212,7 +212,7 @@ def test_a_report_is_written_from_a_folder_of_rows(tmp_path: Path) -> None:
         ("", "has no complete row yet; continue the study"),
         ('{"format": 1, "key": "a", "study": "unknown"}\n', "has rows of unknown, which have no page here"),
         ('{"format": 1, "key": "a"}\n', "has rows that are of no study"),
-        ("hello\n", "is not a row of a study"),
+        ("hello\n", "is not a row of results"),
     ],
 )
 def test_rows_that_give_no_page_are_a_sentence(tmp_path: Path, text: str | None, said: str) -> None:

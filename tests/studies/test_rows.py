@@ -95,7 +95,7 @@ def test_a_file_of_something_else_is_refused(path: Path, line: str) -> None:
     path.parent.mkdir()
     path.write_text(f'{{"format": 1, "key": "a"}}\n{line}\n')
 
-    with pytest.raises(ConfigError, match=r"line 2 of .* is not a row of a study"):
+    with pytest.raises(ConfigError, match=r"line 2 of .* is not a row of results"):
         read_rows(path)
 
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from calibration.studies.rows import ROW_FORMAT
 from calibration.tradeoff.accuracy import MEASURES
 from calibration.tradeoff.plan import BACKBONES, usual_points
 from calibration.tradeoff.point import OperatingPoint
-from calibration.tradeoff.rows import FORMAT
 from calibration.tradeoff.run import with_front
 
 METHODS = ("padim", "spade", "fapm", "inreach", "patchcore", "subspace")
@@ -41,7 +41,7 @@ def row(
         interval = {"value": accuracy, "low": max(0.0, accuracy - 0.04), "high": min(1.0, accuracy + 0.03)}
     ratio = ms / 7
     return {
-        "format": FORMAT,
+        "format": ROW_FORMAT,
         "key": key,
         "method": key.split(".")[0],
         "mode": "corrected",

@@ -13,9 +13,8 @@ from tradeoff_rows import row
 
 from calibration.tradeoff.figure import front_sentence, svg
 from calibration.tradeoff.notebook import tradeoff, tradeoff_figure
-from calibration.tradeoff.plan import chosen_points
 from calibration.tradeoff.rows import read_rows, write_rows
-from calibration.tradeoff.run import RunSettings, presses_of
+from calibration.tradeoff.run import Run, RunSettings
 from edge import cli
 from edge.core.errors import ConfigError
 
@@ -36,13 +35,10 @@ def called(
 @pytest.fixture
 def finished(dataset: Path, tmp_path: Path) -> Path:
     """A folder that looks like that of a finished run on the dataset with PaDiM alone."""
-    chosen = presses_of(RunSettings(dataset))
-    points = chosen_points(
-        ("tactile_resnet18",), ("padim",), has_high_resolution=False, most_presses=len(chosen.fitted)
-    )
+    run = Run.of(RunSettings(dataset), ("padim",), ("tactile_resnet18",))
     rows = [
-        row(point.key, 0.6 + 0.01 * k, 15.0 + k, presses=point.presses, dataset_sha256=chosen.sha256())
-        for k, point in enumerate(points)
+        row(point.key, 0.6 + 0.01 * k, 15.0 + k, presses=point.presses, dataset_sha256=run.chosen.sha256())
+        for k, point in enumerate(run.points)
     ]
     write_rows(tmp_path / "rows.jsonl", rows)
     return tmp_path
@@ -73,7 +69,7 @@ def test_what_may_be_a_mistake_in_the_dataset_is_said(
     mask = min((home / "fault/mask_320x240").iterdir())
     cv2.imwrite(str(mask), np.zeros((240, 320), np.uint8))
     shutil.copy(home / "rgb_320x240/PZ9_pos1_s001_p01.png", home / "rgb_320x240/PZ9_pos1_s001_p02.png")
-    presses = presses_of(RunSettings(copy)).sha256()
+    presses = Run.of(RunSettings(copy)).chosen.sha256()
     write_rows(
         finished / "rows.jsonl",
         [found | {"dataset_sha256": presses} for found in read_rows(finished / "rows.jsonl")],
@@ -165,7 +161,7 @@ def test_a_choice_writes_its_bundle_with_both_cards(
         (("--bundle", "b"), "--bundle needs a point"),
         (("--point", "padim.none"), "no operating point is named 'padim.none'"),
         (("--method", "padin"), "no detector is named 'padin'"),
-        (("--check", "absent.jsonl"), "'absent.jsonl' cannot be read"),
+        (("--check", "absent.jsonl"), "'absent.jsonl' does not hold the rows of a trade-off"),
         (("--part", "PZ8"), "no position that fits PZ8/*"),
     ],
     ids=["time", "size", "bundle", "point", "method", "check", "part"],
@@ -191,12 +187,12 @@ def test_rows_of_another_format_are_refused(tmp_path: Path) -> None:
     """A file of something else, too."""
     file = tmp_path / "rows.jsonl"
     write_rows(file, [row(format=99)])
-    with pytest.raises(ConfigError, match="rows of format 99, this program reads format 1; measure again"):
+    with pytest.raises(ConfigError, match="rows of format 99, this program reads format 1; choose another"):
         read_rows(file)
     for other in ("press,score\n1,2\n", '{"format": 1, "key": "a", "study": "good-fraction"}\n'):
         file.write_text(other)
         with pytest.raises(
-            ConfigError, match=r"does not hold the rows of a trade-off .*; give the rows.jsonl"
+            ConfigError, match=r"is not a row of results; name|not hold the rows of a trade-off"
         ):
             read_rows(file)
 

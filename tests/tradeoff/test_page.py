@@ -8,8 +8,7 @@ import pytest
 from tradeoff_rows import row, rows_of_a_run
 
 from calibration.tradeoff.figure import figure, svg
-from calibration.tradeoff.page import page, view_name
-from calibration.tradeoff.table import table
+from calibration.tradeoff.page import page, table, view_name
 
 
 @pytest.fixture(scope="module")

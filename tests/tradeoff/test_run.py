@@ -1,6 +1,7 @@
 """A complete run on a small dataset: rows, resuming, the bundle of a point, and what is refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,12 @@ from tradeoff_dataset import make_dataset
 
 from calibration.progress import progress
 from calibration.tradeoff import run
-from calibration.tradeoff.chosen_bundle import bundle_of, point_of
+from calibration.tradeoff.chosen_bundle import bundle_of
 from calibration.tradeoff.plan import chosen_points, usual_points
 from calibration.tradeoff.point import VIEWS, OperatingPoint
 from calibration.tradeoff.presses import choose_presses, on_common_grid
 from calibration.tradeoff.rows import read_rows, write_rows
-from calibration.tradeoff.run import RunSettings, measure, presses_of, require_same_run
+from calibration.tradeoff.run import Run, RunSettings, measure, require_same_run
 from calibration.tradeoff.timing import STAGES
 from edge.core.errors import ConfigError, DatasetError, GelgateError
 from edge.model.bundle import Bundle
@@ -30,12 +31,15 @@ def settings(dataset: Path) -> RunSettings:
     return RunSettings(dataset, rounds=7, replicates=20, most_fitted=6)
 
 
+def run_of(dataset: Path, points: tuple[OperatingPoint, ...] = POINTS, **changed: Any) -> Run:
+    return replace(Run.of(replace(settings(dataset), **changed)), points=points)
+
+
 @pytest.fixture(scope="module")
 def measured(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
     """The folder of a run, and its rows."""
     folder = tmp_path_factory.mktemp("run")
-    chosen = presses_of(settings(dataset))
-    return folder, measure(POINTS, chosen, settings(dataset), folder, progress)
+    return folder, measure(run_of(dataset), folder, progress)
 
 
 def test_every_point_has_a_complete_row(measured: tuple[Path, list[dict[str, Any]]]) -> None:
@@ -72,7 +76,7 @@ def test_a_run_goes_on_where_it_was_interrupted(
     kept = (folder / "points.jsonl").read_text().splitlines(keepends=True)
     marked = json.loads(kept[0]) | {"fit_s": {"features": 123.0, "bank": 0.0}}
     (folder / "points.jsonl").write_text(json.dumps(marked) + "\n" + kept[1][:40])
-    again = measure(POINTS, presses_of(settings(dataset)), settings(dataset), folder, progress)
+    again = measure(run_of(dataset), folder, progress)
     assert again[0]["fit_s"]["features"] == 123.0
     assert again[1]["fit_s"]["features"] != 123.0
     assert [row["accuracy"] for row in again] == [row["accuracy"] for row in rows]
@@ -83,9 +87,8 @@ def test_a_folder_of_another_run_is_refused(
     measured: tuple[Path, list[dict[str, Any]]], dataset: Path
 ) -> None:
     """Points of two seeds would be mixed."""
-    other = RunSettings(dataset, rounds=7, replicates=20, most_fitted=6, seed=1)
     with pytest.raises(ConfigError, match="holds an unfinished run with other presses or another seed"):
-        measure(POINTS, presses_of(other), other, measured[0], progress)
+        measure(run_of(dataset, seed=1), measured[0], progress)
 
 
 def test_finished_rows_of_another_run_are_refused(
@@ -94,12 +97,11 @@ def test_finished_rows_of_another_run_are_refused(
     """Other points than the command wants: said so, with what to do."""
     file = tmp_path / "rows.jsonl"
     write_rows(file, measured[1])
-    chosen = presses_of(settings(dataset))
-    require_same_run(read_rows(file), POINTS, chosen, settings(dataset), file)
+    require_same_run(read_rows(file), run_of(dataset), file)
     with pytest.raises(
         ConfigError, match=r"rows of another run \(points differ\); measure again with --overwrite"
     ):
-        require_same_run(read_rows(file), POINTS[:1], chosen, settings(dataset), file)
+        require_same_run(read_rows(file), run_of(dataset, POINTS[:1]), file)
 
 
 def test_the_bundle_of_a_point_is_what_was_measured(
@@ -107,7 +109,7 @@ def test_the_bundle_of_a_point_is_what_was_measured(
 ) -> None:
     """The same trunk, head and bank, the accuracy card measured with the bundle itself, and the row's cost card."""
     row = measured[1][0]
-    fitted = bundle_of(POINTS[0], presses_of(settings(dataset)), settings(dataset), row=row)
+    fitted = bundle_of(POINTS[0], run_of(dataset), row=row)
     manifest = fitted.bundle().manifest
     assert manifest.facts["tradeoff"]["content_sha256"] == row["content_sha256"]
     assert manifest.facts["tradeoff"]["ms"] == row["ms"]
@@ -119,10 +121,10 @@ def test_the_bundle_of_a_point_is_what_was_measured(
 
 def test_a_fit_has_no_piece_that_is_scored(dataset: Path) -> None:
     """Fitted and scored good presses share no specimen, and defective ones come last."""
-    chosen = presses_of(settings(dataset))
+    chosen = run_of(dataset).chosen
     assert not {press.specimen for press in chosen.fitted} & {press.specimen for press in chosen.scored}
     assert chosen.label.tolist() == sorted(chosen.label.tolist())
-    assert chosen.sha256() == presses_of(settings(dataset)).sha256()
+    assert chosen.sha256() == run_of(dataset).chosen.sha256()
 
 
 def test_all_views_show_the_same_part_of_the_gel() -> None:
@@ -149,16 +151,14 @@ def test_a_usual_run_has_sixty_points_and_no_two_alike() -> None:
     assert len({point.key for point in points}) == len(points)
     assert {point.view for point in points} == set(VIEWS)
     assert {point.mode for point in points} == {"corrected", "paper"}
-    for point in points:
-        point_of(point.key, points)
 
 
-def test_an_unknown_point_is_refused_with_the_nearest() -> None:
+def test_an_unknown_point_is_refused_with_the_nearest(dataset: Path) -> None:
     """One letter wrong."""
     with pytest.raises(
         ConfigError, match=r"no operating point is named 'padin.*padim\.tactile_resnet18\.lr\.5"
     ):
-        point_of("padin.tactile_resnet18.lr.5", POINTS)
+        run_of(dataset).point("padin.tactile_resnet18.lr.5")
 
 
 @pytest.mark.parametrize(
@@ -203,7 +203,7 @@ def test_a_full_disk_keeps_the_finished_points(
     folder.mkdir()
     (folder / "points.jsonl").symlink_to(full)
     with pytest.raises(GelgateError, match=r"the disk is full: the 0 rows so far are kept"):
-        measure(POINTS[:1], presses_of(settings(dataset)), settings(dataset), folder, progress)
+        measure(run_of(dataset, POINTS[:1]), folder, progress)
 
 
 def test_too_few_rounds_are_refused(dataset: Path) -> None:
