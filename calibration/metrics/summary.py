@@ -22,6 +22,7 @@ __all__ = [
     "interval",
     "limit_name",
     "measure",
+    "recall_at",
     "specimen_weights",
 ]
 
@@ -196,6 +197,31 @@ def average_precision(scores: NDArray[np.floating[Any]], is_defective: NDArray[n
     last_of_tie = np.flatnonzero(np.append(falling[1:] != falling[:-1], True))
     found = np.cumsum(is_defective[order])[last_of_tie]
     return float(np.sum(np.diff(found, prepend=0) * found / (last_of_tie + 1)) / found[-1])
+
+
+def recall_at(
+    scores: NDArray[np.floating[Any]],
+    is_defective: NDArray[np.bool_],
+    weights: Float,
+    rate: float,
+) -> Float:
+    """Return the share of defective presses above the lowest threshold with at most `rate` false alarms, per weighting.
+
+    scores: (presses,). weights: (weightings, presses). A press alarms when its score is above the threshold, and a
+    threshold is the score of a sound press; NaN where a weighting lacks a class.
+    """
+    sound, order = scores[~is_defective], np.argsort(scores[~is_defective])[::-1]
+    falling = sound[order]
+    counted = weights[:, ~is_defective][:, order]
+    first_of_tie = np.searchsorted(-falling, -falling, side="left")
+    above = np.concatenate([np.zeros((len(weights), 1)), np.cumsum(counted, axis=1)], axis=1)[:, first_of_tie]
+    total_sound, bad = counted.sum(axis=1), weights[:, is_defective]
+    allowed = above <= rate * total_sound[:, None] + 1e-9
+    last = allowed.shape[1] - 1 - np.argmax(allowed[:, ::-1], axis=1)
+    found = ((scores[is_defective][None] > falling[last][:, None]) * bad).sum(axis=1)
+    total_bad = bad.sum(axis=1)
+    is_defined = (total_sound > 0) & (total_bad > 0)
+    return np.where(is_defined, found / np.where(is_defined, total_bad, 1.0), np.nan)
 
 
 def _check(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) -> None:

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from calibration.metrics import auroc
 from calibration.metrics.pixel import pool_measures
+from calibration.metrics.summary import recall_at
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Detector, Grid, Mode, Nominal
 from edge.core.errors import FitError, NotScorable
 from edge.model.packing import Packed, pack, unpack
 from edge.model.session import RUNTIME_ERRORS, open_session
 
-__all__ = ["MEASURES", "Scored", "TestPresses", "fit_and_score", "measures", "recall_at", "scored"]
+__all__ = ["MEASURES", "Scored", "TestPresses", "fit_and_score", "measures", "run_head", "scored"]
 
 MEASURES = ("aupro_001", "aupro_005", "auprc", "pixel_auroc", "image_auroc", "recall_001")
 """AU-PRO up to 1 % and 5 % false positives, average precision, AUROC by pixel and by press, and the share of defective
@@ -131,14 +132,22 @@ def scored(head: bytes, arrays: Mapping[str, NDArray[Any]], test: TestPresses, n
 
     Errors: FitError where the head does not run; NotScorable for a map that is not finite.
     """
-    session = _session(head, name)
+    return run_head(_session(head, name), arrays, test.features, name)
+
+
+def run_head(
+    session: ort.InferenceSession,
+    arrays: Mapping[str, NDArray[Any]],
+    features: Mapping[str, Sequence[NDArray[np.float32]]],
+    name: str,
+) -> Scored:
+    """Score presses of which each has a map (1, c, h, w) for every tap. Errors: as `scored`."""
     wanted = {given.name for given in session.get_inputs()}
     bank = {key: array for key, array in arrays.items() if key in wanted}
+    used = {tap: maps for tap, maps in features.items() if tap in wanted}
     maps, scores, took = [], [], []
-    for k in range(len(test)):
-        taps = {
-            tap: np.ascontiguousarray(maps_of[k]) for tap, maps_of in test.features.items() if tap in wanted
-        }
+    for press in zip(*used.values(), strict=True):
+        taps = {tap: np.ascontiguousarray(one) for tap, one in zip(used, press, strict=True)}
         start = time.perf_counter()
         try:
             score_map, score = session.run(["score_map", "score"], {**taps, **bank})
@@ -177,23 +186,12 @@ def _bytes(array: Packed) -> int:
 def measures(result: Scored, test: TestPresses) -> dict[str, float | None]:
     """Every one of MEASURES, exact; None where it is undefined."""
     pixel = pool_measures(result.maps, test.masks, _LIMITS)
-    image = auroc(result.scores, test.is_defective)
+    (recall,) = recall_at(result.scores, test.is_defective, np.ones((1, len(test))), _FALSE_ALARMS)
     return {
         "aupro_001": pixel.aupro[0],
         "aupro_005": pixel.aupro[1],
         "auprc": pixel.average_precision,
         "pixel_auroc": pixel.auroc,
-        "image_auroc": image,
-        "recall_001": recall_at(result.scores, test.is_defective, _FALSE_ALARMS),
+        "image_auroc": auroc(result.scores, test.is_defective),
+        "recall_001": float(recall) if np.isfinite(recall) else None,
     }
-
-
-def recall_at(
-    scores: NDArray[np.float64], is_defective: NDArray[np.bool_], false_alarms: float
-) -> float | None:
-    """The share of defective presses above the lowest threshold that at most this share of nominal ones exceeds."""
-    nominal, defective = np.sort(scores[~is_defective])[::-1], scores[is_defective]
-    if not (nominal.size and defective.size):
-        return None
-    allowed = int(false_alarms * nominal.size + 1e-9)
-    return float(np.mean(defective > nominal[allowed])) if allowed < nominal.size else 1.0

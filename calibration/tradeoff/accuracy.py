@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.metrics import interval, pixel_measures, specimen_weights
-from calibration.metrics.summary import image_auroc_of
+from calibration.metrics.summary import image_auroc_of, recall_at
 
-__all__ = ["FALSE_ALARMS", "MEASURES", "Truth", "measured", "recall_at"]
+__all__ = ["FALSE_ALARMS", "MEASURES", "Truth", "measured"]
 
 FALSE_ALARMS: Final = 0.01
 """The false-positive rate of AU-PRO (pixels) and of the recall (presses)."""
@@ -57,7 +57,7 @@ def measured(
         "aupro_fpr01": pixel.aupro,
         "pixel_auprc": pixel.average_precision,
         "image_auroc": image_auroc_of(scores, truth.label, truth.weights),
-        "recall_fpr01": recall_at(scores, truth.label, truth.weights),
+        "recall_fpr01": recall_at(scores, truth.label, truth.weights, FALSE_ALARMS),
     }
     return {name: _summary(columns[name]) for name in MEASURES}
 
@@ -66,28 +66,3 @@ def _summary(column: Float) -> dict[str, float | None]:
     low, high = interval(column[1:]) or (None, None)
     value = float(column[0]) if np.isfinite(column[0]) else None
     return {"value": value, "low": low, "high": high}
-
-
-def recall_at(
-    scores: NDArray[np.floating[Any]],
-    is_defective: NDArray[np.bool_],
-    weights: Float,
-    rate: float = FALSE_ALARMS,
-) -> Float:
-    """The share of defective presses above the lowest threshold with at most `rate` false alarms, per weighting.
-
-    scores: (presses,). weights: (weightings, presses). A press alarms when its score is above the threshold, and a
-    threshold is the score of a sound press; NaN where a weighting lacks a class.
-    """
-    sound, order = scores[~is_defective], np.argsort(scores[~is_defective])[::-1]
-    falling = sound[order]
-    counted = weights[:, ~is_defective][:, order]
-    first_of_tie = np.searchsorted(-falling, -falling, side="left")
-    above = np.concatenate([np.zeros((len(weights), 1)), np.cumsum(counted, axis=1)], axis=1)[:, first_of_tie]
-    total_sound, bad = counted.sum(axis=1), weights[:, is_defective]
-    allowed = above <= rate * total_sound[:, None] + 1e-9
-    last = allowed.shape[1] - 1 - np.argmax(allowed[:, ::-1], axis=1)
-    found = ((scores[is_defective][None] > falling[last][:, None]) * bad).sum(axis=1)
-    total_bad = bad.sum(axis=1)
-    is_defined = (total_sound > 0) & (total_bad > 0)
-    return np.where(is_defined, found / np.where(is_defined, total_bad, 1.0), np.nan)

@@ -15,15 +15,16 @@ from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk, open_trunk
+from calibration.studies.scoring import run_head
 from calibration.tradeoff.point import VIEWS, OperatingPoint, View
 from calibration.tradeoff.presses import Chosen, Seen
 from edge import registry
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal
-from edge.core.errors import FitError
+from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.tiles import tiling
 from edge.model.bundle import Bundle, Graphs, bundle_files
 from edge.model.manifest import Facts, GridEntry, Manifest, ProfileEntry, RegionEntry
-from edge.model.session import RUNTIME_ERRORS, open_session
+from edge.model.session import open_session
 
 __all__ = ["FittedPoint", "content_sha256", "fit_points", "trunk_of"]
 
@@ -100,7 +101,7 @@ def fit_points(
     for point in points:
         try:
             yield _fitted(point, chosen, seen, taken, threads, seed)
-        except FitError as error:
+        except (FitError, NotScorable) as error:
             raise FitError(f"operating point {point.key}: {error}") from error
 
 
@@ -134,30 +135,12 @@ def _fitted(
     graphs = Graphs(trunk=trunk.graph, head=head)
     manifest, files = bundle_files(facts, graphs, bank, backbone=trunk.id, with_trunk=False)
     loaded = Bundle.in_memory(manifest, files, loaded=(trunk.sha256,))
-    scored = {tap: taken.features[tap][len(seen.nominal) :] for tap in taps}
-    maps, scores = _scored(loaded, scored, threads)
-    return FittedPoint(point, trunk, manifest, files, maps, scores, taken.seconds * point.presses, bank_s)
-
-
-def _scored(
-    bundle: Bundle, features: Features, threads: int
-) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Score maps (n, h, w) and scores (n,) by the bundle's head. Errors: FitError, also where one is not finite."""
-    head = open_session(bundle.graphs.head or b"", threads, f"head of {bundle.manifest.method}")
-    wanted = {given.name for given in head.get_inputs()}
-    stored = {name: array for name, array in bundle.bank.items() if name in wanted}
-    maps, scores = [], []
-    for k in range(len(next(iter(features.values())))):
-        taps = {tap: found[k : k + 1] for tap, found in features.items() if tap in wanted}
-        try:
-            score_map, score = head.run(["score_map", "score"], {**taps, **stored})
-        except RUNTIME_ERRORS as error:
-            raise FitError(f"the head does not run on press {k}: {error!s:.300}") from error
-        if not (np.isfinite(score_map).all() and np.isfinite(score).all()):
-            raise FitError(f"the head gives a score that is not finite on press {k}")
-        maps.append(score_map[0])
-        scores.append(float(score[0]))
-    return np.stack(maps), np.array(scores)
+    first_scored = len(seen.nominal)
+    maps = {tap: [one[None] for one in taken.features[tap][first_scored:]] for tap in taps}
+    session = open_session(loaded.graphs.head or b"", threads, f"head of {point.method}")
+    scored = run_head(session, loaded.bank, maps, point.method)
+    seconds = taken.seconds * point.presses
+    return FittedPoint(point, trunk, manifest, files, scored.maps, scored.scores, seconds, bank_s)
 
 
 def _facts(

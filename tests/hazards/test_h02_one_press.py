@@ -3,21 +3,18 @@
 Guards: one press is defined (rank 0 returns early in `lowrank.spectrum`, and no division by N-1 = 0), features must be
 finite at fit, and the graph never turns NaN into a number. Checked by removal: without the first pair the first test
 fails; without isfinite in `validation._check_strength` the second; with NaN replaced by 0 before the root the third;
-without isfinite in `studies.scoring.scored` or `tradeoff.fitting._scored` the last.
+without isfinite in `studies.scoring.run_head` the last.
 """
-
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 import tiny
 from presses import LIKE_RESNET, features, fitted, head_scores
 
-from calibration.studies.scoring import TestPresses, scored
-from calibration.tradeoff import fitting
-from edge.core.detector import Features, Nominal
+from calibration.studies.scoring import run_head
+from edge.core.detector import Nominal
 from edge.core.errors import FitError, NotScorable
-from edge.model.bundle import Bundle
+from edge.model.session import open_session
 from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.padim import padim
 
@@ -68,24 +65,16 @@ def test_nothing_hides_a_nan_from_the_gateway(detector: object, bad: float) -> N
             detector.reference_score(query, LIKE_RESNET, bank, parameters)  # type: ignore[attr-defined]
 
 
-def _of_a_study(asked: Features) -> object:
-    """As `gelgate lab study` scores it."""
-    none = np.zeros((1, 32, 32), np.bool_)
-    test = TestPresses({tap: [maps] for tap, maps in asked.items()}, none, np.array([False]))
-    return scored(tiny.tiny_graphs().head or b"", tiny.tiny_bank().arrays, test, "tiny")
-
-
-def _of_a_tradeoff(asked: Features) -> object:
-    """As `gelgate lab tradeoff` scores it."""
-    return fitting._scored(Bundle.in_memory(*tiny.tiny_files()), asked, 1)
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-@pytest.mark.parametrize("score", [_of_a_study, _of_a_tradeoff])
-def test_no_study_scores_what_is_not_finite(score: Callable[[Features], object], bad: float) -> None:
+def test_no_study_scores_what_is_not_finite(bad: float) -> None:
     """Studies and trade-off run the head themselves: a press whose score is not finite is refused there too."""
-    asked = {"layer1": np.full((1, 3, 4, 4), 0.5, np.float32)}
+    graphs, bank = tiny.tiny_graphs(), tiny.tiny_bank().arrays
+
+    def score(maps: np.ndarray) -> object:
+        return run_head(open_session(graphs.head or b"", 1, "head"), bank, {"layer1": [maps]}, "tiny")
+
+    asked = np.full((1, 3, 4, 4), 0.5, np.float32)
     score(asked)
-    asked["layer1"][0, 0, 2, 2] = bad
-    with pytest.raises((NotScorable, FitError), match="not finite"):
+    asked[0, 0, 2, 2] = bad
+    with pytest.raises(NotScorable, match="not finite"):
         score(asked)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from tiny import TINY, tiny_grid
 
-from calibration.studies.scoring import MEASURES, TestPresses, fit_and_score, recall_at
+from calibration.metrics.summary import recall_at
+from calibration.studies.scoring import MEASURES, TestPresses, fit_and_score
 from edge.core.detector import Nominal
 from edge.core.errors import FitError
 
@@ -87,9 +88,4 @@ def test_recall_by_hand(nominal: list[float], defective: list[float], rate: floa
     scores = np.array([*nominal, *defective], np.float64)
     label = np.arange(len(scores)) >= len(nominal)
 
-    assert recall_at(scores, label, rate) == pytest.approx(share)
-
-
-def test_recall_of_one_class_is_undefined() -> None:
-    """None, as the other measures."""
-    assert recall_at(np.array([1.0]), np.array([True]), 0.01) is None
+    assert recall_at(scores, label, np.ones((1, len(scores))), rate) == pytest.approx(share)

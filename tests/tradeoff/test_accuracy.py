@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from calibration.tradeoff.accuracy import MEASURES, Truth, measured, recall_at
+from calibration.metrics.summary import recall_at
+from calibration.tradeoff.accuracy import MEASURES, Truth, measured
 
 SCORES = np.array([1.0, 2.0, 3.0, 4.0, 3.5, 5.0, 6.0])
 IS_DEFECTIVE = np.array([False, False, False, False, True, True, True])
