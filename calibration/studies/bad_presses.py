@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from calibration.studies.cells import Cell
 from calibration.studies.good_fraction_study import presses_in
-from calibration.studies.material import Drawn, Evaluation, fit_cell, material
+from calibration.studies.material import Drawn, fit_cell, material
 from calibration.studies.presses import TEST_SEED, hold_out, opened, subset
 from calibration.studies.rows import Rows
-from calibration.studies.study import Options, chosen_places, make_cells, prepare, run_cells
+from calibration.studies.study import Evaluation, Options, chosen_places, make_cells, prepare, run_cells
 from edge.core.errors import DatasetError
 
 __all__ = ["BAD_SHARES", "STUDY", "BadPresses", "halves", "mixed", "study_bad_presses"]

@@ -12,11 +12,11 @@ import numpy as np
 
 from calibration.dataset import Dataset
 from calibration.studies.cells import Cell
-from calibration.studies.material import Drawn, Evaluation, Material, Place, fit_cell, material
+from calibration.studies.material import Drawn, Material, Place, fit_cell, material
 from calibration.studies.presses import HeldOut, hold_out, opened, subset
 from calibration.studies.rows import Rows
 from calibration.studies.scoring import Scored, TestPresses, measures
-from calibration.studies.study import Options, chosen_places, make_cells, prepare, run_cells
+from calibration.studies.study import Evaluation, Options, chosen_places, make_cells, prepare, run_cells
 from edge.core.errors import DatasetError
 
 __all__ = ["STUDY", "TARGET_FRACTIONS", "CrossPosition", "cross_position_cells", "study_cross_position"]

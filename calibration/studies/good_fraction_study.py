@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from calibration.studies.cells import Cell
-from calibration.studies.material import Drawn, Evaluation, fit_cell, material
+from calibration.studies.material import Drawn, fit_cell, material
 from calibration.studies.presses import hold_out, opened, subset
 from calibration.studies.rows import Rows
-from calibration.studies.study import Options, chosen_places, make_cells, prepare, run_cells
+from calibration.studies.study import Evaluation, Options, chosen_places, make_cells, prepare, run_cells
 from edge.core.errors import ConfigError, DatasetError
 
 __all__ = ["FRACTIONS", "HELD_OUT", "SHOTS", "STUDY", "GoodFraction", "study_good_fraction"]

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,7 @@ from edge import registry
 from edge.core.detector import Nominal, Progress
 from edge.core.errors import DatasetError
 
-if TYPE_CHECKING:
-    from calibration.studies.study import Options
-
-__all__ = ["Drawn", "Evaluation", "Material", "Place", "fit_cell", "material"]
+__all__ = ["Drawn", "Material", "Place", "fit_cell", "material"]
 
 
 @dataclass(frozen=True)
@@ -154,22 +151,3 @@ def fit_cell(
     )
     changed = {"changed": written(overrides)} if overrides else {}
     return {**measured, **drawn[0].material.facts, **changed}
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Evaluates the cells of a study. taps: by backbone, those that are extracted for all cells."""
-
-    dataset: Path
-    cache: Path
-    taps: Mapping[str, tuple[str, ...]]
-
-    @classmethod
-    def of(cls, options: "Options") -> Self:
-        """Return that of what a study is asked for."""
-        return cls(options.dataset.absolute(), options.features, options.taps())
-
-    def place(self, cell: Cell, position: str | None = None) -> Place:
-        """Return where the cell's features come from. position: another one than the cell's."""
-        where = cell.part, position or cell.position, cell.backbone
-        return Place(self.dataset, self.cache, *where, self.taps[cell.backbone])

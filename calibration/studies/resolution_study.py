@@ -18,12 +18,20 @@ from calibration.dataset import LabelledPress
 from calibration.fitting.features import trunk_grid
 from calibration.fitting.trunks import Trunk, open_trunk
 from calibration.studies.cells import Cell, Split
-from calibration.studies.material import Drawn, Evaluation, Material, Place, fit_cell, material
+from calibration.studies.material import Drawn, Material, Place, fit_cell, material
 from calibration.studies.pictures import PressPictures
 from calibration.studies.presses import TEST_SEED, HeldOut, StudyPresses, hold_out, opened, presses_of, subset
 from calibration.studies.rows import Rows
 from calibration.studies.scoring import Scored, TestPresses, measures
-from calibration.studies.study import Options, chosen_places, make_cells, prepare, require_known, run_cells
+from calibration.studies.study import (
+    Evaluation,
+    Options,
+    chosen_places,
+    make_cells,
+    prepare,
+    require_known,
+    run_cells,
+)
 from calibration.studies.views import COMMON, VIEWS, common_map, tiled
 from edge.core.detector import Progress
 from edge.core.errors import DatasetError, StoreError

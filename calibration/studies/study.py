@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Self, get_args
 
 from calibration.dataset import Dataset
 from calibration.fitting.trunks import DEFAULT_BACKBONE, every_cut
@@ -28,6 +28,7 @@ from edge.extras import needs
 
 __all__ = [
     "ROWS_FILE",
+    "Evaluation",
     "Options",
     "check_same",
     "chosen_places",
@@ -101,6 +102,25 @@ class Options:
     def taps(self) -> dict[str, tuple[str, ...]]:
         """By backbone, the taps that all methods read. Errors: ConfigError, FitError."""
         return {name: taps_of(self.methods, self.modes, name) for name in self.backbones}
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Evaluates the cells of a study. taps: by backbone, those that are extracted for all cells."""
+
+    dataset: Path
+    cache: Path
+    taps: Mapping[str, tuple[str, ...]]
+
+    @classmethod
+    def of(cls, options: Options) -> Self:
+        """Return that of what a study is asked for."""
+        return cls(options.dataset.absolute(), options.features, options.taps())
+
+    def place(self, cell: Cell, position: str | None = None) -> Place:
+        """Return where the cell's features come from. position: another one than the cell's."""
+        where = cell.part, position or cell.position, cell.backbone
+        return Place(self.dataset, self.cache, *where, self.taps[cell.backbone])
 
 
 def compared_methods() -> tuple[str, ...]:

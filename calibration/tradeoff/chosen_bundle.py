@@ -10,10 +10,10 @@ import numpy as np
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.tradeoff.accuracy import measured
 from calibration.tradeoff.fitting import content_sha256, detector_of, first, trunk_of
+from calibration.tradeoff.plan import Run
 from calibration.tradeoff.point import VIEWS, OperatingPoint
 from calibration.tradeoff.presses import on_common_grid, see
 from calibration.tradeoff.rows import Row
-from calibration.tradeoff.run import Run
 from edge.model.archive import MANIFEST
 from edge.model.bundle import manifest_bytes
 from edge.model.scorer import Scorer

@@ -9,7 +9,7 @@ from calibration.tradeoff.options import TradeoffArguments
 from edge.cli.arguments import flatten
 
 if TYPE_CHECKING:
-    from calibration.tradeoff.run import Run
+    from calibration.tradeoff.plan import Run
 
 __all__ = ["tradeoff"]
 
@@ -28,7 +28,7 @@ def tradeoff(given: TradeoffArguments) -> None:
     from calibration.progress import progress
     from calibration.tradeoff.measured import measured_rows
     from calibration.tradeoff.pick import pick
-    from calibration.tradeoff.run import Run
+    from calibration.tradeoff.plan import Run
     from edge.core.errors import ConfigError
     from edge.extras import needs
 

@@ -5,8 +5,9 @@ from pathlib import Path
 
 from calibration.studies.rows import ROWS_FILE
 from calibration.studies.runner import Show
+from calibration.tradeoff.plan import Run
 from calibration.tradeoff.rows import Row, read_rows, write_rows
-from calibration.tradeoff.run import Run, clean, measure, require_same_run
+from calibration.tradeoff.run import clean, measure, require_same_run
 
 __all__ = ["measured_rows"]
 

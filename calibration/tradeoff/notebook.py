@@ -11,8 +11,8 @@ from calibration.tradeoff.figure import figure
 from calibration.tradeoff.measured import measured_rows
 from calibration.tradeoff.page import write_page
 from calibration.tradeoff.peers import require_models
+from calibration.tradeoff.plan import Run, RunSettings
 from calibration.tradeoff.rows import read_rows
-from calibration.tradeoff.run import Run, RunSettings
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,7 +35,7 @@ def tradeoff(
     """Run `gelgate lab tradeoff`, or read the rows that the folder holds; one row for each operating point.
 
     Nested fields are columns with dots, such as `accuracy.aupro_fpr01.value`. Empty sequences are the command's
-    defaults. asked: further fields of `calibration.tradeoff.run.RunSettings`, such as part, position or minutes.
+    defaults. asked: further fields of `calibration.tradeoff.plan.RunSettings`, such as part, position or minutes.
     Errors: as the command; TypeError for another field.
     """
     import pandas as pd

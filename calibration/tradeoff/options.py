@@ -8,7 +8,7 @@ import typer
 
 if TYPE_CHECKING:
     from calibration.tradeoff.pick import Limits
-    from calibration.tradeoff.run import RunSettings
+    from calibration.tradeoff.plan import RunSettings
 
 __all__ = ["TradeoffArguments"]
 
@@ -66,7 +66,7 @@ class TradeoffArguments:
 
     def settings(self) -> "RunSettings":
         """Return what the run depends on."""
-        from calibration.tradeoff.run import RunSettings
+        from calibration.tradeoff.plan import RunSettings
 
         named = {name: getattr(self, name) for name in ("seed", "threads", "rounds", "minutes")}
         return RunSettings(self.dataset, self.part, self.position, replicates=self.bootstrap, **named)

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.studies.rows import ROW_FORMAT
 from calibration.tradeoff.accuracy import measured
+from calibration.tradeoff.plan import Run
 from calibration.tradeoff.point import VIEWS
 from calibration.tradeoff.presses import Seen, see
 from calibration.tradeoff.rows import Row
@@ -29,9 +30,6 @@ from calibration.tradeoff.timing import Drawing
 from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.frames import CameraFrame
-
-if TYPE_CHECKING:
-    from calibration.tradeoff.run import Run
 
 __all__ = ["NOTE", "Peer", "learn", "load_weights", "map_large_blocks", "peers", "require_models"]
 
@@ -90,7 +88,7 @@ def require_models() -> None:
         ) from error
 
 
-def peers(run: "Run", frames: Sequence[CameraFrame]) -> list[Peer]:
+def peers(run: Run, frames: Sequence[CameraFrame]) -> list[Peer]:
     """Both models, fitted on the first presses and scored on the same ones as every point.
 
     frames: camera frames to be timed on. Errors: ConfigError where the dataset gives too few presses.
@@ -109,7 +107,7 @@ def peers(run: "Run", frames: Sequence[CameraFrame]) -> list[Peer]:
 
 def _fitted(
     method: str,
-    run: "Run",
+    run: Run,
     seen: Seen,
     normalise: Callable[[NDArray[np.uint8]], Any],
     frames: Sequence[CameraFrame],

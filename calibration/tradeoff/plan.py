@@ -6,15 +6,20 @@ most of them between two others.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from operator import itemgetter
+from pathlib import Path
 from typing import Final
 
+from calibration.tradeoff.accuracy import Truth
 from calibration.tradeoff.point import OperatingPoint, Setting
+from calibration.tradeoff.presses import Chosen, choose_presses, masks_of
 from edge import registry
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 
-__all__ = ["BACKBONES", "PRESSES", "chosen_points", "usual_points"]
+__all__ = ["BACKBONES", "LEAST_ROUNDS", "PRESSES", "Run", "RunSettings", "chosen_points", "usual_points"]
 
 BACKBONES: Final = ("tactile_resnet18", "tactile_resnet18_int8")
 """The trunks of a run without others: the shipped one in float32 and in int8."""
@@ -84,3 +89,91 @@ def chosen_points(
             f"{PRESSES[0]}; press more good parts"
         )
     return points
+
+
+LEAST_ROUNDS: Final = 7
+"""Below this the interval of a median over rounds is as wide as the samples."""
+
+MOST_SCORED: Final = 40
+"""Good and defective presses that are scored, each."""
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What a run depends on.
+
+    most_fitted: presses that the largest fit takes. minutes: after them no new round of timing begins.
+    """
+
+    dataset: Path
+    part: str | None = None
+    position: str | None = None
+    seed: int = 0
+    threads: int = 2
+    rounds: int = 25
+    replicates: int = 200
+    most_fitted: int = 40
+    most_scored: int = MOST_SCORED
+    minutes: float = 15.0
+
+    def __post_init__(self) -> None:
+        if self.rounds < LEAST_ROUNDS:
+            raise ConfigError(f"times need at least {LEAST_ROUNDS} rounds, found {self.rounds}")
+
+
+@dataclass(frozen=True)
+class Run:
+    """Points that are measured on presses."""
+
+    settings: RunSettings
+    chosen: Chosen
+    points: tuple[OperatingPoint, ...]
+
+    @classmethod
+    def of(cls, settings: RunSettings, methods: Sequence[str] = (), backbones: Sequence[str] = ()) -> "Run":
+        """Return the run of every point that the presses allow; no method or backbone: all of them.
+
+        Errors: DatasetError, ConfigError.
+        """
+        chosen = choose_presses(
+            settings.dataset,
+            settings.part,
+            settings.position,
+            most_fitted=settings.most_fitted,
+            most_scored=settings.most_scored,
+            seed=settings.seed,
+        )
+        points = chosen_points(
+            tuple(backbones) or BACKBONES,
+            tuple(methods) or registry.names("detectors"),
+            has_high_resolution=bool(chosen.high),
+            most_presses=len(chosen.fitted),
+        )
+        return cls(settings, chosen, points)
+
+    def point(self, key: str) -> OperatingPoint:
+        """Return the point of a key. Errors: ConfigError with the nearest known key."""
+        named = {point.key: point for point in self.points}
+        if key not in named:
+            raise ConfigError(f"no operating point is named '{key}'; {suggestion(key, named)}")
+        return named[key]
+
+    @cached_property
+    def truth(self) -> Truth:
+        """What is known of the scored presses."""
+        return Truth.of(
+            self.chosen.label,
+            masks_of(self.chosen),
+            self.chosen.specimens,
+            self.settings.replicates,
+            self.settings.seed,
+        )
+
+    @property
+    def command(self) -> str:
+        """The command that measures these presses again, with the dataset's folder name alone."""
+        chosen = self.chosen
+        return (
+            f"gelgate lab tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} "
+            f"--seed {self.settings.seed}"
+        )

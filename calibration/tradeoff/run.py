@@ -4,8 +4,7 @@ import json
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
@@ -22,109 +21,20 @@ from calibration.tradeoff.floor import Work, floor_ms, work_of
 from calibration.tradeoff.front import dominators
 from calibration.tradeoff.machine import Peak, best, fingerprint, probe
 from calibration.tradeoff.memory import peak_bytes
-from calibration.tradeoff.plan import BACKBONES, chosen_points
+from calibration.tradeoff.plan import LEAST_ROUNDS, Run, RunSettings
 from calibration.tradeoff.point import VIEWS, OperatingPoint
-from calibration.tradeoff.presses import Chosen, choose_presses, masks_of, on_common_grid, see
+from calibration.tradeoff.presses import Chosen, on_common_grid, see
 from calibration.tradeoff.rows import Row
 from calibration.tradeoff.statistics import PressTimes, press_times
 from calibration.tradeoff.timing import STAGES, Lane, Timed, bundle_lanes, camera_frames, measure_rounds
-from edge import registry
 from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES
-from edge.core.suggest import suggestion
 from edge.model.bundle import Bundle, write_bundle
 
-__all__ = ["LEAST_ROUNDS", "Run", "RunSettings", "clean", "measure", "require_same_run"]
-
-LEAST_ROUNDS: Final = 7
-"""Below this the interval of a median over rounds is as wide as the samples."""
+__all__ = ["clean", "measure", "require_same_run"]
 
 CAMERA_FRAMES: Final = 3
 """Different presses that are decoded and scored while timing."""
-
-MOST_SCORED: Final = 40
-"""Good and defective presses that are scored, each."""
-
-
-@dataclass(frozen=True)
-class RunSettings:
-    """What a run depends on.
-
-    most_fitted: presses that the largest fit takes. minutes: after them no new round of timing begins.
-    """
-
-    dataset: Path
-    part: str | None = None
-    position: str | None = None
-    seed: int = 0
-    threads: int = 2
-    rounds: int = 25
-    replicates: int = 200
-    most_fitted: int = 40
-    most_scored: int = MOST_SCORED
-    minutes: float = 15.0
-
-    def __post_init__(self) -> None:
-        if self.rounds < LEAST_ROUNDS:
-            raise ConfigError(f"times need at least {LEAST_ROUNDS} rounds, found {self.rounds}")
-
-
-@dataclass(frozen=True)
-class Run:
-    """Points that are measured on presses."""
-
-    settings: RunSettings
-    chosen: Chosen
-    points: tuple[OperatingPoint, ...]
-
-    @classmethod
-    def of(cls, settings: RunSettings, methods: Sequence[str] = (), backbones: Sequence[str] = ()) -> "Run":
-        """Return the run of every point that the presses allow; no method or backbone: all of them.
-
-        Errors: DatasetError, ConfigError.
-        """
-        chosen = choose_presses(
-            settings.dataset,
-            settings.part,
-            settings.position,
-            most_fitted=settings.most_fitted,
-            most_scored=settings.most_scored,
-            seed=settings.seed,
-        )
-        points = chosen_points(
-            tuple(backbones) or BACKBONES,
-            tuple(methods) or registry.names("detectors"),
-            has_high_resolution=bool(chosen.high),
-            most_presses=len(chosen.fitted),
-        )
-        return cls(settings, chosen, points)
-
-    def point(self, key: str) -> OperatingPoint:
-        """Return the point of a key. Errors: ConfigError with the nearest known key."""
-        named = {point.key: point for point in self.points}
-        if key not in named:
-            raise ConfigError(f"no operating point is named '{key}'; {suggestion(key, named)}")
-        return named[key]
-
-    @cached_property
-    def truth(self) -> Truth:
-        """What is known of the scored presses."""
-        return Truth.of(
-            self.chosen.label,
-            masks_of(self.chosen),
-            self.chosen.specimens,
-            self.settings.replicates,
-            self.settings.seed,
-        )
-
-    @property
-    def command(self) -> str:
-        """The command that measures these presses again, with the dataset's folder name alone."""
-        chosen = self.chosen
-        return (
-            f"gelgate lab tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} "
-            f"--seed {self.settings.seed}"
-        )
 
 
 @one_blas_thread()

@@ -13,8 +13,8 @@ from tradeoff_rows import row
 
 from calibration.tradeoff.figure import front_sentence, svg
 from calibration.tradeoff.notebook import tradeoff, tradeoff_figure
+from calibration.tradeoff.plan import Run, RunSettings
 from calibration.tradeoff.rows import read_rows, write_rows
-from calibration.tradeoff.run import Run, RunSettings
 from edge import cli
 from edge.core.errors import ConfigError
 

@@ -10,13 +10,12 @@ import pytest
 from tradeoff_dataset import make_dataset
 
 from calibration.progress import progress
-from calibration.tradeoff import run
 from calibration.tradeoff.chosen_bundle import bundle_of
-from calibration.tradeoff.plan import chosen_points, usual_points
+from calibration.tradeoff.plan import LEAST_ROUNDS, Run, RunSettings, chosen_points, usual_points
 from calibration.tradeoff.point import VIEWS, OperatingPoint
 from calibration.tradeoff.presses import choose_presses, on_common_grid
 from calibration.tradeoff.rows import read_rows, write_rows
-from calibration.tradeoff.run import Run, RunSettings, measure, require_same_run
+from calibration.tradeoff.run import measure, require_same_run
 from calibration.tradeoff.timing import STAGES
 from edge.core.errors import ConfigError, DatasetError, GelgateError
 from edge.model.bundle import Bundle
@@ -208,7 +207,7 @@ def test_a_full_disk_keeps_the_finished_points(
 
 def test_too_few_rounds_are_refused(dataset: Path) -> None:
     """An interval over rounds needs rounds."""
-    with pytest.raises(ConfigError, match=f"times need at least {run.LEAST_ROUNDS} rounds, found 3"):
+    with pytest.raises(ConfigError, match=f"times need at least {LEAST_ROUNDS} rounds, found 3"):
         RunSettings(dataset, rounds=3)
 
 
