@@ -119,6 +119,16 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert [link for link in sorted(links) if not leads(page, link)] == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_of_the_program_that_a_page_names_are_there(page: Path) -> None:
+    """A reader finds what a page calls `edge/...` or `tests/...`."""
+    named = re.findall(
+        r"(?<![\w/.-])((?:edge|plugins|calibration|export|tests)/[\w./-]*\w)", page.read_text("utf-8")
+    )
+
+    assert [name for name in sorted(set(named)) if not (ROOT / name).exists()] == []
+
+
 def test_sections_that_the_program_names_are_there() -> None:
     """Messages and comments of the program point at pages too."""
     text = "".join(file.read_text(encoding="utf-8") for room in ROOMS for file in (ROOT / room).rglob("*.py"))
