@@ -45,7 +45,7 @@ class Row:
 
 METHODS = ("padim", "subspace", "spade", "fapm", "inreach", "patchcore")
 
-ROWS = [Row(method) for method in METHODS if method in registry.names("detectors")]
+ROWS = [*map(Row, METHODS), Row("padim", "wide_resnet50_2_random"), Row("padim", "tactile_resnet18_int8")]
 
 
 def pictures(n: int, frame: tuple[int, int]) -> NDArray[np.uint8]:
@@ -61,9 +61,8 @@ def pictures(n: int, frame: tuple[int, int]) -> NDArray[np.uint8]:
 
 @pytest.fixture(scope="module", autouse=True)
 def heading() -> None:
-    print(
-        f"\n{'':64}{'trunk':>8}{'full':>8}{'ratio':>7}{'stored':>9}{'in use':>9}{'features':>9}{'fit':>7}{'folds':>7}"
-    )
+    columns = ("trunk", "full", "head", "ratio", "stored", "in use", "features", "fit", "folds")
+    print(f"\n{'':64}" + "".join(f"{name:>9}" for name in columns))
 
 
 @pytest.mark.bench
@@ -92,10 +91,9 @@ def test_score_against_bare_trunk(row: Row) -> None:
     bare, full = interleaved(scorer, sessions, trunk, frames)
     cost = fitted.manifest.cost
     assert cost is not None
-    print(
-        f"{row!s:64}{bare:8.2f}{full:8.2f}{full / bare:7.2f}{cost.bank_bytes_stored / 1e6:9.2f}"
-        f"{cost.bank_bytes_unpacked / 1e6:9.2f}{cost.features_s:9.2f}{cost.fit_s:7.2f}{cost.threshold_s:7.2f}"
-    )
+    megabytes = cost.bank_bytes_stored / 1e6, cost.bank_bytes_unpacked / 1e6
+    shown = bare, full, full - bare, full / bare, *megabytes, cost.features_s, cost.fit_s, cost.threshold_s
+    print(f"{row!s:64}" + "".join(f"{value:9.2f}" for value in shown))
 
 
 def interleaved(
