@@ -156,6 +156,8 @@ def test_a_lift_from_a_pressed_reference_is_no_press() -> None:
     track, events = run(unconfirmed(), [*(inverse(40 * k) for k in range(1, 7)), *at(280, [FREE] * 20)])
     assert story(events) == "ReferenceDoubted ReferenceCorrected ReferenceReady"
     assert (track.state, track.is_confirmed) == (State.RECOVERY, False)
+    later = [*(inverse(40 * k, imprint=0.0) for k in range(1, 5)), *(inverse(40 * k) for k in range(5, 20))]
+    assert story(run(unconfirmed(), later)[1]).startswith("PressBegan PressNotSettled:DOUBTED PressEnded")
 
 
 def test_a_confirmed_reference_is_not_doubted() -> None:

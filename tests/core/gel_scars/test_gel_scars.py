@@ -49,8 +49,8 @@ def marked(levels: float) -> np.ndarray:
 
 
 def causes(gel: GelScars, presses: int, free: np.ndarray | None = FREE) -> list[Cause | None]:
-    """Of presses of pieces damaged at the place."""
-    found = [gel.judge(press(5), free) for _ in range(presses)]
+    """Of presses of pieces damaged at the place, little above the limit."""
+    found = [gel.judge(press(1), free) for _ in range(presses)]
     return [one.blame.cause if one.blame else None for one in found]
 
 
