@@ -117,21 +117,26 @@ def test_a_second_press_saves_false_alarms_for_few_presses() -> None:
     assert found.misses[1] >= found.misses[0]
 
 
-@pytest.mark.parametrize(
-    "costs",
-    [
-        replace(COSTS, press=1e6),
-        replace(COSTS, missed=1e9),
-        replace(COSTS, false_alarm=0),
-    ],
-)
-def test_it_is_never_asked_for_where_it_does_not_pay(costs: Costs) -> None:
-    """Dear presses, dear misses, or false alarms that cost nothing."""
-    _, found = planned(np.random.default_rng(4), costs)
+RNG = np.random.default_rng(4)
+KNOWN, DAMAGED = known(RNG), damaged_scores(RNG, 20)
+NEVER = {
+    "dear presses": (KNOWN, replace(COSTS, press=1e6), "costs more than the false alarms that it saves"),
+    "dear misses": (KNOWN, replace(COSTS, missed=1e9), "costs more than the false alarms that it saves"),
+    "free false alarms": (KNOWN, replace(COSTS, false_alarm=0), "costs more than the false alarms"),
+    "one press each": (KnownScores(((0.5,),) * 30, DAMAGED), COSTS, "no piece was pressed twice"),
+    "one piece": (KnownScores(((1.0, 2.0),), DAMAGED), COSTS, ""),
+    "no damage above": (replace(KNOWN, damaged=((0.1, 0.2), ())), COSTS, "no rendered damage"),
+    "no spread": (KnownScores(((1.0, 1.0), (1.0, 1.0)), ((3.0, 3.0),)), COSTS, ""),
+}
 
-    assert found.bound is None
-    assert "costs more than the false alarms that it saves" in found.why
-    assert found.presses == 1
+
+@pytest.mark.parametrize("name", NEVER)
+def test_it_is_never_asked_for_where_it_does_not_pay_or_too_little_is_known(name: str) -> None:
+    """The plan says why."""
+    scores, costs, why = NEVER[name]
+    found = plan(scores, 2.0, ALPHA, costs)
+    assert (found.bound, found.presses) == (None, 1)
+    assert why in found.why
 
 
 def test_the_bound_rises_with_the_cost_of_a_false_alarm() -> None:
@@ -145,24 +150,6 @@ def test_the_bound_rises_with_the_cost_of_a_false_alarm() -> None:
     assert bounds[-1] > bounds[0]
 
 
-def test_without_a_piece_that_was_pressed_twice_it_is_never_asked_for() -> None:
-    """What a second press adds is not known then."""
-    rng = np.random.default_rng(6)
-    alone = KnownScores(
-        tuple((score,) for score in rng.standard_normal(30).tolist()), damaged_scores(rng, 20)
-    )
-
-    assert plan(alone, 2.0, ALPHA, COSTS).why.startswith("no piece was pressed twice")
-    assert plan(replace(alone, sound=((1.0, 2.0),)), 2.0, ALPHA, COSTS).bound is None
-
-
-def test_without_damage_above_the_threshold_it_is_never_asked_for() -> None:
-    """What is risked is not known then."""
-    found = replace(known(np.random.default_rng(7)), damaged=((0.1, 0.2), ()))
-
-    assert plan(found, 2.0, ALPHA, COSTS).why.startswith("no rendered damage")
-
-
 def test_a_second_press_saves_little_where_presses_of_a_piece_are_alike() -> None:
     """A second press of the same piece would say what the first said."""
     rng = np.random.default_rng(8)
@@ -172,40 +159,28 @@ def test_a_second_press_saves_little_where_presses_of_a_piece_are_alike() -> Non
     assert done.false_alarms[1] == pytest.approx(done.false_alarms[0], rel=0.1)
 
 
-def test_scores_without_spread_are_no_fault() -> None:
-    """The smallest test detectors have such."""
-    found = KnownScores(((1.0, 1.0), (1.0, 1.0)), ((3.0, 3.0),))
-
-    assert plan(found, 2.0, ALPHA, COSTS).bound is None
-
-
 @pytest.mark.parametrize(
-    ("score", "bound", "expected"),
-    [(0.5, 2.0, False), (1.5, 2.0, True), (2.5, 2.0, False), (1.5, None, False)],
+    ("verdict", "bound", "expected"),
+    [
+        (decide(0.5, 1.0), 2.0, False),  # a pass stays a pass
+        (decide(1.5, 1.0), 2.0, True),
+        (decide(2.5, 1.0), 2.0, False),
+        (decide(1.5, 1.0), None, False),
+        (Verdict(Kind.UNSURE, 0.989, 1.0, 0.01), 2.0, False),  # not for its score: too much is not judged
+        (Verdict(Kind.UNSURE, 0.991, 1.0, 0.01), 2.0, True),  # rounding decides whether it passes
+        (Verdict(Kind.UNSURE, 1.009, 1.0, 0.01), 2.0, True),
+    ],
 )
 def test_only_a_press_a_little_above_the_threshold_asks(
-    score: float, bound: float | None, expected: bool
+    verdict: Verdict, bound: float | None, expected: bool
 ) -> None:
-    """A pass stays a pass, and what is far above fails at once."""
-    assert is_asked(decide(score, 1.0), bound) is expected
-
-
-@pytest.mark.parametrize(("score", "expected"), [(0.989, False), (0.991, True), (1.009, True)])
-def test_a_press_within_the_tolerance_asks(score: float, expected: bool) -> None:
-    """Rounding decides whether such a score passes: a second press is asked for on both sides of the threshold."""
-    assert is_asked(Verdict(Kind.UNSURE, score, 1.0, 0.01), 2.0) is expected
+    """On both sides of the threshold within its tolerance; what is far above fails at once."""
+    assert is_asked(verdict, bound) is expected
 
 
 def test_a_press_that_asks_is_unsure() -> None:
     """With its own numbers."""
-    verdict = unsure(decide(1.5, 1.0, 0.01))
-
-    assert (verdict.kind, verdict.score, verdict.threshold, verdict.tolerance) == (
-        Kind.UNSURE,
-        1.5,
-        1.0,
-        0.01,
-    )
+    assert unsure(decide(1.5, 1.0, 0.01)) == Verdict(Kind.UNSURE, 1.5, 1.0, 0.01)
 
 
 @pytest.mark.parametrize(
@@ -223,19 +198,13 @@ def test_a_press_that_does_not_pass_for_another_reason_does_not_pass_by_the_rule
     """Where too much of a press is not judged, its low score is no pass, and a second press would not help."""
     blind = Verdict(Kind.UNSURE, 0.5, 1.0, 0.01)
 
-    assert not is_asked(blind, 2.0)
     assert second_verdict(1.5, blind, decide(0.5, 1.0, 0.01)).kind is Kind.UNSURE
 
 
 def test_another_score_than_the_lower_is_refused() -> None:
-    """So that no caller decides by the higher one."""
+    """So that no caller decides by the higher one; and so are costs that cannot be."""
+    for change, words in (({"press": -1}, "not negative"), ({"defect_rate": 2}, "a share")):
+        with pytest.raises(ValueError, match=words):
+            replace(COSTS, **change)
     with pytest.raises(ValueError, match="the lower of"):
         second_verdict(1.5, decide(0.9, 1.0), decide(1.5, 1.0))
-
-
-def test_costs_that_cannot_be_are_refused() -> None:
-    """With what was found."""
-    with pytest.raises(ValueError, match="not negative"):
-        replace(COSTS, press=-1)
-    with pytest.raises(ValueError, match="a share"):
-        replace(COSTS, defect_rate=2)
