@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from press_films import NOISE_SD, VIEW_MM, series
+from press_films import NOISE_SD, series
 
 from edge.core.contact.events import (
     PressBegan,
@@ -15,7 +15,6 @@ from edge.core.contact.events import (
 )
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.tracker import ContactTracker
-from edge.core.contact.wear import wear
 
 FPS = 25.0
 PRESSES = (PressBegan, PressSettled, PressNotSettled, PressEnded)
@@ -115,10 +114,3 @@ def test_a_first_press_is_not_taken_for_a_lift() -> None:
             station.press()
             assert station.of(ReferenceDoubted) == []
             assert len(station.of(PressSettled)) == 1
-
-
-def test_the_sizes_that_the_films_assume() -> None:
-    """Views are those of contact detection, a tenth of a millimetre a pixel, and of one gel."""
-    assert series("ball", "clear").shape[1:] == (120, 160, 3)
-    assert 0.1 < VIEW_MM < 0.13
-    assert wear(free_view("ball"), free_view("PZ1")).index == pytest.approx(0, abs=1e-6)

@@ -237,22 +237,6 @@ def test_relearning_follows_a_change_of_gel() -> None:
     assert camera.tracker.touch.area == 0
 
 
-def test_other_arrays_are_refused() -> None:
-    """uint8 would wrap, grey has no colours."""
-    tracker = ContactTracker()
-    with pytest.raises(ValueError, match="uint8"):
-        tracker.feed(np.zeros((120, 160, 3), np.uint8), 1, 1)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"\(120, 160\)"):
-        tracker.feed(np.zeros((120, 160), np.float32), 1, 1)
-
-
-def test_a_stored_reference_of_another_size_is_refused() -> None:
-    """Both shapes are named."""
-    tracker = ContactTracker(stored=Reference(np.zeros((60, 80, 3), np.float32), 1, 0))
-    with pytest.raises(ValueError, match=r"60, 80.*120, 160"):
-        tracker.feed(free_gel(), 1, 1)
-
-
 def video_views(path: Path) -> list[View]:
     capture = cv2.VideoCapture(str(path))
     views = []
@@ -261,6 +245,20 @@ def video_views(path: Path) -> list[View]:
         views.append(np.ascontiguousarray(small[..., ::-1]).astype(np.float32))
     capture.release()
     return views
+
+
+@pytest.mark.parametrize(
+    ("view", "stored", "words"),
+    [
+        (np.zeros((120, 160, 3), np.uint8), None, "uint8"),  # it would wrap
+        (np.zeros((120, 160), np.float32), None, r"\(120, 160\)"),
+        (free_gel(), Reference(np.zeros((60, 80, 3), np.float32), 1, 0), r"60, 80.*120, 160"),
+    ],
+)
+def test_other_arrays_are_refused(view: View, stored: Reference | None, words: str) -> None:
+    """What was found and what is expected is named."""
+    with pytest.raises(ValueError, match=words):
+        ContactTracker(stored=stored).feed(view, 1, 1)
 
 
 def test_the_real_press_video(real_tactile: Path) -> None:
@@ -275,12 +273,7 @@ def test_the_real_press_video(real_tactile: Path) -> None:
         found += [(i, event) for event in tracker.feed(view, (i + 1) * SECOND // 25, i)]
     assert [type(event) for _, event in found] == [
         ReferenceReady,
-        PressBegan,
-        PressSettled,
-        PressEnded,
-        PressBegan,
-        PressSettled,
-        PressEnded,
+        *[PressBegan, PressSettled, PressEnded] * 2,
     ]
     expected = (22, 60, 109, 156, 162, 171, 211)
     assert [frame for frame, _ in found] == pytest.approx(expected, abs=2)
@@ -289,9 +282,9 @@ def test_the_real_press_video(real_tactile: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("stride", [1, 2, 3])
+@pytest.mark.parametrize("stride", [2, 3])
 def test_the_real_video_at_lower_rates(real_tactile: Path, stride: int) -> None:
-    """At 25, 12.5 and 8.3 frames a second the same two presses begin and end, each once.
+    """At 12.5 and 8.3 frames a second the same two presses begin and end, each once.
 
     Whether the ever shearing fingertip counts as still for a moment does depend on the rate.
     """

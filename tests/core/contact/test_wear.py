@@ -36,11 +36,12 @@ def specked(view: View, count: int) -> View:
 
 
 def test_a_gel_compared_with_itself_is_new() -> None:
-    """Nothing but noise: no mark, and an index near zero."""
+    """Nothing but noise, and no mark; nor on a new gel that came with dust and a scratch."""
     assert wear(gel(), gel()).index == 0
-    found = wear(gel(0), gel(1))
-    assert (found.specks, found.scratch_length) == (0, 0)
-    assert found.index < 0.02
+    first, now = (specked(scratched(gel(seed), (60, 60), (140, 120)), 5) for seed in (0, 1))
+    for found in (wear(gel(0), gel(1)), wear(first, now)):
+        assert (found.specks, found.scratch_length) == (0, 0)
+        assert found.index < 0.02
 
 
 def test_a_scratch_is_measured() -> None:
@@ -59,13 +60,6 @@ def test_specks_are_counted(count: int) -> None:
     found = wear(gel(), specked(gel(1), count))
     assert (found.specks, found.scratch_length) == (count, 0)
     assert found.index == pytest.approx(count / 40, abs=0.02)
-
-
-def test_old_marks_are_no_wear() -> None:
-    """A new gel that came with dust and a scratch is as new."""
-    first = specked(scratched(gel(), (60, 60), (140, 120)), 5)
-    found = wear(first, specked(scratched(gel(1), (60, 60), (140, 120)), 5))
-    assert (found.specks, found.scratch_length) == (0, 0)
 
 
 def test_exposure_is_no_mark_and_no_shading() -> None:
@@ -118,26 +112,14 @@ def unmarked(view: View) -> View:
     ).astype(np.float32)
 
 
-def test_one_real_gel_at_two_times_is_unworn(real_tactile: Path) -> None:
-    """Two pictures of one sensor published years apart: no new mark, an index below 0.1, in either order."""
-    early = read(real_tactile / "joehjhuang__gs_sdk" / "background.png")
-    late = read(real_tactile / "rpl-cmu__normalflow" / "background.png")
-    for first, now in ((early, late), (late, early)):
-        found = wear(first, now)
+def test_real_gels(real_tactile: Path) -> None:
+    """Two pictures of one sensor published years apart have no new mark, in either order. Against their own pictures
+    without narrow marks the used gel has its scratch, 24 pixels long, and another gel its fixed fleck."""
+    folders = ("joehjhuang__gs_sdk", "rpl-cmu__normalflow", "skleff1994__gs_sdk", "rpl-cmu__gelslam")
+    early, late, used, dusty = (read(real_tactile / folder / "background.png") for folder in folders)
+    for found in (wear(early, late), wear(late, early)):
         assert (found.specks, found.scratch_length) == (0, 0)
         assert found.index < 0.1
-
-
-def test_the_scratch_of_a_real_gel_is_found(real_tactile: Path) -> None:
-    """The used gel's scratch right of the centre, 24 pixels long, against its own picture without narrow marks."""
-    used = read(real_tactile / "skleff1994__gs_sdk" / "background.png")
-    found = wear(unmarked(used), used)
-    assert found.scratch_length * 320 == pytest.approx(24, abs=4)
-
-
-def test_the_fleck_of_a_real_gel_is_found(real_tactile: Path) -> None:
-    """The fleck fixed on another gel is a speck and no scratch."""
-    dusty = read(real_tactile / "rpl-cmu__gelslam" / "background.png")
-    found = wear(unmarked(dusty), dusty)
-    assert found.specks >= 1
-    assert found.scratch_length == 0
+    assert wear(unmarked(used), used).scratch_length * 320 == pytest.approx(24, abs=4)
+    fleck = wear(unmarked(dusty), dusty)
+    assert (fleck.specks >= 1, fleck.scratch_length) == (True, 0)
