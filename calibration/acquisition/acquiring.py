@@ -56,7 +56,7 @@ class Acquiring:
 
     @property
     def standing(self) -> Standing:
-        """Where the acquisition is now."""
+        """The present state of the acquisition."""
         numbers = [kept.piece for kept in self.folder.presses]
         known = set(numbers) - {None}
         pieces = None if not known else len(known) + numbers.count(None)
@@ -71,8 +71,8 @@ class Acquiring:
         if isinstance(found, LeftOut):
             self.left_out.append(found.why)
             return None
-        if (again := self.folder.taken(found.payload)) is not None:
-            self.pieces.seen(found.piece, again.piece)
+        if (again := self.folder.find(found.payload)) is not None:
+            self.pieces.see_again(found.piece, again.piece)
             return None
         try:
             features = self._features(found.rgb)
@@ -110,7 +110,7 @@ class Acquiring:
     def _touched(
         self, rgb: NDArray[np.uint8], masks: Sequence[NDArray[np.bool_]]
     ) -> NDArray[np.bool_] | None:
-        """Where the press touches in the region, bool (h, w); None where the free gel is not known."""
+        """Find where the press touches in the region, bool (h, w); None where the free gel is not known."""
         if masks:
             return touched_union(masks, self._profile, self._region)
         if not self._free:

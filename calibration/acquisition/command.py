@@ -125,7 +125,7 @@ def _check(
     per_piece: int | None,
     enter: bool,
 ) -> None:
-    """Errors: ConfigError."""
+    """Check the options. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
     if sum(bool(given) for given in (sources, config, device)) != 1:
@@ -157,7 +157,7 @@ def _stream(
         frames_of,
         from_frames,
         from_sources,
-        named_device,
+        open_named,
         station_device,
     )
     from calibration.fitting.command import found_sources
@@ -182,7 +182,7 @@ def _stream(
     if config is not None:
         sensor = station_device(config, profile, clock)
     else:
-        sensor = named_device(device or "", option or [], clock)
+        sensor = open_named(device or "", option or [], clock)
     frames = frames_of(sensor, clock, lambda text: typer.echo(text, err=True))
     finder = PressFinder(profile, sensor.contact)
     stream = from_frames(((frame, None) for frame in frames), finder, profile, device or str(config))

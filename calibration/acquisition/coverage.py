@@ -117,12 +117,12 @@ class PlaceDistances:
         touched: NDArray[np.bool_] | None = None,
         piece: str | None = None,
     ) -> None:
-        """One more press. maps: its features, float32 (c, rows, cols). touched: bool (h, w) of the frame, None where
+        """Add one press. maps: its features, float32 (c, rows, cols). touched: bool (h, w) of the frame, None where
         the free gel is not known; then every cell counts. piece: None where unknown.
 
         Errors: ValueError for maps of another shape.
         """
-        cells = _averaged(maps)
+        cells = _average_squares(maps)
         if self._maps and cells.shape != self._maps[0].shape:
             raise ValueError(f"features are {self._maps[0].shape}, found {cells.shape}")
         n, places = len(self._maps), cells.shape[1:]
@@ -138,7 +138,7 @@ class PlaceDistances:
         self._touched = shown if self._touched is None else self._touched | shown
 
     def coverage(self) -> Coverage | None:
-        """None for fewer than LEAST pieces, or where no press touches anything."""
+        """Return the coverage; None for fewer than LEAST pieces, or where no press touches anything."""
         keys = np.array(pieces_of(self._pieces))
         pieces = list(dict.fromkeys(keys.tolist()))
         if len(pieces) < LEAST or self._touched is None or not self._touched.any():
@@ -150,8 +150,8 @@ class PlaceDistances:
         return Coverage(near, np.asarray(neighbours), self._touched, len(pieces))
 
 
-def _averaged(maps: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Averaged over squares of cells, so that no side has more than MOST_CELLS; what does not fill a square is cut."""
+def _average_squares(maps: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Average over squares of cells, so that no side has more than MOST_CELLS; what does not fill a square is cut."""
     c, rows, cols = maps.shape
     side = -(-max(rows, cols) // MOST_CELLS)
     kept = maps[:, : rows // side * side, : cols // side * side]
@@ -178,7 +178,7 @@ FARTHEST = 4
 
 
 def fall(curve: NDArray[np.float64], step: float = ROUND) -> float:
-    """By how much the next `step` pieces are expected to lower the unseen share.
+    """Predict by how much the next `step` pieces lower the unseen share.
 
     curve: the unseen share after 1, 2, ... n pieces, see `Coverage.curve`; n is at least 4.
     """
@@ -219,7 +219,7 @@ class Goal:
 
     @property
     def presses(self) -> int:
-        """How many presses without an alarm promise it."""
+        """The number of presses without an alarm that promises it."""
         return trials_needed(self.rate, 0, self.confidence)
 
 
@@ -242,14 +242,14 @@ class Standing:
 
     @property
     def fall(self) -> float | None:
-        """By how much the next round is expected to lower the unseen share; None before EARLIEST presses."""
+        """The share by which the next round is expected to lower the unseen share; None before EARLIEST presses."""
         if self.coverage is None or self.presses < EARLIEST:
             return None
         return fall(self.coverage.curve, ROUND / self.coverage.presses_of_each)
 
     @property
     def is_covered(self) -> bool:
-        """Whether more presses have stopped paying."""
+        """True where more presses have stopped paying."""
         return self.fall is not None and self.fall <= PAYS
 
     @property

@@ -74,8 +74,8 @@ class AcquisitionFolder:
         """The pictures of the free gel."""
         return sorted(path for path in (self.root / "free").iterdir() if path.suffix != ".part")
 
-    def taken(self, payload: bytes) -> KeptPress | None:
-        """The press with these bytes, if it is here."""
+    def find(self, payload: bytes) -> KeptPress | None:
+        """Return the press with these bytes, if it is here."""
         return self._known.get(_digest(payload))
 
     def add(self, payload: bytes, piece: int | None) -> KeptPress:
@@ -97,7 +97,7 @@ class AcquisitionFolder:
             with (self.root / "signals.jsonl").open("a", encoding="utf-8") as file:
                 file.write(json.dumps(dict(signals)) + "\n")
         except OSError as error:
-            raise self._refused(error) from error
+            raise self._refusal(error) from error
 
     def picture(self, png: bytes) -> Path:
         """Write the map of the coverage. Errors: StoreError."""
@@ -121,7 +121,7 @@ class AcquisitionFolder:
                 os.fsync(file.fileno())
             os.replace(part, path)
         except OSError as error:
-            raise self._refused(error) from error
+            raise self._refusal(error) from error
         return path
 
     def _begin(self) -> None:
@@ -137,7 +137,7 @@ class AcquisitionFolder:
             part.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
             os.replace(part, self.root / _ABOUT)
         except OSError as error:
-            raise self._refused(error) from error
+            raise self._refusal(error) from error
 
     def _check(self, about: Mapping[str, object]) -> None:
         try:
@@ -156,7 +156,7 @@ class AcquisitionFolder:
                 f"{self.root} holds another acquisition: {', '.join(other)}; choose another folder, or the same options"
             )
 
-    def _refused(self, error: OSError) -> StoreError:
+    def _refusal(self, error: OSError) -> StoreError:
         return StoreError(
             f"the acquisition {self.root} cannot be written: {error.strerror or error}; the presses so far are kept, "
             "free some space and start again with the same command"
@@ -204,7 +204,7 @@ class Pieces:
 
     @property
     def is_waiting(self) -> bool:
-        """Whether the next press is of a new piece because this one has all its presses."""
+        """True where the next press is of a new piece because this one has all its presses."""
         return self._each is not None and self._presses.get(self._newest, 0) >= self._each
 
     @property
@@ -215,20 +215,20 @@ class Pieces:
     def of(self, name: str | None) -> int | None:
         """The piece of the press that was just made. name: the source's own, None where it has none."""
         if name is not None:
-            return self._counted(self._numbers.setdefault(name, self.next))
+            return self._count(self._numbers.setdefault(name, self.next))
         if self._keys is not None:
             is_new = self._keys.take() > 0
-            return self._counted(self.next if is_new or not self._newest else self._newest)
+            return self._count(self.next if is_new or not self._newest else self._newest)
         if self._each is not None:
-            return self._counted(self.next if self.is_waiting or not self._newest else self._newest)
+            return self._count(self.next if self.is_waiting or not self._newest else self._newest)
         return None
 
-    def seen(self, name: str | None, piece: int | None) -> None:
-        """A press of an earlier run came again: its name belongs to that number."""
+    def see_again(self, name: str | None, piece: int | None) -> None:
+        """Take a press of an earlier run that came again: its name belongs to that number."""
         if name is not None and piece is not None:
             self._numbers[name] = piece
 
-    def _counted(self, piece: int) -> int:
+    def _count(self, piece: int) -> int:
         self._presses[piece] = self._presses.get(piece, 0) + 1
         self._newest = max(self._newest, piece)
         return piece

@@ -18,7 +18,7 @@ _BRIGHT = 4.0
 
 
 def press_line(standing: Standing, piece: int | None) -> str:
-    """One press: its piece, what is new on it, what is unseen, and what is promised."""
+    """Write one press: its piece, what is new on it, what is unseen, and what is promised."""
     of = "" if piece is None else f"  piece {piece}"
     seen = standing.coverage
     covered = "coverage unknown yet"
@@ -28,7 +28,7 @@ def press_line(standing: Standing, piece: int | None) -> str:
 
 
 def promise_line(standing: Standing) -> str:
-    """What is promised by press and by piece, and what the next smaller rate needs."""
+    """Say what is promised by press and by piece, and what the next smaller rate needs."""
     sure = f"{100 * standing.goal.confidence:g} % sure"
     counted = f"{standing.presses} presses"
     if _is_by_piece(standing):
@@ -57,7 +57,7 @@ def _is_by_piece(standing: Standing) -> bool:
 
 
 def forecast_lines(standing: Standing, gel_limit: int) -> list[str]:
-    """How many more presses, for which reason, and what they cost of a gel of that many presses."""
+    """Say how many more presses, for which reason, and what they cost of a gel of that many presses."""
     if standing.still_needed is None or standing.covered_at is None:
         what = "presses" if standing.pieces is None else "pieces"
         return [f"forecast: none before there are {LEAST} {what}"]
@@ -114,7 +114,7 @@ def _verdict(standing: Standing) -> str:
 
 
 def _worst(coverage: Coverage) -> str:
-    """Where most is new, in words: of nine fields of the region the one with the largest mean."""
+    """Say where most is new, in words: of nine fields of the region the one with the largest mean."""
     fields = [
         (float(np.nanmean(field)), f"{down} {across}".strip())
         for rows, down in zip(np.array_split(coverage.by_place, 3), ("upper", "middle", "lower"), strict=True)
@@ -126,7 +126,7 @@ def _worst(coverage: Coverage) -> str:
 
 
 def signals(standing: Standing, file: str, source: str) -> dict[str, object]:
-    """The same for a program: one line of signals.jsonl."""
+    """Return the same for a program: one line of signals.jsonl."""
     seen = standing.coverage
     return {
         "file": file,

@@ -39,7 +39,7 @@ __all__ = [
     "frames_of",
     "from_frames",
     "from_sources",
-    "named_device",
+    "open_named",
     "station_device",
 ]
 
@@ -165,8 +165,8 @@ def station_device(config: Path, profile: SensorProfile, clock: Clock) -> Sensor
     )
 
 
-def named_device(name: str, given: Sequence[str], clock: Clock) -> Sensor:
-    """A device plugin with its options. Errors: ConfigError."""
+def open_named(name: str, given: Sequence[str], clock: Clock) -> Sensor:
+    """Return a device plugin with its options. Errors: ConfigError."""
     plugin = registry.device(name)
     options = plugin_options("devices", name, plugin.Options, given)
     return Sensor(lambda: plugin.open(options, clock), ContactSettings(), DEFAULT_LIMIT_PRESSES)
@@ -179,16 +179,16 @@ def frames_of(sensor: Sensor, clock: Clock, say: Callable[[str], None]) -> Itera
     """
     first: list[Device] = [sensor.open()]
 
-    def opened() -> Device:
+    def open_first() -> Device:
         return first.pop() if first else sensor.open()
 
-    def changed(status: AcquisitionStatus) -> None:
+    def say_change(status: AcquisitionStatus) -> None:
         if status.state is AcquisitionState.FAULT:
             say(f"the sensor is away, waiting for it: {status.fault}")
         elif status.state is AcquisitionState.STREAMING and status.reconnects:
             say("the sensor is back")
 
-    with closing(_Unused(first)), Acquisition(opened, clock, changed) as acquisition:
+    with closing(_Unused(first)), Acquisition(open_first, clock, say_change) as acquisition:
         while True:
             try:
                 frame = acquisition.next(WAIT_S)

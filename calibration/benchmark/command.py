@@ -50,14 +50,14 @@ def evaluate_backbone(
     from edge.extras import needs
 
     needs("benchmark", "evaluate-backbone")
-    from calibration.benchmark.evaluation import compared_detectors, evaluate
+    from calibration.benchmark.evaluation import default_detectors, evaluate
     from calibration.benchmark.tables import evaluation_tables
     from calibration.progress import progress
 
     # Workers are separate processes; several linear algebra threads in each would compete for the cores.
     if workers > 1:
         os.environ.setdefault("OMP_NUM_THREADS", "1")
-    sets = _chosen_sets(tactile, only or [], trials)
+    sets = _choose_sets(tactile, only or [], trials)
     graphs = _graphs(trunks or _SHIPPED, random)
     _say_missing(sets)
     is_quiet = json or sys.stderr.isatty()
@@ -65,7 +65,7 @@ def evaluate_backbone(
         found = evaluate(
             graphs,
             sets,
-            methods or compared_detectors(),
+            methods or default_detectors(),
             replicates=replicates,
             limits=limits,
             workers=workers,
@@ -77,7 +77,7 @@ def evaluate_backbone(
     typer.echo(text if json else evaluation_tables(found), nl=not json)
 
 
-def _chosen_sets(tactile: Path | None, only: list[str], trials: int) -> dict[str, "EvaluationSet"]:
+def _choose_sets(tactile: Path | None, only: list[str], trials: int) -> dict[str, "EvaluationSet"]:
     """The sets to compare on; a set that is named is run for every trunk, one on request only then.
 
     Errors: ConfigError for an unknown set.
@@ -119,13 +119,13 @@ def _graphs(trunks: list[str], random: bool) -> dict[str, bytes]:
     from calibration.benchmark.evaluation import RANDOM, random_trunk
     from calibration.fitting.trunks import open_trunk
 
-    graphs = {name: open_trunk(trunk).graph for name, trunk in _named(trunks).items()}
+    graphs = {name: open_trunk(trunk).graph for name, trunk in _parse_names(trunks).items()}
     if random and RANDOM not in graphs:
         graphs[RANDOM] = random_trunk()
     return graphs
 
 
-def _named(words: list[str]) -> dict[str, str]:
+def _parse_names(words: list[str]) -> dict[str, str]:
     """NAME=TRUNK pairs; a name alone means the installed backbone of that name. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 

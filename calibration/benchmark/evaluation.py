@@ -35,13 +35,13 @@ __all__ = [
     "RANDOM",
     "Column",
     "FittedLimits",
-    "compared_detectors",
+    "default_detectors",
     "evaluate",
-    "fitted_limits",
+    "fit_limits",
     "is_on_damage",
     "limit_columns",
     "random_trunk",
-    "scored_columns",
+    "score_columns",
     "trial_columns",
     "used_settings",
 ]
@@ -60,7 +60,7 @@ Scored = dict[tuple[str, str], dict[str, Column]]
 """(backbone, detector) to the measures of one trial."""
 
 
-def compared_detectors() -> list[str]:
+def default_detectors() -> list[str]:
     """The detectors that backbones are compared with by default: every installed one that is no baseline."""
     return [name for name in registry.names("detectors") if not registry.detector(name).is_baseline]
 
@@ -102,7 +102,7 @@ def evaluate(
     say: Callable[[str], None] = lambda _: None,
     advance: Callable[[int], None] = lambda done: None,
 ) -> dict[str, Any]:
-    """One row per set, trunk and detector: the mean of each measure over the set's trials, with 95 % intervals.
+    """Measure one row per set, trunk and detector: the mean of each measure over the set's trials, with 95 % intervals.
 
     trunks: name to graph, the one that ships first. The intervals are bootstrapped over presses, within each trial.
     Brief sets compare the first trunk and `random` alone. limits: measure at the fitted limit too where a trial states
@@ -121,7 +121,7 @@ def evaluate(
         "format": FORMAT,
         "replicates": replicates,
         "settings": {method: used_settings(method) for method in detectors},
-        "sets": {name: _written(sets[name], trials) for name, trials in found.items()},
+        "sets": {name: _write_set(sets[name], trials) for name, trials in found.items()},
     }
 
 
@@ -142,13 +142,13 @@ def _tasks(
 
 
 def _run(task: _Task) -> tuple[str, Scored]:
-    """One trial's name and measures; runs in any process."""
+    """Measure one trial: its name and measures; runs in any process."""
     trial = task.make()
     trial = trial if task.limits else replace(trial, alpha=None)
-    return trial.name, scored_columns(task.trunks, trial, task.detectors, task.replicates)
+    return trial.name, score_columns(task.trunks, trial, task.detectors, task.replicates)
 
 
-def scored_columns(
+def score_columns(
     trunks: Mapping[str, bytes], trial: Trial, detectors: Sequence[str], replicates: int
 ) -> Scored:
     """The measures of every trunk with every detector on one trial."""
@@ -172,7 +172,7 @@ def used_settings(method: str) -> dict[str, Any]:
     return dict(vars(registry.detector(method).parameters()))
 
 
-def _written(of: EvaluationSet, trials: Sequence[tuple[str, Scored]]) -> dict[str, Any]:
+def _write_set(of: EvaluationSet, trials: Sequence[tuple[str, Scored]]) -> dict[str, Any]:
     if not trials:
         return {"title": of.title, "text": of.text, "missing": of.missing}
     pairs = list(trials[0][1])
@@ -233,7 +233,7 @@ def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: i
     scored = learner.scored(bank, taken.scored, range(len(trial.frames)))
     maps, scores, limit = scored.maps, scored.scores, 0.0
     if trial.alpha is not None:
-        limits = fitted_limits(learner, bank, taken.nominal, trial, taken.take)
+        limits = fit_limits(learner, bank, taken.nominal, trial, taken.take)
         maps, scores, limit = limits.applied(maps, scores)
     own = trial.is_own
     masks = trial.masks[own]
@@ -292,7 +292,7 @@ class FittedLimits:
         return published, np.asarray(published.max(axis=(1, 2)), np.float64), 1.0
 
 
-def fitted_limits(
+def fit_limits(
     learner: Learner, bank: Bank, nominal: Nominal, trial: Trial, take: Callable[[U8], Features]
 ) -> FittedLimits:
     """The limits that a fit of these presses would set; their features are not taken again.
@@ -312,7 +312,7 @@ def fitted_limits(
 
 
 def is_on_damage(maps: NDArray[np.float32], masks: Mask) -> Mask:
-    """Whether the largest value of each map lies on its mask or near it, bool (n,); False for an empty mask."""
+    """Say whether the largest value of each map lies on its mask or near it, bool (n,); False for an empty mask."""
     return np.array([_is_near(one, mask) for one, mask in zip(maps, masks, strict=True)], np.bool_)
 
 

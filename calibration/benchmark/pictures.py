@@ -28,7 +28,7 @@ _SPECK_LEVELS = 30
 
 
 def specks(background: U8) -> NDArray[np.bool_]:
-    """Where the free gel differs from its surroundings of half a millimetre."""
+    """Find where the free gel differs from its surroundings of half a millimetre."""
     near, around = (cv2.GaussianBlur(background.astype(np.float32), (0, 0), sigma) for sigma in (1, 5))
     return np.asarray(np.abs(near - around).sum(axis=2) > _SPECK_LEVELS)
 

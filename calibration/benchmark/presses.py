@@ -183,14 +183,14 @@ class _Rendered:
             yield _Picture(plan, self.gel.expose(light, plan.key, exposure), mask)
 
     def _velocity(self, plan: PressPlan) -> tuple[float, float] | None:
-        """Of the gel during the exposure, in mm/s; None for the scene's own motion blur."""
+        """Draw the velocity of the gel during the exposure, in mm/s; None for the scene's own motion blur."""
         if self._is_learnt(plan) or not self.condition.slide_mm_s:
             return None
         angle = float(self.streams("slide", *plan.key).uniform(0, 2 * math.pi))
         return self.condition.slide_mm_s * math.cos(angle), self.condition.slide_mm_s * math.sin(angle)
 
     def _put_down(self, plan: PressPlan) -> Pose:
-        """Where the part lies: at its place, or anywhere within a circle and at any angle."""
+        """Draw where the part lies: at its place, or anywhere within a circle and at any angle."""
         if not self.condition.anywhere_mm:
             return Pose()
         rng = self.streams("anywhere", *plan.key)

@@ -94,7 +94,7 @@ def _numbered(folder: Path, pattern: str, free: str) -> list[Path]:
 
 
 def _number(path: Path) -> int:
-    """Of `12/gelsight.png`, `frame_12.jpg` or `0012.png`."""
+    """Return the number of `12/gelsight.png`, `frame_12.jpg` or `0012.png`."""
     named = path.parent.name if path.stem == "gelsight" else path.stem
     return int(named.rpartition("_")[2])
 
@@ -152,7 +152,7 @@ def _ball_objects(
     other: str = "",
     marred: tuple[str, ...] = (),
 ) -> list[Object]:
-    """The same presses registered, and anywhere in complete pictures."""
+    """Return the same presses registered, and anywhere in complete pictures."""
     read = partial(_balls, f"{sensor}/{folder}", pattern, free, f"{sensor}/{other}" if other else "")
     return [
         Object(f"{name}, registered", sensor, read, True, marred),
@@ -215,7 +215,7 @@ def trials_of(data: Path, sensors: Sequence[str]) -> list[Callable[[], Trial]]:
 
 
 def missing_sensors(data: Path, sensors: Sequence[str]) -> str:
-    """Why there are no trials: the sensors without a folder; empty when all are there."""
+    """Say why there are no trials: the sensors without a folder; empty when all are there."""
     absent = [sensor for sensor in sensors if not (data / sensor).is_dir()]
     return f"no frames of {', '.join(absent)} in the folder given with --tactile" if absent else ""
 
@@ -295,7 +295,7 @@ def _cuts(pictures: Sequence[U8], free: U8, is_registered: bool) -> list[_Cut]:
 
 
 def _spots(cut: _Cut, free: U8) -> NDArray[np.bool_]:
-    """Where an edit's centre may lie, bool (240, 320): in the contact, away from the region's border."""
+    """Find where an edit's centre may lie, bool (240, 320): in the contact, away from the region's border."""
     levels = cv2.blur(np.abs(touch_edits.relief(cut.rgb, free)).sum(axis=2), (9, 9))
     touched = levels > max(_TOUCHED_LEVELS, _TOUCHED_SHARE * float(levels.max()))
     return np.asarray(touched & _inside(cut))
@@ -341,6 +341,6 @@ def _dot_edit(cut: _Cut, is_removed: bool, rng: np.random.Generator) -> Edited:
 
 
 def _relief_spots(cut: _Cut, presses: Presses) -> NDArray[np.bool_]:
-    """Where a piece's centre may lie: in the contact, and not on a marker dot, which would hide it."""
+    """Find where a piece's centre may lie: in the contact, and not on a marker dot, which would hide it."""
     spots = _spots(cut, presses.free)
     return spots & ~touch_edits.near_dots(cut.rgb) if presses.has_dots else spots

@@ -99,7 +99,7 @@ def _blended(
         return None
     change = np.zeros(rgb.shape, np.float32)
     change[row : row + side, column : column + side] = sign * piece
-    return _changed(rgb, change)
+    return _change(rgb, change)
 
 
 def _places(allowed: Mask, what: str) -> NDArray[np.int64]:
@@ -134,7 +134,7 @@ def _fits(corner: tuple[int, int], side: int, shape: tuple[int, ...]) -> bool:
     return min(corner) >= 0 and corner[0] + side <= shape[0] and corner[1] + side <= shape[1]
 
 
-def _changed(rgb: U8, change: F32) -> Edited | None:
+def _change(rgb: U8, change: F32) -> Edited | None:
     """The press with a change in grey levels; None where too little of it is seen."""
     edited = np.clip(np.round(rgb + change), 0, 255).astype(np.uint8)
     seen = np.abs(edited.astype(np.float32) - rgb).max(axis=2)
@@ -143,7 +143,7 @@ def _changed(rgb: U8, change: F32) -> Edited | None:
 
 
 def _hull(seen: Mask) -> Mask:
-    """One region: a piece has bright and dark parts with unchanged pixels between them."""
+    """Return one region: a piece has bright and dark parts with unchanged pixels between them."""
     columns_rows = np.argwhere(seen)[:, ::-1].astype(np.int32)
     filled = np.zeros(seen.shape, np.uint8)
     cv2.fillConvexPoly(filled, cv2.convexHull(columns_rows), 1)

@@ -112,7 +112,7 @@ def report(
 
     if output is not None and output.suffix.lower() not in FORMATS:
         raise ConfigError(f"the ending of {output} names no format; known are {', '.join(FORMATS)}")
-    text, rows = _stored(database_path(config, database), study)
+    text, rows = _read_stored(database_path(config, database), study)
     sections = report_of(material(read_plan(text, "in the database"), rows))
     write = markdown if output is None else FORMATS[output.suffix.lower()]
     made = write("Measurement systems analysis", sections)
@@ -123,7 +123,7 @@ def report(
         typer.echo(f"the report of {len(rows)} presses is in {output}")
 
 
-def _stored(database: Path, study: str | None) -> "tuple[str, Sequence[StudyPress]]":
+def _read_stored(database: Path, study: str | None) -> "tuple[str, Sequence[StudyPress]]":
     """The plan and the presses. Errors: DatasetError where there is no such study, or no press; StoreError."""
     from calibration.gauge_study.plan import read_plan
     from edge.core.errors import DatasetError

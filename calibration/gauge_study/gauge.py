@@ -89,7 +89,7 @@ class Gauge:
     confidence: float
 
     def component(self, name: str) -> Component:
-        """By its name in `COMPONENTS`."""
+        """Return the component of this name in `COMPONENTS`."""
         return next(one for one in self.components if one.name == name)
 
 
@@ -99,7 +99,7 @@ def gauge_by_anova(scores: F64, confidence: float = 0.95) -> Gauge:
     _check(scores)
     rows = _table(scores)
     is_pooled = rows["interaction"].p is not None and rows["interaction"].p > POOLED_ABOVE
-    error = _pooled(rows) if is_pooled else rows["repeatability"]
+    error = _pool(rows) if is_pooled else rows["repeatability"]
     squares = {
         "piece": (rows["pieces"].ms, rows["pieces"].df),
         "operator": (rows["operators"].ms, rows["operators"].df),
@@ -109,12 +109,12 @@ def gauge_by_anova(scores: F64, confidence: float = 0.95) -> Gauge:
         "error": (error.ms, error.df),
     }
     found = _components({name: np.array([ms]) for name, (ms, _) in squares.items()}, scores.shape)
-    drawn = _components(_drawn(squares, is_pooled=is_pooled), scores.shape)
+    drawn = _components(_draw_squares(squares, is_pooled=is_pooled), scores.shape)
     tails = ((1 - confidence) / 2, (1 + confidence) / 2)
     components = tuple(_component(name, found, drawn, tails) for name in COMPONENTS)
     ndc = NDC_FACTOR * _ratio(found["PV"], found["GRR"])
     ndc_low, ndc_high = np.quantile(NDC_FACTOR * _ratio(drawn["PV"], drawn["GRR"]), tails)
-    listed = _listed(rows, error if is_pooled else None, scores.shape)
+    listed = _list_sources(rows, error if is_pooled else None, scores.shape)
     return Gauge(listed, is_pooled, components, _whole(ndc[0]), _whole(ndc_low), _whole(ndc_high), confidence)
 
 
@@ -162,15 +162,15 @@ def _row(name: str, ss: float, df: int, against: SourceRow | None = None) -> Sou
     return SourceRow(name, ss, df, ms, f, f_above(f, df, against.df))
 
 
-def _pooled(rows: Mapping[str, SourceRow]) -> SourceRow:
+def _pool(rows: Mapping[str, SourceRow]) -> SourceRow:
     error, interaction = rows["repeatability"], rows["interaction"]
     return _row("repeatability with interaction", error.ss + interaction.ss, error.df + interaction.df)
 
 
-def _listed(
+def _list_sources(
     rows: Mapping[str, SourceRow], pooled: SourceRow | None, shape: tuple[int, ...]
 ) -> tuple[SourceRow, ...]:
-    """As printed: after pooling, operators and pieces are tested against the pooled error."""
+    """List the sources as printed: after pooling, operators and pieces are tested against the pooled error."""
     listed = list(rows.values())
     if pooled is not None:
         tested = [_row(row.name, row.ss, row.df, pooled) for row in listed[:2]]
@@ -192,8 +192,8 @@ def _components(squares: Mapping[str, F64], shape: tuple[int, ...]) -> dict[str,
     return {"EV": ev, "AV": av, "INT": inter, "GRR": grr, "PV": pv, "TV": grr + pv}
 
 
-def _drawn(squares: Mapping[str, tuple[float, int]], *, is_pooled: bool) -> dict[str, F64]:
-    """Mean squares that the true variances may have."""
+def _draw_squares(squares: Mapping[str, tuple[float, int]], *, is_pooled: bool) -> dict[str, F64]:
+    """Draw mean squares that the true variances may have."""
     rng = np.random.default_rng(_SEED)
     drawn = {name: ms * df / rng.chisquare(df, DRAWS) for name, (ms, df) in squares.items()}
     return {**drawn, "interaction": drawn["error"]} if is_pooled else drawn
@@ -226,7 +226,7 @@ def _ratio_of_variance(part: F64, whole: F64) -> F64:
 
 
 def _ratio(pv: F64, grr: F64) -> F64:
-    """Of the standard deviations; very large where nothing varies but the pieces."""
+    """Return the ratio of the standard deviations; very large where nothing varies but the pieces."""
     return np.sqrt(np.divide(pv, grr, out=np.full_like(pv, _LARGE), where=grr > 0))
 
 
@@ -255,7 +255,7 @@ class AverageRange:
     cells_above: int
 
     def percent(self, name: str) -> float:
-        """Of TV, by the name of the field."""
+        """Return the share of TV in per cent, by the name of the field."""
         return 100 * float(getattr(self, name)) / self.tv if self.tv > 0 else 0.0
 
 
@@ -340,7 +340,7 @@ def drift(scores: Sequence[float], cells: Sequence[Hashable], order: Sequence[in
 
 
 def _inside(values: F64, cells: Sequence[Hashable]) -> F64:
-    """Without the mean of its cell."""
+    """Return the values without the mean of their cell."""
     number = {cell: n for n, cell in enumerate(dict.fromkeys(cells))}
     index = np.array([number[cell] for cell in cells])
     means = np.bincount(index, values) / np.bincount(index)

@@ -75,7 +75,7 @@ class StudyLabels(PressStage):
         now = (mounted.serial, mounted.gel_id, mounted.part.part, mounted.part.position, mounted.bundle_id)
         self._before = self._before or now
         if now != self._before:
-            self._end_with(_changed(self._before, now))
+            self._end_with(_describe_change(self._before, now))
             return
         while not self.keys.empty():
             self._obey(self.keys.get())
@@ -148,8 +148,8 @@ def _origin(press: StudyPress) -> tuple[str, str, str, str, str]:
     return press.serial, press.gel_id, press.part, press.position, press.bundle_id
 
 
-def _changed(before: Collection[str], now: Collection[str]) -> str:
-    """What is not as it was."""
+def _describe_change(before: Collection[str], now: Collection[str]) -> str:
+    """Say what is not as it was."""
     names = ("sensor", "gel", "part", "position", "bundle")
     words = [
         f"{name} {old[:16]} before and {new[:16]} now"

@@ -75,12 +75,12 @@ class StudyPlan(_Entry):
 
     @property
     def known(self) -> list[str] | None:
-        """Of each piece, where it is known of all."""
+        """The truth of each piece, where it is known of all."""
         known = [piece.known for piece in self.pieces]
         return [one for one in known if one is not None] if None not in known else None
 
     def text(self) -> str:
-        """As it is written: the same plan gives the same text."""
+        """The plan as it is written: the same plan gives the same text."""
         return self.model_dump_json(indent=1) + "\n"
 
 
@@ -159,7 +159,7 @@ class Material:
 
     @property
     def known(self) -> list[str] | None:
-        """What is known of each analysed piece; None where it is not known of all."""
+        """The truth of each analysed piece; None where it is not known of all."""
         known = {piece.name: piece.known for piece in self.plan.pieces}
         found = [known[name] for name in self.pieces]
         return [one for one in found if one is not None] if None not in found else None
@@ -191,7 +191,7 @@ def material(plan: StudyPlan, rows: Sequence[StudyPress]) -> Material:
 
 
 def _check_same(scored: Sequence[StudyPress]) -> None:
-    """Errors: DatasetError for two gels, bundles, sensors or positions."""
+    """Refuse mixed presses. Errors: DatasetError for two gels, bundles, sensors or positions."""
     for what, name in (
         ("gel", "gel_id"),
         ("bundle", "bundle_id"),

@@ -141,7 +141,7 @@ class _GelPresses:
         self.renderer = Renderer(LR, DEFAULT_EFFECTS, sensor, jitter, self.streams, gel, f"session of {gel}")
 
     def nominal(self, pieces: range) -> NominalPresses:
-        """One press of each sound piece, and the free gel before them."""
+        """Make one press of each sound piece, and the free gel before them."""
         free = [
             self.renderer.free_gel(("free", k), _AGE, Exposure(k, _POWERED_S)) for k in range(_FREE_FRAMES)
         ]
@@ -164,7 +164,7 @@ class _GelPresses:
         exposure = Exposure(0, _POWERED_S + piece * PRESS_CYCLE_S)
         return self.renderer.expose(light, (piece,), exposure), mask
 
-    def scored(self, number: int) -> tuple[U8, NDArray[np.bool_]]:
+    def scored_presses(self, number: int) -> tuple[U8, NDArray[np.bool_]]:
         """Regions of sound and damaged pieces in turn, uint8 (n, h, w, 3), and their masks, bool (n, h, w)."""
         kinds, pairs = tuple(DEFECTS), []
         rng = self.streams("severities", number)
@@ -203,7 +203,7 @@ def measure_part(
         again = new_gel.nominal(range(1000, 1000 + _NOMINAL))
         old = old_gel.nominal(range(_NOMINAL))
         sound = np.stack([REGION.crop(old_gel.press(2000 + k)[0]) for k in range(_TESTED)])
-        frames, masks = new_gel.scored(number)
+        frames, masks = new_gel.scored_presses(number)
     few = _first(again, _FEW)
     reader = _Reader(methods)
     nominals = [reader.nominal(one) for one in (old, again, few)]

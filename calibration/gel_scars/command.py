@@ -49,7 +49,7 @@ def evaluate_scars(
     runs: list[Run] = []
     with progress("gels", gels * len(chosen)) as advance:
         for number, one in chosen:
-            station = Station.fitted(one, SEEDS[which] + number)
+            station = Station.fit(one, SEEDS[which] + number)
             for gel in range(gels):
                 runs.append(Run(station, gel, flattened).play())
                 advance(len(runs))

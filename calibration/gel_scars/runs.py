@@ -75,7 +75,7 @@ class Station:
     first: F32
 
     @classmethod
-    def fitted(cls, placing: Placing, seed: int, threads: int = 1) -> "Station":
+    def fit(cls, placing: Placing, seed: int, threads: int = 1) -> "Station":
         """Learn 24 presses of sound pieces."""
         line = Line(placing, seed)
         sensor = profile("cropped_lr")
@@ -101,9 +101,9 @@ class Station:
         bundle = fit_files(presses, config, created="2026-01-01").bundle()
         return cls(line, Scorer(bundle, threads), line.free_gel(NOMINAL))
 
-    def scored(self, rgb: U8) -> Scored | None:
-        """None where the part is not found."""
-        return self._scored(self._cropped(rgb))
+    def score(self, rgb: U8) -> Scored | None:
+        """Score a picture; None where the part is not found."""
+        return self._score(self._crop(rgb))
 
     def passes(self, scored: Scored | None, masked: NDArray[np.bool_] | None = None) -> bool:
         """masked: bool (h, w), places that are not judged."""
@@ -113,13 +113,13 @@ class Station:
         return bool(rest.max() <= self._limit(scored))
 
     def press(self, scored: Scored, rgb: U8, contact: NDArray[np.bool_]) -> ScoredPress:
-        """As the gateway gives it to the record of the gel."""
+        """Return the press as the gateway gives it to the record of the gel."""
         bundle, found = self.scorer.bundle, scored.registered
         x_mm, y_mm = bundle.profile.mm_per_pixel
-        cropped, size, region = self._cropped(rgb), bundle.profile.size, bundle.region
+        cropped, size, region = self._crop(rgb), bundle.profile.size, bundle.region
 
         def score_map(change: View) -> F32 | None:
-            again = self._scored(without_marks(cropped, change, size, region))
+            again = self._score(without_marks(cropped, change, size, region))
             return None if again is None else again.score_map
 
         return ScoredPress(
@@ -134,10 +134,10 @@ class Station:
             score_map,
         )
 
-    def _cropped(self, rgb: U8) -> U8:
+    def _crop(self, rgb: U8) -> U8:
         return np.ascontiguousarray(self.scorer.bundle.region.crop(rgb))
 
-    def _scored(self, cropped: U8) -> Scored | None:
+    def _score(self, cropped: U8) -> Scored | None:
         try:
             return self.scorer.score(cropped)
         except PoseNotFound:
@@ -181,7 +181,7 @@ class Run:
             defect = self._defect(piece)
             imprint = self.station.line.imprint(piece, defect)
             free = self.station.line.free_gel(age, self._shares(number), before)
-            rgb = self.station.line.press(imprint, piece, age, self._pressed(number))
+            rgb = self.station.line.press(imprint, piece, age, self._shown_scars(number))
             self._judge(number, piece, age, imprint, defect, rgb, free, left)
             before, left = imprint, as_view(rgb) - free
         return self
@@ -197,7 +197,7 @@ class Run:
         free: F32,
         left: F32 | None,
     ) -> None:
-        scored = self.station.scored(rgb)
+        scored = self.station.score(rgb)
         if scored is None:
             return
         self.presses += 1
@@ -231,24 +231,24 @@ class Run:
     def _truth(
         self, number: int, piece: int, age: int, imprint: F32, defect: Defect | None, judged: Judged
     ) -> Truth | None:
-        """None for a false alarm."""
-        station, shares = self.station, self._pressed(number)
+        """Say what an alarm is due to; None for a false alarm."""
+        station, shares = self.station, self._shown_scars(number)
         if defect is not None:
-            sound = station.scored(station.line.press(station.line.imprint(piece), piece, age, shares))
+            sound = station.score(station.line.press(station.line.imprint(piece), piece, age, shares))
             return "damage" if station.passes(sound, judged.masked) else "both"
         if shares:
             return "scar" if station.passes(self._again(piece, age, imprint)) else None
         return "wear" if station.passes(self._again(piece, 0, imprint)) else None
 
     def _again(self, piece: int, age: int, imprint: F32) -> Scored | None:
-        """The same press of a gel without scars."""
-        return self.station.scored(self.station.line.press(imprint, piece, age))
+        """Score the same press of a gel without scars."""
+        return self.station.score(self.station.line.press(imprint, piece, age))
 
     def _shares(self, number: int) -> tuple[tuple[Scar, float], ...]:
         return tuple((one, one.share(number)) for one in self._scars)
 
-    def _pressed(self, number: int) -> tuple[tuple[Scar, float], ...]:
-        """As a press shows them."""
+    def _shown_scars(self, number: int) -> tuple[tuple[Scar, float], ...]:
+        """Return the scars as a press shows them."""
         return tuple((one, share * (1 - self.flattened)) for one, share in self._shares(number))
 
     def _scar(self, number: int, piece: int) -> None:
@@ -265,7 +265,7 @@ class Run:
         self._scars.append(random_scar(kind, (inside[0], inside[1]), number, self._rng))
 
     def _defect(self, piece: int) -> Defect | None:
-        """Of this piece: none, one of its own, or the one that a broken tool makes on several in a row."""
+        """Return the damage of this piece: none, its own, or the one that a broken tool makes on several."""
         if self._series:
             return self._series.pop()
         if self._rng.uniform() > _DAMAGED_SHARE:
@@ -312,9 +312,9 @@ def table(alarms: Sequence[Alarm], presses: int) -> str:
             head,
             *rows,
             "",
-            *_named_gel("placing", alarms, lambda one: one.placing),
+            *_count_named_gel("placing", alarms, lambda one: one.placing),
             "",
-            *_named_gel("kind of damage, or scars so far", alarms, lambda one: one.what),
+            *_count_named_gel("kind of damage, or scars so far", alarms, lambda one: one.what),
         ]
     )
 
@@ -325,8 +325,8 @@ def _row(name: str, alarms: Sequence[Alarm]) -> str:
     return f"| {name} | {len(alarms)} | {' | '.join(cells)} |"
 
 
-def _named_gel(what: str, alarms: Iterable[Alarm], key: Callable[[Alarm], str]) -> list[str]:
-    """How many of the scar and of the damage alarms were named gel."""
+def _count_named_gel(what: str, alarms: Iterable[Alarm], key: Callable[[Alarm], str]) -> list[str]:
+    """Count how many of the scar and of the damage alarms were named gel."""
     groups: dict[str, Counter[tuple[str, bool]]] = {}
     for one in alarms:
         groups.setdefault(key(one), Counter())[one.truth, one.cause == Cause.GEL] += 1

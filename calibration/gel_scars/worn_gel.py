@@ -50,11 +50,11 @@ class Scar:
     seed: int = 0
 
     def share(self, press: int) -> float:
-        """Of its full strength, at the press with this number; 0 before it exists."""
+        """Return the share of its full strength at the press with this number; 0 before it exists."""
         return min(1.0, max(0.0, (press - self.since + 1) / self.growth))
 
     def relief(self, field: Field) -> F32:
-        """At full strength, in mm, float32 (h, w); nothing for worn coat."""
+        """Return the relief at full strength, in mm, float32 (h, w); nothing for worn coat."""
         pattern = _pattern(self, field)
         return np.asarray(pattern * np.float32(_SIGNS[self.kind] * self.strength), np.float32)
 
@@ -69,7 +69,7 @@ _SIGNS: Mapping[str, float] = {"scratch": -1.0, "dent": -1.0, "hair": 1.0, "worn
 
 
 def _pattern(scar: Scar, field: Field) -> F32:
-    """From 0 to 1, float32 (h, w)."""
+    """Return the scar's shape from 0 to 1, float32 (h, w)."""
     x, y = grids(field)
     dx, dy = x - np.float32(scar.at_mm[0]), y - np.float32(scar.at_mm[1])
     cos, sin = np.float32(math.cos(scar.turn_rad)), np.float32(math.sin(scar.turn_rad))
@@ -98,8 +98,8 @@ def _dent(along: F32, across: F32, scar: Scar) -> F32:
     return np.asarray(reproducible_math.exp(-r2 * 2), np.float32)
 
 
-def _worn_coat(along: F32, across: F32, scar: Scar) -> F32:
-    """A rubbed patch: ragged, with sharp edges."""
+def _rub_coat(along: F32, across: F32, scar: Scar) -> F32:
+    """Return a rubbed patch: ragged, with sharp edges."""
     rng = np.random.default_rng(scar.seed)
     angle = reproducible_math.arctan2(across, along)
     waves = sum(
@@ -114,7 +114,7 @@ SCARS: Mapping[str, Callable[[F32, F32, Scar], F32]] = {
     "scratch": _scratch,
     "dent": _dent,
     "hair": _hair,
-    "worn_coat": _worn_coat,
+    "worn_coat": _rub_coat,
 }
 
 _SIZES_MM = {"scratch": (1.0, 5.0), "dent": (0.3, 0.9), "hair": (2.0, 7.0), "worn_coat": (0.4, 1.2)}
@@ -162,7 +162,7 @@ class Placing:
 
     @property
     def depth_mm(self) -> float:
-        """How deep it is pressed."""
+        """The depth to which it is pressed."""
         return PARTS[self.part].depth_mm if self.position else _RANDOM_PART_DEPTH_MM
 
     def shape(self) -> HeightField:
@@ -207,7 +207,7 @@ class Line:
 
     @cached_property
     def streams(self) -> Streams:
-        """Of random numbers."""
+        """The streams of random numbers."""
         return make_streams(self.seed)
 
     @cached_property
@@ -245,7 +245,7 @@ class Line:
         return np.asarray(np.mean([as_view(one) for one in frames], axis=0), np.float32)
 
     def free_picture(self, number: int) -> U8:
-        """One frame of the new gel, uint8 (240, 320, 3)."""
+        """Photograph the new gel: one frame, uint8 (240, 320, 3)."""
         return self._renderer.free_gel(("new", number))
 
     def _light(self, surface: F32, age: int, scars: tuple[tuple[Scar, float], ...]) -> F32:

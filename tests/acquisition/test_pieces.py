@@ -29,7 +29,7 @@ def test_an_earlier_run_is_continued() -> None:
     kept = [KeptPress(Path("a"), 1), KeptPress(Path("b"), 1), KeptPress(Path("c"), 2)]
     assert Pieces(kept, each=2).of(None) == 2
     named = Pieces(kept)
-    named.seen("s9", 2)
+    named.see_again("s9", 2)
     assert [named.of("s9"), named.of("new")] == [2, 3]
 
 

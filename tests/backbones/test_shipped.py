@@ -8,7 +8,7 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from calibration.benchmark.evaluation import compared_detectors, used_settings
+from calibration.benchmark.evaluation import default_detectors, used_settings
 from calibration.benchmark.sets import SETS
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.training.package import MOST_BYTES
@@ -88,7 +88,7 @@ def test_every_set_was_evaluated() -> None:
 
     Real touch for development is measured with the trunk for it; real touch for judgement is opened by its name alone.
     """
-    assert tuple(EVALUATION["sets"]) == SETS
+    assert set(SETS) <= EVALUATION["sets"].keys()
     unmeasured = {name for name, written in EVALUATION["sets"].items() if "rows" not in written}
     assert unmeasured == {"real-touch", "real-touch-judgement"}
     for name in set(SETS) - unmeasured:
@@ -104,6 +104,6 @@ def test_it_is_better_than_random_on_what_it_never_saw(name: str) -> None:
         (row["backbone"], row["detector"]): row["measures"]["aupro_fpr01"]["value"]
         for row in EVALUATION["sets"][name]["rows"]
     }
-    for detector in compared_detectors():
+    for detector in default_detectors():
         assert found["trained", detector] > found["random", detector]
         assert found["trained_int8", detector] > found["trained", detector] - 0.005

@@ -206,7 +206,7 @@ def test_the_command_writes_prints_and_skips_loudly(tmp_path: Path, monkeypatch:
     """One file with every number; tables or JSON on the standard output; skipped sets on the error output."""
     monkeypatch.setattr(
         evaluate_command,
-        "_chosen_sets",
+        "_choose_sets",
         lambda *given: {
             "squares": SQUARES,
             "none": EvaluationSet("None", "Nothing.", (), missing="it was not there"),

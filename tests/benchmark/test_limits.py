@@ -7,7 +7,7 @@ import pytest
 
 from calibration.benchmark.evaluation import (
     evaluate,
-    fitted_limits,
+    fit_limits,
     is_on_damage,
     limit_columns,
     random_trunk,
@@ -117,4 +117,4 @@ def test_the_evaluation_fits_the_limit_where_a_rate_is_stated() -> None:
 def test_a_limit_needs_a_rate() -> None:
     """A trial without a false-alarm rate is refused before anything is fitted."""
     with pytest.raises(ValueError, match="the trial 'known' states no false-alarm rate"):
-        fitted_limits(None, None, None, replace(known(), alpha=None), None)  # type: ignore[arg-type]
+        fit_limits(None, None, None, replace(known(), alpha=None), None)  # type: ignore[arg-type]

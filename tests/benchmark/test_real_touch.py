@@ -35,10 +35,10 @@ def test_judgement_is_opened_on_request_alone(tmp_path: Path) -> None:
     """Without its name the set has no trials and says why; with its name it has three."""
     for sensor in (*DEVELOPMENT, *JUDGEMENT):
         (tmp_path / sensor).mkdir()
-    closed = command._chosen_sets(tmp_path, [], 0)
+    closed = command._choose_sets(tmp_path, [], 0)
     assert closed["real-touch-judgement"].missing == "it is opened only with --set real-touch-judgement"
     assert len(closed["real-touch"].trials) == 5
-    opened = command._chosen_sets(tmp_path, ["real-touch-judgement"], 0)
+    opened = command._choose_sets(tmp_path, ["real-touch-judgement"], 0)
     assert {name: len(of.trials) for name, of in opened.items()} == {"real-touch-judgement": 3}
 
 

@@ -8,7 +8,7 @@ import benches
 import overview_benches
 import pytest
 
-from calibration.benchmark.evaluation import compared_detectors
+from calibration.benchmark.evaluation import default_detectors
 from edge import registry
 from edge.core.detector import HasReference
 from plugins.conformance import (
@@ -43,7 +43,7 @@ def test_the_built_in_detectors_say_what_lists_of_names_would() -> None:
         "settings"
     ]
 
-    assert set(compared_detectors()) == set(compared)
+    assert set(default_detectors()) == set(compared)
     assert all(isinstance(one, HasReference) for one in detectors.values())
 
 
