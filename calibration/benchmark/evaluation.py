@@ -14,8 +14,7 @@ from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.folds import held_out_folds
 from calibration.fitting.limits.held_out import Learner
-from calibration.fitting.limits.limit_choice import Choice
-from calibration.fitting.limits.limit_step import LimitStep
+from calibration.fitting.limits.limit_choice import Choice, prepare_trial
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.metrics import image_weights, interval, pixel_measures
 from calibration.metrics.summary import image_auroc_of
@@ -230,7 +229,7 @@ def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: i
     """
     learner = _learner(detector, taken.grid)
     bank = learner.bank(taken.nominal)
-    scored = learner.scored(bank, taken.scored, range(len(trial.frames)))
+    scored = learner.score(bank, taken.scored, range(len(trial.frames)))
     maps, scores, limit = scored.maps, scored.scores, 0.0
     if trial.alpha is not None:
         limits = fit_limits(learner, bank, taken.nominal, trial, taken.take)
@@ -285,9 +284,9 @@ class FittedLimits:
 
     def applied(self, maps: NDArray[np.float32], scores: Float) -> tuple[NDArray[np.float32], Float, float]:
         """Raw maps (n, h, w) and scores (n,) as a bundle publishes them, and its limit."""
-        if self.choice.chosen is None:
+        if self.choice.other is None:
             return maps, scores, self.plain
-        relative = [self.choice.chosen.limit.relative(one[None])[0] for one in maps]
+        relative = [self.choice.other.limit.relate(one[None])[0] for one in maps]
         published = np.stack(relative).astype(np.float32)
         return published, np.asarray(published.max(axis=(1, 2)), np.float64), 1.0
 
@@ -305,10 +304,10 @@ def fit_limits(
     folds, _ = held_out_folds(specimens, _FOLDS, np.random.default_rng(_SEED))
     height, width = trial.frames.shape[1:3]
     region = Region((PROFILE.size[0] - width) // 2, (PROFILE.size[1] - height) // 2, width, height)
-    step = LimitStep(learner, trial.nominal, (PROFILE, region), take, folds, trial.alpha)
-    scores = step.scores(nominal, lambda fraction: None)
-    plain = conformal_threshold(scores, trial.alpha, specimens=specimens).value
-    return FittedLimits(plain, step.choice(bank, nominal))
+    limits = prepare_trial(learner, trial.nominal, (PROFILE, region), take, folds, trial.alpha)
+    held_out = limits.score(nominal)
+    plain = conformal_threshold(held_out.sound.scores, trial.alpha, specimens=specimens).value
+    return FittedLimits(plain, limits.choose(held_out, bank, nominal))
 
 
 def is_on_damage(maps: NDArray[np.float32], masks: Mask) -> Mask:

@@ -8,8 +8,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.damage.damage import KINDS, Damage, Spot
-from calibration.fitting.damage.footprint import surroundings
+from calibration.fitting.damage.damage import KINDS, Damage, Spot, surroundings
 from calibration.fitting.damage.imprint import Station
 from calibration.fitting.features import extract
 from calibration.fitting.limits.folds import held_out_folds

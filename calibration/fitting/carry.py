@@ -168,9 +168,8 @@ def _threshold(
     old: ThresholdEntry, presses: NominalPresses, scores: NDArray[np.float64], tolerance: ToleranceEntry
 ) -> ThresholdEntry:
     """It promises what the new presses alone show: the bank has not seen them."""
-    specimens = presses.specimens or (None,) * len(presses)
     slack = tolerance.around(float(scores.max()))
-    found = conformal_threshold(scores, old.alpha, slack, "split-conformal", specimens)
+    found = conformal_threshold(scores, old.alpha, slack, "split-conformal", presses.specimens)
     method = (
         f"carried over to another gel ({found.value / old.value:.3g} times the limit before): {found.method}"
     )

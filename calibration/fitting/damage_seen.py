@@ -13,15 +13,15 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.bundle_measurements import scatter_warnings
-from calibration.fitting.damage.damaged_presses import damaged_presses
+from calibration.fitting.damage.damaged_presses import damage_presses
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.folds import held_out_folds
-from calibration.fitting.limits.held_out import Learner, ScoredPresses, held_out
-from calibration.fitting.pose.pose_decision import PoseChoice, Take, chosen_pose
-from calibration.fitting.presses.augmentation import Copies, augmentation_of
+from calibration.fitting.limits.held_out import Learner, ScoredPresses, score_held_out
+from calibration.fitting.pose.pose_decision import PoseChoice, chosen_pose
+from calibration.fitting.presses.augmentation import Copies, Take, augmentation_of
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.presses.scatter import scatter_warnings
 from calibration.fitting.trunks import Trunk
 from calibration.metrics import aupro, auroc
 from edge.core.detector import Detector, Features, Nominal
@@ -89,10 +89,9 @@ class DamageJudge:
 
     def __init__(self, presses: NominalPresses, config: FitConfig) -> None:
         self._config, self._all, self._few = config, presses, presses.spread(MOST_PRESSES)
-        self._view = config.profile, config.region
-        self.damaged = damaged_presses(self._few, *self._view, config.seed)
-        specimens = self._few.specimens or (None,) * len(self._few)
-        self._folds = held_out_folds(specimens, config.folds, np.random.default_rng(config.seed))[0]
+        self.damaged = damage_presses(self._few, *config.view, config.seed)
+        rng = np.random.default_rng(config.seed)
+        self._folds = held_out_folds(self._few.specimens, config.folds, rng)[0]
         press = [np.arange(len(self._few)), *(one.press for one in self.damaged.values())]
         self._press = np.concatenate(press)
         self._poses: dict[str, PoseChoice] = {}
@@ -105,7 +104,7 @@ class DamageJudge:
         brought = self._brought_to(learner, bench.take)
         nominal, features = bench.features(brought)
         learner = replace(learner, copies=self._copies(learner, brought, bench.take))
-        shown = held_out(learner, nominal, self._folds, (features, self._press)).edited
+        shown = score_held_out(learner, nominal, self._folds, (features, self._press)).edited
         press_ms = brought.registration_ms + bench.trunk_ms + float(np.median(shown.head_ms))
         return Seen(self._by_kind(brought.in_press(shown)), press_ms, brought.registered is not None)
 
@@ -121,7 +120,7 @@ class DamageJudge:
         """How presses come to the method, decided on the first trunk. Errors: FitError where it does not take them."""
         config, name = self._config, learner.detector.name
         if name not in self._poses:
-            self._poses[name] = chosen_pose(config.register, self._few, learner, take, self._view)
+            self._poses[name] = chosen_pose(config.register, self._few, learner, take, config.view)
         pose = self._poses[name]
         if pose.learnt is None:
             scatter_warnings(self._all, config.profile, learner.detector, config.is_scattered, pose.why)

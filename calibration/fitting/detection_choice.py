@@ -11,8 +11,7 @@ from pathlib import Path
 from calibration.fitting.candidates import Candidates
 from calibration.fitting.damage_seen import DamageJudge, Seen, TrunkBench
 from calibration.fitting.fit_config import FitConfig
-from calibration.fitting.limits.threshold import MIN_PRESSES
-from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from calibration.fitting.trunks import open_trunk
 from calibration.progress import Report
 from calibration.threads import one_blas_thread

@@ -4,10 +4,12 @@ The detector has the mathematics; the procedure (which presses, which folds, whi
 """
 
 import time
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, is_dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,21 +23,18 @@ from calibration.fitting.bundle_measurements import (
     measured_tolerance,
     placeholders,
     provenance,
-    scatter_warnings,
     warnings,
 )
 from calibration.fitting.features import extract, feature_warnings, trunk_grid
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.covering import covering_bank
-from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.folds import Folds, held_out_folds
 from calibration.fitting.limits.head_limit import bank_with, head_with_limit, limit_arrays
-from calibration.fitting.limits.held_out import Learner
-from calibration.fitting.limits.kinds import PLAIN
-from calibration.fitting.limits.limit_choice import Choice
-from calibration.fitting.limits.limit_step import LimitStep
+from calibration.fitting.limits.held_out import HeldOut, Learner
+from calibration.fitting.limits.limit_choice import Choice, LimitTrial, prepare_trial
+from calibration.fitting.limits.map_limit import PLAIN
 from calibration.fitting.limits.relief_step import ReliefChoice, relief_of, with_relief
 from calibration.fitting.limits.threshold import (
-    MIN_PRESSES,
     conformal_threshold,
     of_copies,
     require_enough,
@@ -43,12 +42,15 @@ from calibration.fitting.limits.threshold import (
 from calibration.fitting.pose.pose_decision import PoseChoice, chosen_pose
 from calibration.fitting.presses.augmentation import (
     EACH,
+    Augmentation,
     Copies,
+    Take,
     augmentation_of,
     rendered_copies,
 )
 from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
-from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
+from calibration.fitting.presses.scatter import scatter_warnings
 from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings, unproven_warnings
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
@@ -57,6 +59,7 @@ from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_b
 from edge.model.gel_facts import gel_facts
 from edge.model.limit_facts import MISSING
 from edge.model.manifest import (
+    ColourEntry,
     Facts,
     GridEntry,
     Manifest,
@@ -69,9 +72,9 @@ from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions, open_session
 from edge.model.tile_runner import most_typical, untouched_tiles
 
-T = TypeVar("T")
-
 __all__ = ["FitConfig", "Fitted", "fit_bundle", "fit_files"]
+
+Float = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -113,59 +116,40 @@ def fit_files(
     presses: NominalPresses, config: FitConfig, *, created: str, report: Report = lambda stage, fraction: None
 ) -> Fitted:
     """Fit a bundle in memory. Errors as `fit_bundle`."""
-    return _Fit(presses, config, created, report).run()
+    watch = _Watch(report)
+    plan = _plan_fit(presses, config)
+    with watch.time("features"):
+        features = _take_features(plan, partial(report, "features"))
+    return _measure(_learn_bank(features, watch), created, watch)
 
 
-class _Fit:
-    """One fit. Its stages are the methods in the order in which `run` calls them."""
+class _Watch:
+    """Reports how far a fit is, and measures how long its stages take."""
 
-    def __init__(self, presses: NominalPresses, config: FitConfig, created: str, report: Report) -> None:
-        self.presses, self.config, self.created, self.report = presses, config, created, report
-        self.detector = config.detector
-        self.parameters = self.detector.parameters(config.mode, **config.overrides)
-        self.specimens = presses.specimens or (None,) * len(presses)
-        promised = config.alpha if config.threshold is None else None
-        self.warnings = warnings(presses, (config.region.height, config.region.width), promised)
-        self.augmentation = augmentation_of(config.augment, presses, self.detector.name, config.mode)
-        self.fewest = 2 if self.augmentation.each and len(presses) < MIN_PRESSES else MIN_PRESSES
-        self.is_held_out = config.threshold is None and not (self.augmentation.each and len(presses) == 1)
-        if self.is_held_out:
-            require_enough(len(presses), config.alpha, self.fewest, self.augmentation.why)
-            rng = np.random.default_rng(config.seed)
-            self.folds, said = held_out_folds(self.specimens, config.folds, rng, self.fewest)
-            self.warnings += said
-        self.colours = nominal_colours(presses.frames)
-        self.warnings += colour_warnings(self.colours)
-        self.warnings += free_gel_warnings(presses)
+    def __init__(self, report: Report) -> None:
+        self.report = report
         self.seconds: dict[str, float] = {}
-        self.trunks = TrunkSessions(config.threads)
 
-    def run(self) -> Fitted:
-        features, no_contact = self._timed("features", self._features)
-        nominal = Nominal(features, self.posed.touched, no_contact)
-        self.warnings += feature_warnings(nominal, self.grid)
-        self.limits = self._timed("threshold", self._limit_step)
-        bank, scores, room = covering_bank(self.learner, nominal, self._learnt, self._limit)
-        self.warnings += room_warnings(room)
-        self.warnings += bank.facts.get("warnings", ())
-        self.choice = self._timed("threshold", lambda: self._choice(bank, replace(nominal, room=room)))
-        found = None if self.limits is None else self.limits.found(self.choice, self._unit(scores))
-        self.warnings[:0] = unproven_warnings(self.pose.separated, found)
-        head = self.learner.head(bank)
-        if (chosen := self.choice.chosen) is not None:
-            arrays = limit_arrays(chosen.limit)
-            head, bank, scores = head_with_limit(head, arrays), bank_with(bank, arrays), chosen.scores
-        self.relief = self._timed("threshold", lambda: self._relief(nominal, head))
-        head, bank = with_relief(head, bank, self.relief, self._unit(scores))
-        self.again = (
-            {} if scores is None or self.limits is None else self.limits.known_scores(scores, self.choice)
-        )
-        self.graphs = Graphs(trunk=self.config.trunk.graph, head=head)
-        self.apart = (
-            [] if scores is None or len(scores) < MIN_PRESSES else apart_warnings(scores, self.presses.names)
-        )
-        self.warnings += self.apart
-        return self._measured(bank, scores)
+    @contextmanager
+    def time(self, stage: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What is known of a fit before the trunk has seen a press."""
+
+    presses: NominalPresses
+    config: FitConfig
+    parameters: Any
+    folds: Folds | None
+    """The presses that are held out together; None where none is."""
+    fewest: int
+    """Presses that a threshold needs."""
+    colours: ColourEntry | None
+    warnings: Sequence[str]
 
     @property
     def why_plain(self) -> str:
@@ -173,195 +157,240 @@ class _Fit:
         few = f"of fewer than {MIN_PRESSES} presses nothing can be held out to choose by"
         return self.config.why_plain or (few if len(self.presses) < MIN_PRESSES else "")
 
-    def _limit_step(self) -> LimitStep | None:
-        """None where no press is held out."""
+    def augment(self, is_registered: bool = False) -> Augmentation:
+        """Decide on copies of the presses. Errors: FitError where they are asked for in vain."""
         config = self.config
-        if not self.is_held_out:
-            return None
-        view = config.profile, config.region
-        return LimitStep(
-            self.learner, self.posed, view, self._taken, self.folds, config.alpha, self.why_plain
-        )
+        return augmentation_of(config.augment, self.presses, config.detector.name, config.mode, is_registered)
 
-    def _choice(self, bank: Bank, nominal: Nominal) -> Choice:
-        if self.limits is None:
-            return Choice(PLAIN, self.why_plain)
-        return self.limits.choice(bank, nominal)
-
-    def _relief(self, nominal: Nominal, head: bytes) -> ReliefChoice:
-        config = self.config
-        if self.limits is None or self.why_plain:
-            return ReliefChoice(self.why_plain)
-        return relief_of(
-            self.posed, (config.profile, config.region), nominal, self._taken, self.folds, self.learner, head
-        )
-
-    def _unit(self, scores: NDArray[np.float64] | None) -> float:
-        """The score at the limit."""
-        if self.choice.chosen is not None or scores is None:
-            return 1.0
-        return self._limit(scores).value
-
-    def _learnt(self, nominal: Nominal) -> tuple[Bank, NDArray[np.float64] | None]:
-        bank = self._timed("fit", lambda: self.learner.bank(nominal, self._progress("bank")))
-        return bank, self._timed("threshold", lambda: self._held_out_scores(nominal))
-
-    def _limit(self, scores: NDArray[np.float64], slack: float = 0.0) -> ThresholdEntry:
+    def find_threshold(self, scores: Float, slack: float = 0.0) -> ThresholdEntry:
         return conformal_threshold(
-            scores, self.config.alpha, slack, specimens=self.specimens, fewest=self.fewest
+            scores, self.config.alpha, slack, specimens=self.presses.specimens, fewest=self.fewest
         )
 
-    def _timed(self, stage: str, work: Callable[[], T]) -> T:
-        start = time.perf_counter()
-        result = work()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
-        return result
 
-    def _progress(self, stage: str) -> Progress:
-        return lambda fraction: self.report(stage, fraction)
+def _plan_fit(presses: NominalPresses, config: FitConfig) -> _Plan:
+    """Check the presses and divide them into folds. Errors: FitError."""
+    promised = config.alpha if config.threshold is None else None
+    said = warnings(presses, (config.region.height, config.region.width), promised)
+    colours = nominal_colours(presses.frames)
+    parameters = config.detector.parameters(config.mode, **config.overrides)
+    plan = _Plan(presses, config, parameters, None, MIN_PRESSES, colours, ())
+    augmentation, folds = plan.augment(), None
+    fewest = 2 if augmentation.each and len(presses) < MIN_PRESSES else MIN_PRESSES
+    if config.threshold is None and not (augmentation.each and len(presses) == 1):
+        require_enough(len(presses), config.alpha, fewest, augmentation.why)
+        rng = np.random.default_rng(config.seed)
+        folds, few_pieces = held_out_folds(presses.specimens, config.folds, rng, fewest)
+        said += few_pieces
+    said += [*colour_warnings(colours), *free_gel_warnings(presses)]
+    return replace(plan, folds=folds, fewest=fewest, warnings=said)
 
-    def _features(self) -> tuple[Features, Features | None]:
-        self.session = open_session(
-            self.config.trunk.graph, self.config.threads, f"trunk '{self.config.trunk.id}'"
-        )
-        region = self.config.region
-        self.grid = trunk_grid(
-            self.session,
-            self.detector.taps(self.parameters),
-            (region.height, region.width),
-            self.config.profile.pixels_per_mm,
-        )
-        self.learner = Learner(
-            self.detector, self.grid, self.parameters, self.config.seed, self.config.threads
-        )
-        self.pose = self._pose()
-        self.posed = self.pose.posed(self.presses)
-        self.learner = replace(self.learner, copies=self._copies())
-        features = extract(self.session, self.posed.frames, self.grid, self._progress("features"))
-        free = self.presses.no_contact
-        return features, None if free is None else self._taken(free)
 
-    def _copies(self) -> Copies | None:
-        config, is_registered = self.config, self.pose.learnt is not None
-        self.augmentation = augmentation_of(
-            config.augment, self.presses, self.detector.name, config.mode, is_registered
-        )
-        return Copies.of(
-            self.presses,
-            self.augmentation.each,
-            config.profile.pixels_per_mm,
-            config.seed,
-            self._taken,
-        )
+@dataclass(frozen=True, eq=False)
+class _Features:
+    """What the trunk shows of the presses, in the pose in which the bank learns them."""
 
-    def _pose(self) -> PoseChoice:
-        """How presses are registered; where they are not, a method that compares places needs them at one place."""
-        config = self.config
-        view = config.profile, config.region
-        pose = chosen_pose(config.register, self.presses, self.learner, self._taken, view)
-        if pose.learnt is None:
-            self.warnings[:0] = scatter_warnings(
-                self.presses, config.profile, self.detector, config.is_scattered, pose.why
-            )
-        return pose
+    plan: _Plan
+    take: Take
+    learner: Learner
+    pose: PoseChoice
+    presses: NominalPresses
+    nominal: Nominal
+    augmentation: Augmentation
+    warnings: Sequence[str]
 
-    def _taken(self, frames: NDArray[np.uint8]) -> Features:
-        return extract(self.session, frames, self.grid, lambda fraction: None)
+    def prepare_trial(self) -> LimitTrial | None:
+        """Prepare the choice of a limit; None where no press is held out."""
+        plan, view, alpha = self.plan, self.plan.config.view, self.plan.config.alpha
+        if plan.folds is None:
+            return None
+        return prepare_trial(self.learner, self.presses, view, self.take, plan.folds, alpha, plan.why_plain)
 
-    def _held_out_scores(self, nominal: Nominal) -> NDArray[np.float64] | None:
-        """Anomaly scores of every press by a bank without it; None where the threshold is given."""
-        return None if self.limits is None else self.limits.scores(nominal, self._progress("threshold"))
+    def choose_relief(self, head: bytes) -> ReliefChoice:
+        plan, config = self.plan, self.plan.config
+        if plan.folds is None or plan.why_plain:
+            return ReliefChoice(plan.why_plain)
+        return relief_of(self.presses, config.view, self.nominal, self.take, plan.folds, self.learner, head)
 
-    def _measured(self, bank: Bank, scores: NDArray[np.float64] | None) -> Fitted:
-        """Score with the bundle as it will be loaded, then record the measurements."""
-        self.report("golden", 0.0)
-        provisional = Fitted(*self._files(bank, self._facts(bank, *placeholders()), ()))
-        scorer = Scorer(provisional.bundle(), self.config.threads, self.trunks)
-        golden = golden_frames(scorer, self.posed.frames)
-        black = np.zeros_like(self.presses.frames[0])
-        black_score = scorer.score_in_pose(black).anomaly_score
-        tolerance = measured_tolerance(scorer, golden, self.config.threads)
-        cost = cost_card(scorer, self.posed.frames, self.config.threads, self.seconds)
-        threshold = self._threshold(scores, tolerance, scorer)
-        is_refused = refuses(self.colours, black)
-        self.warnings += black_warnings(black_score, threshold, is_refused, self.apart)
-        facts = self._facts(bank, threshold, tolerance).model_copy(update={"cost": cost})
-        fitted = Fitted(*self._files(bank, facts, golden))
-        Scorer(fitted.bundle(self.trunks), self.config.threads, self.trunks).check_golden()
-        self.report("golden", 1.0)
-        return fitted
-
-    def _threshold(
-        self, scores: NDArray[np.float64] | None, tolerance: ToleranceEntry, scorer: Scorer
-    ) -> ThresholdEntry:
-        alpha = self.config.alpha
-        if self.config.threshold is not None:
-            return given_threshold(self.config.threshold, alpha)
-        if self.choice.chosen is not None:
-            return self.choice.chosen.threshold
-        if scores is None:  # one press: copies that the bank has not learnt
-            rng = np.random.default_rng(self.config.seed + 1)
-            fresh, _ = rendered_copies(self.presses, EACH, self.config.profile.pixels_per_mm, rng)
-            return of_copies([scorer.score_in_pose(rgb).anomaly_score for rgb in fresh], alpha)
-        return self._limit(scores, tolerance.around(float(scores.max())))
-
-    def _files(
-        self, bank: Bank, facts: Facts, golden: Sequence[GoldenFrame]
-    ) -> tuple[Manifest, dict[str, bytes]]:
-        with_trunk = self.config.with_trunk or not golden
-        return bundle_files(
-            facts,
-            self.graphs,
-            bank,
-            golden,
-            backbone=self.config.trunk.id,
-            with_trunk=with_trunk,
-            free_gel=self._free_gel(),
-            free_view=self.presses.free_view,
-            registration=None if self.pose.learnt is None else self.pose.learnt.part,
-        )
-
-    def _skipped(self) -> tuple[int, ...]:
+    @property
+    def skipped_tiles(self) -> tuple[int, ...]:
         """The tiles that a press without contact there may skip: those that no nominal press touches."""
-        tiles, touched = self.grid.tiles, self.posed.touched
+        tiles, touched = self.learner.grid.tiles, self.presses.touched
         if tiles is None or touched is None or self.presses.no_contact is None:
             return ()
         return untouched_tiles(tiles, touched)
 
-    def _free_gel(self) -> NDArray[np.uint8] | None:
-        free = self.presses.no_contact
-        return most_typical(free) if free is not None and self._skipped() else None
 
-    def _facts(self, bank: Bank, threshold: ThresholdEntry, tolerance: ToleranceEntry) -> Facts:
-        config = self.config
-        return Facts(
-            part=config.part,
-            position=config.position,
-            revision=config.revision,
-            method=self.detector.name,
-            mode=config.mode,
-            parameters=_plain(self.parameters),
-            repairs=tuple(bank.facts.get("repairs", ())),
-            facts={
-                "backbone": config.trunk.facts,
-                **config.choice_facts,
-                "limit": self.choice.facts(),
-                MISSING: self.relief.facts(),
-                **self.pose.facts,
-                **self.augmentation.facts,
-                **self.again,
-                **gel_facts(config.gel_id),
-                **{k: v for k, v in bank.facts.items() if k != "repairs"},
-            },
-            profile=ProfileEntry.of(config.profile),
-            region=RegionEntry.of(config.region),
-            grid=GridEntry.of(self.grid, self._skipped()),
-            threshold=threshold,
-            tolerance=tolerance,
-            contact=contact_range(self.presses),
-            colours=self.colours,
-            provenance=provenance(self.created, self.presses, config.seed, self.warnings),
-        )
+def _take_features(plan: _Plan, progress: Progress) -> _Features:
+    """Bring the presses to one pose where that pays, and take their features. Errors: FitError."""
+    config, presses = plan.config, plan.presses
+    detector, region = config.detector, config.region
+    session = open_session(config.trunk.graph, config.threads, f"trunk '{config.trunk.id}'")
+    taps, size = detector.taps(plan.parameters), (region.height, region.width)
+    grid = trunk_grid(session, taps, size, config.profile.pixels_per_mm)
+
+    def take(frames: NDArray[np.uint8]) -> Features:
+        return extract(session, frames, grid, lambda fraction: None)
+
+    learner = Learner(detector, grid, plan.parameters, config.seed, config.threads)
+    pose = chosen_pose(config.register, presses, learner, take, config.view)
+    said: list[str] = []
+    if pose.learnt is None:  # a method that compares places needs the presses at one place
+        said = scatter_warnings(presses, config.profile, detector, config.is_scattered, pose.why)
+    posed = pose.posed(presses)
+    augmentation = plan.augment(pose.learnt is not None)
+    copies = Copies.of(presses, augmentation.each, config.profile.pixels_per_mm, config.seed, take)
+    features = extract(session, posed.frames, grid, progress)
+    free = None if presses.no_contact is None else take(presses.no_contact)
+    nominal = Nominal(features, posed.touched, free)
+    said += [*plan.warnings, *feature_warnings(nominal, grid)]
+    learner = replace(learner, copies=copies)
+    return _Features(plan, take, learner, pose, posed, nominal, augmentation, said)
+
+
+@dataclass(frozen=True, eq=False)
+class _Learnt:
+    """A bank with its limit, whose scores are those of the bundle."""
+
+    features: _Features
+    bank: Bank
+    head: bytes
+    choice: Choice
+    scores: Float | None
+    """Of the nominal presses; None where no press is held out."""
+    facts: Mapping[str, Any]
+    """What was decided, for the manifest."""
+    apart: Sequence[str]
+    """A sentence for each press that stands apart."""
+    warnings: Sequence[str]
+
+    def find_threshold(self, tolerance: ToleranceEntry, scorer: Scorer) -> ThresholdEntry:
+        plan, config = self.features.plan, self.features.plan.config
+        if config.threshold is not None:
+            return given_threshold(config.threshold, config.alpha)
+        if self.choice.other is not None:
+            return self.choice.other.threshold
+        if self.scores is None:  # one press: copies that the bank has not learnt
+            rng = np.random.default_rng(config.seed + 1)
+            fresh, _ = rendered_copies(plan.presses, EACH, config.profile.pixels_per_mm, rng)
+            return of_copies([scorer.score_in_pose(rgb).anomaly_score for rgb in fresh], config.alpha)
+        return plan.find_threshold(self.scores, tolerance.around(float(self.scores.max())))
+
+
+def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
+    """Learn the bank, and find the limit that it is to have. Errors: FitError."""
+    plan, learner, nominal = features.plan, features.learner, features.nominal
+    with watch.time("threshold"):
+        trial = features.prepare_trial()
+
+    def learn(roomy: Nominal) -> tuple[Bank, HeldOut | None]:
+        with watch.time("fit"):
+            bank = learner.bank(roomy, partial(watch.report, "bank"))
+        with watch.time("threshold"):
+            return bank, None if trial is None else trial.score(roomy, partial(watch.report, "threshold"))
+
+    covered = covering_bank(learner, nominal, learn, lambda scores: plan.find_threshold(scores).value)
+    bank, scores, held_out = covered.bank, covered.scores, covered.held_out
+    head, choice, found, again = learner.head(bank), Choice(PLAIN, plan.why_plain), None, {}
+    unit = 1.0 if scores is None else plan.find_threshold(scores).value
+    if trial is not None and held_out is not None and scores is not None:
+        with watch.time("threshold"):
+            choice = trial.choose(held_out, bank, replace(nominal, room=covered.room))
+        if choice.other is not None:
+            arrays = limit_arrays(choice.other.limit)
+            head, bank = head_with_limit(head, arrays), bank_with(bank, arrays)
+            unit, scores = 1.0, choice.other.scores
+        found = trial.count_found(held_out, choice, unit)
+        again = trial.press_again_facts(held_out, choice, scores)
+    with watch.time("threshold"):
+        relief = features.choose_relief(head)
+    head, bank = with_relief(head, bank, relief, unit)
+    many = None if scores is None or len(scores) < MIN_PRESSES else scores
+    apart = [] if many is None else apart_warnings(many, plan.presses.names)
+    said = [
+        *unproven_warnings(features.pose.separated, found),
+        *features.warnings,
+        *room_warnings(covered.room),
+        *covered.bank.facts.get("warnings", ()),
+        *apart,
+    ]
+    decided = {"limit": choice.facts(), MISSING: relief.facts(), **features.pose.facts}
+    decided |= {**features.augmentation.facts, **again}
+    return _Learnt(features, bank, head, choice, scores, decided, apart, said)
+
+
+def _measure(learnt: _Learnt, created: str, watch: _Watch) -> Fitted:
+    """Score with the bundle as it will be loaded, then record the measurements. Errors: FitError."""
+    watch.report("golden", 0.0)
+    features, plan = learnt.features, learnt.features.plan
+    threads = plan.config.threads
+    trunks = TrunkSessions(threads)
+    facts = _facts(learnt, created)
+    provisional = _pack(learnt, facts, ())
+    scorer = Scorer(provisional.bundle(), threads, trunks)
+    golden = golden_frames(scorer, features.presses.frames)
+    tolerance = measured_tolerance(scorer, golden, threads)
+    cost = cost_card(scorer, features.presses.frames, threads, watch.seconds)
+    threshold = learnt.find_threshold(tolerance, scorer)
+    black = np.zeros_like(plan.presses.frames[0])
+    black_score, is_refused = scorer.score_in_pose(black).anomaly_score, refuses(plan.colours, black)
+    said = [*learnt.warnings, *black_warnings(black_score, threshold, is_refused, learnt.apart)]
+    measured = {"threshold": threshold, "tolerance": tolerance, "cost": cost}
+    measured["provenance"] = facts.provenance.model_copy(update={"warnings": tuple(said)})
+    fitted = _pack(learnt, facts.model_copy(update=measured), golden)
+    Scorer(fitted.bundle(trunks), threads, trunks).check_golden()
+    watch.report("golden", 1.0)
+    return fitted
+
+
+def _pack(learnt: _Learnt, facts: Facts, golden: Sequence[GoldenFrame]) -> Fitted:
+    """Make the bundle. golden: none for one that is only measured."""
+    features, config = learnt.features, learnt.features.plan.config
+    presses, pose = features.plan.presses, features.pose.learnt
+    free = presses.no_contact
+    manifest, files = bundle_files(
+        facts,
+        Graphs(trunk=config.trunk.graph, head=learnt.head),
+        learnt.bank,
+        golden,
+        backbone=config.trunk.id,
+        with_trunk=config.with_trunk or not golden,
+        free_gel=most_typical(free) if free is not None and features.skipped_tiles else None,
+        free_view=presses.free_view,
+        registration=None if pose is None else pose.part,
+    )
+    return Fitted(manifest, files)
+
+
+def _facts(learnt: _Learnt, created: str) -> Facts:
+    """Return the facts of a bundle that is only measured: with this threshold every press fails."""
+    features, plan = learnt.features, learnt.features.plan
+    config, facts = plan.config, learnt.bank.facts
+    threshold, tolerance = placeholders()
+    return Facts(
+        part=config.part,
+        position=config.position,
+        revision=config.revision,
+        method=config.detector.name,
+        mode=config.mode,
+        parameters=_plain(plan.parameters),
+        repairs=tuple(facts.get("repairs", ())),
+        facts={
+            "backbone": config.trunk.facts,
+            **config.choice_facts,
+            **learnt.facts,
+            **gel_facts(config.gel_id),
+            **{k: v for k, v in facts.items() if k != "repairs"},
+        },
+        profile=ProfileEntry.of(config.profile),
+        region=RegionEntry.of(config.region),
+        grid=GridEntry.of(features.learner.grid, features.skipped_tiles),
+        threshold=threshold,
+        tolerance=tolerance,
+        contact=contact_range(plan.presses),
+        colours=plan.colours,
+        provenance=provenance(created, plan.presses, config.seed, learnt.warnings),
+    )
 
 
 def _plain(parameters: object) -> dict[str, Any]:

@@ -61,6 +61,11 @@ class FitConfig:
             raise FitError(f"a threshold needs at least 2 folds, found {self.folds}")
 
     @property
+    def view(self) -> tuple[SensorProfile, Region]:
+        """What the pictures show, and the part of them that is inspected."""
+        return self.profile, self.region
+
+    @property
     def why_plain(self) -> str:
         """Why there is one limit for all places whatever it finds; empty where a limit is chosen."""
         if self.threshold is not None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.limits.folds import held_out_folds
-from calibration.fitting.limits.held_out import Learner, ScoredPresses, held_out_scores
+from calibration.fitting.limits.held_out import Learner, ScoredPresses, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
@@ -249,16 +249,16 @@ def _compare(
     """Every way. nominals: old, again, few. features: sound on the old gel; few and scored ones on the new gel."""
     (old, old_limit), (again, again_limit), (alone, alone_limit) = (_learn(learner, one) for one in nominals)
     sound, few, scored = features
-    before = learner.scores(old, sound, range(_TESTED))
+    before = learner.score(old, sound, range(_TESTED)).scores
     yield Figures(part, method, BEFORE, None, None, float((before > old_limit).mean()), None)
-    limit = conformal_threshold(learner.scores(old, few, range(_FEW)), ALPHA).value
+    limit = conformal_threshold(learner.score(old, few, range(_FEW)).scores, ALPHA).value
     rows = range(len(masks))
-    by_old = learner.scored(old, scored, rows)
+    by_old = learner.score(old, scored, rows)
     for way, found, at in (
         ("as it is", by_old, old_limit),
         ("limit", by_old, limit),
-        ("8 alone", learner.scored(alone, scored, rows), alone_limit),
-        (AGAIN, learner.scored(again, scored, rows), again_limit),
+        ("8 alone", learner.score(alone, scored, rows), alone_limit),
+        (AGAIN, learner.score(again, scored, rows), again_limit),
     ):
         yield _measure(part, method, way, found, at, masks)
 
@@ -283,8 +283,8 @@ def _learn(learner: Learner, nominal: Nominal) -> tuple[Bank, float]:
     """A bank and its limit, from the scores of held-out presses."""
     bank = learner.bank(nominal)
     folds, _ = held_out_folds((None,) * nominal.presses, 5, np.random.default_rng(0))
-    own = learner.scores(bank, nominal.features, range(nominal.presses))
-    scores = np.maximum(held_out_scores(learner, nominal, folds), own)
+    own = learner.score(bank, nominal.features, range(nominal.presses)).scores
+    scores = np.maximum(score_held_out(learner, nominal, folds).sound.scores, own)
     return bank, conformal_threshold(scores, ALPHA).value
 
 

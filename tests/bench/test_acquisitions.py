@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from calibration.acquisition.coverage import ROUND, PlaceDistances, Standing
 from calibration.fitting.limits.covering import covering_bank
 from calibration.fitting.limits.folds import held_out_folds
-from calibration.fitting.limits.held_out import Learner, held_out_scores
+from calibration.fitting.limits.held_out import Learner, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.metrics import aupro
 from edge import registry
@@ -92,21 +92,23 @@ class Part:
         """What a bundle of these presses promises and does."""
         specimens = [self.pool.presses.specimens[k] for k in taken]
         folds, _ = held_out_folds(specimens, FOLDS, np.random.default_rng(0))
-        bank, scores, _ = covering_bank(
+        covered = covering_bank(
             self._learner,
             self._nominal(taken),
-            lambda roomy: (self._learner.bank(roomy), held_out_scores(self._learner, roomy, folds)),
-            lambda scores: conformal_threshold(scores, ALPHA, specimens=specimens),
+            lambda roomy: (self._learner.bank(roomy), score_held_out(self._learner, roomy, folds)),
+            lambda scores: conformal_threshold(scores, ALPHA, specimens=specimens).value,
         )
-        assert scores is not None
-        limit = conformal_threshold(scores, ALPHA, specimens=specimens)
-        fresh = self._learner.scores(bank, self.pool.fresh, range(len(next(iter(self.pool.fresh.values())))))
+        assert covered.scores is not None
+        limit = conformal_threshold(covered.scores, ALPHA, specimens=specimens)
+        fresh = self._learner.score(
+            covered.bank, self.pool.fresh, range(len(next(iter(self.pool.fresh.values()))))
+        ).scores
         assert limit.by_press is not None
         return {
             "by_press": limit.by_press.rate,
             "by_piece": (limit.by_piece or limit.by_press).rate,
             "false_alarms": float(np.mean(fresh > limit.value)),
-            "aupro": self.accuracy(bank),
+            "aupro": self.accuracy(covered.bank),
             "aupro_all": self.all,
         }
 

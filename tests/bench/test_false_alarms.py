@@ -21,7 +21,7 @@ from random_part_presses import RandomPartPresses
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.limits.covering import covering_bank
 from calibration.fitting.limits.folds import held_out_folds
-from calibration.fitting.limits.held_out import Learner, held_out_scores
+from calibration.fitting.limits.held_out import Learner, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import open_trunk
@@ -95,18 +95,18 @@ def measured(part: Part, design: str, method: str) -> dict[str, Any]:
     nominal = Nominal({tap: features[tap] for tap in taps}, presses.touched, {tap: free[tap] for tap in taps})
     folds, said = held_out_folds(presses.specimens, FOLDS, np.random.default_rng(0))
     assert not said
-    bank, scores, room = covering_bank(
+    covered = covering_bank(
         learner,
         nominal,
-        lambda roomy: (learner.bank(roomy), held_out_scores(learner, roomy, folds)),
-        lambda scores: conformal_threshold(scores, ALPHAS[0], specimens=presses.specimens),
+        lambda roomy: (learner.bank(roomy), score_held_out(learner, roomy, folds)),
+        lambda scores: conformal_threshold(scores, ALPHAS[0], specimens=presses.specimens).value,
     )
-    assert scores is not None
+    assert covered.scores is not None
     return {
-        "nominal": scores.tolist(),
-        "room": room,
+        "nominal": covered.scores.tolist(),
+        "room": covered.room,
         "specimens": presses.specimens,
-        "fresh": learner.scores(bank, part.fresh, range(FRESH)).tolist(),
+        "fresh": learner.score(covered.bank, part.fresh, range(FRESH)).scores.tolist(),
     }
 
 

@@ -195,7 +195,8 @@ def test_without_copies_few_presses_have_no_threshold() -> None:
 def test_one_press_twice_is_one_picture() -> None:
     """It shows nothing of how presses differ, with or without copies."""
     presses = few(1)
-    twice = dataclasses.replace(presses, frames=np.concatenate([presses.frames] * 2), names=("a", "b"))
+    frames = np.concatenate([presses.frames] * 2)
+    twice = dataclasses.replace(presses, frames=frames, names=("a", "b"), specimens=())
 
     with pytest.raises(FitError, match="all 2 presses are one picture"):
         fitted(twice)

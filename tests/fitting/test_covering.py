@@ -1,13 +1,11 @@
 """A bank is checked with the nominal presses from which it was learnt."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import tiny
 
 from calibration.fitting.limits.covering import covering_bank, is_covered
-from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.limits.held_out import HeldOut, Learner, ScoredPresses
 from calibration.fitting.limits.threshold import conformal_threshold
 from edge.core.detector import Bank, Nominal
 
@@ -43,36 +41,40 @@ def test_a_few_presses_that_fail_by_their_own_bank_are_no_lack() -> None:
 
 def test_the_higher_of_the_two_scores_counts_for_the_threshold() -> None:
     """Three presses score low unknown: by the final bank they score as it does, and no more fail than promised."""
-    held_out = LEARNER.scores(LEARNER.bank(PRESSES), PRESSES.features, range(20))
+    held_out = LEARNER.score(LEARNER.bank(PRESSES), PRESSES.features, range(20)).scores
     known = held_out.copy()
     held_out[:3] *= 0.5
-    _, scores, room = covering_bank(LEARNER, PRESSES, lambda roomy: (LEARNER.bank(roomy), held_out), limit)
-    assert room == 1
-    np.testing.assert_array_equal(scores, known)
+    covered = covering_bank(LEARNER, PRESSES, lambda roomy: (LEARNER.bank(roomy), shown(held_out)), threshold)
+    assert covered.room == 1
+    np.testing.assert_array_equal(covered.scores, known)
 
 
 def test_where_no_threshold_is_wanted_no_press_is_scored() -> None:
     """A given threshold needs no scores, and no check."""
-    _, scores, room = covering_bank(LEARNER, PRESSES, lambda roomy: (LEARNER.bank(roomy), None), limit)
-    assert (scores, room) == (None, 1)
+    covered = covering_bank(LEARNER, PRESSES, lambda roomy: (LEARNER.bank(roomy), None), threshold)
+    assert (covered.scores, covered.room) == (None, 1)
 
 
 def test_a_bank_grows_until_it_covers_its_presses() -> None:
     """Twice the usual room is enough here."""
     rooms: list[float] = []
 
-    def learnt(roomy: Nominal) -> tuple[Bank, Any]:
+    def learn(roomy: Nominal) -> tuple[Bank, HeldOut]:
         rooms.append(roomy.room)
         bank = LEARNER.bank(roomy)
         spare = {"spare": np.zeros(round(100 * roomy.room), np.float32)}
-        return Bank({**bank.arrays, **spare}), np.full(20, 0.01 if roomy.room < 2 else 9.0)
+        return Bank({**bank.arrays, **spare}), shown(np.full(20, 0.01 if roomy.room < 2 else 9.0))
 
-    _, _, room = covering_bank(LEARNER, PRESSES, learnt, limit)
-    assert (room, rooms) == (2, [1, 1.5, 2])
+    assert (covering_bank(LEARNER, PRESSES, learn, threshold).room, rooms) == (2, [1, 1.5, 2])
 
 
-def limit(scores: np.ndarray) -> Any:
-    return conformal_threshold(scores, 0.05)
+def shown(scores: np.ndarray) -> HeldOut:
+    presses = ScoredPresses(np.empty((len(scores), 0, 0), np.float32), scores)
+    return HeldOut(presses, presses)
+
+
+def threshold(scores: np.ndarray) -> float:
+    return conformal_threshold(scores, 0.05).value
 
 
 def test_the_limit_of_the_share_is_a_quarter() -> None:

@@ -9,9 +9,9 @@ import pytest
 import tiny
 from tiny_fit import config, presses
 
-from calibration.fitting.bundle_measurements import scatter_warnings
 from calibration.fitting.fit import fit_bundle, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.presses.scatter import scatter_warnings
 from calibration.fitting.trunks import Trunk
 from edge.core.contact.mask import Touch
 from edge.core.detector import Bank, Grid, Nominal, Progress

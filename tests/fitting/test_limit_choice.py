@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.fitting.damage.edited_presses import EditedPresses
+from calibration.fitting.damage.damaged_presses import DamagedPresses
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
-from calibration.fitting.limits.kinds import KINDS
 from calibration.fitting.limits.limit_choice import WORTH, Evidence, choose_limit
+from calibration.fitting.limits.map_limit import KINDS
 
 PX = 4.0
 SIDE, PRESSES, EDITS = 48, 24, 24
@@ -34,7 +34,7 @@ def evidence(background: np.ndarray, height: float = 0.3) -> Evidence:
         HeldOut(scored(sound), scored(edited)),
         scored(0.9 * sound),
         None,
-        EditedPresses(np.zeros((EDITS, SIDE, SIDE, 3), np.uint8), np.arange(EDITS), near),
+        DamagedPresses(np.zeros((EDITS, SIDE, SIDE, 3), np.uint8), np.arange(EDITS), near),
         [np.arange(k, PRESSES, 4) for k in range(4)],
         (None,) * PRESSES,
         0.05,
@@ -58,7 +58,6 @@ def test_presses_of_unlike_level_are_compared_with_their_surroundings() -> None:
     """One limit for all places is that of the highest press, under which damage on others hides."""
     choice = choose_limit(evidence(even(1.0)))
     assert choice.kind.window_mm is not None
-    assert choice.found is not None
     assert choice.found[choice.kind.name] > choice.found["plain"] + 0.5
     assert "24 small pieces" in choice.why
 
@@ -67,7 +66,6 @@ def test_one_lively_place_does_not_rule_the_others() -> None:
     """What every nominal press shows at one place leaves the limit of the other places as it is."""
     choice = choose_limit(evidence(lively()))
     assert choice.kind.is_by_place
-    assert choice.found is not None
     assert choice.found["plain"] < 0.1 < 0.8 < choice.found[choice.kind.name]
 
 
@@ -75,13 +73,13 @@ def test_equal_limits_leave_the_plain_one() -> None:
     """Where damage is found by any limit, or by none, there is one limit for all places."""
     for height in (9.0, 0.0):
         choice = choose_limit(evidence(even(0.001), height))
-        assert (choice.kind.name, choice.chosen) == ("plain", None)
+        assert (choice.kind.name, choice.other) == ("plain", None)
         assert "no other limit clearly more" in choice.why
 
 
 def test_the_published_limit_is_one() -> None:
     """As many nominal presses lie above 1 as above the limit that was found, and the promise is the same."""
-    chosen = choose_limit(evidence(even(1.0))).chosen
+    chosen = choose_limit(evidence(even(1.0))).other
     assert chosen is not None
     assert chosen.threshold.value == 1
     assert chosen.threshold.n == PRESSES
@@ -98,11 +96,11 @@ def test_new_sound_presses_fail_no_more_than_promised() -> None:
         maps = 1 + 0.02 * rng.random((PRESSES + 40, SIDE, SIDE))
         maps[:, 30:40, 30:40] += rng.random((len(maps), 1, 1))
         sound, found = scored(maps[:PRESSES]), evidence(even(0.0))
-        edited = scored(sound.maps + 0.4 * found.edited.near)
+        edited = scored(sound.maps + 0.4 * found.damage.masks)
         found = replace(found, held_out=HeldOut(sound, edited), known=scored(0.5 * sound.maps))
-        chosen = choose_limit(found, [PLACES]).chosen
+        chosen = choose_limit(found, [PLACES]).other
         assert chosen is not None
-        rates.append(np.mean(chosen.limit.relative(maps[PRESSES:]).max(axis=(1, 2)) > 1))
+        rates.append(np.mean(chosen.limit.relate(maps[PRESSES:]).max(axis=(1, 2)) > 1))
     assert 0 < np.mean(rates) <= 0.05
 
 
@@ -141,8 +139,7 @@ def test_a_limit_has_to_find_clearly_more() -> None:
     """One piece of damage in 24 is found by luck."""
     found = evidence(even(1.0))
     maps = found.held_out.sound.maps.copy()
-    maps[0] += 0.3 * found.edited.near[0]
+    maps[0] += 0.3 * found.damage.masks[0]
     choice = choose_limit(replace(found, held_out=HeldOut(found.held_out.sound, scored(maps))))
-    assert choice.found is not None
     assert 0 < max(choice.found.values()) - choice.found["plain"] < WORTH
     assert choice.kind.name == "plain"

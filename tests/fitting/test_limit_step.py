@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pressed_dome import PROFILE, REGION, Bench
 
-from calibration.fitting.damage.edited_presses import SIZE_SHARES, SPOTS, edited_presses
+from calibration.fitting.damage.damaged_presses import SIZE_SHARES, SPOTS, render_damage
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.limits.head_limit import ARRAYS
 from calibration.fitting.limits.head_relief import ARRAYS as RELIEF_ARRAYS
@@ -39,20 +39,18 @@ def config() -> FitConfig:
 
 def test_small_damage_is_rendered_into_the_contact(presses: NominalPresses) -> None:
     """Sixteen spots in three sizes; the largest changes the picture near the damage, the rest by its compression."""
-    edited = edited_presses(presses, PROFILE, REGION, np.random.default_rng(0))
+    edited = render_damage(presses, PROFILE, REGION, np.random.default_rng(0))
     assert edited is not None
     assert len(edited) == SPOTS * len(SIZE_SHARES)
     largest = slice(len(SIZE_SHARES) - 1, None, len(SIZE_SHARES))
     changed = np.abs(edited.frames.astype(int) - presses.frames[edited.press]).sum(axis=3)[largest]
-    near = edited.near[largest]
+    near = edited.masks[largest]
     assert changed[near].mean() > 2 * changed[~near].mean()
 
 
 def test_nothing_is_rendered_without_the_free_gel(presses: NominalPresses) -> None:
     """Without it nothing is known of the part's height."""
-    assert (
-        edited_presses(replace(presses, no_contact=None), PROFILE, REGION, np.random.default_rng(0)) is None
-    )
+    assert render_damage(replace(presses, no_contact=None), PROFILE, REGION, np.random.default_rng(0)) is None
 
 
 def test_a_fit_says_what_it_chose(presses: NominalPresses, config: FitConfig) -> None:

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.fitting.bundle_measurements import scatter_warnings
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import read_presses
+from calibration.fitting.presses.scatter import scatter_warnings
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge import registry
 from edge.core.imaging.known_profiles import profile

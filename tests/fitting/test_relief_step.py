@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from pressed_dome import DEPTH_MM, PROFILE, REGION, Bench, pillow
 
-from calibration.fitting.damage.conditions import dimmed, relit
-from calibration.fitting.damage.relief_presses import changed_presses
+from calibration.fitting.damage.conditions import change_presses, dimmed, relit
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.limits.folds import held_out_folds
@@ -86,7 +85,7 @@ def take() -> Taken:
 def chosen(learnt: NominalPresses, take: Taken) -> ReliefChoice:
     assert learnt.no_contact is not None
     nominal = Nominal(take(learnt.frames), learnt.touched, take(learnt.no_contact))
-    changed = changed_presses(learnt, PROFILE, REGION, np.random.default_rng(0))
+    changed = change_presses(learnt, PROFILE, REGION, np.random.default_rng(0))
     assert changed is not None
     folds, _ = held_out_folds((None,) * len(learnt), 5, np.random.default_rng(0))
     return choose_relief(nominal, changed, take, folds, take.grid, "layer1")
@@ -155,7 +154,7 @@ def test_nothing_is_checked_where_a_learnt_press_hardly_touches(presses: Presses
 def test_nothing_is_learnt_without_the_free_gel(presses: Presses) -> None:
     """Without it no object can be made smoother."""
     without = replace(presses.learnt, no_contact=None)
-    assert changed_presses(without, PROFILE, REGION, np.random.default_rng(0)) is None
+    assert change_presses(without, PROFILE, REGION, np.random.default_rng(0)) is None
 
 
 def test_the_finest_tap_is_the_one_with_the_most_cells() -> None:

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from station import JSONL, station_config
 
-from calibration.fitting.bundle_measurements import scatter_warnings
 from calibration.fitting.fit import FitConfig, fit_bundle
 from calibration.fitting.presses.nominal_presses import read_presses
+from calibration.fitting.presses.scatter import scatter_warnings
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge import registry
 from edge.clock import SystemClock

@@ -3,12 +3,19 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.simulator.defects import DENT_DEPTH_MM, SCRATCH_DEPTH_MM, Damaged, Defect
-from calibration.simulator.field_of_view import F32
+from calibration.simulator.field_of_view import F32, Field, grids
 
-__all__ = ["KINDS", "Damage", "Kind", "Spot"]
+__all__ = ["KINDS", "Damage", "Kind", "Spot", "surroundings"]
+
+# A score map's peak may lie this far outside the damage: a cell of the deepest tap is 16 pixels, 1.0 mm at 320x240.
+_OUTSIDE_MM = 1.0
+# Damage is where it is deeper than this share of its size: a rim has no end.
+_EDGE_SHARE = 0.05
 
 
 @dataclass(frozen=True)
@@ -59,3 +66,11 @@ class Damage:
 
 def _flat(x_mm: F32, y_mm: F32) -> F32:
     return np.zeros_like(x_mm)
+
+
+def surroundings(damage: Damage, field: Field) -> NDArray[np.bool_]:
+    """Return where a score map may show the damage, on it and within a cell of it, bool (h, w)."""
+    damaged = np.abs(damage.relief(*grids(field))) > _EDGE_SHARE * damage.size_mm
+    across, down = (2 * round(_OUTSIDE_MM / m) + 1 for m in field.mm_per_px)
+    reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, down))
+    return np.asarray(cv2.dilate(damaged.astype(np.uint8), reach), np.bool_)

@@ -1,26 +1,38 @@
-"""Nominal presses with small damage in two ways, to compare trunks by: rendered from its height, and pieces of relief.
+"""Nominal presses with small damage put into them, by which `fit` chooses a threshold, a pose, a method and a trunk.
 
-Rendered damage knows the optics of the simulator, which a trunk may have been trained with. A piece of another press's
-own relief, moved and shrunk, knows no simulator; where the part is smooth it hardly shows.
+Damage is put in two ways. Rendered from its height it knows the optics of the simulator, which a trunk may have been
+trained with. A piece of another press's own relief, moved and shrunk, knows no simulator; where the part is smooth it
+hardly shows.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.damage.edited_presses import edited_presses
+from calibration.fitting.damage.damage import KINDS, Damage, Spot, surroundings
+from calibration.fitting.damage.rendering import EditedPress, edit_touching
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.simulator.field_of_view import grids
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["DamagedPresses", "damaged_presses", "pieced_presses"]
+__all__ = ["DamagedPresses", "add_pieces", "damage_presses", "render_damage"]
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+
+SIZE_SHARES = (1 / 16, 1 / 8, 1 / 4)
+"""Of a kind's largest size: dents of 0.025 to 0.1 mm, about the smallest that the shipped backbone shows."""
+
+SPOTS = 16
+"""Damage is rendered at this many places, in every size; fewer where frames are large, for the time that it takes."""
+
+_FEWEST_SPOTS, _SPOTS_PX = 8, 16 * 320 * 240
 
 PIECES = 96
 """Twice as many as of rendered damage. With 48 the choice changed with the draw where two trunks are close."""
@@ -38,33 +50,68 @@ _CLOSED_PX = 7
 
 @dataclass(frozen=True, eq=False)
 class DamagedPresses:
-    """frames: uint8 (m, h, w, 3). press: which nominal press each was, int64 (m,). masks: where the picture shows the
-    damage, bool (m, h, w)."""
+    """Presses with damage, each a nominal press but for that."""
 
     frames: U8
+    """uint8 (m, h, w, 3)."""
     press: NDArray[np.int64]
+    """Which nominal press each was, (m,)."""
     masks: Mask
+    """Where the damage is, bool (m, h, w): the pixels that show it, or where a score map may show it."""
+    names: tuple[str, ...] = ()
+    """Kind and size of each damage, where it was rendered."""
 
     def __len__(self) -> int:
         return len(self.press)
 
 
-def damaged_presses(
+def render_damage(
+    presses: NominalPresses, profile: SensorProfile, region: Region, rng: np.random.Generator
+) -> DamagedPresses | None:
+    """Render damage in every size of SIZE_SHARES at some spots; the masks hold it and its surroundings.
+
+    None without a picture of the free gel, or a contact to damage.
+    """
+    shown = edit_touching(presses, profile, region, rng, SPOTS)
+    if not shown:
+        return None
+    turns = [k for _ in range(SPOTS) for k in shown]
+    frames, press, near, names = [], [], [], []
+    spots = max(_FEWEST_SPOTS, min(SPOTS, _SPOTS_PX // (region.width * region.height)))
+    for number, k in enumerate(islice(turns, spots)):
+        spot, kind = _draw_spot(shown[k], rng), list(KINDS)[number % len(KINDS)]
+        for share in SIZE_SHARES:
+            damage = Damage(kind, share * KINDS[kind].largest_mm, spot)
+            frames.append(shown[k].damaged(damage))
+            press.append(k)
+            near.append(surroundings(damage, shown[k].station.field))
+            names.append(f"{kind} of {share * KINDS[kind].largest_mm:.3g} mm")
+    return DamagedPresses(np.stack(frames), np.array(press), np.stack(near), tuple(names))
+
+
+def _draw_spot(press: EditedPress, rng: np.random.Generator) -> Spot:
+    """Draw a spot anywhere in the contact, in any direction."""
+    x, y = (axis[press.contact] for axis in grids(press.station.field))
+    pick = rng.integers(len(x))
+    return Spot(float(x[pick]), float(y[pick]), float(rng.uniform(0, np.pi)))
+
+
+def damage_presses(
     presses: NominalPresses, profile: SensorProfile, region: Region, seed: int
 ) -> dict[str, DamagedPresses]:
-    """Each kind of damage that can be put into these presses and shows, by its name; empty without the free gel."""
+    """Put each kind of damage into these presses, by its name; only what shows, and nothing without the free gel."""
     if presses.no_contact is None:
         return {}
-    rendered = edited_presses(presses, profile, region, np.random.default_rng(seed))
+    rendered = render_damage(presses, profile, region, np.random.default_rng(seed))
     found = {} if rendered is None else {"rendered damage": _shown(presses, rendered.frames, rendered.press)}
     # Fewer where frames are large, as of rendered damage.
     count = PIECES if rendered is None else min(PIECES, 2 * len(rendered))
     rng = np.random.default_rng(seed)
-    found["pieces of relief"] = pieced_presses(presses, profile.pixels_per_mm, rng, count)
+    found["pieces of relief"] = add_pieces(presses, profile.pixels_per_mm, rng, count)
     return {name: one for name, one in found.items() if len(one)}
 
 
-def pieced_presses(
+def add_pieces(
     presses: NominalPresses, pixels_per_mm: float, rng: np.random.Generator, count: int = PIECES
 ) -> DamagedPresses:
     """Presses with a piece of another press's relief, raised or sunk, somewhere in the contact; none where none shows.

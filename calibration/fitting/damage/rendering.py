@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 from calibration.fitting.damage.compression import compressed, is_compressed, uncompressed
 from calibration.fitting.damage.damage import Damage
 from calibration.fitting.damage.imprint import Station
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.simulator import gel
 from calibration.simulator.field_of_view import F32, grids
 from calibration.simulator.renderer import MASK_DEPTH_MM
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["EditedPress"]
+__all__ = ["EditedPress", "edit_touching"]
 
 U8 = NDArray[np.uint8]
 
@@ -93,3 +96,19 @@ class EditedPress:
     @cached_property
     def _lit(self) -> F32:
         return self.station.light(self.surface)
+
+
+def edit_touching(
+    presses: NominalPresses, profile: SensorProfile, region: Region, rng: np.random.Generator, most: int
+) -> dict[int, EditedPress]:
+    """Prepare at most so many presses in a random order, by their number, those without contact left out.
+
+    None of them without a picture of the free gel.
+    """
+    if presses.no_contact is None:
+        return {}
+    free = np.asarray(presses.no_contact.mean(axis=0, dtype=np.float64), np.float32)
+    station = Station(profile, region, free)
+    order = rng.permutation(len(presses)).tolist()
+    edits = {k: EditedPress(station, presses.frames[k]) for k in order[:most]}
+    return {k: one for k, one in edits.items() if one.contact.any()}

@@ -7,17 +7,16 @@ threshold.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.limits.held_out import HeldOut, Learner
 from edge.core.detector import Bank, Nominal
 from edge.core.errors import FitError
-from edge.model.manifest import ThresholdEntry
 
-__all__ = ["covering_bank", "is_covered"]
+__all__ = ["Covered", "covering_bank", "is_covered"]
 
 ROOMS = (1.0, 1.5, 2.0, 4.0)
 """The factors of a bank's usual room, tried in turn until it covers its nominal presses."""
@@ -28,28 +27,40 @@ COVERED_RATIO = 1.1
 COVERED_SHARE = 0.25
 """The share of nominal presses that may fail with it: a missing place of every press makes most of them fail."""
 
-Learnt = tuple[Bank, NDArray[np.float64] | None]
+
+@dataclass(frozen=True, eq=False)
+class Covered:
+    """A bank that covers its nominal presses."""
+
+    bank: Bank
+    room: float
+    """How many times its usual size it may have."""
+    held_out: HeldOut | None = None
+    """What banks without them show of the presses; None where no threshold is wanted."""
+    scores: NDArray[np.float64] | None = None
+    """Of the nominal presses, (n,), for the threshold."""
 
 
 def covering_bank(
     learner: Learner,
     nominal: Nominal,
-    learnt: Callable[[Nominal], Learnt],
-    limit: Callable[[NDArray[np.float64]], ThresholdEntry],
-) -> tuple[Bank, NDArray[np.float64] | None, float]:
-    """A bank, the scores (n,) for its threshold (None where no threshold is wanted), and the room that it took.
+    learn: Callable[[Nominal], tuple[Bank, HeldOut | None]],
+    find_threshold: Callable[[NDArray[np.float64]], float],
+) -> Covered:
+    """Learn a bank with the least room in which it covers the presses.
 
-    learnt: the bank and the out-of-fold scores for nominal presses and a room. limit: the threshold from scores.
-    Errors: FitError where more room does not help.
+    learn: nominal presses and a room to a bank, and what banks without them show of the presses. find_threshold: from
+    scores. Errors: FitError where more room does not help.
     """
     size = 0
     for room in ROOMS:
-        bank, held_out = learnt(replace(nominal, room=room))
+        bank, held_out = learn(replace(nominal, room=room))
         if held_out is None:
-            return bank, None, room
-        known = learner.scores(bank, nominal.features, range(nominal.presses))
-        if is_covered(known, held_out, limit(held_out).value):
-            return bank, np.maximum(known, held_out), room
+            return Covered(bank, room)
+        unknown = held_out.sound.scores
+        known = learner.score(bank, nominal.features, range(nominal.presses)).scores
+        if is_covered(known, unknown, find_threshold(unknown)):
+            return Covered(bank, room, held_out, np.maximum(known, unknown))
         if (grown := sum(array.nbytes for array in bank.arrays.values())) <= size:
             break
         size = grown
@@ -60,11 +71,11 @@ def covering_bank(
     )
 
 
-def is_covered(known: NDArray[np.float64], held_out: NDArray[np.float64], limit: float) -> bool:
+def is_covered(known: NDArray[np.float64], held_out: NDArray[np.float64], threshold: float) -> bool:
     """Whether few nominal presses fail with the final bank, and in the median they do not score higher with it.
 
-    known, held_out: their scores with the final bank and with banks without them, (n,) each. limit: the threshold from
-    the latter.
+    known, held_out: their scores with the final bank and with banks without them, (n,) each. threshold: from the
+    latter.
     """
     is_higher = np.median(known) > COVERED_RATIO * np.median(held_out)
-    return bool(np.mean(known > limit) <= COVERED_SHARE and not is_higher)
+    return bool(np.mean(known > threshold) <= COVERED_SHARE and not is_higher)

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.limits.threshold import MIN_PRESSES, pieces_of
+from calibration.fitting.limits.threshold import pieces_of
+from calibration.fitting.presses.nominal_presses import MIN_PRESSES
 
 __all__ = ["LEAVE_ONE_OUT_BELOW", "MIN_PIECES", "Folds", "folds", "held_out_folds"]
 

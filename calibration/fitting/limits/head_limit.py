@@ -159,7 +159,7 @@ def _extended(head: bytes, arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def _operations(arrays: Mapping[str, NDArray[Any]]) -> Iterator[Operation]:
-    """As `MapLimit.relative`."""
+    """As `MapLimit.relate`."""
     contrast, limit = _RAW_MAP, "limit_grid"
     if "limit_window_down_rows" in arrays:
         yield Operation("MatMul", ("limit_window_down_rows", _RAW_MAP), "limit_rows_averaged")

@@ -7,21 +7,22 @@ The smoother presses are rendered into the nominal ones, and each press is judge
 Ref: Fisher, The use of multiple measurements in taxonomic problems, Annals of Eugenics 7 (1936).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.damage.relief_presses import ChangedPresses, changed_presses
+from calibration.fitting.damage.conditions import ChangedPresses, change_presses
 from calibration.fitting.limits.folds import Folds
 from calibration.fitting.limits.head_limit import bank_with, can_extend, head_inputs
 from calibration.fitting.limits.head_relief import head_with_relief, relief_arrays
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.limits.missing_relief import MissingRelief, Pooled, contact_of, pooled
+from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from edge.core.detector import Bank, Features, Grid, Nominal
+from edge.core.detector import Bank, Grid, Nominal
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from plugins.detectors.common.smoothing import Smoothing
@@ -30,7 +31,6 @@ __all__ = ["USEFUL", "ReliefChoice", "choose_relief", "relief_of", "with_relief"
 
 Float = NDArray[np.float64]
 Floating = NDArray[np.floating]
-Take = Callable[[NDArray[np.uint8]], Features]
 
 USEFUL = 0.6
 """The share of the smoother presses that must be found; a part with little relief can lack little."""
@@ -83,7 +83,7 @@ def relief_of(
     tap = finest_tap(learner.grid, head_inputs(head))
     if tap is None or not can_extend(head):
         return ReliefChoice("it cannot be appended to the method's graph")
-    changed = changed_presses(presses, *view, np.random.default_rng(learner.seed))
+    changed = change_presses(presses, *view, np.random.default_rng(learner.seed))
     if changed is None:
         return ReliefChoice("there is no picture of the free gel, or no contact, to make smoother")
     return choose_relief(nominal, changed, take, folds, learner.grid, tap)

@@ -26,13 +26,13 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting.presses.nominal_presses import MIN_PRESSES
 from edge.core.binomial import CONFIDENCE, beta_quantile, upper_rate
 from edge.core.errors import FitError
 from edge.model.manifest import RatePromise, ThresholdEntry
 
 __all__ = [
     "FLOOR_MARGIN",
-    "MIN_PRESSES",
     "check_alpha",
     "conformal_threshold",
     "needed",
@@ -45,10 +45,6 @@ __all__ = [
 FLOOR_MARGIN = 0.25
 """Where n pieces cannot promise the requested rate, the largest score is raised by this share of the distance from
 the median to it. A choice, not a theorem: it trades some sensitivity for fewer false alarms."""
-
-MIN_PRESSES = 4
-"""A fold then keeps three presses. Of two or one there is no covariance and no spread between presses, and the fold's
-scores have another scale than the bank's: with two presses PaDiM's threshold was 30 times the nominal scores."""
 
 COPIES_MARGIN = 1.3
 """Other pieces score higher than copies of one: docs/detectors.md has the false alarms with this factor."""

@@ -4,18 +4,18 @@ The proof is made on the part's own presses: a third is held out, small damage i
 others judge them, registered and as they lie.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.damage.edited_presses import SIZE_SHARES, edited_presses
+from calibration.fitting.damage.damaged_presses import SIZE_SHARES, render_damage
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.pose.registration import LearntPose, completed, learn_pose
+from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from edge.core.detector import Features, Nominal
+from edge.core.detector import Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -37,9 +37,6 @@ LEAST_PRESSES = 6
 """With fewer presses nothing can be held out to prove that registration pays."""
 
 _HELD_OUT = 3
-
-Take = Callable[[U8], Features]
-"""The features of frames, uint8 (n, h, w, 3)."""
 
 View = tuple[SensorProfile, Region]
 
@@ -136,7 +133,7 @@ def _proof(
     kept = [k for k in range(len(presses)) if k not in held]
     sound = presses.frames[held]
     only = NominalPresses(sound, tuple(presses.names[k] for k in held), no_contact=presses.no_contact)
-    edited = edited_presses(only, *view, np.random.default_rng(learner.seed))
+    edited = render_damage(only, *view, np.random.default_rng(learner.seed))
     if edited is None:
         return None
     damaged = edited.frames[len(SIZE_SHARES) - 1 :: len(SIZE_SHARES)]
@@ -157,6 +154,6 @@ def _auroc(learner: Learner, take: Take, nominal: U8, sound: U8, damaged: U8) ->
     features = take(np.concatenate([nominal, sound, damaged]))
     first, last = len(nominal), len(nominal) + len(sound)
     bank = learner.bank(Nominal({tap: maps[:first] for tap, maps in features.items()}))
-    good = learner.scores(bank, features, range(first, last))
-    bad = learner.scores(bank, features, range(last, last + len(damaged)))
+    good = learner.score(bank, features, range(first, last)).scores
+    bad = learner.score(bank, features, range(last, last + len(damaged))).scores
     return float((bad[:, None] > good).mean() + 0.5 * (bad[:, None] == good).mean())

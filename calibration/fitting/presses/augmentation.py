@@ -16,15 +16,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.limits.threshold import MIN_PRESSES
-from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from edge.core.detector import Features, Mode, Nominal
 from edge.core.errors import FitError
 from edge.core.registration.light import FreeLight
 from edge.core.registration.pose import Pose
 from edge.model.limit_facts import AUGMENTATION
 
-__all__ = ["FEW", "Augment", "Augmentation", "Copies", "augmentation_of", "rendered_copies"]
+__all__ = ["FEW", "Augment", "Augmentation", "Copies", "Take", "augmentation_of", "rendered_copies"]
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]

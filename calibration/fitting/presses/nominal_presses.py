@@ -32,6 +32,7 @@ from edge.recording.format import Recording
 from edge.recording.from_images import images_in
 
 __all__ = [
+    "MIN_PRESSES",
     "NominalPresses",
     "is_recording",
     "listed_pictures",
@@ -42,6 +43,11 @@ __all__ = [
     "touched_union",
     "why_unread",
 ]
+
+MIN_PRESSES = 4
+"""Presses that a threshold needs: a fold then keeps three. Of two or one there is no covariance and no spread between
+presses, and the fold's scores have another scale than the bank's: with two presses PaDiM's threshold was 30 times the
+nominal scores."""
 
 # Frames of the free gel that are kept: the detectors need only its mean and its noise.
 MAX_NO_CONTACT = 16
@@ -80,6 +86,8 @@ class NominalPresses:
     def __post_init__(self) -> None:
         if self.frames.ndim != 4 or self.frames.shape[3] != 3 or self.frames.dtype != np.uint8:
             raise ValueError(f"frames are uint8 (n, h, w, 3), found {self.frames.dtype} {self.frames.shape}")
+        if not self.specimens:
+            object.__setattr__(self, "specimens", (None,) * len(self.frames))
         for what in (getattr(self, name) for name in _EACH):
             if what and len(what) != len(self.frames):
                 raise ValueError(

@@ -11,8 +11,7 @@ from calibration.fitting.limits.head_limit import (
     limit_arrays,
     limited_like,
 )
-from calibration.fitting.limits.kinds import KINDS, LimitKind
-from calibration.fitting.limits.map_limit import GUARD, learn_spread, window
+from calibration.fitting.limits.map_limit import GUARD, KINDS, LimitKind, learn_spread, window
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from plugins.onnx_builder import Graph
@@ -44,25 +43,25 @@ def test_a_window_keeps_what_is_wider_than_itself() -> None:
     """The mean of a slope is the slope, away from the border."""
     slope = np.broadcast_to(np.arange(40.0), (48, 40))[None]
     found = window(0.5, (48, 40), PX)
-    assert found.raised(found.averaged(slope))[0, :, 8:32] == pytest.approx(slope[0, :, 8:32], abs=0.05)
+    assert found.interpolate(found.average(slope))[0, :, 8:32] == pytest.approx(slope[0, :, 8:32], abs=0.05)
 
 
 def test_a_press_exceeds_one_where_it_exceeds_the_limit() -> None:
     """By place: the map is above 1 exactly where the standardised map is above L, and 1 where it equals L."""
     spread = learn_spread(PLACES, NOMINAL, PX)
-    limit = spread.limited(3.0, 100.0)
+    limit = spread.limit(3.0, 100.0)
     maps = (1 + 0.3 * RNG.random((4, 48, 40))).astype(np.float32)
-    assert np.array_equal(limit.relative(maps) > 1, spread.standardised(maps) > 3)
-    assert (spread.standardised(maps) > 3).any()
-    assert not (spread.standardised(maps) > 3).all()
+    assert np.array_equal(limit.relate(maps) > 1, spread.standardise(maps) > 3)
+    assert (spread.standardise(maps) > 3).any()
+    assert not (spread.standardise(maps) > 3).all()
 
 
 def test_a_place_that_is_lively_on_every_press_has_a_higher_limit() -> None:
     """A place that varies between nominal presses allows more than a quiet one."""
     lively = NOMINAL.copy()
     lively[:, 10:30, 10:30] += RNG.normal(0, 2, (12, 1, 1)).astype(np.float32)
-    limit = learn_spread(PLACES, lively, PX).limited(3.0, 100.0)
-    limits = 1 / limit.relative(np.ones((1, 48, 40)))[0]
+    limit = learn_spread(PLACES, lively, PX).limit(3.0, 100.0)
+    limits = 1 / limit.relate(np.ones((1, 48, 40)))[0]
     assert limits[20, 20] > 2 * limits[44, 2]
 
 
@@ -72,21 +71,21 @@ def test_a_quiet_place_has_the_median_spread() -> None:
     still[:, :12] = 1
     spread = learn_spread(PLACES, still, PX)
     assert spread.spread.min() >= 0.5 * np.median(spread.spread)
-    assert float(spread.standardised(still + np.float32(0.01)).max()) < 20
+    assert float(spread.standardise(still + np.float32(0.01)).max()) < 20
 
 
 def test_wide_damage_fails_by_the_guard() -> None:
     """An even rise has no contrast; from GUARD times the plain limit on it fails all the same."""
-    limit = learn_spread(SURROUNDINGS, NOMINAL, PX).limited(0.5, 2.0)
-    assert float(limit.relative(np.full((1, 48, 40), 1.01 * GUARD * 2)).max()) > 1
-    assert float(limit.relative(np.full((1, 48, 40), 0.99 * GUARD * 2)).max()) < 1
+    limit = learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.5, 2.0)
+    assert float(limit.relate(np.full((1, 48, 40), 1.01 * GUARD * 2)).max()) > 1
+    assert float(limit.relate(np.full((1, 48, 40), 0.99 * GUARD * 2)).max()) < 1
 
 
 @pytest.mark.parametrize("limits", [(0.0, 1.0), (1.0, -1.0), (float("nan"), 1.0)])
 def test_limits_are_positive(limits: tuple[float, float]) -> None:
     """Units of a limit of 0 or less have no meaning."""
     with pytest.raises(ValueError, match="limits are positive"):
-        learn_spread(SURROUNDINGS, NOMINAL, PX).limited(*limits)
+        learn_spread(SURROUNDINGS, NOMINAL, PX).limit(*limits)
 
 
 def raw_head(opset: int = 18) -> bytes:
@@ -105,13 +104,13 @@ def raw_head(opset: int = 18) -> bytes:
 @pytest.mark.parametrize("kind", KINDS[1:], ids=lambda kind: kind.name)
 def test_the_graph_computes_the_oracle(kind: LimitKind) -> None:
     """Map and score of three presses agree to float32, where the contrast rules and where the guard does."""
-    limit = learn_spread(kind, NOMINAL, PX).limited(0.3, 1.5)
+    limit = learn_spread(kind, NOMINAL, PX).limit(0.3, 1.5)
     arrays = limit_arrays(limit)
     assert arrays.keys() <= set(ARRAYS)
     session = ort.InferenceSession(head_with_limit(raw_head(), arrays))
     maps = np.concatenate([spot(1.4), spot(1.0), 4 * spot(1.2)])
     score_map, score = session.run(["score_map", "score"], {"tap": maps, **arrays})
-    expected = limit.relative(maps)
+    expected = limit.relate(maps)
     assert score_map == pytest.approx(expected, rel=1e-5, abs=1e-5)
     assert score == pytest.approx(expected.max(axis=(1, 2)), rel=1e-5)
     assert score[2] > score[0] > score[1]
@@ -126,7 +125,7 @@ def test_a_graph_of_an_older_opset_is_not_extended() -> None:
 
 def test_another_bank_takes_over_the_limit() -> None:
     """A bank of a fold gets the arrays of the complete bundle; without arrays nothing changes."""
-    arrays = limit_arrays(learn_spread(SURROUNDINGS, NOMINAL, PX).limited(0.3, 1.5))
+    arrays = limit_arrays(learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.3, 1.5))
     bank = Bank({"rows": np.ones((2, 2), np.float32)})
     head, limited = limited_like({**arrays, "rows": np.zeros(1)}, raw_head(), bank)
     assert limited.arrays.keys() == {"rows", *arrays}
@@ -136,6 +135,6 @@ def test_another_bank_takes_over_the_limit() -> None:
 
 def test_an_array_of_the_detector_keeps_its_name() -> None:
     """A detector with an array `limit_grid` is refused, not overwritten."""
-    arrays = limit_arrays(learn_spread(SURROUNDINGS, NOMINAL, PX).limited(0.3, 1.5))
+    arrays = limit_arrays(learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.3, 1.5))
     with pytest.raises(FitError, match="has an array 'limit_grid'"):
         limited_like(arrays, raw_head(), Bank({"limit_grid": np.ones((1, 1), np.float32)}))
