@@ -11,8 +11,7 @@ from pathlib import Path
 from statistics import median
 
 import pytest
-from parts import parts_config, variant
-from station import press_recording
+from station import press_recording, station_config, variant
 from stepped_station import SteppedStation
 
 pytestmark = pytest.mark.bench
@@ -34,7 +33,7 @@ def fitted(folder: Path) -> Path:
 def test_switching_parts(tmp_path: Path) -> None:
     """Every part in turn; the median and the longest."""
     bundles, recording = fitted(tmp_path), press_recording(tmp_path / "presses", 1)
-    config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{bundles}"')
+    config = station_config(tmp_path / "station", recording, f'bundle_folder = "{bundles}"')
     times_ms, golden_ms = [], []
     with SteppedStation(config) as station:
         station.play_until(lambda: station.loop.session is not None)

@@ -1,19 +1,21 @@
-"""One set of recorded presses and one bundle for all gateway tests."""
+"""A station of recorded presses: its configuration, and the station stepped by the test."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from station import press_recording, small_bundle
+from station import bundle, recording, station_config
+from stepped_station import SteppedStation
+
+__all__ = ["bundle", "recording"]
 
 
-@pytest.fixture(scope="session")
-def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bundle fitted on twelve nominal presses."""
-    folder = tmp_path_factory.mktemp("bundle")
-    return small_bundle(folder / "pz0", press_recording(folder / "nominal", 12, seed=1))
+@pytest.fixture
+def config(tmp_path: Path, recording: Path, bundle: Path) -> Path:
+    return station_config(tmp_path, recording, bundle)
 
 
-@pytest.fixture(scope="session")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three presses, the second one dented."""
-    return press_recording(tmp_path_factory.mktemp("recording") / "presses", 3, dented=[1], seed=2)
+@pytest.fixture
+def station(config: Path) -> Iterator[SteppedStation]:
+    with SteppedStation(config) as stepped:
+        yield stepped

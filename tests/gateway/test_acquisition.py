@@ -1,9 +1,9 @@
-"""The reader thread: its counters, its messages, and its reconnection."""
+"""The reader of the sensor: its counters, its messages, its reconnection, and its thread."""
 
 import random
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -25,26 +25,15 @@ from edge.core.ports import Device, DeviceIdentity
 from plugins.devices.usb_mock import UsbMockOptions, plugin
 
 PATIENCE_S = 60.0
+LOST, OVER = DeviceLost("pulled"), RecordingEnded("over")
+FAULT, STREAMING, ENDED, CLOSED = (
+    AcquisitionState(name) for name in ("fault", "streaming", "ended", "closed")
+)
 
 
-def quick() -> Backoff:
-    return Backoff(random.Random(1), first_s=0.001, ceiling_s=0.004)
-
-
-def options_for(tmp_path: Path, *faults: str, frames: int = 8, **more: object) -> UsbMockOptions:
+def options_for(tmp_path: Path, *faults: str, frames: int = 8) -> UsbMockOptions:
     recording = write_recording(tmp_path / "recording", frames)
-    return UsbMockOptions.model_validate({"recording": recording, "pace": 0.0, "faults": faults, **more})
-
-
-def all_frames(acquisition: Acquisition) -> list[CameraFrame]:
-    frames = []
-    while True:
-        try:
-            frame = acquisition.next(PATIENCE_S)
-        except RecordingEnded:
-            return frames
-        assert frame is not None
-        frames.append(frame)
+    return UsbMockOptions(recording=recording, pace=0.0, faults=faults, with_webcam=False)
 
 
 def wait_for(fact: Callable[[], bool]) -> None:
@@ -55,30 +44,20 @@ def wait_for(fact: Callable[[], bool]) -> None:
         time.sleep(0.001)
 
 
-def take_until(state: AcquisitionState, acquisition: Acquisition, seen: list[bytes]) -> None:
-    """Take waiting frames, so that a reader at pace 0 continues, until the state is reached."""
-
-    def reached() -> bool:
-        frame = acquisition.next(0)
-        if frame is not None:
-            seen.append(frame.payload)
-        return acquisition.status.state is state
-
-    wait_for(reached)
-
-
 class ScriptedDevice:
     """Reads from a list: a payload, or an error to raise."""
 
-    def __init__(self, script: list[bytes | Exception], clock: ManualClock) -> None:
-        self.identity = DeviceIdentity("GelSight Mini R0B 2BNN-4ZE7", SERIAL, (64, 48), 25.0)
+    def __init__(self, clock: ManualClock, *script: bytes | Exception, serial: str = SERIAL) -> None:
+        self.identity = DeviceIdentity("GelSight Mini R0B", serial, (64, 48), 25.0)
         self.closed = 0
-        self._script, self._clock = script, clock
+        self._script, self._clock = list(script), clock
 
     def read(self, deadline_ns: int) -> CameraFrame:
         step = self._script.pop(0)
         if isinstance(step, Exception):
             raise step
+        if deadline_ns <= self._clock.monotonic_ns():
+            raise DeviceStalled("no time to look")
         self._clock.sleep(0.05)
         return CameraFrame(step, self._clock.monotonic_ns(), 0)
 
@@ -86,335 +65,221 @@ class ScriptedDevice:
         self.closed += 1
 
 
-def test_every_frame_of_a_recording_as_fast_as_read(tmp_path: Path) -> None:
-    """At pace 0 nothing is dropped, however slow the consumer: the reader waits for it."""
-    options = options_for(tmp_path, frames=40)
-    clock = ManualClock()
+class Reader(Acquisition):
+    """Opens these devices in turn, or raises; every step is the test's. said: each change of state and fault."""
+
+    def __init__(self, clock: ManualClock, openings: Sequence[Device | Exception], depth: int = 32) -> None:
+        self.said: list[tuple[AcquisitionState, str | None]] = []
+        self.failures_in_a_row: list[int] = []
+        openings, backoff = list(openings), Backoff(random.Random(0), 0.5, 10.0)
+
+        def open_next() -> Device:
+            self.failures_in_a_row.append(backoff.failures)
+            opening = openings.pop(0)
+            if isinstance(opening, Exception):
+                raise opening
+            return opening
+
+        super().__init__(open_next, clock, self._note, depth=depth, backoff=backoff)
+
+    def _note(self, status: AcquisitionStatus) -> None:
+        self.said.append((status.state, status.fault))
+
+    def read_all(self) -> None:
+        """Step to the end of the recording."""
+        with pytest.raises(RecordingEnded):
+            while True:
+                self.step()
+
+    def waiting(self) -> list[CameraFrame]:
+        """Take the frames that wait."""
+        return list(iter(lambda: self.next(0), None))
+
+
+def all_frames(acquisition: Acquisition) -> list[bytes]:
+    """Take every frame until the recording ends."""
+    payloads = []
+    with pytest.raises(RecordingEnded):
+        while (frame := acquisition.next(PATIENCE_S)) is not None:
+            payloads.append(frame.payload)
+    return payloads
+
+
+@pytest.mark.parametrize(
+    ("faults", "delivered", "corrupt", "stale", "reconnects"),
+    [
+        ((), range(8), 0, 0, 0),
+        (("error_bit@1", "truncate@3", "stale@5"), (0, 2, 4, 6, 7), 2, 1, 0),
+        (("stall@3",), range(8), 0, 0, 1),
+    ],
+)
+def test_faults_are_counted_and_the_rest_arrives_in_order(
+    tmp_path: Path,
+    faults: tuple[str, ...],
+    delivered: Sequence[int],
+    corrupt: int,
+    stale: int,
+    reconnects: int,
+) -> None:
+    """Corrupt and stale frames are never delivered; a stream that stops is opened again, and loses no frame."""
+    options, clock = options_for(tmp_path, *faults), ManualClock()
     with Acquisition(lambda: plugin.open(options, clock), clock, depth=3) as acquisition:
-        frames = all_frames(acquisition)
+        assert all_frames(acquisition) == [jpeg(seed) for seed in delivered]
         status = acquisition.status
-    assert [frame.payload for frame in frames] == [jpeg(seed) for seed in range(40)]
-    assert (status.frames, status.dropped, status.state) == (40, 0, AcquisitionState.ENDED)
+    assert (status.frames, status.dropped, status.state) == (len(delivered), 0, ENDED)
+    assert (status.corrupt, status.stale, status.reconnects) == (corrupt, stale, reconnects)
 
 
-def test_a_lagging_consumer_gets_the_newest(tmp_path: Path) -> None:
-    """Four frames are kept; the fifth makes the queue the newest alone, so the consumer is not left four behind."""
-    clock = ManualClock()
-    device = ScriptedDevice([*(jpeg(seed) for seed in range(10)), RecordingEnded("over")], clock)
-    with Acquisition(lambda: device, clock, depth=4) as acquisition:
-        wait_for(lambda: acquisition.status.state is AcquisitionState.ENDED)
-        frames = all_frames(acquisition)
-    assert [frame.payload for frame in frames] == [jpeg(seed) for seed in (8, 9)]
-    assert [frame.sequence for frame in frames] == [9, 10]
-    assert acquisition.status.dropped == 8
-
-
-def test_a_backlog_never_grows_older_than_a_verdict_allows(tmp_path: Path) -> None:
-    """24 frames of 50 ms and no consumer: the kept frames end with the newest and span at most 0.8 s."""
-    clock = ManualClock()
-    device = ScriptedDevice([*(jpeg(seed) for seed in range(24)), RecordingEnded("over")], clock)
-    with Acquisition(lambda: device, clock) as acquisition:
-        wait_for(lambda: acquisition.status.state is AcquisitionState.ENDED)
-        frames = all_frames(acquisition)
-    assert frames[-1].payload == jpeg(23)
-    assert frames[-1].timestamp_ns - frames[0].timestamp_ns <= 800_000_000
-    assert acquisition.status.dropped + len(frames) == acquisition.status.frames == 24
-
-
-def test_who_gets_the_end_finds_its_state() -> None:
-    """The state is ENDED before `next` raises: a consumer that looks at it then is not a moment too early."""
-    clock = ManualClock()
-    taken: list[CameraFrame | None] = []
-
-    def note(status: AcquisitionStatus) -> None:
-        if status.state is AcquisitionState.ENDED:
-            taken.append(acquisition.next(0))  # raises when the end has come already
-
-    acquisition = Acquisition(lambda: ScriptedDevice([RecordingEnded("over")], clock), clock, note)
-    with acquisition, pytest.raises(RecordingEnded):
-        acquisition.next(PATIENCE_S)
-    assert taken == [None]
-
-
-def test_faults_are_counted(tmp_path: Path) -> None:
-    """Corrupt and stale frames are counted and never delivered; the rest arrives in order."""
-    options = options_for(tmp_path, "error_bit@1", "truncate@3", "stale@5")
-    clock = ManualClock()
-    with Acquisition(lambda: plugin.open(options, clock), clock) as acquisition:
-        frames = all_frames(acquisition)
-        status = acquisition.status
-    assert [frame.payload for frame in frames] == [jpeg(seed) for seed in (0, 2, 4, 6, 7)]
-    assert (status.frames, status.corrupt, status.stale, status.reconnects) == (5, 2, 1, 0)
-
-
-def test_pulled_twenty_times(tmp_path: Path) -> None:
-    """Twenty times unplugged and re-plugged: twenty reconnections, every frame once, none twice."""
-    options = options_for(tmp_path, frames=200, with_webcam=False)
-    clock = SystemClock()
-    bench = plugin.bench(options, clock)
-    seen: list[bytes] = []
-    with Acquisition(lambda: plugin.open(options, clock), clock, depth=4, backoff=quick()) as acquisition:
-        for pull in range(1, 21):
-            frame = acquisition.next(PATIENCE_S)
-            assert frame is not None
-            seen.append(frame.payload)
-            bench.unplug()
-            take_until(AcquisitionState.FAULT, acquisition, seen)
-            bench.plug_in(port=1 + pull % 4)
-            take_until(AcquisitionState.STREAMING, acquisition, seen)
-        seen += [frame.payload for frame in all_frames(acquisition)]
-        status = acquisition.status
-    assert status.reconnects == 20
-    assert len(seen) == len(set(seen))
-    assert status.frames == len(seen)
-    order = {jpeg(seed): seed for seed in range(200)}
-    assert [order[payload] for payload in seen] == sorted(order[payload] for payload in seen)
-
-
-def test_stall_opens_the_sensor_again(tmp_path: Path) -> None:
-    """A stream that stops is closed and opened again, which ends this stall; no frame is lost."""
-    options = options_for(tmp_path, "stall@3")
-    clock = ManualClock()
-    with Acquisition(
-        lambda: plugin.open(options, clock), clock, stall_after_s=2, backoff=quick()
-    ) as acquisition:
-        frames = all_frames(acquisition)
-        assert acquisition.status.reconnects == 1
-    assert [frame.payload for frame in frames] == [jpeg(seed) for seed in range(8)]
-
-
-def test_changes_are_published_once() -> None:
-    """State and fault are published when they change, and only then."""
-    clock = ManualClock()
-    said: list[tuple[AcquisitionState, str | None]] = []
-    openings: list[Device | Exception] = [
-        DeviceNotFound("nothing"),
-        DeviceNotFound("nothing"),
-        ScriptedDevice([jpeg(0), jpeg(1), DeviceLost("pulled")], clock),
-        ScriptedDevice([jpeg(2), RecordingEnded("over")], clock),
-    ]
-
-    def open_next() -> Device:
-        step = openings.pop(0)
-        if isinstance(step, Exception):
-            raise step
-        return step
-
-    def note(status: AcquisitionStatus) -> None:
-        said.append((status.state, status.fault))
-
-    with Acquisition(open_next, clock, note, backoff=quick()) as acquisition:
-        assert len(all_frames(acquisition)) == 3
-        wait_for(lambda: acquisition.status.state is AcquisitionState.ENDED)
-    assert said == [
-        (AcquisitionState.FAULT, "nothing"),
-        (AcquisitionState.STREAMING, None),
-        (AcquisitionState.FAULT, "pulled"),
-        (AcquisitionState.STREAMING, None),
-        (AcquisitionState.ENDED, None),
-        (AcquisitionState.CLOSED, None),
-    ]
-
-
-def test_a_reconnection_leaves_a_gap() -> None:
-    """Frames before and after a loss are not consecutive, so they are not taken for one movement."""
-    clock = ManualClock()
-    devices = [
-        ScriptedDevice([jpeg(0), jpeg(1), DeviceLost("pulled")], clock),
-        ScriptedDevice([jpeg(2), RecordingEnded("over")], clock),
-    ]
-    with Acquisition(lambda: devices.pop(0), clock, backoff=quick()) as acquisition:
-        assert [frame.sequence for frame in all_frames(acquisition)] == [1, 2, 4]
-
-
-def test_pauses_grow_with_failures_in_a_row_and_frames_end_the_row() -> None:
-    """The pauses are the shared `Backoff`: three failures make the row three long, a frame starts a new row."""
-    clock, backoff = ManualClock(), quick()
-    rows: list[int] = []
-    openings: list[Device | Exception] = [
-        DeviceNotFound("none"),
-        DeviceNotFound("none"),
-        ScriptedDevice([jpeg(0), DeviceLost("pulled")], clock),
-        ScriptedDevice([RecordingEnded("over")], clock),
-    ]
-
-    def open_next() -> Device:
-        rows.append(backoff.failures)
-        step = openings.pop(0)
-        if isinstance(step, Exception):
-            raise step
-        return step
-
-    with Acquisition(open_next, clock, backoff=backoff) as acquisition:
-        all_frames(acquisition)
-    assert rows == [0, 1, 2, 1]
-
-
-def test_another_sensor_is_not_taken_for_the_first() -> None:
-    """Another sensor plugged in while running: refused with both serials and closed, so wear is not counted on its
-    gel."""
-    clock = ManualClock()
-    other = ScriptedDevice([jpeg(1)], clock)
-    other.identity = DeviceIdentity("GelSight Mini R0B 28D8-PXEC", "28D8PXEC", (64, 48), 25.0)
-    first = ScriptedDevice([jpeg(0), DeviceLost("pulled")], clock)
-    again = ScriptedDevice([jpeg(2), RecordingEnded("over")], clock)
-    devices: list[Device] = [first, other, again]
-    said: list[str | None] = []
-    with Acquisition(
-        lambda: devices.pop(0), clock, lambda now: said.append(now.fault), backoff=quick()
-    ) as acquisition:
-        assert [frame.payload for frame in all_frames(acquisition)] == [jpeg(0), jpeg(2)]
-        assert acquisition.status.reconnects == 1
-    assert other.closed == 1
-    assert any(fault and SERIAL in fault and "28D8PXEC" in fault for fault in said)
-
-
-def test_every_device_is_closed_once() -> None:
-    """A device is closed in every case that ends its use."""
-    clock = ManualClock()
-    devices = [
-        ScriptedDevice([DeviceLost("pulled")], clock),
-        ScriptedDevice([jpeg(0), RecordingEnded("over")], clock),
-    ]
-    waiting = list(devices)
-    with Acquisition(lambda: waiting.pop(0), clock, backoff=quick()) as acquisition:
-        all_frames(acquisition)
-    assert [device.closed for device in devices] == [1, 1]
-
-
-def test_what_is_no_device_fault_reaches_the_consumer(tmp_path: Path) -> None:
-    """A recording that does not exist is not retried: `next` raises the error."""
-    clock = ManualClock()
-    options = UsbMockOptions(recording=tmp_path / "nowhere")
-    with (
-        Acquisition(lambda: plugin.open(options, clock), clock) as acquisition,
-        pytest.raises(RecordingError),
-    ):
-        acquisition.next(PATIENCE_S)
-
-
-def test_rate_is_measured() -> None:
-    """Frames 50 ms apart are 20 fps."""
-    clock = ManualClock()
-    device = ScriptedDevice([*(jpeg(seed) for seed in range(10)), RecordingEnded("over")], clock)
-    with Acquisition(lambda: device, clock) as acquisition:
-        all_frames(acquisition)
-    assert acquisition.status.fps == pytest.approx(20.0)
-
-
-def test_nothing_yet_is_none(tmp_path: Path) -> None:
-    """No frame in time is None, not an error."""
-    clock = ManualClock()
-
-    def never() -> Device:
-        raise DeviceNotFound("nothing")
-
-    with Acquisition(never, clock, backoff=quick()) as acquisition:
-        assert acquisition.next(0.001) is None
-
-
-def test_close_ends_the_thread_while_the_reader_waits_for_room(tmp_path: Path) -> None:
-    """Closing does not hang on a full queue, and closing twice is harmless."""
-    options = options_for(tmp_path, frames=20)
-    clock = ManualClock()
-    acquisition = Acquisition(lambda: plugin.open(options, clock), clock, depth=2)
-    acquisition.start()
-    wait_for(lambda: acquisition.status.frames == 2)
-    acquisition.close()
-    acquisition.close()
-    assert "acquisition" not in [thread.name for thread in threading.enumerate()]
-    assert acquisition.status.state is AcquisitionState.CLOSED
-
-
-def test_a_wait_for_the_consumer_is_not_the_sensors_silence(tmp_path: Path) -> None:
-    """An inspection of ten seconds, while the queue is full: the sensor is not opened again."""
-    options = options_for(tmp_path, frames=20)
-    clock = ManualClock()
-    with Acquisition(lambda: plugin.open(options, clock), clock, depth=2) as acquisition:
-        wait_for(lambda: acquisition.status.frames == 2)
-        clock.sleep(10)
-        frames = all_frames(acquisition)
-
-    assert len(frames) == 20
-    assert acquisition.status.reconnects == 0
+@pytest.mark.parametrize(("frames", "depth", "kept"), [(10, 4, [9, 10]), (24, 32, list(range(18, 25)))])
+def test_a_lagging_consumer_gets_the_newest(frames: int, depth: int, kept: list[int]) -> None:
+    """One more than are kept, or older than 0.8 s: the newest alone stays, so the consumer is not left behind."""
+    device = ScriptedDevice(clock := ManualClock(), *map(jpeg, range(frames)), OVER)
+    reader = Reader(clock, [device], depth)
+    reader.read_all()
+    assert [frame.sequence for frame in reader.waiting()] == kept
+    assert (reader.status.frames, reader.status.dropped) == (frames, frames - len(kept))
+    assert reader.status.fps == pytest.approx(20.0)
 
 
 def test_the_reader_steps_without_a_thread_and_without_time() -> None:
-    """Open, a frame, a broken one, unplugged, a pause, opened again, a frame: in the order in which steps are taken."""
+    """No sensor twice, a frame, a broken one, unplugged, opened again, a frame, and the end: in the order of the steps.
+    Frames before and after a loss are not consecutive; each device is closed once; changes are said once."""
     clock = ManualClock()
     devices = [
-        ScriptedDevice(
-            [jpeg(0), FrameCorrupt("half a frame"), DeviceLost("the sensor was unplugged")], clock
-        ),
-        ScriptedDevice([jpeg(1), RecordingEnded("over")], clock),
+        ScriptedDevice(clock, jpeg(0), FrameCorrupt("half a frame"), jpeg(1), LOST),
+        ScriptedDevice(clock, jpeg(2), OVER),
     ]
-    waiting = list(devices)
-    acquisition = Acquisition(lambda: waiting.pop(0), clock, backoff=Backoff(random.Random(0), 0.5, 10.0))
-    pauses, states = [], []
-    for _ in range(6):
-        pauses.append(acquisition.step())
-        states.append(acquisition.status.state)
+    reader = Reader(clock, [DeviceNotFound("nothing"), DeviceNotFound("nothing"), *devices])
+    pauses = [reader.step() for _ in range(9)]
     with pytest.raises(RecordingEnded):
-        acquisition.step()
-    taken = [acquisition.next(0), acquisition.next(0), acquisition.next(0)]
-    acquisition.close()
+        reader.step()
+    taken = reader.waiting()
+    reader.close()
 
-    assert [pause > 0 for pause in pauses] == [False, False, False, True, False, False]
-    assert states[3] is AcquisitionState.FAULT
-    assert states[0] is AcquisitionState.CONNECTING
-    assert states[4] is AcquisitionState.FAULT, "it is open, and has not given a frame"
-    assert states[2] is states[5] is AcquisitionState.STREAMING
-    assert [frame.payload if frame else None for frame in taken] == [jpeg(0), jpeg(1), None]
-    assert (acquisition.status.corrupt, acquisition.status.reconnects) == (1, 1)
+    assert [pause > 0 for pause in pauses] == [True, True, *[False] * 4, True, False, False]
+    assert reader.failures_in_a_row == [0, 1, 2, 1]
+    assert [(frame.payload, frame.sequence) for frame in taken] == [(jpeg(0), 1), (jpeg(1), 3), (jpeg(2), 5)]
+    assert (reader.status.corrupt, reader.status.reconnects) == (1, 1)
     assert [device.closed for device in devices] == [1, 1]
+    assert reader.said == [
+        (FAULT, "nothing"), (STREAMING, None), (FAULT, "pulled"), (STREAMING, None), (CLOSED, None)
+    ]  # fmt: skip
+
+
+def test_another_sensor_is_not_taken_for_the_first() -> None:
+    """Plugged in while running: refused with both serials and closed, so wear is not counted on its gel."""
+    clock = ManualClock()
+    other = ScriptedDevice(clock, jpeg(1), serial="28D8PXEC")
+    again = ScriptedDevice(clock, jpeg(2), OVER)
+    reader = Reader(clock, [ScriptedDevice(clock, jpeg(0), LOST), other, again])
+    reader.read_all()
+    assert [frame.payload for frame in reader.waiting()] == [jpeg(0), jpeg(2)]
+    assert (reader.status.reconnects, other.closed) == (1, 1)
+    assert any(fault and SERIAL in fault and "28D8PXEC" in fault for _, fault in reader.said)
 
 
 def test_a_pause_of_the_computer_is_not_the_sensors_silence() -> None:
     """Suspended for three seconds, or as busy: the frames that wait are read, and the sensor is not opened again."""
     clock = ManualClock()
-
-    class Punctual(ScriptedDevice):
-        def read(self, deadline_ns: int) -> CameraFrame:
-            if deadline_ns <= clock.monotonic_ns():
-                raise DeviceStalled("no time to look")
-            return super().read(deadline_ns)
-
-    acquisition = Acquisition(lambda: Punctual([jpeg(0), jpeg(1)], clock), clock)
-    for _ in range(2):
-        acquisition.step()
+    reader = Reader(clock, [ScriptedDevice(clock, jpeg(0), jpeg(1))])
+    reader.step()
+    reader.step()
     clock.sleep(3.0)
-    acquisition.step()
-    acquisition.close()
-
-    assert (acquisition.status.frames, acquisition.status.reconnects) == (2, 0)
+    reader.step()
+    assert (reader.status.frames, reader.status.reconnects) == (2, 0)
 
 
 def test_a_sensor_that_is_silent_is_opened_again_after_the_stall_time() -> None:
-    """Short waits until the two seconds are over by the clock, then a fault; no thread sleeps for it."""
+    """Short waits until the two seconds are over by the clock, then a fault."""
     clock = ManualClock()
-    acquisition = Acquisition(lambda: ScriptedDevice([DeviceStalled("nothing yet")] * 2, clock), clock)
-    assert acquisition.step() == 0.0
-    assert acquisition.step() == 0.0
-    assert acquisition.status.state is AcquisitionState.CONNECTING
+    reader = Reader(clock, [ScriptedDevice(clock, *[DeviceStalled("nothing yet")] * 2)])
+    assert (reader.step(), reader.step(), reader.status.state) == (0, 0, AcquisitionState.CONNECTING)
     clock.sleep(2.0)
-    assert acquisition.step() > 0
-    assert acquisition.status.state is AcquisitionState.FAULT
-    acquisition.close()
+    assert reader.step() > 0
+    assert reader.status.state is FAULT
 
 
 def test_a_sensor_that_is_opened_again_and_repeats_its_last_frame_stays_a_fault() -> None:
     """A camera that hangs still has its last frame: opening it again makes it no new one. Then it works again."""
     clock = ManualClock()
-    silent: list[bytes | Exception] = [DeviceStalled("no new frame")]
-    hung = [ScriptedDevice([jpeg(0), *silent * 2], clock) for _ in range(4)]
-    waiting = [*hung, ScriptedDevice([jpeg(0), jpeg(1), RecordingEnded("over")], clock)]
-    said: list[AcquisitionState] = []
-    acquisition = Acquisition(lambda: waiting.pop(0), clock, lambda status: said.append(status.state))
-    frames: list[CameraFrame] = []
-    while acquisition.status.frames < 2:
-        acquisition.step()
-        frames += [frame] if (frame := acquisition.next(0)) else []
+    hung = [ScriptedDevice(clock, jpeg(0), *[DeviceStalled("no new frame")] * 2) for _ in range(4)]
+    reader = Reader(clock, [*hung, ScriptedDevice(clock, jpeg(0), jpeg(1), OVER)])
+    while reader.status.frames < 2:
+        reader.step()
         clock.sleep(1.5)
-    S, F = AcquisitionState.STREAMING, AcquisitionState.FAULT
-    assert said == [S, F, S], "a fault from the first silence to the first new frame"
-    assert [frame.payload for frame in frames] == [jpeg(0), jpeg(1)]
+    assert [state for state, _ in reader.said] == [STREAMING, FAULT, STREAMING]
+    assert [frame.payload for frame in reader.waiting()] == [jpeg(1)], "the first one became too old"
+
+
+def test_pulled_out_again_and_again_while_a_thread_reads(tmp_path: Path) -> None:
+    """Ten times unplugged and plugged in: ten reconnections, every frame once, in order."""
+    options, clock = options_for(tmp_path, frames=100), SystemClock()
+    bench, seen = plugin.bench(options, clock), list[bytes]()
+    backoff = Backoff(random.Random(1), first_s=0.001, ceiling_s=0.004)
+
+    def take_until(state: AcquisitionState) -> None:
+        """Take waiting frames, so that a reader on demand goes on."""
+
+        def is_reached() -> bool:
+            frame = acquisition.next(0)
+            seen.extend([frame.payload] if frame else [])
+            return acquisition.status.state is state
+
+        wait_for(is_reached)
+
+    with Acquisition(lambda: plugin.open(options, clock), clock, depth=4, backoff=backoff) as acquisition:
+        for pull in range(1, 11):
+            take_until(STREAMING)
+            bench.unplug()
+            take_until(FAULT)
+            bench.plug_in(port=1 + pull % 4)
+        take_until(STREAMING)
+        seen += all_frames(acquisition)
+        status = acquisition.status
+    assert (status.reconnects, status.frames) == (10, len(seen))
+    order = [jpeg(seed) for seed in range(100)]
+    places = [order.index(payload) for payload in seen]
+    assert places == sorted(set(places))
+
+
+def test_who_gets_the_end_finds_its_state() -> None:
+    """The state is ENDED before `next` raises: a consumer that looks at it then is not a moment too early."""
+    clock, taken = ManualClock(), list[CameraFrame | None]()
+
+    def note(status: AcquisitionStatus) -> None:
+        if status.state is ENDED:
+            taken.append(acquisition.next(0))  # raises when the end has come already
+
+    acquisition = Acquisition(lambda: ScriptedDevice(clock, OVER), clock, note)
+    with acquisition, pytest.raises(RecordingEnded):
+        acquisition.next(PATIENCE_S)
+    assert taken == [None]
+
+
+def test_what_is_no_device_fault_reaches_the_consumer(tmp_path: Path) -> None:
+    """A recording that does not exist is not retried: `next` raises the error. A sensor that is away is no error."""
+    clock, options = ManualClock(), UsbMockOptions(recording=tmp_path / "nowhere")
+    with (
+        Acquisition(lambda: plugin.open(options, clock), clock) as acquisition,
+        pytest.raises(RecordingError),
+    ):
+        acquisition.next(PATIENCE_S)
+    reader = Reader(clock, [DeviceNotFound("nothing")])
+    reader.step()
+    assert reader.next(0) is None
+
+
+def test_a_reader_that_waits_for_the_consumer(tmp_path: Path) -> None:
+    """Ten seconds of an inspection while the queue is full are not the sensor's silence, and `close` does not hang."""
+    options, clock = options_for(tmp_path, frames=20), ManualClock()
+    with Acquisition(lambda: plugin.open(options, clock), clock, depth=2) as acquisition:
+        wait_for(lambda: acquisition.status.frames == 2)
+        clock.sleep(10)
+        for _ in range(5):
+            assert acquisition.next(PATIENCE_S) is not None
+        wait_for(lambda: acquisition.status.frames == 7)
+        assert acquisition.status.reconnects == 0
+        acquisition.close()
+        acquisition.close()
+        assert "acquisition" not in [thread.name for thread in threading.enumerate()]
+        assert acquisition.status.state is CLOSED

@@ -1,65 +1,47 @@
 """Steps of the wall clock are written down, so that a strange time in the history has its reason."""
 
-from pathlib import Path
-
 import pytest
-from station import station_config
 from stepped_station import SteppedStation
 
 from edge.clock import ManualClock, SystemClock
 from edge.gateway.report import ClockGuard
 
 
-class SetClock(ManualClock):
-    """A clock whose wall time a test sets."""
-
-    set_s = 0.0
-
-    def time_ns(self) -> int:
-        return self.monotonic_ns() + round(self.set_s * 1e9)
+def set_wall(clock: ManualClock, monkeypatch: pytest.MonkeyPatch, set_s: float) -> None:
+    """From now on the wall time of the clock is so far from its own."""
+    monkeypatch.setattr(clock, "time_ns", lambda: clock.monotonic_ns() + round(set_s * 1e9))
 
 
 @pytest.mark.parametrize(("set_s", "found"), [(3600.0, 3600.0), (-31 * 86400.0, -31 * 86400.0), (0.5, None)])
-def test_a_step_is_found_once(set_s: float, found: float | None) -> None:
+def test_a_step_is_found_once(set_s: float, found: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Forward and back; what a time server corrects slowly is none."""
-    clock = SetClock()
-    guard = ClockGuard(clock)
+    guard = ClockGuard(clock := ManualClock())
     clock.sleep(10)
     assert guard.step() is None
-
-    clock.set_s = set_s
-
+    set_wall(clock, monkeypatch, set_s)
     assert (guard.step(), guard.step()) == (found, None)
 
 
 def test_a_station_writes_a_step_into_the_table_of_acts(
-    tmp_path: Path, recording: Path, bundle: Path
+    station: SteppedStation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With the time before and after."""
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
-        clock = SetClock(station.clock.monotonic_ns())
-        station.loop.report.clock_guard = ClockGuard(clock)
-        clock.set_s = 86400.0
-        station.loop.publish_stats()
-        (act,) = station.parts.store.acts()
-
+    set_wall(station.clock, monkeypatch, 86400.0)
+    station.loop.publish_stats()
+    (act,) = station.parts.store.acts()
     assert (act.who, act.verb, act.outcome) == ("the gateway", "clock_step", "done")
     assert act.arguments == {"seconds": 86400.0}
 
 
-def test_a_clock_beyond_2262_loses_no_press(
-    tmp_path: Path, recording: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_clock_beyond_2262_loses_no_press(station: SteppedStation, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nanoseconds in 64 bits end there: the station goes on, while the clock is wrong and when it is right again."""
     today_ns = 1_795_000_000 * 10**9
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
-        monkeypatch.setattr(station.clock, "time_ns", SystemClock().time_ns)
-        monkeypatch.setattr("time.time_ns", lambda: today_ns + 400 * 365 * 86_400 * 10**9)
-        station.play_until(lambda: station.loop.is_halted or len(station.reports) == 1)
-        assert not station.loop.is_halted
-        monkeypatch.setattr("time.time_ns", lambda: today_ns)
-        station.play()
+    monkeypatch.setattr(station.clock, "time_ns", SystemClock().time_ns)
+    monkeypatch.setattr("time.time_ns", lambda: today_ns + 400 * 365 * 86_400 * 10**9)
+    station.play_until(lambda: station.loop.is_halted or len(station.reports) == 1)
+    assert not station.loop.is_halted
+    monkeypatch.setattr("time.time_ns", lambda: today_ns)
+    station.play()
 
-        times = [report.result.time_ns for report in station.reports]
+    times = [result.time_ns for result in station.results]
     assert [time_ns == today_ns for time_ns in times] == [False, True, True]
     assert times[0] // 10**9 // 86_400 == 9_214_646_400 // 86_400

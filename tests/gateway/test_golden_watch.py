@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from parts import parts_config, retained, turns, two_parts
+from parts import parts_config, turns, two_parts
 from station import Motion, press_recording
 from stepped_station import SteppedStation
 

@@ -1,12 +1,19 @@
-"""A station in a folder: recorded presses, a bundle fitted on them, and a configuration for the gateway."""
+"""A station in a folder: recorded presses, a bundle fitted on them, and a configuration for the gateway.
 
+The fixtures are of every room that runs stations: its `conftest.py` imports them.
+"""
+
+import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from tiny import TINY, tiny_trunk
 
@@ -91,11 +98,13 @@ version = 1
 plugin = "usb_mock"
 options = {{ recording = "{recording}", pace = {pace}, faults = {faults}, loop = {loop} }}
 [inspection]
-bundle = "{bundle}"
+{inspection}
 trigger = "{trigger}"
 [store]
 path = "gelgate.db"
+{store}
 {sinks}
+{tables}
 """
 JSONL = '[[sinks]]\nplugin = "jsonl"\noptions = { folder = "%s" }\n'
 MQTT = '[[sinks]]\nplugin = "mqtt"\noptions = { host = "127.0.0.1", port = %d }\n'
@@ -104,25 +113,62 @@ MQTT = '[[sinks]]\nplugin = "mqtt"\noptions = { host = "127.0.0.1", port = %d }\
 def station_config(
     folder: Path,
     recording: Path,
-    bundle: Path,
+    bundle: Path | str,
     *,
     pace: float = 0.0,
     faults: Sequence[str] = (),
     loop: bool = False,
-    sinks: str = "",
     trigger: str = "automatic",
+    store: str = "",
+    sinks: str = "",
+    tables: str = "",
 ) -> Path:
-    """Write `gelgate.toml` into the folder; messages go to `out/` in that folder unless `sinks` is given."""
+    """Write `gelgate.toml` into the folder; messages go to `out/` in it unless `sinks` is given.
+
+    bundle: its folder, or lines of the table `inspection`. store: lines of that table. tables: further ones.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "gelgate.toml"
     text = CONFIG.format(
         recording=recording,
-        bundle=bundle,
         pace=pace,
         faults=list(faults),
         loop=str(loop).lower(),
+        inspection=bundle if isinstance(bundle, str) else f'bundle = "{bundle}"',
         trigger=trigger,
+        store=store,
         sinks=sinks or JSONL % (folder / "out"),
+        tables=tables,
     )
     path.write_text(text.replace("'", '"'), encoding="utf-8")
     return path
+
+
+def variant(bundle: Path, path: Path, **changes: Any) -> Path:
+    """Copy the bundle with these fields of its manifest changed, in the place of an earlier copy."""
+    shutil.rmtree(path, ignore_errors=True)
+    shutil.copytree(bundle, path)
+    manifest = json.loads((path / "manifest.json").read_text())
+    (path / "manifest.json").write_text(json.dumps(manifest | changes))
+    return path
+
+
+def two_parts(folder: Path, bundle: Path) -> str:
+    """Make two bundles that differ in part and threshold (every press passes the second); return their line."""
+    lenient = json.loads((bundle / "manifest.json").read_text())["threshold"] | {"value": 1e6}
+    variant(bundle, folder / "a")
+    variant(bundle, folder / "b", part="PZ1", threshold=lenient)
+    return f'bundle_folder = "{folder}"'
+
+
+@pytest.fixture(scope="session")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bundle fitted on twelve nominal presses."""
+    folder = tmp_path_factory.mktemp("bundle")
+    return small_bundle(folder / "pz0", press_recording(folder / "nominal", 12, seed=1))
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three presses, the second one dented."""
+    return press_recording(tmp_path_factory.mktemp("recording") / "presses", 3, dented=[1], seed=2)

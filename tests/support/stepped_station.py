@@ -1,5 +1,6 @@
 """A station without threads and without time of its own: a test says when the sensor is read and the loop looks."""
 
+import json
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -15,6 +16,7 @@ from edge.gateway.build import build
 from edge.gateway.command_table import COMMANDS
 from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
+from edge.messaging.result_payload import ResultPayload
 
 S = TypeVar("S", bound=PressStage)
 
@@ -50,6 +52,33 @@ class SteppedStation:
         return command.do(self.loop, command.arguments.of(arguments))
 
     @property
+    def results(self) -> list[ResultPayload]:
+        """The results of the presses so far."""
+        return [report.result for report in self.reports]
+
+    @property
+    def verdicts(self) -> list[str | None]:
+        """The verdict of each press so far."""
+        return [result.verdict for result in self.results]
+
+    def said(self, topic: str) -> Any:
+        """Return the newest message of a topic that has no history, as JSON; None where it is empty."""
+        kept = {
+            message.topic: message.payload for _, message in self.parts.publisher.retained_state.since(-1)
+        }
+        return json.loads(kept[topic]) if kept.get(topic) else None
+
+    def alarm(self, name: str) -> str | None:
+        """Return the text of the alarm; None where it is not raised."""
+        said = self.said(f"alarm/{name}")
+        return said and said["text"]
+
+    def publish(self) -> None:
+        """Let each publisher's thread take one turn."""
+        for worker in self.parts.publisher._workers.values():
+            worker.step()
+
+    @property
     def raised(self) -> list[str]:
         """The alarms that are raised, in order."""
         return sorted(self.parts.status.view().alarms)
@@ -71,6 +100,11 @@ class SteppedStation:
             if self.loop.is_halted:
                 return
 
+    def turn(self, count: int = 1) -> None:
+        """Let the loop take this number of turns without a frame."""
+        for _ in range(count):
+            self.loop.step(None)
+
     def play(self, steps: int | None = None) -> None:
         """Read and look in turn, to the recording's end or for this number of steps."""
         while not self.has_ended and steps != 0:
@@ -83,6 +117,10 @@ class SteppedStation:
         while not is_so():
             assert not self.has_ended, "the recording is over, and it did not come to that"
             self.play(1)
+
+    def play_presses(self, number: int) -> None:
+        """Read and look in turn until this number of presses is recorded, and the gel is free again."""
+        self.play_until(lambda: len(self.reports) == number and not self.loop.session.has_contact)
 
     @contextmanager
     def refusing(self, table: str) -> Iterator[None]:
