@@ -14,8 +14,8 @@ from edge.messaging.local_broker import LocalBroker
 def test_the_demo_inspects_over_a_broker(
     tmp_path: Path, recording: Path, bundle: Path, hold: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every press is printed, arrives at the subscriber with its heatmap, and is in the ledger. A recording whose presses
-    are too short to be seen is a fault: nothing inspected is not "done"."""
+    """Every press is printed, arrives at the subscriber with its heatmap, and is in the ledger. Presses that are too
+    short to be seen are a fault: nothing inspected is not "done"."""
     if not hold:
         recording = press_recording(tmp_path / "short", 2, motion=Motion(hold=0), seed=4)
     heatmaps = tmp_path / "heatmaps"

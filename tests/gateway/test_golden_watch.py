@@ -3,8 +3,7 @@
 from pathlib import Path
 
 import pytest
-from parts import parts_config, turns, two_parts
-from station import Motion, press_recording
+from station import Motion, press_recording, station_config, two_parts
 from stepped_station import SteppedStation
 
 from edge.clock import SystemClock
@@ -16,28 +15,26 @@ PZ0, PZ1 = PartPosition("PZ0", "pos1"), PartPosition("PZ1", "pos1")
 
 
 @pytest.fixture
-def folder(tmp_path: Path, bundle: Path) -> Path:
+def bundles(tmp_path: Path, bundle: Path) -> str:
     return two_parts(tmp_path / "bundles", bundle)
 
 
-def test_golden_frames_are_scored_after_every_change_and_every_hour(
-    tmp_path: Path, folder: Path, bundle: Path
-) -> None:
+def test_golden_frames_are_scored_after_every_change_and_every_hour(tmp_path: Path, bundles: str) -> None:
     """A bundle whose frames score otherwise gives no verdict, and the station says so; it heals by itself."""
     recording = press_recording(tmp_path / "presses", 1, motion=Motion(idle=12), seed=5)
-    config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"')
+    config = station_config(tmp_path / "station", recording, bundles)
     with SteppedStation(config) as station:
         station.play_until(lambda: station.loop.session is not None)
         scorer = station.parts.selection.inspector.scorer
         mean = scorer._bank["mean"].numpy().copy()
         scorer._bank["mean"].update_inplace(mean + 1)
-        turns(station, 3)
-        assert retained(station, "alarm/golden") is None
+        station.turn(3)
+        assert station.alarm("golden") is None
 
         station.clock.sleep(3601)
-        turns(station, len(scorer.bundle.golden))
-        assert "golden frame 0" in str(retained(station, "alarm/golden"))
-        assert (retained(station, "state") or {})["state"] == "halted"
+        station.turn(len(scorer.bundle.golden))
+        assert "golden frame 0" in str(station.alarm("golden"))
+        assert station.said("state")["state"] == "halted"
         assert station.parts.selection.inspector.fault is not None
 
         before = station.parts.selection.bundles
@@ -46,28 +43,28 @@ def test_golden_frames_are_scored_after_every_change_and_every_hour(
 
         scorer._bank["mean"].update_inplace(mean)
         station.clock.sleep(61)
-        turns(station, len(scorer.bundle.golden))
-        assert retained(station, "alarm/golden") is None
+        station.turn(len(scorer.bundle.golden))
+        assert station.alarm("golden") is None
         assert station.parts.selection.inspector.fault is None
 
         other = station.parts.selection.bundles[PZ1].inspector.scorer
         other._bank["mean"].update_inplace(mean + 1)
         station.ask("select_part", part="PZ1")
-        turns(station, len(scorer.bundle.golden))
-        assert "golden frame 0" in str(retained(station, "alarm/golden"))
+        station.turn(len(scorer.bundle.golden))
+        assert "golden frame 0" in str(station.alarm("golden"))
         station.ask("select_part", part="PZ0")
-        assert retained(station, "alarm/golden") is None
+        assert station.alarm("golden") is None
 
 
 def test_no_press_has_a_verdict_while_golden_frames_fail(
-    tmp_path: Path, recording: Path, folder: Path
+    tmp_path: Path, recording: Path, bundles: str
 ) -> None:
     """Each is an error with the reason, and is counted."""
-    config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"')
+    config = station_config(tmp_path / "station", recording, bundles)
     with SteppedStation(config) as station:
         station.play_until(lambda: station.loop.session is not None)
         station.parts.selection.inspector.fault = "golden frame 0 scores 9"
         station.play()
 
-        assert [report.result.error for report in station.reports] == ["golden frame 0 scores 9"] * 3
-        assert [report.result.verdict for report in station.reports] == [None] * 3
+        assert [result.error for result in station.results] == ["golden frame 0 scores 9"] * 3
+        assert station.verdicts == [None] * 3

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from parts import parts_config, threshold, variant
+from station import station_config, two_parts
 from stepped_station import SteppedStation
 
 from edge.core.part_position import PartPosition
@@ -17,17 +17,15 @@ PZ0, PZ1 = PartPosition("PZ0", "pos1"), PartPosition("PZ1", "pos1")
 @pytest.fixture
 def bundles(tmp_path: Path, bundle: Path) -> str:
     """Two bundles that differ in part and threshold: every press passes the second, which has another name."""
-    variant(bundle, tmp_path / "a")
-    variant(bundle, tmp_path / "b", part="PZ1", threshold=threshold(bundle, 1e6))
+    two_parts(tmp_path, bundle)
     return f'bundles = [{{ path = "{tmp_path / "a"}" }}, {{ path = "{tmp_path / "b"}", names = ["4711"] }}]'
 
 
 def station(folder: Path, recording: Path, bundles: str, codes: list[str], *, select: bool) -> SteppedStation:
     """Three presses, the second one dented, with these codes on their parts."""
-    path = parts_config(folder / "station", recording, bundles)
     table = f'[overview]\nplugin = "virtual_overview"\ncodes = ["qr"]\noptions = {{ parts = {codes} }}\n'
-    path.write_text(f"{path.read_text()}\n{table}select = {str(select).lower()}\n")
-    return SteppedStation(path)
+    table += f"select = {str(select).lower()}\n"
+    return SteppedStation(station_config(folder / "station", recording, bundles, tables=table))
 
 
 def play(playing: SteppedStation, presses: int = 3) -> list[ResultPayload]:
@@ -36,7 +34,7 @@ def play(playing: SteppedStation, presses: int = 3) -> list[ResultPayload]:
         assert not playing.has_ended
         playing.find(Overview).camera.step()
         playing.play(1)
-    return [report.result for report in playing.reports]
+    return playing.results
 
 
 def test_the_code_selects_the_bundle_that_judges_this_press(

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from parts import parts_config, retained, turns, two_parts, variant
+from station import station_config, two_parts, variant
 from stepped_station import SteppedStation
 
 from edge.clock import SystemClock
@@ -24,12 +24,13 @@ PZ0, PZ1 = PartPosition("PZ0", "pos1"), PartPosition("PZ1", "pos1")
 @pytest.fixture
 def folder(tmp_path: Path, bundle: Path) -> Path:
     """Two bundles that differ in part and threshold: every press passes the second."""
-    return two_parts(tmp_path / "bundles", bundle)
+    two_parts(tmp_path / "bundles", bundle)
+    return tmp_path / "bundles"
 
 
 @pytest.fixture
 def config(tmp_path: Path, recording: Path, folder: Path) -> Path:
-    return parts_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"')
+    return station_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"')
 
 
 def reloaded(station: SteppedStation) -> None:
@@ -55,14 +56,10 @@ def test_the_selected_part_is_inspected_from_the_next_press_on(config: Path) -> 
         station.ask("select_part", part="PZ1")
         station.play()
 
-        results = [report.result for report in station.reports]
-        assert [(one.part, one.verdict) for one in results] == [
-            ("PZ0", "pass"),
-            ("PZ1", "pass"),
-            ("PZ1", "pass"),
-        ]
-        info = retained(station, "info")
-    assert info is not None
+        results = station.results
+        assert [one.part for one in results] == ["PZ0", "PZ1", "PZ1"]
+        assert station.verdicts == ["pass"] * 3
+        info = station.said("info")
     assert (info["part"], info["bundle_id"]) == ("PZ1", results[-1].bundle_id)
     assert info["parts"] == ["PZ0/pos1", "PZ1/pos1"]
     assert results[0].bundle_id != results[-1].bundle_id
@@ -80,7 +77,7 @@ def test_a_part_selected_during_a_press_waits_for_its_end(config: Path) -> None:
         assert not station.parts.selection.is_waiting
         station.play()
 
-        assert [report.result.part for report in station.reports] == ["PZ0", "PZ1", "PZ1"]
+        assert [result.part for result in station.results] == ["PZ0", "PZ1", "PZ1"]
 
 
 def test_the_learnt_free_gel_stays_over_a_change_of_part(config: Path) -> None:
@@ -92,7 +89,7 @@ def test_the_learnt_free_gel_stays_over_a_change_of_part(config: Path) -> None:
         station.ask("select_part", part="PZ1")
 
         assert station.loop.session._detector.tracker.reference is reference
-        assert (retained(station, "state") or {})["state"] == "ready"
+        assert station.said("state")["state"] == "ready"
 
 
 def test_a_station_starts_with_the_part_that_was_selected_last(config: Path) -> None:
@@ -105,14 +102,8 @@ def test_a_station_starts_with_the_part_that_was_selected_last(config: Path) -> 
 
 def test_a_new_station_starts_with_the_configured_part(tmp_path: Path, recording: Path, folder: Path) -> None:
     """By any of its names."""
-    lines = (
-        f'part = "4711"\n[[inspection.bundles]]\npath = "{folder / "a"}"\n'
-        f'[[inspection.bundles]]\npath = "{folder / "b"}"\nnames = ["4711"]'
-    )
-    config = parts_config(tmp_path / "station", recording, "")
-    config.write_text(config.read_text() + "[inspection]\n" + lines + "\n")
-    text = config.read_text().replace('[inspection]\n\ntrigger = "automatic"\n', "", 1)
-    config.write_text(text)
+    bundles = f'[{{ path = "{folder / "a"}" }}, {{ path = "{folder / "b"}", names = ["4711"] }}]'
+    config = station_config(tmp_path / "station", recording, f'part = "4711"\nbundles = {bundles}')
     with SteppedStation(config) as station:
         assert station.parts.selection.part == PZ1
         station.ask("select_part", name="PZ0")
@@ -133,7 +124,7 @@ def test_a_part_with_several_positions_needs_one(tmp_path: Path, recording: Path
     """The sentence names them."""
     for name, position in (("a", "left"), ("b", "right")):
         variant(bundle, tmp_path / "bundles" / name, position=position)
-    config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{tmp_path / "bundles"}"')
+    config = station_config(tmp_path / "station", recording, f'bundle_folder = "{tmp_path / "bundles"}"')
     with SteppedStation(config) as station:
         with pytest.raises(ValueError, match="several positions here \\(PZ0/left, PZ0/right\\)"):
             station.ask("select_part", part="PZ0")
@@ -185,14 +176,12 @@ def test_the_last_good_bundle_stays_when_the_new_one_fails(config: Path, folder:
 
         assert selection.inspector is old
         assert selection.bundles[PZ1].bundle.manifest.revision == 7
-        alarm = retained(station, "alarm/bundle")
-        assert alarm is not None
-        assert "head.onnx has SHA-256" in str(alarm["text"])
+        assert "head.onnx has SHA-256" in str(station.alarm("bundle"))
 
         variant(bundle, folder / "a", revision=5)
         reloaded(station)
         assert selection.inspector.bundle.manifest.revision == 5
-        assert retained(station, "alarm/bundle") is None
+        assert station.alarm("bundle") is None
 
 
 @pytest.mark.parametrize("name", ["head.onnx", "trunk.onnx", "bank"])
@@ -208,7 +197,7 @@ def test_a_reload_notices_a_file_that_changed_under_its_manifest(
         reloaded(station)
 
         assert station.parts.selection.inspector is old
-        assert f"{file.name} has SHA-256" in str(retained(station, "alarm/bundle"))
+        assert f"{file.name} has SHA-256" in str(station.alarm("bundle"))
 
 
 def test_a_folder_in_the_place_of_a_manifest_spoils_its_own_bundle_alone(
@@ -224,7 +213,7 @@ def test_a_folder_in_the_place_of_a_manifest_spoils_its_own_bundle_alone(
 
         assert station.parts.selection.inspector is old
         assert station.parts.selection.bundles[PZ1].bundle.manifest.revision == 7
-        assert "manifest.json cannot be read (Is a directory)" in str(retained(station, "alarm/bundle"))
+        assert "manifest.json cannot be read (Is a directory)" in str(station.alarm("bundle"))
 
 
 def test_info_names_the_parts_that_a_reload_brings(config: Path, folder: Path, bundle: Path) -> None:
@@ -234,8 +223,7 @@ def test_info_names_the_parts_that_a_reload_brings(config: Path, folder: Path, b
         variant(bundle, folder / "c", part="PZ2")
         reloaded(station)
 
-        info = retained(station, "info")
-    assert info is not None
+        info = station.said("info")
     assert info["part"] == "PZ0"
     assert info["parts"] == ["PZ0/pos1", "PZ1/pos1", "PZ2/pos1"]
 
@@ -248,7 +236,7 @@ def test_an_older_bundle_is_refused_unless_allowed(config: Path, folder: Path, b
         variant(bundle, folder / "a", revision=2)
         reloaded(station)
         assert station.parts.selection.inspector.bundle.manifest.revision == 3
-        assert "has revision 2, and revision 3 was in use" in str(retained(station, "alarm/bundle"))
+        assert "has revision 2, and revision 3 was in use" in str(station.alarm("bundle"))
     with pytest.raises(BundleMismatch, match="has revision 2, and revision 3 was in use here"):
         SteppedStation(config)
 
@@ -271,14 +259,12 @@ def test_the_selected_part_cannot_be_removed_by_a_reload(config: Path, folder: P
         (folder / "a" / "manifest.json").unlink()
         reloaded(station)
         assert station.parts.selection.part == PZ0
-        assert "there is no bundle for the selected PZ0/pos1 any more" in str(
-            retained(station, "alarm/bundle")
-        )
+        assert "there is no bundle for the selected PZ0/pos1 any more" in str(station.alarm("bundle"))
 
         station.ask("select_part", part="PZ1")
         reloaded(station)
         assert list(station.parts.selection.bundles.bundles) == [PZ1]
-        assert retained(station, "alarm/bundle") is None
+        assert station.alarm("bundle") is None
 
 
 def test_a_reload_reads_the_configuration_again(tmp_path: Path, config: Path, folder: Path) -> None:
@@ -287,10 +273,10 @@ def test_a_reload_reads_the_configuration_again(tmp_path: Path, config: Path, fo
         good = config.read_text()
         config.write_text(good.replace(str(folder), str(tmp_path / "nowhere")))
         reloaded(station)
-        assert "nowhere cannot be read" in str(retained(station, "alarm/bundle"))
+        assert "nowhere cannot be read" in str(station.alarm("bundle"))
         config.write_text(good + "\n[unheard]\n")
         reloaded(station)
-        assert "'unheard' is not known" in str(retained(station, "alarm/bundle"))
+        assert "'unheard' is not known" in str(station.alarm("bundle"))
         assert station.parts.selection.part == PZ0
 
 
@@ -354,7 +340,7 @@ def test_the_outcome_of_a_reload_is_recorded_when_the_database_accepts_it(config
             reloaded(station)
             assert station.loop.is_halted
             assert station.parts.store.acts() == []
-        turns(station, 3)
+        station.turn(3)
 
         assert not station.loop.is_halted
         assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]

@@ -9,9 +9,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from parts import parts_config, two_parts, variant
 from ports import free_port
-from station import station_config
+from station import station_config, two_parts, variant
 
 from edge.acquisition import AcquisitionState
 from edge.clock import SystemClock
@@ -106,7 +105,7 @@ def test_each_bundle_of_a_station_has_its_finding(tmp_path: Path, recording: Pat
     variant(bundle, folder / "c", part="PZ2")
     (folder / "c" / "head.onnx").write_bytes(b"cut")
     config, clock = (
-        load_config(parts_config(tmp_path, recording, f'bundle_folder = "{folder}"')),
+        load_config(station_config(tmp_path, recording, f'bundle_folder = "{folder}"')),
         SystemClock(),
     )
     with Store(config.store.path) as store:
@@ -121,8 +120,8 @@ def test_each_bundle_of_a_station_has_its_finding(tmp_path: Path, recording: Pat
 
 def test_a_part_without_a_bundle_is_found_by_the_check(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """As at the start, where the part that was selected last comes first."""
-    inspection = f'bundle_folder = "{two_parts(tmp_path / "bundles", bundle)}"\npart = "PZ9"'
-    config = load_config(parts_config(tmp_path / "station", recording, inspection))
+    inspection = two_parts(tmp_path / "bundles", bundle) + '\npart = "PZ9"'
+    config = load_config(station_config(tmp_path / "station", recording, inspection))
     with preflight(config, SystemClock()) as checked:
         (finding,) = [finding for finding in checked.findings if finding.part == "part"]
     assert isinstance(finding.error, ConfigError)

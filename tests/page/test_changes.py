@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 from page_messages import ROOT, TOKEN, ask, asked
-from parts import parts_config, threshold, variant
 from ports import free_port
+from station import station_config, two_parts
 from stepped_station import SteppedStation
 
 from edge.clock import ManualClock
@@ -85,12 +85,10 @@ def alone(tmp_path: Path) -> Iterator[Bench]:
 
 @pytest.fixture
 def bench(tmp_path: Path, recording: Path, bundle: Path) -> Iterator[StationBench]:
-    folder, port = tmp_path / "bundles", free_port()
-    variant(bundle, folder / "a")
-    variant(bundle, folder / "b", part="PZ1", threshold=threshold(bundle, 1e6))
+    port, bundles = free_port(), two_parts(tmp_path / "bundles", bundle)
     token = token_file(tmp_path)
     sinks = f'[[sinks]]\nplugin = "page"\noptions = {{ port = {port}, token_file = "{token}" }}\n'
-    config = parts_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"', sinks=sinks)
+    config = station_config(tmp_path / "station", recording, bundles, sinks=sinks)
     with SteppedStation(config) as station:
         station.play(3)
         yield StationBench(port, station.parts.store, lambda: station.loop.step(None), station)
@@ -258,7 +256,7 @@ def test_without_a_token_the_page_only_shows(tmp_path: Path, recording: Path, bu
     """It says so, and an attempt is an act."""
     port = free_port()
     sinks = f'[[sinks]]\nplugin = "page"\noptions = {{ port = {port} }}\n'
-    config = parts_config(tmp_path, recording, f'bundle = "{bundle}"', sinks=sinks)
+    config = station_config(tmp_path, recording, bundle, sinks=sinks)
     with SteppedStation(config) as station:
         bench = Bench(port, station.parts.store, lambda: station.loop.step(None))
         said = asked(port, "/station.json")["changes"]

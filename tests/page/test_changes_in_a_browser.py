@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 from chromium import BROWSER_MS, wait_until
 from page_messages import TOKEN, press, state
-from parts import parts_config, threshold, variant
 from ports import free_port
-from station import MQTT, Motion, press_recording
+from station import MQTT, Motion, press_recording, station_config, two_parts
 
 from edge.clock import SystemClock
 from edge.config import load_config
@@ -31,17 +30,13 @@ OF_THE_BROWSER = "Failed to load resource: the server responded with a status of
 @pytest.fixture
 def running(tmp_path: Path, bundle: Path) -> Iterator[tuple[Gateway, int]]:
     """Two parts, a press every second, a broker that is not there; gives the port of its page."""
-    folder, port = tmp_path / "bundles", free_port()
-    variant(bundle, folder / "a")
-    variant(bundle, folder / "b", part="PZ1", threshold=threshold(bundle, 1e6))
+    port, bundles = free_port(), two_parts(tmp_path / "bundles", bundle)
     token = tmp_path / "page.token"
     token.write_text(TOKEN)
     token.chmod(0o640)
     sinks = f'[[sinks]]\nplugin = "page"\noptions = {{ port = {port}, token_file = "{token}" }}\n{MQTT % free_port()}'
     recording = press_recording(tmp_path / "presses", 3, motion=Motion(free=28, idle=6), seed=2)
-    config = parts_config(
-        tmp_path / "station", recording, f'bundle_folder = "{folder}"', sinks=sinks, pace=1.0, loop=True
-    )
+    config = station_config(tmp_path / "station", recording, bundles, sinks=sinks, pace=1.0, loop=True)
     stop = threading.Event()
     with Gateway.open(load_config(config), SystemClock()) as gateway:
         thread = threading.Thread(target=gateway.run, args=(stop,))
