@@ -16,18 +16,19 @@ KILLED = 9
 
 
 class Deadline(logging.Handler):
-    """Armed by the log line of the settled press; then every SQL write counts."""
+    """Armed by the log line of the settled press; then every SQL write counts, those of its triggers as one with it."""
 
     def __init__(self, deadly: int) -> None:
         super().__init__()
         self.deadly, self.writes, self.is_armed = deadly, 0, False
+        self._last = ""
 
     def emit(self, record: logging.LogRecord) -> None:
         self.is_armed = self.is_armed or "PressSettled" in record.getMessage()
 
     def count(self, sql: str) -> None:
-        if self.is_armed and sql.lstrip().upper().startswith(WRITES):
-            self.writes += 1
+        if self.is_armed and sql != self._last and sql.lstrip().upper().startswith(WRITES):
+            self.writes, self._last = self.writes + 1, sql
             if self.writes == self.deadly:
                 os._exit(KILLED)
 
