@@ -9,8 +9,8 @@ from edge.store.press_store import Store
 
 
 def test_a_full_disk_halts_the_station_and_loses_no_press(station: SteppedStation, tmp_path: Path) -> None:
-    """The press that finds no room is kept: a halt and an alarm, recorded once there is room. Each press is counted once
-    and published once; the alarm is cleared and the station goes on."""
+    """The press that finds no room is kept: a halt and an alarm, recorded once there is room. Each press is counted
+    once; the alarm is cleared and the station goes on."""
     station.play_presses(1)
     station.publish()
     with room_for((tmp_path / "gelgate.db-wal").stat().st_size):

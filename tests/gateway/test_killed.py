@@ -49,4 +49,6 @@ def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(tmp_path: P
     assert set(codes) == {0, killed_gateway.KILLED}
     assert codes.count(killed_gateway.KILLED) >= writes - 4
     assert codes[-1] == 0
-    assert {later - earlier for earlier, later in pairwise(recorded)} == {0, 1}, "killed before its row, and after"
+    assert {later - earlier for earlier, later in pairwise(recorded)} == {0, 1}, (
+        "killed before its row, and after"
+    )

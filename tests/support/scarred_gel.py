@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from station import FPS, SERIAL, SIZE, Motion, gel, jpeg
+from station import FPS, HEADER, Motion, gel, jpeg
 
-from edge.recording.format import RecordingHeader, RecordingWriter
+from edge.recording.format import RecordingWriter
 
 __all__ = ["MARK", "scarred_recording"]
 
@@ -31,10 +31,9 @@ def scarred_recording(
     strong. on_part: changes the frames of press n while it is pressed."""
     motion = motion or Motion(idle=20)
     rng = np.random.default_rng(5)
-    header = RecordingHeader("GelSight Mini R0B TEST-0001", SERIAL, SIZE, FPS, profile="cropped_lr")
     shown: list[tuple[int, int, int]] = []
     number = 0
-    with RecordingWriter(folder, header) as writer:
+    with RecordingWriter(folder, HEADER) as writer:
         for press in range(-1, presses):
             depths = [0.0] * motion.free if press < 0 else [0.5, *[1.0] * motion.hold, 0.3]
             after = 0 if press < 0 else motion.idle

@@ -6,7 +6,7 @@ The fixtures are of every room that runs stations: its `conftest.py` imports the
 import json
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from edge.recording.format import RecordingHeader, RecordingWriter
 FPS = 18.75
 SERIAL = "TEST0001"
 SIZE = (320, 240)
+HEADER = RecordingHeader("GelSight Mini R0B TEST-0001", SERIAL, SIZE, FPS, profile="cropped_lr")
 
 
 @dataclass(frozen=True)
@@ -75,8 +76,7 @@ def press_recording(
     phases: list[tuple[float, int | None]] = [(0.0, None)] * motion.free
     for press in range(presses):
         phases += [(0.5, press)] + [(1.0, press)] * motion.hold + [(0.3, press)] + [(0.0, None)] * motion.idle
-    header = RecordingHeader("GelSight Mini R0B TEST-0001", SERIAL, SIZE, fps, profile="cropped_lr")
-    with RecordingWriter(folder, header) as writer:
+    with RecordingWriter(folder, replace(HEADER, nominal_fps=fps)) as writer:
         for number, (depth, press) in enumerate(phases):
             writer.add(jpeg(gel(rng, depth, press in dented)), round(number * 1e9 / fps), {"press": press})
     return folder
