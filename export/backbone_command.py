@@ -83,13 +83,12 @@ def backbone(given: BackboneArguments) -> None:
     """Convert weights or a network to a trunk.
 
     It is compared with the original at every tap before it is written."""
-    from edge.core.errors import ConfigError
+    from calibration.fitting.command import refuse_existing
     from edge.core.imaging.known_profiles import profile as known_profile
     from edge.core.imaging.region import Region
     from export.backbone import BackboneOptions
 
-    if given.output.exists() and not given.overwrite:
-        raise ConfigError(f"{given.output} exists already; choose another name or pass --overwrite")
+    refuse_existing(given.output, given.overwrite)
     sensor = known_profile(given.profile)
     region = Region.parse(given.region, sensor.size)
     options = BackboneOptions(

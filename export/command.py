@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
+from edge.cli.options import BundlePath, TrunkStore
 from export.backbone_command import backbone
 from export.importers.command import detect, import_
-from export.parity_command import openvino, parity
 from export.precision_command import precision
 
 __all__ = ["export"]
@@ -24,8 +24,66 @@ export.command()(backbone)
 export.command()(precision)
 export.command("detect")(detect)
 export.command("import")(import_)
-export.command()(parity)
-export.command()(openvino)
+
+
+@export.command()
+def parity(
+    bundle: BundlePath,
+    stages: Annotated[
+        Path,
+        typer.Argument(
+            metavar="STAGES", help="An .npz of the research model: frames, and its stages by name."
+        ),
+    ],
+    report: Annotated[Path | None, typer.Option(help="Folder for parity.html.")] = None,
+    trunks: TrunkStore = None,
+) -> None:
+    """Compare a bundle with the model it came from.
+
+    STAGES holds `frames` (n, h, w, 3) and any of `input`, the taps, values of the head, `map` and `score`, as the
+    research model computed them. The first stage that differs is named. Exit code 5 when one does."""
+    from edge.core.errors import BundleError
+    from edge.model.bundle import Bundle
+    from export.bundle_stages import compare_bundle
+
+    comparison = compare_bundle(Bundle.load(bundle, trunks), stages)
+    for result in comparison.results:
+        typer.echo(f"{'equal  ' if result.is_equal else 'DIFFERS'} {result.sentence()}")
+    if report is not None:
+        typer.echo(f"report {comparison.write(report)}")
+    try:
+        comparison.raise_if_different()
+    except BundleError as error:
+        typer.echo(f"gelgate: {error}", err=True)
+        raise typer.Exit(5) from error
+
+
+@export.command()
+def openvino(
+    bundle: BundlePath,
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .xml to write, with its .bin.")] = Path(
+        "detector.xml"
+    ),
+    trunks: TrunkStore = None,
+    overwrite: Annotated[bool, typer.Option(help="Replace existing files.")] = False,
+) -> None:
+    """Write a bundle's detector as an OpenVINO model.
+
+    Its scores are compared with the bundle's first."""
+    from calibration.fitting.command import refuse_existing
+    from edge.extras import needs
+    from edge.model.bundle import Bundle
+    from export.openvino_model import write_openvino
+
+    needs("openvino", "export openvino")
+    for path in (output, output.with_suffix(".bin")):
+        refuse_existing(path, overwrite)
+    comparison = write_openvino(Bundle.load(bundle, trunks), output)
+    worst = max(result.difference for result in comparison.results)
+    typer.echo(
+        f"{output} and {output.with_suffix('.bin').name} written; scores differ by at most {worst:.1e}"
+    )
+    typer.echo("compile it with INFERENCE_PRECISION_HINT f32: some processors compute in bfloat16 otherwise")
 
 
 @export.command()
@@ -40,13 +98,13 @@ def tiles(
     """Make a trunk for large frames from overlapping tiles.
 
     Each tile is processed as a small frame."""
+    from calibration.fitting.command import refuse_existing
     from edge import registry
     from edge.core.errors import ConfigError
     from edge.core.imaging.tiles import tiling
     from plugins.backbones.tiled import tile_trunk
 
-    if output.exists() and not overwrite:
-        raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
+    refuse_existing(output, overwrite)
     try:
         width, height = (int(number) for number in frame.split("x"))
         layout = tiling((height, width), size, overlap)
@@ -64,11 +122,9 @@ def tiles(
 
 @export.command()
 def merge(
-    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="A bundle: folder or .zip.")],
+    bundle: BundlePath,
     output: Annotated[Path, typer.Option("--output", "-o", help="What to write.")] = Path("detector.onnx"),
-    trunks: Annotated[
-        Path | None, typer.Option(help="Folder of <sha256>.onnx files, for bundles without their trunk.")
-    ] = None,
+    trunks: TrunkStore = None,
     as_bundle: Annotated[
         bool, typer.Option("--as-bundle", help="Write a bundle with the single graph instead of the file.")
     ] = False,
@@ -77,12 +133,11 @@ def merge(
     """Write one graph from frames to score map.
 
     It contains the bank. It is checked first: its scores must be those of the bundle."""
-    from edge.core.errors import ConfigError
+    from calibration.fitting.command import refuse_existing
     from edge.model.bundle import Bundle
     from export.merge import merge_bundle
 
-    if output.exists() and not overwrite:
-        raise ConfigError(f"{output} exists already; choose another name or pass --overwrite")
+    refuse_existing(output, overwrite)
     difference = merge_bundle(Bundle.load(bundle, trunks), output, as_bundle=as_bundle)
     typer.echo(
         f"{output} written; it differs from the bundle by at most {difference:.1e} of the largest score"

@@ -11,14 +11,14 @@ by its largest difference, relative to its largest expected value; the order of 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import BundleCorrupt
-from export.stages import ORDER_LEAST, TOLERANCES, Kind, Stage, StageResult
 
 __all__ = [
     "ORDER_LEAST",
@@ -26,7 +26,6 @@ __all__ = [
     "Kind",
     "ParityReport",
     "Stage",
-    "StageResult",
     "compare",
     "order_stage",
     "rank_correlation",
@@ -34,22 +33,108 @@ __all__ = [
 
 Array = NDArray[Any]
 
+TOLERANCES: Mapping[str, float] = {
+    "input": 1e-5,
+    "tap": 1e-4,
+    "descriptor": 1e-4,
+    "distance": 1e-3,
+    "map": 1e-3,
+    "score": 1e-3,
+}
+"""Allowed difference by kind of stage, relative to the largest expected value. Both sides compute in float32: a trunk
+sums some thousand products per value (measured: 1e-6 to 3e-5), a distance loses digits where it is small."""
+
+ORDER_LEAST = 0.9995
+"""The least rank correlation of the scores: 1.000 to three digits."""
+
+Kind = Literal["input", "tap", "descriptor", "distance", "map", "score", "order"]
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """One stage of both models for the same frames, frames first, and how far it differs."""
+
+    name: str
+    expected: Array
+    """From the research model; any real dtype."""
+    found: Array
+    """From the bundle; of the same shape (n, ...)."""
+    kind: Kind = "tap"
+    """Decides the usual tolerance."""
+    tolerance: float | None = None
+    """Another one, relative to the largest expected value; for `order`, the least rank correlation."""
+
+    @property
+    def allowed(self) -> float:
+        if self.tolerance is not None:
+            return self.tolerance
+        return ORDER_LEAST if self.kind == "order" else TOLERANCES[self.kind]
+
+    @cached_property
+    def fault(self) -> str:
+        """Why the stages cannot be compared, or empty."""
+        expected, found = self.expected, self.found
+        if expected.shape != found.shape:
+            return f"has shape {found.shape}, the research model gives {expected.shape}"
+        if expected.size == 0 or (self.kind == "order" and expected.ndim != 1):
+            return f"has shape {expected.shape} and cannot be compared"
+        for whose, array in (("the research model", expected), ("the bundle", found)):
+            if array.dtype.kind not in "fiub" or not np.isfinite(array).all():
+                return f"holds values of {whose} that are not finite numbers ({array.dtype})"
+        return ""
+
+    @cached_property
+    def at(self) -> tuple[int, ...]:
+        """The place of the largest difference."""
+        apart = np.abs(self.expected.astype(np.float64) - self.found.astype(np.float64))
+        return tuple(int(i) for i in np.unravel_index(int(apart.argmax()), apart.shape))
+
+    @cached_property
+    def difference(self) -> float:
+        """The largest absolute difference over the largest expected value; for `order`, the rank correlation."""
+        if self.fault:
+            return float("inf")
+        if self.kind == "order":
+            return rank_correlation(self.expected, self.found)
+        largest = float(np.abs(self.expected.astype(np.float64)).max())
+        apart = abs(float(self.expected[self.at]) - float(self.found[self.at]))
+        return apart / max(largest, float(np.finfo(np.float32).tiny))
+
+    @property
+    def is_equal(self) -> bool:
+        if self.fault:
+            return False
+        is_order = self.kind == "order"
+        return self.difference >= self.allowed if is_order else self.difference <= self.allowed
+
+    def sentence(self) -> str:
+        """Say how the stages compare."""
+        if self.fault:
+            return f"stage '{self.name}' {self.fault}"
+        if self.kind == "order":
+            return (
+                f"stage '{self.name}': the rank correlation of {len(self.expected)} scores is {self.difference:.4f}, "
+                f"at least {self.allowed:g} is expected"
+            )
+        expected, found = self.expected[self.at], self.found[self.at]
+        return (
+            f"stage '{self.name}': largest difference {self.difference:.2g} of the largest value at {self.at} "
+            f"(expected {expected:.6g}, found {found:.6g}), {self.allowed:g} is allowed"
+        )
+
 
 @dataclass(frozen=True)
 class ParityReport:
-    """The results in the order of the computation, and the maps of both models (n, h, w) for the pictures.
+    """The stages in the order of the computation."""
 
-    frames: uint8 (n, h, w, 3), shown next to the maps.
-    """
-
-    results: tuple[StageResult, ...]
-    maps: tuple[Array, Array] | None = None
+    results: tuple[Stage, ...]
     frames: NDArray[np.uint8] | None = None
+    """(n, h, w, 3), shown next to the maps."""
     title: str = "Parity"
     facts: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def first_different(self) -> StageResult | None:
+    def first_different(self) -> Stage | None:
         """The first stage outside its tolerance."""
         return next((result for result in self.results if not result.is_equal), None)
 
@@ -71,7 +156,7 @@ class ParityReport:
         from export.parity_page import page  # OpenCV, for the pictures alone
 
         path = folder / "parity.html"
-        write_file(path, page(self.title, self.results, self.facts, self.maps, self.frames).encode())
+        write_file(path, page(self.title, self.results, self.facts, self.frames).encode())
         return path
 
 
@@ -82,68 +167,25 @@ def compare(
     title: str = "Parity",
     facts: Mapping[str, str] | None = None,
 ) -> ParityReport:
-    """Compare every stage, also those after the first that differs.
+    """Report on every stage, also those after the first that differs.
 
     frames: the pictures, for the report. Errors: ValueError for no stage at all.
     """
     if not stages:
         raise ValueError("no stage was given; give at least the map and the score")
-    shown = next((stage for stage in stages if stage.kind == "map"), None)
-    maps = (
-        None if shown is None or shown.expected.shape != shown.found.shape else (shown.expected, shown.found)
-    )
-    return ParityReport(tuple(map(_result, stages)), maps, frames, title, dict(facts or {}))
+    return ParityReport(tuple(stages), frames, title, dict(facts or {}))
 
 
 def order_stage(expected: Array, found: Array, least: float = ORDER_LEAST) -> Stage:
-    """The stage that compares the order of the presses. expected, found: scores (n,)."""
-    return Stage("order of the presses", np.asarray(expected), np.asarray(found), "order", least)
-
-
-def _result(stage: Stage) -> StageResult:
-    expected, found = np.asarray(stage.expected), np.asarray(stage.found)
-    fault = _fault(expected, found, stage.kind)
-    if fault:
-        return StageResult(stage.name, stage.kind, expected.shape, float("inf"), stage.allowed, fault=fault)
-    if stage.kind == "order":
-        return StageResult(
-            stage.name, stage.kind, expected.shape, rank_correlation(expected, found), stage.allowed
-        )
-    expected, found = expected.astype(np.float64), found.astype(np.float64)
-    apart = np.abs(expected - found)
-    at = tuple(int(i) for i in np.unravel_index(int(apart.argmax()), apart.shape))
-    scale = max(float(np.abs(expected).max()), float(np.finfo(np.float32).tiny))
-    return StageResult(
-        name=stage.name,
-        kind=stage.kind,
-        shape=expected.shape,
-        difference=float(apart[at]) / scale,
-        allowed=stage.allowed,
-        at=at,
-        expected=float(expected[at]),
-        found=float(found[at]),
-    )
-
-
-def _fault(expected: Array, found: Array, kind: Kind) -> str:
-    if expected.shape != found.shape:
-        return f"has shape {found.shape}, the research model gives {expected.shape}"
-    if expected.size == 0 or (kind == "order" and expected.ndim != 1):
-        return f"has shape {expected.shape} and cannot be compared"
-    for whose, array in (("the research model", expected), ("the bundle", found)):
-        if array.dtype.kind not in "fiub" or not np.isfinite(array).all():
-            return f"holds values of {whose} that are not finite numbers ({array.dtype})"
-    return ""
+    """Make the stage that compares the order of the presses. expected, found: scores (n,)."""
+    return Stage("order of the presses", expected, found, "order", least)
 
 
 def rank_correlation(a: Array, b: Array) -> float:
-    """Spearman's rank correlation of two series (n,); equal values share their mean rank. 1 where both are constant."""
+    """Compute Spearman's correlation of two series (n,); equal values share their mean rank. 1: both are constant."""
     ranks = [_ranks(np.asarray(values, np.float64)) for values in (a, b)]
-    spread = [float(np.std(values)) for values in ranks]
-    if min(spread) == 0.0:
-        return 1.0 if max(spread) == 0.0 else 0.0
-    centred = [values - values.mean() for values in ranks]
-    return float(np.mean(centred[0] * centred[1]) / (spread[0] * spread[1]))
+    constant = [bool(np.ptp(values) == 0) for values in ranks]
+    return float(all(constant)) if any(constant) else float(np.corrcoef(*ranks)[0, 1])
 
 
 def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,6 @@
 import base64
 import html
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from edge.pictures.heatmap import FULL_SCALE, paint_scores
 from edge.pictures.png import encode
-from export.stages import StageResult
+from export.parity import Stage
 
 __all__ = ["page"]
 
@@ -28,15 +27,11 @@ figcaption{font-size:.85em}"""
 
 def page(
     title: str,
-    results: Sequence[StageResult],
+    results: Sequence[Stage],
     facts: Mapping[str, str],
-    maps: tuple[NDArray[Any], NDArray[Any]] | None = None,
     frames: NDArray[np.uint8] | None = None,
 ) -> str:
-    """The report as HTML with its pictures inside. Needs no network to be read.
-
-    maps: of the research model and of the bundle, (n, h, w). frames: uint8 (n, h, w, 3), shown next to them.
-    """
+    """Write the report as HTML with its pictures inside. frames: uint8 (n, h, w, 3), shown next to the maps."""
     first = next((result for result in results if not result.is_equal), None)
     verdict = (
         "<p class=good>Every stage agrees.</p>"
@@ -51,12 +46,12 @@ def page(
         + f"<h2>Stages</h2><table><tr><th>stage<th>shape<th>difference<th>allowed<th>result</tr>"
         f"{''.join(map(_row, results))}</table>"
         + "<p>A difference is the largest one, as a part of the stage's largest expected value. The order of the "
-        "presses is compared by rank correlation.</p>" + "".join(_pictures(maps, frames)) + "</html>\n"
+        "presses is compared by rank correlation.</p>" + "".join(_pictures(results, frames)) + "</html>\n"
     )
 
 
-def _row(result: StageResult) -> str:
-    shape = "x".join(map(str, result.shape))
+def _row(result: Stage) -> str:
+    shape = "x".join(map(str, result.expected.shape))
     number = html.escape(result.fault) if result.fault else f"{result.difference:.3g}"
     least = "at least " if result.kind == "order" else ""
     word, style = ("equal", "good") if result.is_equal else ("differs", "bad")
@@ -66,12 +61,11 @@ def _row(result: StageResult) -> str:
     )
 
 
-def _pictures(
-    maps: tuple[NDArray[Any], NDArray[Any]] | None, frames: NDArray[np.uint8] | None
-) -> Iterator[str]:
-    if maps is None or maps[0].ndim != 3:
+def _pictures(results: Sequence[Stage], frames: NDArray[np.uint8] | None) -> Iterator[str]:
+    maps = next((stage for stage in results if stage.kind == "map"), None)
+    if maps is None or maps.expected.shape != maps.found.shape or maps.expected.ndim != 3:
         return
-    expected, found = (np.asarray(one, np.float32) for one in maps)
+    expected, found = (np.asarray(one, np.float32) for one in (maps.expected, maps.found))
     low = float(np.nan_to_num(expected).min())
     span = max(float(np.nan_to_num(expected).max()) - low, 1e-30)
     yield "<h2>Score maps</h2><p>Both in one scale. The difference is shown a hundred times as strong.</p>"

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
+from edge.cli.options import BundlePath, TrunkStore
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -16,7 +18,7 @@ __all__ = ["precision"]
 
 
 def precision(
-    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="A bundle: folder or .zip.")],
+    bundle: BundlePath,
     sources: Annotated[
         list[Path], typer.Argument(metavar="SOURCE...", help="Nominal presses of the part, as for `fit`.")
     ],
@@ -31,9 +33,7 @@ def precision(
         float, typer.Option(help="Allowed relative difference of the score maps in int8.")
     ] = 0.05,
     threads: Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")] = 2,
-    trunks: Annotated[
-        Path | None, typer.Option(help="Folder of <sha256>.onnx files, for bundles without their trunk.")
-    ] = None,
+    trunks: TrunkStore = None,
     overwrite: Annotated[bool, typer.Option(help="Replace an existing bundle.")] = False,
 ) -> None:
     """Store a bundle's network in float16 or int8.

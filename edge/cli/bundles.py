@@ -5,16 +5,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edge.cli.options import BundlePath, TrunkStore
+
 if TYPE_CHECKING:
     from edge.model.manifest import ColourEntry, Manifest
 
 __all__ = ["inspect", "verify"]
-
-BundlePath = Annotated[Path, typer.Argument(metavar="BUNDLE", help="A bundle: folder or .zip.")]
-TrunkStore = Annotated[
-    Path | None,
-    typer.Option("--trunks", help="Folder of <sha256>.onnx files, for bundles without their trunk."),
-]
 
 TrustedKeys = Annotated[
     Path | None, typer.Option("--keys", help="Folder of <name>.pub: check the signature against these keys.")
@@ -67,8 +63,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
         ("repairs", ", ".join(manifest.repairs) or "none"),
         (
             "sensor profile",
-            f"{profile.name}, picture {profile.size[0]}x{profile.size[1]}, "
-            f"{profile.pixels_per_mm:.2f} pixels/mm",
+            f"{profile.name}, picture {profile.size[0]}x{profile.size[1]}, {profile.pixels_per_mm:.2f} pixels/mm",
         ),
         ("region", f"{manifest.region.region()} (x,y,WIDTHxHEIGHT)"),
     ]
@@ -144,8 +139,7 @@ def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
         rows.append(
             (
                 "fit",
-                f"features {cost.features_s:.1f} s, bank {cost.fit_s:.1f} s, "
-                f"threshold {cost.threshold_s:.1f} s",
+                f"features {cost.features_s:.1f} s, bank {cost.fit_s:.1f} s, threshold {cost.threshold_s:.1f} s",
             )
         )
     if manifest.accuracy:

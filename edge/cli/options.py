@@ -21,8 +21,10 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CONFIG",
+    "BundlePath",
     "ConfigOption",
     "DatabaseOption",
+    "TrunkStore",
     "broker_at",
     "database_path",
     "plugin_options",
@@ -33,6 +35,11 @@ CONFIG: Final = Path("gelgate.toml")
 ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The station's TOML file.")]
 DatabaseOption = Annotated[
     Path | None, typer.Option(help="A database file instead of the one that the configuration names.")
+]
+BundlePath = Annotated[Path, typer.Argument(metavar="BUNDLE", help="A bundle: folder or .zip.")]
+TrunkStore = Annotated[
+    Path | None,
+    typer.Option("--trunks", help="Folder of <sha256>.onnx files, for bundles without their trunk."),
 ]
 
 

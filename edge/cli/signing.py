@@ -5,13 +5,15 @@ from typing import Annotated
 
 import typer
 
+from edge.cli.options import BundlePath
+
 __all__ = ["keys", "sign"]
 
 keys = typer.Typer(no_args_is_help=True, help="Make and show the keys that bundles are signed with.")
 
 
 def sign(
-    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="A bundle: folder or .zip.")],
+    bundle: BundlePath,
     key: Annotated[Path, typer.Option("--key", "-k", help="The private key, <name>.key.")],
 ) -> None:
     """Sign a bundle, so that a gateway can tell who made it.

@@ -96,8 +96,7 @@ def earlier(
     row = connection.execute(
         f"SELECT {_COLUMNS} FROM acts WHERE outcome IS NOT 'refused' AND "
         "((? IS NOT NULL AND signature = ?) OR (verb = ? AND request = ? AND running_ns >= ? "
-        "AND outcome IS NOT 'failed')) "
-        "ORDER BY act_id DESC LIMIT 1",
+        "AND outcome IS NOT 'failed')) ORDER BY act_id DESC LIMIT 1",
         (signature, signature, verb, request, after_ns),
     ).fetchone()
     return None if row is None else _act(row)

@@ -148,8 +148,7 @@ class _Model:
             return ()
         return (
             f"the model crops its pictures: it sees the middle {self.framing.seen:.0%} of the region, damage "
-            f"beyond is not "
-            "found; give a larger --region",
+            f"beyond is not found; give a larger --region",
         )
 
 

@@ -137,8 +137,7 @@ class AnomalibFile:
         if self.transform is None:
             raise ConfigError(
                 f"{self.path}: the pre-processor is not stored, so the size and colours that the model saw are "
-                f"not known; "
-                "train with a pre-processor of Resize, CenterCrop and Normalize"
+                f"not known; train with a pre-processor of Resize, CenterCrop and Normalize"
             )
         return self.transform
 
@@ -200,8 +199,7 @@ class AnomalibFile:
         low, high = self._number("image_min"), self._number("image_max")
         return raw, (
             f"anomalib's threshold is {raw:.5g} on the raw scale (sensitivity {self.sensitivity:g}); it "
-            f"normalised scores "
-            f"from {low:.5g} to {high:.5g}, which is left out: scores here are raw"
+            f"normalised scores from {low:.5g} to {high:.5g}, which is left out: scores here are raw"
         )
 
     def probability_threshold(self) -> tuple[float | None, str]:

@@ -47,8 +47,7 @@ class Reduced:
         exact = "exact" if kept >= self.rank else f"{self.rank} would be exact"
         return (
             f"covariances {d} x {d} became {kept} directions ({exact}) over a ridge of {self.ridge:.5g}; a "
-            f"squared distance "
-            f"changes by at most {100 * self.loss:.2g} % in the worst direction"
+            f"squared distance changes by at most {100 * self.loss:.2g} % in the worst direction"
         )
 
 

@@ -225,9 +225,8 @@ def _is_unit_length(path: Path, settings: Settings, features: NDArray[np.float32
     if float(np.abs(lengths - 1).max()) < UNIT:
         return True
     raise ConfigError(
-        f"{path}: the features are not of unit length (up to {lengths.max():.3g}), and the file does not say "
-        f"whether the "
-        "scores divide by the length; state it: --set is_normalised=false for SPADE-pytorch, true for the seed "
+        f"{path}: the features are not of unit length (up to {lengths.max():.3g}), and the file does not say whether "
+        "the scores divide by the length; state it: --set is_normalised=false for SPADE-pytorch, true for the seed "
         "paper's scripts"
     )
 

@@ -85,8 +85,7 @@ def _embedding(given: Gaussians, grid: Grid) -> tuple[NDArray[np.int64], Embeddi
     if chosen[0] < 0 or chosen[-1] >= total or len(np.unique(chosen)) != len(chosen):
         raise ConfigError(
             f"{given.path}: the selected channels go from {chosen[0]} to {chosen[-1]}, the taps "
-            f"{', '.join(given.layers)} "
-            f"have {total}, each at most once; name the trunk and layers of the training"
+            f"{', '.join(given.layers)} have {total}, each at most once; name the trunk and layers of the training"
         )
     arrays, first = {}, 0
     for tap, count in zip(given.layers, counts, strict=True):

@@ -148,7 +148,7 @@ def test_sparsh_reads_two_frames_without_the_free_gel(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="several networks, under student_encoder"):
         export_backbone(sparsh(tmp_path), None, dataclasses.replace(options, prefix=None, background=gel))
     export = export_backbone(sparsh(tmp_path), None, dataclasses.replace(options, background=gel))
-    assert export.parity.results[0].shape == (2, 6, 224, 224)
+    assert export.parity.results[0].expected.shape == (2, 6, 224, 224)
     steps = dataclasses.replace(ENCODERS["sparsh"].steps or IMAGENET, background=gel)
     np.testing.assert_allclose(apply_steps(steps, gel[None]), 0.5)
     with pytest.raises(ConfigError, match=r"the background is \(64, 64\), frames are \(32, 32\)"):
