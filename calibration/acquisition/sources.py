@@ -19,7 +19,7 @@ from calibration.fitting.presses.nominal_presses import (
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
 from edge import registry
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
-from edge.cli.options import plugin_options
+from edge.cli.arguments import plugin_options
 from edge.config import load_config
 from edge.core.contact.settings import ContactSettings
 from edge.core.errors import DatasetError, FitError, FrameCorrupt, RecordingEnded

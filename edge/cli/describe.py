@@ -60,7 +60,7 @@ def describe(
 
     It reads the configuration alone, or with --host what the station has left at its broker. docs/subscribers.md says
     what to do with each format."""
-    from edge.cli.options import broker_at
+    from edge.cli.arguments import broker_at
     from edge.config import load_config
     from edge.messaging.subscriber import station_filter
 

@@ -68,7 +68,7 @@ def _report(group: registry.PluginGroup, name: str, given: list[str]) -> dict[st
     """What a plugin finds, or why it cannot search (a missing option, a missing package)."""
     from dataclasses import asdict
 
-    from edge.cli.options import plugin_options
+    from edge.cli.arguments import plugin_options
     from edge.core.errors import GelgateError
 
     report: dict[str, Any] = {"plugin": name, "kind": _KINDS[group], "seen": [], "note": ""}
@@ -114,7 +114,7 @@ def _description(found: dict[str, Any]) -> str:
 
 
 def _reset(name: str, given: list[str]) -> None:
-    from edge.cli.options import plugin_options
+    from edge.cli.arguments import plugin_options
     from edge.core.errors import ConfigError
     from edge.core.plugins import Resettable
 

@@ -1,23 +1,14 @@
-"""What several verbs find by their options: the station, its broker, and the options of a plugin.
+"""Options of several verbs: the station, its database, and a bundle.
 
 Like the verbs, this imports nothing heavy at the top.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, TypeVar
+from typing import Annotated, Final
 
 import typer
 
-from edge.cli.arguments import named_values
 from edge.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from pydantic import BaseModel
-
-    from edge.messaging.mqtt_broker import Broker
-
-    OptionsT = TypeVar("OptionsT", bound=BaseModel)
 
 __all__ = [
     "CONFIG",
@@ -25,9 +16,7 @@ __all__ = [
     "ConfigOption",
     "DatabaseOption",
     "TrunkStore",
-    "broker_at",
     "database_path",
-    "plugin_options",
 ]
 
 CONFIG: Final = Path("gelgate.toml")
@@ -51,33 +40,3 @@ def database_path(config: Path, database: Path | None) -> Path:
     if not path.is_file():
         raise ConfigError(f"database {path} does not exist; the gateway makes it at its first run")
     return path
-
-
-def broker_at(
-    host: str, port: int, client: str, username: str | None, password_file: Path | None, ca: Path | None
-) -> "Broker":
-    """client: of the client id, which also has the number of the process. Errors: ConfigError for a file that cannot be
-    used."""
-    import os
-
-    from edge.messaging.mqtt_broker import Broker, Tls
-
-    try:
-        password = None if password_file is None else password_file.read_text(encoding="utf-8").rstrip("\r\n")
-    except OSError as error:
-        raise ConfigError(f"password file {password_file} cannot be read: {error.strerror}") from error
-    tls = None if ca is None else Tls(ca).context()
-    return Broker(host, port, f"gelgate-{client}-{os.getpid()}", username, password, tls)
-
-
-def plugin_options(kind: str, name: str, model: "type[OptionsT]", given: Sequence[str]) -> "OptionsT":
-    """Read a plugin's `Options` from texts such as `pace=0`. Errors: ConfigError with every fault."""
-    from pydantic import ValidationError
-
-    from edge.validation_messages import numbered, sentences
-
-    try:
-        return model.model_validate(named_values("--option", given))
-    except ValidationError as error:
-        faults = numbered(f"--option for the {kind} plugin '{name}'", sentences(model, error))
-        raise ConfigError(f"{faults}\nit takes: {', '.join(model.model_fields)}") from error

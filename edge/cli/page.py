@@ -47,7 +47,7 @@ def page(
     It goes on until Ctrl-C, and says when the broker or the station is away. Without --secret-file it only shows."""
     import threading
 
-    from edge.cli.options import broker_at
+    from edge.cli.arguments import broker_at
     from edge.clock import SystemClock
     from edge.logs import start
     from edge.messaging.subscriber import station_filter

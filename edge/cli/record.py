@@ -186,7 +186,7 @@ def _say_presses(out: Path, name: str) -> None:
 
 def _from_device(given: RecordArguments, name: str) -> str:
     from edge import registry
-    from edge.cli.options import plugin_options
+    from edge.cli.arguments import plugin_options
     from edge.clock import SystemClock
     from edge.core.errors import GelgateError
     from edge.recording.format import RecordingHeader, RecordingWriter

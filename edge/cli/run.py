@@ -12,77 +12,7 @@ if TYPE_CHECKING:
     from edge.gateway.recorder import PressReport
     from edge.gateway.report import Summary
 
-__all__ = ["EXAMPLE", "check", "press_line", "run", "summary_text"]
-
-EXAMPLE = """\
-# A gelgate station. Paths are relative to this file.
-version = 1
-
-[station]                     # the levels of every MQTT topic: gelgate/plant/line1/station1/gel/v1/...
-prefix = "gelgate"
-site = "plant"
-line = "line1"
-station = "station1"
-stats_s = 10                  # seconds between two reports of counters
-
-[device]
-plugin = "gelsight_mini"      # `gelgate devices` lists what is plugged in
-# options = { serial = "2BNN4ZE7" }
-
-[inspection]
-bundle = "bundles/pz1"        # made by `gelgate fit`
-threads = 2
-trigger = "automatic"         # or "command": only presses that cmd/trigger asks for
-
-[contact]              # when a press is one, and which frame is scored: docs/contact.md
-settle_s = 0.2
-
-[gel]
-limit_presses = 1000          # the maker's figure for coins; sharp parts cut faster
-warn_fraction = 0.8
-
-[reference]
-enforce = "off"               # or "warn", "refuse": what a missing reference press does; docs/operations.md
-# pieces = [{ name = "M1" }]    # master pieces
-
-[store]
-path = "gelgate.db"
-outbox_mb = 512               # unsent messages: heatmaps are dropped first, then passes, fails last
-outbox_days = 30
-free_mb = 500                 # less room on the disk is an alarm
-
-[press_again]                 # with inspection.press_again = "unsure": what a second press has to pay for
-missed_defect = 1000          # costs, in any one unit; here in presses
-false_alarm = 100
-press = 1
-defect_rate = 0.01
-
-[archive]                     # what verdicts were made from, for `gelgate station replay`
-presses = 1000
-mb = 1000
-
-[metrics]
-# port = 9464                 # counters for Prometheus at http://127.0.0.1:9464/metrics
-
-[[sinks]]
-plugin = "mqtt"
-options = { host = "localhost", port = 1883 }
-
-# A pedal, and a relay board with an andon light and a reject gate (pip install 'gelgate[hid]'; docs/operations.md):
-#
-# [[triggers]]
-# plugin = "hid_pedal"
-# action = "acknowledge"      # or "trigger", with inspection.trigger = "command"
-#
-# [[actuators]]
-# plugin = "dcttech_relay"
-# outputs = [
-#   { channel = 1, when = ["pass"] },
-#   { channel = 2, when = ["fail"] },
-#   { channel = 2, when = ["halted"], blink_ms = 500 },
-#   { channel = 3, when = ["fail", "unsure", "rejected", "error"], pulse_ms = 300, deadline_ms = 500 },
-# ]
-"""
+__all__ = ["check", "example", "press_line", "run", "summary_text"]
 
 # What a line of the log says of a press; the rest is in the result that is published.
 _LOGGED = {
@@ -190,13 +120,15 @@ class Lines:
 def check(
     config: ConfigOption = CONFIG,
     state_dir: StateOption = None,
-    example: Annotated[bool, typer.Option("--example", help="Print a configuration to start from.")] = False,
+    is_example: Annotated[
+        bool, typer.Option("--example", help="Print a configuration to start from.")
+    ] = False,
 ) -> None:
     """Check all that `run` needs; report every fault.
 
     Configuration, bundle, sensor, database and sinks are tried as at a start. Nothing is written."""
-    if example:
-        typer.echo(EXAMPLE, nl=False)
+    if is_example:
+        typer.echo(example(), nl=False)
         return
     from edge.clock import SystemClock
     from edge.config import load_config
@@ -212,6 +144,11 @@ def check(
     errors: list[GelgateError] = [finding.error for finding in findings if finding.error is not None]
     if errors:
         raise type(errors[0])(f"{len(errors)} of {len(findings)} parts cannot be used; see above")
+
+
+def example() -> str:
+    """Read the configuration to start from, with each table."""
+    return (Path(__file__).parents[1] / "service" / "example.toml").read_text(encoding="utf-8")
 
 
 def summary_text(summary: "Summary") -> str:

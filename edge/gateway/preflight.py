@@ -33,8 +33,7 @@ from edge.gateway.metrics import ADDRESS, serve_metrics
 from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.model.licence import licence_sentence
 from edge.store import bundles_in_use, gel_ledger
-from edge.store.database import SCHEMA_VERSION, open_read_only, schema_version
-from edge.store.integrity import quick_check
+from edge.store.database import SCHEMA_VERSION, open_read_only, quick_check, schema_version
 
 __all__ = ["Finding", "Preflight", "preflight"]
 

@@ -9,7 +9,7 @@ from edge.core.errors import StoreError
 from edge.gateway.report import FreeSpace
 from edge.gateway.station_loop import Parts
 from edge.messaging.publisher import Publisher
-from edge.store.integrity import quick_check
+from edge.store.database import quick_check
 
 __all__ = ["GOLDEN_WITHIN_S", "STORE_WITHIN_S", "self_test"]
 

@@ -6,7 +6,7 @@ the publisher read while the gateway writes; synchronous=FULL makes a committed 
 
 import sqlite3
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Final
@@ -15,7 +15,15 @@ from edge.core.errors import StoreError
 from edge.store import ledger_chain
 from edge.store.schema import MIGRATIONS, SCHEMA_VERSION
 
-__all__ = ["APPLICATION_ID", "SCHEMA_VERSION", "Database", "insert", "open_read_only", "schema_version"]
+__all__ = [
+    "APPLICATION_ID",
+    "SCHEMA_VERSION",
+    "Database",
+    "insert",
+    "open_read_only",
+    "quick_check",
+    "schema_version",
+]
 
 # "GelG" in the file's header: a database of another program is recognised.
 APPLICATION_ID: Final = 0x47656C47
@@ -25,6 +33,9 @@ BUSY_TIMEOUT_S: Final = 5.0
 
 # The write-ahead log is cut back to this after a checkpoint, so that a burst of large heatmaps frees the disk again.
 JOURNAL_LIMIT_BYTES: Final = 16 << 20
+
+# Instructions of SQLite's machine between two questions whether to go on: some milliseconds.
+ASKED_EVERY: Final = 100_000
 
 # Primary result code to what the operator can do about it. Ref: https://www.sqlite.org/rescode.html
 _ADVICE: Final = {
@@ -119,6 +130,22 @@ def open_read_only(path: Path, doing: str, *, any_version: bool = False) -> Iter
                 _refuse_older(connection, path)
             connection.execute("BEGIN")
             yield connection
+
+
+def quick_check(path: Path, is_over: Callable[[], bool]) -> str | None:
+    """Damage that SQLite sees in the file, as one sentence; None for a sound one. is_over: asked often, ends the check.
+
+    Errors: StoreError for a file that cannot be read; TimeoutError when it was ended.
+    """
+    with open_read_only(path, "checking", any_version=True) as connection:
+        connection.set_progress_handler(is_over, ASKED_EVERY)
+        try:
+            (answer,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode != sqlite3.SQLITE_INTERRUPT:
+                raise
+            raise TimeoutError(f"the check of database {path} was ended") from error
+    return None if answer == "ok" else f"database {path} is damaged ({' '.join(str(answer).split())})"
 
 
 def insert(connection: sqlite3.Connection, table: str, row: Mapping[str, object]) -> int:

@@ -13,7 +13,10 @@ from edge.store import ledger_chain
 
 __all__ = ["GelRecord", "count_press", "find_mounted", "history", "mount", "set_wear"]
 
-_COLUMNS = "serial, gel_id, presses, limit_presses, installed_ns, first_use_ns, last_use_ns, removed_ns, wear_index, note"
+_COLUMNS = (
+    "serial, gel_id, presses, limit_presses, installed_ns, first_use_ns, last_use_ns, removed_ns, wear_index, "
+    "note"
+)
 
 
 @dataclass(frozen=True)

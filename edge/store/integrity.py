@@ -10,18 +10,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
 
-from edge.store import ledger_check
 from edge.store.database import open_read_only
-from edge.store.finding import Finding
 from edge.store.ledger_chain import Head
+from edge.store.ledger_check import Finding, chain_findings
 from edge.store.outbox import ROW_OVERHEAD_BYTES
 from edge.store.press_counts import Count, PressCounts
 from edge.store.ulid import is_ulid
 
-__all__ = ["Finding", "check_database", "quick_check"]
-
-# Instructions of SQLite's machine between two questions whether to go on: some milliseconds.
-ASKED_EVERY: Final = 100_000
+__all__ = ["Finding", "check_database"]
 
 # SQLite reports at most this number of damaged places.
 MOST_DAMAGES: Final = 10
@@ -42,24 +38,8 @@ def check_database(path: Path, held: Head | None = None) -> list[Finding]:
             *_gels(connection),
             *_counts(connection, counts),
             *_outbox(connection),
-            *ledger_check.chain_findings(connection, held),
+            *chain_findings(connection, held),
         ]
-
-
-def quick_check(path: Path, is_over: Callable[[], bool]) -> str | None:
-    """Damage that SQLite sees in the file, as one sentence; None for a sound one. is_over: asked often, ends the check.
-
-    Errors: StoreError for a file that cannot be read; TimeoutError when it was ended.
-    """
-    with open_read_only(path, "checking", any_version=True) as connection:
-        connection.set_progress_handler(is_over, ASKED_EVERY)
-        try:
-            (answer,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-        except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode != sqlite3.SQLITE_INTERRUPT:
-                raise
-            raise TimeoutError(f"the check of database {path} was ended") from error
-    return None if answer == "ok" else f"database {path} is damaged ({' '.join(str(answer).split())})"
 
 
 def _file(connection: sqlite3.Connection) -> Iterator[Finding]:

@@ -8,11 +8,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from edge.store.finding import Finding
 from edge.store.ledger_chain import KIND_OF, KINDS, NO_HASH, Head, Link, canonical, hash_link, read_row
 from edge.store.reference_presses import KEPT_REFERENCES
 
-__all__ = ["chain_findings"]
+__all__ = ["Finding", "chain_findings"]
 
 PART: Final = "ledger"
 ADVICE: Final = (
@@ -27,6 +26,15 @@ _WORDS: Final = {
     "act": "act",
     "gel": "gel",
 }
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence about one part: file, presses, gels, counts, outbox or ledger."""
+
+    part: str
+    text: str
+    is_fault: bool = True
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from edge.core.detector import Bank
 from edge.core.errors import ConfigError
 from export.importers.contract import Imported, Recognised, Settings
 from export.importers.framing import Framing
@@ -59,19 +56,14 @@ class AmazonPatchcore:
         descriptor = Descriptor(layers, layers[0], "binned", False)
         with read_foreign(_index(file.path)) as index:
             rows = float32(check_array(index.path, "rows", index.table().get("rows"), None, BINS))
-        mean = rows.mean(axis=0, dtype=np.float64).astype(np.float32)
         steps = MapSteps(Framing(settings.frame), SIGMA_PX)
         head = patchcore_head(descriptor, given.grid, len(rows), 1, True, steps)
-        bank = Bank(
-            {"bank": rows - mean, "mean": mean},
-            {} if settings.packing == "none" else {"bank": settings.packing},
-        )
         return Imported(
             method="patchcore",
             source="PatchCore of amazon-science/patchcore-inspection",
             trunk=given.trunk,
             head=head,
-            bank=bank,
+            bank=settings.centred_bank(rows),
             grid=given.grid,
             parameters={"layers": list(layers), "sigma_px": SIGMA_PX},
             facts={"rows": len(rows), "backbone": str(table.get("backbone.name"))[:60]},

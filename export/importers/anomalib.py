@@ -6,6 +6,7 @@ Ref: open-edge-platform/anomalib v2.7.0, `models/image/*/torch_model.py` and `an
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,12 @@ from numpy.typing import NDArray
 
 from calibration.fitting.features import trunk_grid
 from calibration.fitting.trunks import Trunk
-from edge.core.detector import Bank, Grid, Packing
+from edge.core.detector import Bank, Grid
 from edge.core.errors import ConfigError
 from edge.model.session import open_session
 from export.importers.anomalib_file import AnomalibFile, read_anomalib
 from export.importers.contract import Imported, Recognised, Settings
-from export.importers.framing import framed_trunk
+from export.importers.framing import Framing, framed_trunk
 from export.importers.heads import MapSteps, dfkde_head, dfm_head, patchcore_head
 from export.importers.padim_parts import Gaussians, padim_parts
 from plugins.backbones.resnet import build_trunk
@@ -72,20 +73,19 @@ class _Model:
     found: AnomalibFile
     settings: Settings
 
-    def __post_init__(self) -> None:
-        framing = self.found.framing(self.settings.frame)
-        graph = framed_trunk(self._plain_trunk(), framing)
-        session = open_session(graph, 2, f"the trunk of {self.path}")
-        grid = trunk_grid(session, self.found.layers, self.settings.frame, self.settings.pixels_per_mm)
-        object.__setattr__(self, "grid", grid)
-        object.__setattr__(self, "framing", framing)
-        object.__setattr__(
-            self, "trunk", Trunk(f"{self.backbone}_{self.path.stem}", graph, {"weights": self.path.name})
-        )
+    @cached_property
+    def framing(self) -> Framing:
+        return self.found.framing(self.settings.frame)
 
-    grid: Grid = None  # type: ignore[assignment]  # set above
-    framing: Any = None
-    trunk: Trunk = None  # type: ignore[assignment]
+    @cached_property
+    def trunk(self) -> Trunk:
+        graph = framed_trunk(self._plain_trunk(), self.framing)
+        return Trunk(f"{self.backbone}_{self.path.stem}", graph, {"weights": self.path.name})
+
+    @cached_property
+    def grid(self) -> Grid:
+        session = open_session(self.trunk.graph, 2, f"the trunk of {self.path}")
+        return trunk_grid(session, self.found.layers, self.settings.frame, self.settings.pixels_per_mm)
 
     @property
     def path(self) -> Path:
@@ -164,13 +164,8 @@ def _padim(model: _Model) -> Imported:
         dense=lambda part: inverse[part],
         is_inverse=True,
     )
-    parts = padim_parts(given, model.grid, model.steps(), model.settings.rank, model.settings.packing)
-    facts = {
-        "rank": parts.reduction.basis.shape[1],
-        "ridge": parts.reduction.ridge,
-        "channels": int(d),
-        "loss": parts.reduction.loss,
-    }
+    parts = padim_parts(given, model.grid, model.steps(), model.settings)
+    facts = {**parts.facts, "channels": int(d)}
     return model.finish(parts.head, parts.bank, facts, says=(parts.reduction.words(),), exact=parts.exact)
 
 
@@ -178,16 +173,11 @@ def _patchcore(model: _Model) -> Imported:
     descriptor = Descriptor(model.found.layers, model.found.layers[0], "means", False)
     rows = float32(model.array("model.memory_bank", None, descriptor.width(model.grid)))
     neighbours = model.found.option_count("num_neighbors", 9, MOST_NEIGHBOURS)
-    mean = rows.mean(axis=0, dtype=np.float64).astype(np.float32)
     head = patchcore_head(
         descriptor, model.grid, len(rows), neighbours, False, model.steps(upsampling="nearest")
     )
-    packing: dict[str, Packing] = {} if model.settings.packing == "none" else {"bank": model.settings.packing}
-    return model.finish(
-        head,
-        Bank({"bank": rows - mean, "mean": mean}, packing),
-        {"rows": len(rows), "neighbours": neighbours},
-    )
+    facts = {"rows": len(rows), "neighbours": neighbours}
+    return model.finish(head, model.settings.centred_bank(rows), facts)
 
 
 def _dfm(model: _Model) -> Imported:
@@ -247,8 +237,7 @@ def _dfkde(model: _Model) -> Imported:
 
 
 def _bank(arrays: Mapping[str, NDArray[Any]], packed: str, model: _Model) -> Bank:
-    plain = {name: float32(array) for name, array in arrays.items()}
-    return Bank(plain, {} if model.settings.packing == "none" else {packed: model.settings.packing})
+    return model.settings.bank({name: float32(array) for name, array in arrays.items()}, packed)
 
 
 _METHODS: Mapping[str, Callable[[_Model], Imported]] = {

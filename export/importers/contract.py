@@ -58,6 +58,17 @@ class Settings:
             )
         return self.trunk
 
+    def bank(self, arrays: Mapping[str, NDArray[Any]], *packed: str) -> Bank:
+        """Make a bank, of which these arrays are stored as the caller wants."""
+        return Bank(arrays, {} if self.packing == "none" else dict.fromkeys(packed, self.packing))
+
+    def centred_bank(self, rows: NDArray[np.float32], width: int | None = None) -> Bank:
+        """Make a bank of rows minus their mean, and the mean. width: the first columns alone, None for all."""
+        mean = rows[:, :width].mean(axis=0, dtype=np.float64).astype(np.float32)
+        centred = rows.copy()
+        centred[:, :width] -= mean
+        return self.bank({"bank": centred, "mean": mean}, "bank")
+
     def value(self, name: str, kind: type[Any], usual: Any) -> Any:
         """A further setting by name, or the usual one. Errors: ConfigError for another type."""
         setting = self.values.get(name, usual)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.detector import Bank, Grid, Nominal, Packing
+from edge.core.detector import Bank, Grid, Nominal
 from edge.core.errors import ConfigError, FitError
 from export.importers.contract import Imported, Recognised, Settings
 from export.importers.given_trunk import Given, cut_given_trunk
@@ -33,10 +33,6 @@ CELLS = 7
 UNIT = 1e-2
 POINTS = ("nominal_points", "points", "rows", "patches")
 PLACE_WEIGHT = 5.0
-
-
-def _choose_packing(settings: Settings, *names: str) -> dict[str, Packing]:
-    return {} if settings.packing == "none" else dict.fromkeys(names, settings.packing)
 
 
 class SpadeFeatures:
@@ -117,7 +113,7 @@ class FapmPickle:
             "paper", layers=(fine, coarse), banks=kinds.pop(), neighbours=settings.value("neighbours", int, 4)
         )
         names = [name for name in arrays if name.endswith(("_near", "_far"))]
-        bank = Bank(arrays, _choose_packing(settings, *names))
+        bank = settings.bank(arrays, *names)
         says = ("coarse distances are added in the release's order of rows (fusion=rows)",)
         return _imported(
             "fapm",
@@ -159,10 +155,7 @@ class InreachPoints:
             )
         parameters = inreach.parameters("paper", position_weight=weight, packing=settings.packing)
         given = cut_given_trunk(settings, file.path, parameters.taps, "nominal points alone")
-        mean = points[:, :BINS].mean(axis=0, dtype=np.float64).astype(np.float32)
-        rows = points.copy()
-        rows[:, :BINS] -= mean
-        bank = Bank({"bank": rows, "mean": mean}, _choose_packing(settings, "bank"))
+        bank = settings.centred_bank(points, BINS)
         head = inreach.head(given.grid, bank, parameters)
         return _imported(
             "inreach",
@@ -171,7 +164,7 @@ class InreachPoints:
             head,
             bank,
             parameters,
-            says=(f"{len(rows)} points",),
+            says=(f"{len(points)} points",),
         )
 
 

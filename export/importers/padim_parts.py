@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.detector import Bank, Features, Grid, Packing
+from edge.core.detector import Bank, Features, Grid
 from edge.core.errors import ConfigError
+from export.importers.contract import Settings
 from export.importers.gaussians import Reduced, distances_both_ways, reduce_matrices
 from export.importers.heads import MapSteps, padim_head
 from plugins.detectors.common.embedding import Embedding, EmbeddingChoice
@@ -49,10 +50,14 @@ class PadimParts:
     reduction: Reduced
     exact: Callable[[Features], tuple[NDArray[np.float64], NDArray[np.float64]]]
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The reduction, for the manifest."""
+        thin = self.reduction
+        return {"rank": thin.basis.shape[1], "ridge": thin.ridge, "loss": thin.loss}
 
-def padim_parts(
-    given: Gaussians, grid: Grid, steps: MapSteps, rank: int | None, packing: Packing
-) -> PadimParts:
+
+def padim_parts(given: Gaussians, grid: Grid, steps: MapSteps, settings: Settings) -> PadimParts:
     """Make the parts of a PaDiM bundle. Errors: ConfigError for channels, cells or matrices that do not fit."""
     order, embedding = _embedding(given, grid)
     if given.mean.shape[0] != embedding.count:
@@ -65,15 +70,12 @@ def padim_parts(
         return np.asarray(given.dense(part))[:, order][:, :, order]
 
     thin = reduce_matrices(
-        dense, embedding.count, given.is_inverse, rank, given.ridge, given.path, given.name
+        dense, embedding.count, given.is_inverse, settings.rank, given.ridge, given.path, given.name
     )
     mean = float32(given.mean[:, order])
     arrays = {**embedding.arrays, "mean": mean, "basis": thin.basis, "weights": thin.weights}
-    packed: dict[str, Packing] = {} if packing == "none" else {"basis": packing}
-    head = padim_head(embedding, thin.ridge, steps)
-    return PadimParts(
-        head, Bank(arrays, packed), thin, partial(_both, embedding, dense, given.is_inverse, thin, mean)
-    )
+    head, bank = padim_head(embedding, thin.ridge, steps), settings.bank(arrays, "basis")
+    return PadimParts(head, bank, thin, partial(_both, embedding, dense, given.is_inverse, thin, mean))
 
 
 def _embedding(given: Gaussians, grid: Grid) -> tuple[NDArray[np.int64], Embedding]:

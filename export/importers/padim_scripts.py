@@ -62,7 +62,7 @@ class PadimPickle:
         channels, words = _channels(file.path, parts[2], settings, d, total)
         gaussians = Gaussians(file.path, "covariance", layers, channels, mean.T, dense, is_inverse=False)
         steps = MapSteps(Framing(settings.frame), SIGMA_PX)
-        made = padim_parts(gaussians, given.grid, steps, settings.rank, settings.packing)
+        made = padim_parts(gaussians, given.grid, steps, settings)
         again = "the seed paper's scripts add the ridge of 0.01 a second time at prediction: --set ridge_again=0.01"
         return Imported(
             method="padim",
@@ -72,11 +72,7 @@ class PadimPickle:
             bank=made.bank,
             grid=given.grid,
             parameters={"layers": list(layers), "sigma_px": SIGMA_PX, "channels": int(d)},
-            facts={
-                "rank": made.reduction.basis.shape[1],
-                "ridge": made.reduction.ridge,
-                "loss": made.reduction.loss,
-            },
+            facts=made.facts,
             says=(words, made.reduction.words(), *(() if "ridge_again" in settings.values else (again,))),
             exact=made.exact,
         )

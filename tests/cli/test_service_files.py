@@ -57,14 +57,14 @@ def test_the_unit_reloads_by_the_signal_that_the_gateway_serves() -> None:
 
 def test_the_unit_and_the_printed_example_fit(tmp_path: Path) -> None:
     """The example's relative database is below a folder that the unit may write."""
-    from edge.cli.run import EXAMPLE
+    from edge.cli.run import example
     from edge.config import load_config
 
     unit = (SERVICE / "gelgate.service").read_text()
     (state,) = re.findall(r"--state-dir (\S+)", unit)
     (folder,) = re.findall(r"^StateDirectory=(.*)$", unit, re.MULTILINE)
     path = tmp_path / "gelgate.toml"
-    path.write_text(EXAMPLE)
+    path.write_text(example())
 
     assert load_config(path, Path(state)).store.path == Path("/var/lib") / folder / "gelgate.db"
     assert load_config(path).store.path == tmp_path / "gelgate.db"

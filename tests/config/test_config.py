@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from edge.cli.run import EXAMPLE
+from edge.cli.run import example
 from edge.config import load_config
 from edge.core.digital_io import VERDICTS
 from edge.core.errors import ConfigError
@@ -159,7 +159,7 @@ def test_several_bundles_are_relative_to_the_file(tmp_path: Path) -> None:
 
 def test_the_tables_in_the_examples_comments_are_sound(tmp_path: Path) -> None:
     """Without their `# `, a pedal and a relay board with four outputs; its reject gate lets nothing through."""
-    before, _, commented = EXAMPLE.partition("# A pedal, and")
+    before, _, commented = example().partition("# A pedal, and")
     tables = "\n".join(line.removeprefix("#").removeprefix(" ") for line in commented.splitlines()[1:])
     (tmp_path / "gelgate.toml").write_text(before + tables, encoding="utf-8")
     config = load_config(tmp_path / "gelgate.toml")

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 
 from edge.cli import EXIT_CODES, EXIT_MEANINGS
-from edge.cli.run import EXAMPLE
+from edge.cli.run import example
 from edge.config import Config, load_config
 from edge.core import errors
 from edge.gateway.command_table import COMMANDS, station_handlers
@@ -100,7 +100,7 @@ def test_every_exit_code_is_in_the_manual() -> None:
 
 def test_the_example_is_a_sound_configuration_with_every_table(tmp_path: Path) -> None:
     """What `gelgate check --example` prints can be read, and shows every table."""
-    (tmp_path / "gelgate.toml").write_text(EXAMPLE, encoding="utf-8")
+    (tmp_path / "gelgate.toml").write_text(example(), encoding="utf-8")
     config = load_config(tmp_path / "gelgate.toml")
 
     assert config.model_fields_set == set(Config.model_fields)

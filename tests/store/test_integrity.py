@@ -9,7 +9,8 @@ import pytest
 from recorded_presses import SERIAL
 
 from edge.core.errors import StoreError
-from edge.store.integrity import Finding, check_database, quick_check
+from edge.store.database import quick_check
+from edge.store.integrity import Finding, check_database
 from edge.store.outbox import Outbox
 from edge.store.press_counts import Count, PressCounts
 from edge.store.press_store import MakeMessages, PressRecord, Store

@@ -19,8 +19,7 @@ from edge.core.reference_press.measures import Imprint
 from edge.store import acts, ledger_check, press_history, reference_presses, study_presses
 from edge.store.acts import Act
 from edge.store.backup import migrate
-from edge.store.finding import Finding
-from edge.store.integrity import check_database
+from edge.store.integrity import Finding, check_database
 from edge.store.ledger_chain import Head
 from edge.store.press_counts import Count
 from edge.store.press_store import MakeMessages, PressRecord, Store
