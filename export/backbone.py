@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
-from edge.model.archive import write_file
+from edge.model.bundle_writer import write_file
 from edge.model.licence import LICENCE
 from export.graph_file import read_graph
 from export.known_weights import Encoder, check_release, encoder

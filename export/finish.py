@@ -31,7 +31,8 @@ from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Grid
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.model.bundle import GoldenFrame, Graphs, bundle_files
+from edge.model.bundle import GoldenFrame, Graphs
+from edge.model.bundle_writer import bundle_files
 from edge.model.manifest import Facts, GridEntry, ProfileEntry, RegionEntry, ThresholdEntry, ToleranceEntry
 from edge.model.scorer import Scorer
 from export.direction import direction_warnings

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from edge.core.errors import BundleCorrupt, BundleMismatch
-from edge.model.archive import write_file
-from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
-from edge.model.manifest import Facts, Manifest
+from edge.model.bundle import Bundle, GoldenFrame, Graphs
+from edge.model.bundle_writer import bundle_files, facts_of, write_bundle, write_file
+from edge.model.manifest import Manifest
 from edge.model.scorer import Scorer, map_peaks
 from export.onnx_values import rename, same_versions
 from plugins.backbones.tiled import mosaic_trunk
@@ -104,13 +104,12 @@ def _metadata(bundle: Bundle) -> dict[str, str]:
 
 def single_graph_bundle(bundle: Bundle, graph: bytes) -> tuple[Manifest, dict[str, bytes]]:
     """The manifest and files of a bundle with one graph in place of trunk, head and bank; the rest is kept."""
-    facts = Facts(**{name: getattr(bundle.manifest, name) for name in Facts.model_fields})
     golden = bundle.golden
     if bundle.free_gel is not None:
         # The single graph runs every tile, so it is compared with the pair running every tile.
         scorer = Scorer(bundle, is_skipping=False)
         golden = tuple(_score_again(frame, scorer) for frame in golden)
-    return bundle_files(facts, Graphs(detector=graph), golden=golden)
+    return bundle_files(facts_of(bundle.manifest), Graphs(detector=graph), golden=golden)
 
 
 def _score_again(frame: GoldenFrame, scorer: Scorer) -> GoldenFrame:

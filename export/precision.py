@@ -18,7 +18,8 @@ from calibration.metrics.aupro import aupro
 from calibration.quantise import halved, layers, quantise_graph
 from edge.core.detector import Bank
 from edge.core.errors import BundleMismatch, FitError
-from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files
+from edge.model.bundle import Bundle, GoldenFrame, Graphs
+from edge.model.bundle_writer import bundle_files, facts_of
 from edge.model.manifest import Facts, Manifest
 from edge.model.scorer import Scorer, map_peaks
 from edge.model.session import saturates
@@ -165,8 +166,8 @@ def in_precision(
         "int8_exact_here": precisions.is_int8_exact,
         **{each.precision: each.card() for each in precisions.results},
     }
-    fields = {name: getattr(manifest, name) for name in Facts.model_fields}
-    facts = Facts(**{**fields, "threshold": threshold, "facts": {**manifest.facts, "precision": card}})
+    changed = {"threshold": threshold, "facts": {**manifest.facts, "precision": card}}
+    facts = facts_of(manifest).model_copy(update=changed)
     scorer = Scorer(_files(bundle, facts, graphs, ()), threads)
     golden = [_again(scorer, one) for one in bundle.golden]
     measured_facts = {
@@ -239,7 +240,7 @@ class _Comparison:
         )
 
     def _scorer(self, graph: bytes) -> Scorer:
-        facts = Facts(**{name: getattr(self._bundle.manifest, name) for name in Facts.model_fields})
+        facts = facts_of(self._bundle.manifest)
         changed = _files(self._bundle, facts, _with_network(self._bundle, graph), ())
         return Scorer(changed, self._threads, is_skipping=False)
 

@@ -42,7 +42,8 @@ def precision(
     from calibration.fitting.command import refuse_existing
     from calibration.progress import Stages
     from edge.core.errors import ConfigError
-    from edge.model.bundle import Bundle, write_bundle
+    from edge.model.bundle import Bundle
+    from edge.model.bundle_writer import write_bundle
     from export.precision import Precision, choose_precision, in_precision, measure_precisions
 
     if wanted != "auto" and wanted not in get_args(Precision):

@@ -22,7 +22,8 @@ from edge import registry
 from edge.core.detector import Features, Nominal
 from edge.core.errors import DatasetError, PoseNotFound
 from edge.core.verdict import Kind as Result
-from edge.model.bundle import Bundle, Graphs, bundle_files
+from edge.model.bundle import Bundle, Graphs
+from edge.model.bundle_writer import bundle_files
 from edge.model.detectability import JudgedBy
 from edge.model.limit_facts import copies_of_each
 from edge.model.manifest import Manifest

@@ -8,8 +8,9 @@ from calibration.detectability.pod import Pod, fit_pod
 from calibration.detectability.study import Place, Plan, Trial
 from calibration.fitting.damage.damage import KINDS
 from edge.core.errors import StoreError
-from edge.model.archive import MANIFEST, open_archive, write_archive
-from edge.model.bundle import MAX_MANIFEST_BYTES, manifest_bytes, parse_manifest
+from edge.model.archive import MANIFEST, open_archive
+from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest
+from edge.model.bundle_writer import manifest_bytes, write_bundle
 from edge.model.detectability import CARD, DetectabilityCard, KindCard
 from edge.model.signature import SIGNATURE
 from edge.model.verified_files import read_verified
@@ -111,7 +112,7 @@ def write_card(path: Path, card: DetectabilityCard) -> bool:
     files[MANIFEST] = manifest_bytes(manifest.model_copy(update={"facts": facts}))
     was_signed = archive.has(SIGNATURE)
     try:
-        write_archive(path, files, overwrite=True)
+        write_bundle(path, files, overwrite=True)
     except OSError as error:
         raise StoreError(
             f"{path} cannot be written: {error.strerror or error}; free some space, or make it writable"

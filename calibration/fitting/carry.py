@@ -20,7 +20,8 @@ from edge.core.contact.wear import wear
 from edge.core.detector import Bank
 from edge.core.errors import FitError, PoseNotFound
 from edge.core.imaging.sensor_check import colour_cells, is_other_kind
-from edge.model.bundle import Bundle, GoldenFrame, bundle_files
+from edge.model.bundle import Bundle, GoldenFrame
+from edge.model.bundle_writer import bundle_files
 from edge.model.detectability import CARD
 from edge.model.gel_facts import gel_facts
 from edge.model.manifest import Facts, ThresholdEntry, ToleranceEntry

@@ -296,7 +296,7 @@ def counted(n: int) -> str:
 def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:
     """Errors: StoreError with what to do."""
     from edge.core.errors import StoreError
-    from edge.model.bundle import write_bundle
+    from edge.model.bundle_writer import write_bundle
 
     try:
         write_bundle(output, fitted.files, overwrite=overwrite)

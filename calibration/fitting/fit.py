@@ -55,7 +55,8 @@ from calibration.fitting.self_check import apart_warnings, black_warnings, room_
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Features, Nominal, Progress
-from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
+from edge.model.bundle import Bundle, GoldenFrame, Graphs
+from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.gel_facts import gel_facts
 from edge.model.limit_facts import MISSING
 from edge.model.manifest import (

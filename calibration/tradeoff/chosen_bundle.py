@@ -15,7 +15,7 @@ from calibration.tradeoff.point import VIEWS, OperatingPoint
 from calibration.tradeoff.presses import on_common_grid, see
 from calibration.tradeoff.rows import Row
 from edge.model.archive import MANIFEST
-from edge.model.bundle import manifest_bytes
+from edge.model.bundle_writer import manifest_bytes
 from edge.model.scorer import Scorer
 
 __all__ = ["bundle_of"]

@@ -22,7 +22,8 @@ from edge import registry
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.tiles import tiling
-from edge.model.bundle import Bundle, Graphs, bundle_files
+from edge.model.bundle import Bundle, Graphs
+from edge.model.bundle_writer import bundle_files
 from edge.model.manifest import Facts, GridEntry, Manifest, ProfileEntry, RegionEntry
 from edge.model.session import open_session
 

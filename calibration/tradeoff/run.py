@@ -29,7 +29,8 @@ from calibration.tradeoff.statistics import PressTimes, press_times
 from calibration.tradeoff.timing import STAGES, Lane, Timed, bundle_lanes, camera_frames, measure_rounds
 from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES
-from edge.model.bundle import Bundle, write_bundle
+from edge.model.bundle import Bundle
+from edge.model.bundle_writer import write_bundle
 
 __all__ = ["clean", "measure", "require_same_run"]
 

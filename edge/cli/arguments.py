@@ -1,11 +1,10 @@
-"""Reads what a command line gives: a verb's options as one value, `NAME=VALUE`, a plugin's options, a broker."""
+"""Reads what a command line gives: a verb's options as one value, `NAME=VALUE`, and a plugin's options."""
 
 import inspect
 import tomllib
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import MISSING, fields
 from datetime import date, time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
 from edge.core.errors import ConfigError
@@ -13,11 +12,9 @@ from edge.core.errors import ConfigError
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-    from edge.messaging.mqtt_broker import Broker
-
     OptionsT = TypeVar("OptionsT", bound=BaseModel)
 
-__all__ = ["broker_at", "flatten", "named_values", "plugin_options"]
+__all__ = ["flatten", "named_values", "plugin_options"]
 
 
 def flatten(verb: Callable[[Any], None], without: Collection[str] = ()) -> Callable[..., None]:
@@ -70,23 +67,6 @@ def _value(text: str) -> object:
         return text
     # No option takes a date, and a serial number may look like one.
     return text if isinstance(value, date | time) else value
-
-
-def broker_at(
-    host: str, port: int, client: str, username: str | None, password_file: Path | None, ca: Path | None
-) -> "Broker":
-    """client: of the client id, which also has the number of the process. Errors: ConfigError for a file that cannot be
-    used."""
-    import os
-
-    from edge.messaging.mqtt_broker import Broker, Tls
-
-    try:
-        password = None if password_file is None else password_file.read_text(encoding="utf-8").rstrip("\r\n")
-    except OSError as error:
-        raise ConfigError(f"password file {password_file} cannot be read: {error.strerror}") from error
-    tls = None if ca is None else Tls(ca).context()
-    return Broker(host, port, f"gelgate-{client}-{os.getpid()}", username, password, tls)
 
 
 def plugin_options(kind: str, name: str, model: "type[OptionsT]", given: Sequence[str]) -> "OptionsT":

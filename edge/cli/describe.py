@@ -60,9 +60,8 @@ def describe(
 
     It reads the configuration alone, or with --host what the station has left at its broker. docs/subscribers.md says
     what to do with each format."""
-    from edge.cli.arguments import broker_at
     from edge.config import load_config
-    from edge.messaging.subscriber import station_filter
+    from edge.messaging.subscriber import broker_at, station_filter
 
     if host is None:
         text = described_text(load_config(config), form)

@@ -47,10 +47,9 @@ def page(
     It goes on until Ctrl-C, and says when the broker or the station is away. Without --secret-file it only shows."""
     import threading
 
-    from edge.cli.arguments import broker_at
     from edge.clock import SystemClock
     from edge.logs import start
-    from edge.messaging.subscriber import station_filter
+    from edge.messaging.subscriber import broker_at, station_filter
     from edge.page.from_broker import BrokerStation
     from edge.page.server import PageServer
 

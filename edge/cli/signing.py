@@ -21,10 +21,12 @@ def sign(
     Every file is checked first. The signature covers the manifest, which has the hash of every other file; a later
     change of the bundle makes it invalid. A signature that exists is replaced.
     """
-    from edge.model.archive import MANIFEST, add_file, open_archive
+    from edge.model.archive import MANIFEST, open_archive
     from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
-    from edge.model.signature import SIGNATURE, fingerprint, read_private_key
-    from edge.model.signature import sign as signature_of
+    from edge.model.bundle_writer import add_file
+    from edge.model.signature import SIGNATURE, fingerprint
+    from edge.model.signing import read_private_key
+    from edge.model.signing import sign as signature_of
 
     private = read_private_key(key)
     digest = Bundle.load(bundle).digest
@@ -44,7 +46,8 @@ def new(
     Keep NAME.key secret and off the gateway; copy NAME.pub into the folder `inspection.trusted_keys` of every gateway.
     """
     from edge.core.errors import ConfigError
-    from edge.model.signature import PRIVATE_SUFFIX, PUBLIC_SUFFIX, new_key
+    from edge.model.signature import PRIVATE_SUFFIX, PUBLIC_SUFFIX
+    from edge.model.signing import new_key
 
     try:
         made = new_key(name)

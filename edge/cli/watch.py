@@ -39,9 +39,8 @@ def watch(
 
     It ends with exit code 1 if --count is not reached in --timeout seconds, and with --validate if a message is not as
     its station describes it."""
-    from edge.cli.arguments import broker_at
     from edge.extras import needs
-    from edge.messaging.subscriber import station_filter
+    from edge.messaging.subscriber import broker_at, station_filter
 
     if validate:
         needs("validate", "--validate")

@@ -1,6 +1,7 @@
 """Subscribes to stations: results as they arrive, each press once, and their heatmaps into a folder."""
 
 import json
+import os
 import queue
 import time
 from collections import OrderedDict
@@ -11,10 +12,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from edge.clock import local_time
-from edge.core.errors import SinkUnavailable
+from edge.core.errors import ConfigError, SinkUnavailable
 from edge.core.printable import score_texts
 from edge.core.sink_context import TOPIC_VERSION
-from edge.messaging.mqtt_broker import Broker, Received
+from edge.messaging.mqtt_broker import Broker, Received, Tls
 from edge.messaging.mqtt_connection import Connection
 from edge.store.ulid import is_ulid
 
@@ -22,6 +23,7 @@ __all__ = [
     "RETURN_S",
     "Inbox",
     "Seen",
+    "broker_at",
     "describe",
     "listening",
     "next_message",
@@ -53,6 +55,21 @@ class Seen:
     kind: str
     station: str
     content: Mapping[str, Any]
+
+
+def broker_at(
+    host: str, port: int, client: str, username: str | None, password_file: Path | None, ca: Path | None
+) -> Broker:
+    """Name the broker of a command line. client: of the client id, which also has the number of the process.
+
+    Errors: ConfigError for a file that cannot be used.
+    """
+    try:
+        password = None if password_file is None else password_file.read_text(encoding="utf-8").rstrip("\r\n")
+    except OSError as error:
+        raise ConfigError(f"password file {password_file} cannot be read: {error.strerror}") from error
+    tls = None if ca is None else Tls(ca).context()
+    return Broker(host, port, f"gelgate-{client}-{os.getpid()}", username, password, tls)
 
 
 def station_filter(prefix: str, site: str = "+", line: str = "+", station: str = "+") -> str:

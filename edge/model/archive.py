@@ -1,21 +1,19 @@
-"""A bundle's files on disk: a folder or a zip, checked while reading and written completely or not at all.
+"""A bundle's files on disk: a folder or a zip, checked while reading.
 
 Files are read into memory once and never mapped. A mapped file that is replaced while a gateway runs changes its scores
 or kills it (SIGBUS), and a bank has at most some megabytes.
 """
 
 import os
-import shutil
 import stat
 import zipfile
 import zlib
-from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Protocol
 
 from edge.core.errors import BundleCorrupt
 
-__all__ = ["MANIFEST", "Archive", "add_file", "open_archive", "write_archive", "write_file"]
+__all__ = ["MANIFEST", "Archive", "ZipArchive", "open_archive"]
 
 MANIFEST = "manifest.json"
 
@@ -23,9 +21,6 @@ MAX_FILE_BYTES = 1 << 30
 """The largest file of a bundle: the largest known trunk (Wide-ResNet-50-2 with layer4) has 275 MB."""
 
 MAX_MEMBERS = 4096
-
-# Zip knows no time zone and no year before 1980: every member carries this time, so equal content gives equal bytes.
-ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 class Archive(Protocol):
@@ -75,7 +70,7 @@ def _open_unfollowed(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
 
 
-class _Zip:
+class ZipArchive:
     def __init__(self, path: Path) -> None:
         self.where = str(path)
         try:
@@ -165,97 +160,5 @@ def open_archive(path: Path) -> Archive:
     if path.is_dir():
         return _Folder(path)
     if path.is_file():
-        return _Zip(path)
+        return ZipArchive(path)
     raise BundleCorrupt(f"no bundle at {path}: neither a folder nor a zip file; make one with `gelgate fit`")
-
-
-def write_archive(path: Path, files: Mapping[str, bytes], *, overwrite: bool = False) -> None:
-    """Write all files as a folder, or as a zip when the name ends in .zip; appears at once or not at all.
-
-    Equal files give equal bytes. Errors: FileExistsError; OSError of the disk, with nothing left behind.
-    """
-    if path.exists() and not overwrite:
-        raise FileExistsError(f"{path} exists already; choose another name or allow it to be replaced")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
-    _remove(partial)
-    try:
-        if path.suffix == ".zip":
-            _write_zip(partial, files)
-        else:
-            _write_folder(partial, files)
-        _put_in_place(partial, path)
-    finally:
-        _remove(partial)
-
-
-def add_file(bundle: Path, name: str, data: bytes) -> None:
-    """Add one small file to a bundle, or replace it; at once or not at all.
-
-    A zip is written again as a whole. Errors: BundleCorrupt, OSError.
-    """
-    archive = open_archive(bundle)
-    if isinstance(archive, _Folder):
-        write_file(bundle / name, data)
-    elif isinstance(archive, _Zip):
-        files = {kept: archive.read(kept) for kept in archive.names() if kept != name}
-        write_archive(bundle, {**files, name: data}, overwrite=True)
-
-
-def write_file(path: Path, data: bytes) -> None:
-    """Write one file that appears at once or not at all, replacing an older one. Errors: OSError."""
-    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        with partial.open("wb") as out:
-            out.write(data)
-            out.flush()
-            os.fsync(out.fileno())
-        partial.replace(path)
-    finally:
-        _remove(partial)
-
-
-def _write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
-    for name, data in files.items():
-        file = folder / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with file.open("wb") as out:
-            out.write(data)
-            out.flush()
-            os.fsync(out.fileno())
-
-
-def _write_zip(file: Path, files: Mapping[str, bytes]) -> None:
-    with file.open("wb") as out:
-        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name, data in sorted(files.items()):
-                member = zipfile.ZipInfo(name, ZIP_EPOCH)
-                member.compress_type = zipfile.ZIP_DEFLATED
-                member.external_attr = (stat.S_IFREG | 0o644) << 16
-                archive.writestr(member, data)
-        out.flush()
-        os.fsync(out.fileno())
-
-
-def _put_in_place(partial: Path, path: Path) -> None:
-    """Rename to the final path; an existing folder is moved away first, because rename cannot replace it."""
-    if not path.is_dir():
-        partial.rename(path)
-        return
-    aside = path.with_name(f".{path.name}.replaced-{os.getpid()}")
-    _remove(aside)
-    path.rename(aside)
-    try:
-        partial.rename(path)
-    except OSError:
-        aside.rename(path)
-        raise
-    _remove(aside)
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)

@@ -1,6 +1,6 @@
 """A bundle: one detector for one position of one part, with everything that scoring needs, checked by hash.
 
-`Bundle.load` reads a folder or a zip, `bundle_files` and `write_bundle` make one. Every file is read once, and the
+`Bundle.load` reads a folder or a zip; `edge.model.bundle_writer` makes one. Every file is read once, and the
 bytes that are hashed are the bytes that become arrays and sessions.
 """
 
@@ -9,7 +9,7 @@ import io
 import json
 import math
 import tokenize
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,37 +19,31 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from edge.core.contact.reference import Reference
-from edge.core.detector import Bank, Grid
-from edge.core.errors import BundleCorrupt, BundleMismatch, FitError
+from edge.core.detector import Grid
+from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.registration.colours import SlopeColours
 from edge.core.registration.registrar import PartInPose
-from edge.model.archive import MANIFEST, Archive, open_archive, write_archive
-from edge.model.bundle_pictures import png_bytes, read_picture
+from edge.model.archive import MANIFEST, Archive, open_archive
 from edge.model.manifest import (
     SCHEMA_VERSION,
     ArrayEntry,
-    BackboneEntry,
-    Facts,
-    FileEntry,
     GoldenEntry,
     Manifest,
 )
-from edge.model.packing import Packed, pack, unpack
-from edge.model.registration_files import read_registration, registration_entry
+from edge.model.manifest_files import RegistrationEntry
+from edge.model.packing import Packed, unpack
 from edge.model.signature import UNSIGNED, SignatureFinding, Trust
 from edge.model.trunk_store import read_trunk
-from edge.model.verified_files import read_verified
+from edge.model.verified_files import read_picture, read_verified
 
 __all__ = [
     "Bundle",
     "GoldenFrame",
     "Graphs",
-    "bundle_files",
-    "manifest_bytes",
     "parse_manifest",
-    "write_bundle",
 ]
 
 MAX_MANIFEST_BYTES = 16 << 20
@@ -158,7 +152,7 @@ class Bundle:
             free_view=read_picture(archive, manifest.free_view, VIEW_SIZE[::-1])
             if manifest.free_view
             else None,
-            registration=read_registration(archive, manifest.registration, manifest.frame),
+            registration=_read_registration(archive, manifest.registration, manifest.frame),
         )
 
     @property
@@ -181,102 +175,6 @@ class Bundle:
     @property
     def trunk_sha256(self) -> str | None:
         return self.manifest.backbone.trunk.sha256 if self.manifest.backbone else None
-
-
-def bundle_files(
-    facts: Facts,
-    graphs: Graphs,
-    bank: Bank | None = None,
-    golden: Sequence[GoldenFrame] = (),
-    *,
-    backbone: str = "",
-    with_trunk: bool = True,
-    free_gel: NDArray[np.uint8] | None = None,
-    free_view: NDArray[np.uint8] | None = None,
-    registration: PartInPose | None = None,
-) -> tuple[Manifest, dict[str, bytes]]:
-    """The manifest and the files of a new bundle, the manifest among them; equal inputs give equal bytes.
-
-    backbone: the trunk's id. with_trunk: False leaves the trunk to the gateway's store. Errors: FitError for an array
-    that cannot be stored as the bank states.
-    """
-    files: dict[str, bytes] = {}
-
-    def keep(name: str, data: bytes) -> FileEntry:
-        files[name] = data
-        return FileEntry(file=name, sha256=hashlib.sha256(data).hexdigest(), size_bytes=len(data))
-
-    parts: dict[str, Any] = {}
-    if graphs.trunk is not None:
-        parts["backbone"] = BackboneEntry(id=backbone, trunk=keep(TRUNK, graphs.trunk), in_bundle=with_trunk)
-        if not with_trunk:
-            del files[TRUNK]
-    for key, name, graph in (("head", HEAD, graphs.head), ("detector", DETECTOR, graphs.detector)):
-        if graph is not None:
-            parts[key] = keep(name, graph)
-    if bank is not None:
-        parts["bank"] = {name: _array_entry(name, bank, keep) for name in sorted(bank.arrays)}
-    parts["golden"] = tuple(
-        GoldenEntry(
-            image=keep(f"golden/{number}.png", png_bytes(frame.rgb)),
-            what=frame.what,
-            score=frame.score,
-            map_peaks=frame.map_peaks,
-        )
-        for number, frame in enumerate(golden)
-    )
-    if free_gel is not None:
-        parts["free_gel"] = keep(FREE_GEL, png_bytes(free_gel))
-    if free_view is not None:
-        parts["free_view"] = keep(FREE_VIEW, png_bytes(free_view))
-    if registration is not None:
-        parts["registration"] = registration_entry(registration, keep)
-    manifest = Manifest(**{name: getattr(facts, name) for name in Facts.model_fields}, **parts)
-    files[MANIFEST] = manifest_bytes(manifest)
-    return manifest, files
-
-
-def write_bundle(path: Path, files: Mapping[str, bytes], *, overwrite: bool = False) -> Path:
-    """Write the files of `bundle_files` as a folder or (name ending in .zip) a zip, completely or not at all.
-
-    Errors: FileExistsError, OSError.
-    """
-    write_archive(path, files, overwrite=overwrite)
-    return path
-
-
-def manifest_bytes(manifest: Manifest) -> bytes:
-    """The manifest's file; its SHA-256 is the bundle's identity. Older programs read it where nothing newer is set."""
-    unset = {name for name in ("revision", "registration") if getattr(manifest, name) is None}
-    return (
-        json.dumps(manifest.model_dump(mode="json", exclude=unset), indent=1, ensure_ascii=False) + "\n"
-    ).encode()
-
-
-def _array_entry(name: str, bank: Bank, keep: Callable[[str, bytes], FileEntry]) -> ArrayEntry:
-    array, packing = bank.arrays[name], bank.packing.get(name, "none")
-    if array.dtype not in (np.float32, np.int64, np.bool_):
-        raise FitError(f"bank array '{name}' is {array.dtype}; a head takes float32, int64 or bool")
-    try:
-        packed = pack(array, packing)
-    except ValueError as error:
-        raise FitError(f"bank array '{name}' cannot be stored: {error}") from error
-    return ArrayEntry(
-        dtype=array.dtype.name,  # type: ignore[arg-type]  # one of the three just checked
-        shape=array.shape,
-        packing=packing,
-        data=keep(f"bank/{name}.npy", _npy(packed.data)),
-        scale=None if packed.scale is None else keep(f"bank/{name}.scale.npy", _npy(packed.scale)),
-        exponent=packed.exponent,
-    )
-
-
-def _npy(array: NDArray[Any]) -> bytes:
-    stream = io.BytesIO()
-    np.lib.format.write_array(
-        stream, np.ascontiguousarray(array).reshape(array.shape), (1, 0), allow_pickle=False
-    )
-    return stream.getvalue()
 
 
 def parse_manifest(raw: bytes, where: str) -> Manifest:
@@ -353,6 +251,27 @@ def _parse_npy(data: bytes, file: str, dtype: str, shape: tuple[int, ...], where
 def _read_golden(archive: Archive, entry: GoldenEntry, frame: tuple[int, int]) -> GoldenFrame:
     rgb = read_picture(archive, entry.image, frame)
     return GoldenFrame(rgb, entry.what, entry.score, entry.map_peaks)
+
+
+def _read_registration(
+    archive: Archive, entry: RegistrationEntry | None, frame: tuple[int, int]
+) -> PartInPose | None:
+    """Read the part in its pose; None for a bundle without one. frame: (h, w) of the region. Errors: BundleCorrupt."""
+    if entry is None:
+        return None
+    try:
+        return PartInPose(
+            free=read_picture(archive, entry.free, frame),
+            template=read_picture(archive, entry.template, frame),
+            learnt=read_picture(archive, entry.learnt, frame)[..., 0] > 127,
+            colours=SlopeColours(np.array(entry.colours)),
+            is_turning=entry.is_turning,
+            least_match=entry.least_match,
+            least_seen=entry.least_seen,
+            scores_relief_to_end=entry.scores_relief_to_end,
+        )
+    except ValueError as error:
+        raise BundleCorrupt(f"bundle {archive.where}: registration: {error}; fit again") from error
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,9 @@ from edge.model.manifest_files import (
     Entry,
     FileEntry,
     Name,
+    RegistrationEntry,
     Side,
 )
-from edge.model.manifest_registration import RegistrationEntry
 
 __all__ = [
     "SCHEMA_VERSION",

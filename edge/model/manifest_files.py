@@ -11,7 +11,17 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_vali
 from edge.core.detector import Packing
 from edge.model.archive import MAX_FILE_BYTES
 
-__all__ = ["MAX_ARRAY_BYTES", "MAX_BUNDLE_BYTES", "ArrayEntry", "Count", "Entry", "FileEntry", "Name", "Side"]
+__all__ = [
+    "MAX_ARRAY_BYTES",
+    "MAX_BUNDLE_BYTES",
+    "ArrayEntry",
+    "Count",
+    "Entry",
+    "FileEntry",
+    "Name",
+    "RegistrationEntry",
+    "Side",
+]
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 
@@ -27,6 +37,8 @@ Side = Annotated[int, Field(ge=1, le=8192)]
 """Pixels or cells: the longest side of the sensor's frames has 3280."""
 
 Count = Annotated[int, Field(ge=0, le=2**53)]
+
+Levels = tuple[float, float]
 
 MAX_ARRAY_BYTES: Final = 4 << 30
 """The largest bank array or tap in memory; the largest known bank has 62 MB."""
@@ -73,3 +85,25 @@ class ArrayEntry(Entry):
     @property
     def bytes_unpacked(self) -> int:
         return math.prod(self.shape) * {"float32": 4, "int64": 8, "bool": 1}[self.dtype]
+
+
+class RegistrationEntry(Entry):
+    """`PartInPose`: free, template and learnt are pictures of the region, learnt white where the bank is learnt.
+
+    colours: for red, green and blue the levels of the two slopes. is_turning: false where the part has no turn, as a
+    ball. least_match, least_seen: a press below either is rejected. scores_relief_to_end: false in bundles that do not
+    state it; they were fitted with a seam around what a press shows that is not scored.
+    """
+
+    free: FileEntry
+    template: FileEntry
+    learnt: FileEntry
+    colours: tuple[Levels, Levels, Levels]
+    is_turning: bool
+    least_match: float = Field(gt=0, lt=1)
+    least_seen: float = Field(ge=0, le=1)
+    scores_relief_to_end: bool = False
+
+    @property
+    def files(self) -> tuple[FileEntry, ...]:
+        return self.free, self.template, self.learnt

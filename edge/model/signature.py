@@ -5,7 +5,6 @@
 
 import base64
 import hashlib
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +17,7 @@ from edge.extras import needs
 from edge.model.archive import Archive
 
 if TYPE_CHECKING:
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 __all__ = [
     "PRIVATE_SUFFIX",
@@ -29,10 +28,7 @@ __all__ = [
     "SignatureFinding",
     "Trust",
     "fingerprint",
-    "new_key",
-    "read_private_key",
     "read_public_key",
-    "sign",
     "trusted_keys",
 ]
 
@@ -40,7 +36,7 @@ SIGNATURE: Final = "manifest.sig"
 PRIVATE_SUFFIX, PUBLIC_SUFFIX = ".key", ".pub"
 
 # Signed before the manifest's bytes, so that no signature made for another purpose is one of a bundle.
-_CONTEXT: Final = b"gelgate bundle manifest v1\0"
+CONTEXT: Final = b"gelgate bundle manifest v1\0"
 
 _MAX_BYTES: Final = 4096
 """The largest signature and key file; a real one has some hundred bytes."""
@@ -50,7 +46,7 @@ _FINGERPRINT_CHARACTERS: Final = 16
 Policy = Literal["allowed", "required"]
 
 
-class _SignatureFile(BaseModel):
+class SignatureFile(BaseModel):
     """The content of `manifest.sig`. key: fingerprint of the public key. signature: base64 of 64 bytes."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -125,48 +121,9 @@ def trusted_keys(folder: Path) -> dict[str, tuple[str, "Ed25519PublicKey"]]:
     return {fingerprint(key): (name, key) for name, key in keys}
 
 
-def sign(manifest: bytes, key: "Ed25519PrivateKey") -> bytes:
-    """The content of `manifest.sig` for these bytes of the manifest."""
-    signature = base64.b64encode(key.sign(_CONTEXT + manifest)).decode()
-    file = _SignatureFile(algorithm="ed25519", key=fingerprint(key.public_key()), signature=signature)
-    return (file.model_dump_json() + "\n").encode()
-
-
 def fingerprint(key: "Ed25519PublicKey") -> str:
     """The first 16 hexadecimal digits of the SHA-256 of the raw public key (32 bytes)."""
     return hashlib.sha256(key.public_bytes_raw()).hexdigest()[:_FINGERPRINT_CHARACTERS]
-
-
-def new_key(path: Path) -> str:
-    """Write `<path>.key` (PKCS #8, for its owner alone) and `<path>.pub`; returns the fingerprint.
-
-    An existing file is never replaced. Errors: FileExistsError, OSError; ConfigError without the extra `signing`.
-    """
-    needs("signing", "a key")
-    from cryptography.hazmat.primitives import serialization as form
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-
-    key = Ed25519PrivateKey.generate()
-    private = key.private_bytes(form.Encoding.PEM, form.PrivateFormat.PKCS8, form.NoEncryption())
-    public = key.public_key().public_bytes(form.Encoding.PEM, form.PublicFormat.SubjectPublicKeyInfo)
-    _write_new(path.with_name(path.name + PRIVATE_SUFFIX), private, 0o600)
-    _write_new(path.with_name(path.name + PUBLIC_SUFFIX), public, 0o644)
-    return fingerprint(key.public_key())
-
-
-def read_private_key(path: Path) -> "Ed25519PrivateKey":
-    """The key of `<name>.key`. Errors: ConfigError."""
-    needs("signing", "signing a bundle")
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-    from cryptography.hazmat.primitives.serialization import load_pem_private_key
-
-    try:
-        key = load_pem_private_key(_small_file(path), None)
-    except (ValueError, TypeError) as error:  # TypeError: the key has a password
-        raise _no_key(path, "private", error) from error
-    if not isinstance(key, Ed25519PrivateKey):
-        raise _no_key(path, "private", type(key).__name__)
-    return key
 
 
 def read_public_key(path: Path) -> "Ed25519PublicKey":
@@ -177,11 +134,11 @@ def read_public_key(path: Path) -> "Ed25519PublicKey":
     from cryptography.hazmat.primitives.serialization import load_pem_public_key
 
     try:
-        key = load_pem_public_key(_small_file(path))
+        key = load_pem_public_key(read_small_file(path))
     except (ValueError, UnsupportedAlgorithm) as error:
-        raise _no_key(path, "public", error) from error
+        raise no_key(path, "public", error) from error
     if not isinstance(key, Ed25519PublicKey):
-        raise _no_key(path, "public", type(key).__name__)
+        raise no_key(path, "public", type(key).__name__)
     return key
 
 
@@ -189,15 +146,15 @@ def _fits(key: "Ed25519PublicKey", signature: bytes, manifest: bytes) -> bool:
     from cryptography.exceptions import InvalidSignature
 
     try:
-        key.verify(signature, _CONTEXT + manifest)
+        key.verify(signature, CONTEXT + manifest)
     except InvalidSignature:
         return False
     return True
 
 
-def _parse(raw: bytes, where: str) -> _SignatureFile:
+def _parse(raw: bytes, where: str) -> SignatureFile:
     try:
-        return _SignatureFile.model_validate_json(raw)
+        return SignatureFile.model_validate_json(raw)
     except ValidationError as error:
         fault = error.errors()[0]
         raise BundleCorrupt(
@@ -206,7 +163,7 @@ def _parse(raw: bytes, where: str) -> _SignatureFile:
         ) from error
 
 
-def _small_file(path: Path) -> bytes:
+def read_small_file(path: Path) -> bytes:
     """The bytes of a key file. Errors: ConfigError."""
     try:
         with path.open("rb") as file:
@@ -218,14 +175,8 @@ def _small_file(path: Path) -> bytes:
     return data
 
 
-def _no_key(path: Path, kind: str, found: object) -> ConfigError:
+def no_key(path: Path, kind: str, found: object) -> ConfigError:
     return ConfigError(
         f"{path} is not a {kind} Ed25519 key in PEM form without a password ({found!s:.100}); "
         "`gelgate bundle keys new` makes one"
     )
-
-
-def _write_new(path: Path, data: bytes, mode: int) -> None:
-    """Create a file with these rights from its first byte on. Errors: FileExistsError, OSError."""
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-        file.write(data)

@@ -22,7 +22,7 @@ from edge.core.errors import ConfigError
 from edge.core.imaging.known_profiles import profile as known_profile
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.model.bundle import write_bundle
+from edge.model.bundle_writer import write_bundle
 from edge.model.licence import LICENCE
 from export.finish import WrapConfig
 from export.importers.contract import Imported, Importer, Recognised, Settings

@@ -14,8 +14,8 @@ from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.progress import Report
 from edge.core.detector import Bank, ScoreMaps
 from edge.core.errors import BundleCorrupt
-from edge.model.bundle import Bundle, Graphs, bundle_files
-from edge.model.manifest import Facts
+from edge.model.bundle import Bundle, Graphs
+from edge.model.bundle_writer import bundle_files, facts_of
 from edge.model.packing import pack
 from edge.model.scorer import Scorer
 from edge.model.session import open_session
@@ -120,8 +120,9 @@ def _measure_losses(
 
 def _unpacked(model: Imported, bundle: Bundle) -> Bundle:
     """Return the bundle with the bank as the importer gave it."""
-    facts = Facts(**{name: getattr(bundle.manifest, name) for name in Facts.model_fields})
-    files = bundle_files(facts, bundle.graphs, Bank(model.bank.arrays), backbone=model.trunk.id)
+    files = bundle_files(
+        facts_of(bundle.manifest), bundle.graphs, Bank(model.bank.arrays), backbone=model.trunk.id
+    )
     return Bundle.in_memory(*files)
 
 

@@ -9,7 +9,8 @@ from typer.testing import CliRunner
 
 from edge import cli
 from edge.core.errors import BundleCorrupt
-from edge.model.bundle import GoldenFrame, write_bundle
+from edge.model.bundle import GoldenFrame
+from edge.model.bundle_writer import write_bundle
 from edge.model.manifest import Manifest
 
 

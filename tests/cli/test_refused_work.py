@@ -64,7 +64,8 @@ def verify_other_scores(bench: Bench) -> list[object]:
     """Hashes agree, golden frames do not."""
     import tiny
 
-    from edge.model.bundle import GoldenFrame, write_bundle
+    from edge.model.bundle import GoldenFrame
+    from edge.model.bundle_writer import write_bundle
 
     golden = GoldenFrame(tiny.presses(1)[0], "a press", 9.0, tuple((9.0,) * 8 for _ in range(8)))
     write_bundle(bench.folder / "off", tiny.tiny_files(golden=[golden])[1])

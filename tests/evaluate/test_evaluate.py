@@ -15,7 +15,7 @@ from calibration.evaluate.sheet import draw_sheet
 from calibration.progress import progress
 from edge import cli
 from edge.core.errors import DatasetError, GelgateError
-from edge.model.bundle import write_bundle
+from edge.model.bundle_writer import write_bundle
 from edge.model.manifest import Provenance, ToleranceEntry
 from edge.pictures.heatmap import FULL_SCALE, paint_scores
 

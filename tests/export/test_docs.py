@@ -18,7 +18,8 @@ from typer.testing import CliRunner
 from vit_states import random_vit, save_safetensors
 
 from edge.cli import build
-from edge.model.bundle import Bundle, write_bundle
+from edge.model.bundle import Bundle
+from edge.model.bundle_writer import write_bundle
 from edge.model.scorer import Scorer
 from export.parity import TOLERANCES
 from plugins.backbones.random import random_state

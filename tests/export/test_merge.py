@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 
 from edge import cli
 from edge.core.errors import BundleCorrupt, BundleMismatch
-from edge.model.bundle import Bundle, GoldenFrame, write_bundle
+from edge.model.bundle import Bundle, GoldenFrame
+from edge.model.bundle_writer import write_bundle
 from edge.model.scorer import Scorer
 from export import merge
 from export.merge import merge_bundle, merged_graph

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from edge.cli import build
 from edge.core.errors import BundleMismatch
-from edge.model.bundle import write_bundle
+from edge.model.bundle_writer import write_bundle
 from edge.model.manifest import SCHEMA_VERSION
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "score_bundle.py"

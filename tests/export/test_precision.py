@@ -13,7 +13,8 @@ from typer.testing import CliRunner
 from calibration.quantise import halved, layers, quantise_graph
 from edge.cli import build
 from edge.core.errors import BundleMismatch, ConfigError, FitError
-from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
+from edge.model.bundle import Bundle, GoldenFrame, Graphs
+from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.scorer import Scorer, map_peaks
 from export import precision as module
 from export.precision import Measured, Precisions, choose_precision, in_precision, measure_precisions

@@ -16,7 +16,8 @@ from edge.cli import build
 from edge.core.detector import Bank, Grid
 from edge.core.errors import ConfigError
 from edge.core.imaging.tiles import Tiles
-from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files, write_bundle
+from edge.model.bundle import Bundle, GoldenFrame, Graphs
+from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.manifest import GridEntry, ProfileEntry, RegionEntry
 from edge.model.scorer import Scorer
 from plugins.backbones.tiled import tile_trunk

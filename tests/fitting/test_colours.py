@@ -17,7 +17,8 @@ from calibration.fitting.trunks import Trunk
 from edge import cli
 from edge.core.errors import BundleCorrupt
 from edge.core.imaging.sensor_check import check_sensor
-from edge.model.bundle import parse_manifest, write_bundle
+from edge.model.bundle import parse_manifest
+from edge.model.bundle_writer import write_bundle
 
 
 def flat(*colours: tuple[int, int, int]) -> np.ndarray:

@@ -13,7 +13,8 @@ import tiny
 
 from edge.core.errors import BundleCorrupt, BundleMismatch, FitError
 from edge.model.archive import MANIFEST
-from edge.model.bundle import Bundle, GoldenFrame, bundle_files, write_bundle
+from edge.model.bundle import Bundle, GoldenFrame
+from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.manifest import SCHEMA_VERSION
 from edge.model.scorer import Scorer
 

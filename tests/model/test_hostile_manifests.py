@@ -14,7 +14,8 @@ import tiny
 
 from edge.core.errors import BundleCorrupt
 from edge.model.archive import MANIFEST, MAX_FILE_BYTES
-from edge.model.bundle import Bundle, GoldenFrame, write_bundle
+from edge.model.bundle import Bundle, GoldenFrame
+from edge.model.bundle_writer import write_bundle
 from edge.model.manifest_files import MAX_BUNDLE_BYTES
 from edge.model.scorer import Scorer
 
@@ -159,7 +160,8 @@ def test_a_score_that_is_text_is_refused() -> None:
     """At the first run, not as an error of numpy at the first press."""
     from onnx import parser
 
-    from edge.model.bundle import Graphs, bundle_files
+    from edge.model.bundle import Graphs
+    from edge.model.bundle_writer import bundle_files
 
     model = parser.parse_model("""
         < ir_version: 8, opset_import: ["" : 17] >

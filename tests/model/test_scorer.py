@@ -12,7 +12,8 @@ import tiny
 
 from edge.core.detector import Bank
 from edge.core.errors import BundleCorrupt, NotScorable
-from edge.model.bundle import Bundle, GoldenFrame, Graphs, bundle_files
+from edge.model.bundle import Bundle, GoldenFrame, Graphs
+from edge.model.bundle_writer import bundle_files
 from edge.model.scorer import Scorer, map_peaks
 from edge.model.session import TrunkSessions
 

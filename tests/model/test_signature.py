@@ -7,18 +7,11 @@ import pytest
 import tiny
 
 from edge.core.errors import BundleCorrupt, BundleMismatch, ConfigError
-from edge.model.archive import MANIFEST, add_file, open_archive
-from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle, write_bundle
-from edge.model.signature import (
-    SIGNATURE,
-    Trust,
-    fingerprint,
-    new_key,
-    read_private_key,
-    read_public_key,
-    sign,
-    trusted_keys,
-)
+from edge.model.archive import MANIFEST, open_archive
+from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
+from edge.model.bundle_writer import add_file, write_bundle
+from edge.model.signature import SIGNATURE, Trust, fingerprint, read_public_key, trusted_keys
+from edge.model.signing import new_key, read_private_key, sign
 
 pytest.importorskip("cryptography", reason="signatures need the extra `signing`")
 

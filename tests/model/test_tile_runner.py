@@ -16,7 +16,8 @@ from edge.cli import build
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.tiles import tiling
-from edge.model.bundle import Bundle, write_bundle
+from edge.model.bundle import Bundle
+from edge.model.bundle_writer import write_bundle
 from edge.model.graph_cut import cut_trunk
 from edge.model.manifest import GridEntry
 from edge.model.scorer import Scorer

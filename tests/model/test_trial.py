@@ -10,7 +10,8 @@ from onnx import parser
 
 from edge.core.errors import BundleCorrupt
 from edge.gateway import opening
-from edge.model.bundle import Graphs, bundle_files, write_bundle
+from edge.model.bundle import Graphs
+from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.signature import Trust
 from edge.model.trial import Limits, try_bundle
 

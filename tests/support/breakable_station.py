@@ -7,7 +7,8 @@ import numpy as np
 import tiny
 
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.model.bundle import GoldenFrame, write_bundle
+from edge.model.bundle import GoldenFrame
+from edge.model.bundle_writer import write_bundle
 from edge.model.manifest import ProfileEntry
 
 CONFIG = """\

@@ -16,7 +16,8 @@ from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Pro
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.model.bundle import Graphs, bundle_files
+from edge.model.bundle import Graphs
+from edge.model.bundle_writer import bundle_files
 from edge.model.manifest import (
     Facts,
     GridEntry,

@@ -1,0 +1,244 @@
+"""Writes bundles: the manifest and the files of a new one, completely or not at all, and one more file of another."""
+
+import hashlib
+import io
+import json
+import os
+import shutil
+import stat
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.detector import Bank
+from edge.core.errors import FitError
+from edge.core.registration.registrar import PartInPose
+from edge.model.archive import MANIFEST, ZipArchive, open_archive
+from edge.model.bundle import DETECTOR, FREE_GEL, FREE_VIEW, HEAD, TRUNK, GoldenFrame, Graphs
+from edge.model.manifest import ArrayEntry, BackboneEntry, Facts, FileEntry, GoldenEntry, Manifest
+from edge.model.manifest_files import RegistrationEntry
+from edge.model.packing import pack
+
+__all__ = [
+    "add_file",
+    "bundle_files",
+    "facts_of",
+    "manifest_bytes",
+    "png_bytes",
+    "write_bundle",
+    "write_file",
+]
+
+# Zip knows no time zone and no year before 1980: every member carries this time, so equal content gives equal bytes.
+ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
+
+
+def facts_of(manifest: Manifest) -> Facts:
+    """Return the manifest without its files."""
+    return Facts(**{name: getattr(manifest, name) for name in Facts.model_fields})
+
+
+def bundle_files(
+    facts: Facts,
+    graphs: Graphs,
+    bank: Bank | None = None,
+    golden: Sequence[GoldenFrame] = (),
+    *,
+    backbone: str = "",
+    with_trunk: bool = True,
+    free_gel: NDArray[np.uint8] | None = None,
+    free_view: NDArray[np.uint8] | None = None,
+    registration: PartInPose | None = None,
+) -> tuple[Manifest, dict[str, bytes]]:
+    """The manifest and the files of a new bundle, the manifest among them; equal inputs give equal bytes.
+
+    backbone: the trunk's id. with_trunk: False leaves the trunk to the gateway's store. Errors: FitError for an array
+    that cannot be stored as the bank states.
+    """
+    files: dict[str, bytes] = {}
+
+    def keep(name: str, data: bytes) -> FileEntry:
+        files[name] = data
+        return FileEntry(file=name, sha256=hashlib.sha256(data).hexdigest(), size_bytes=len(data))
+
+    parts: dict[str, Any] = {}
+    if graphs.trunk is not None:
+        parts["backbone"] = BackboneEntry(id=backbone, trunk=keep(TRUNK, graphs.trunk), in_bundle=with_trunk)
+        if not with_trunk:
+            del files[TRUNK]
+    for key, name, graph in (("head", HEAD, graphs.head), ("detector", DETECTOR, graphs.detector)):
+        if graph is not None:
+            parts[key] = keep(name, graph)
+    if bank is not None:
+        parts["bank"] = {name: _array_entry(name, bank, keep) for name in sorted(bank.arrays)}
+    parts["golden"] = tuple(
+        GoldenEntry(
+            image=keep(f"golden/{number}.png", png_bytes(frame.rgb)),
+            what=frame.what,
+            score=frame.score,
+            map_peaks=frame.map_peaks,
+        )
+        for number, frame in enumerate(golden)
+    )
+    if free_gel is not None:
+        parts["free_gel"] = keep(FREE_GEL, png_bytes(free_gel))
+    if free_view is not None:
+        parts["free_view"] = keep(FREE_VIEW, png_bytes(free_view))
+    if registration is not None:
+        parts["registration"] = _registration_entry(registration, keep)
+    manifest = Manifest(**{name: getattr(facts, name) for name in Facts.model_fields}, **parts)
+    files[MANIFEST] = manifest_bytes(manifest)
+    return manifest, files
+
+
+def manifest_bytes(manifest: Manifest) -> bytes:
+    """The manifest's file; its SHA-256 is the bundle's identity. Older programs read it where nothing newer is set."""
+    unset = {name for name in ("revision", "registration") if getattr(manifest, name) is None}
+    return (
+        json.dumps(manifest.model_dump(mode="json", exclude=unset), indent=1, ensure_ascii=False) + "\n"
+    ).encode()
+
+
+def _array_entry(name: str, bank: Bank, keep: Callable[[str, bytes], FileEntry]) -> ArrayEntry:
+    array, packing = bank.arrays[name], bank.packing.get(name, "none")
+    if array.dtype not in (np.float32, np.int64, np.bool_):
+        raise FitError(f"bank array '{name}' is {array.dtype}; a head takes float32, int64 or bool")
+    try:
+        packed = pack(array, packing)
+    except ValueError as error:
+        raise FitError(f"bank array '{name}' cannot be stored: {error}") from error
+    return ArrayEntry(
+        dtype=array.dtype.name,  # type: ignore[arg-type]  # one of the three just checked
+        shape=array.shape,
+        packing=packing,
+        data=keep(f"bank/{name}.npy", _npy(packed.data)),
+        scale=None if packed.scale is None else keep(f"bank/{name}.scale.npy", _npy(packed.scale)),
+        exponent=packed.exponent,
+    )
+
+
+def _npy(array: NDArray[Any]) -> bytes:
+    stream = io.BytesIO()
+    np.lib.format.write_array(
+        stream, np.ascontiguousarray(array).reshape(array.shape), (1, 0), allow_pickle=False
+    )
+    return stream.getvalue()
+
+
+def _registration_entry(part: PartInPose, keep: Callable[[str, bytes], FileEntry]) -> RegistrationEntry:
+    """The manifest's entry. keep: stores a file by its name."""
+    learnt = np.repeat(np.where(part.learnt, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
+    red, green, blue = ((float(x), float(y)) for x, y in part.colours.matrix)
+    return RegistrationEntry(
+        free=keep("registration/free.png", png_bytes(part.free)),
+        template=keep("registration/template.png", png_bytes(part.template)),
+        learnt=keep("registration/learnt.png", png_bytes(learnt)),
+        colours=(red, green, blue),
+        is_turning=part.is_turning,
+        least_match=part.least_match,
+        least_seen=part.least_seen,
+        scores_relief_to_end=part.scores_relief_to_end,
+    )
+
+
+def png_bytes(rgb: NDArray[np.uint8]) -> bytes:
+    """uint8 (h, w, 3) RGB as a PNG file."""
+    return bytes(cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))[1])
+
+
+def write_bundle(path: Path, files: Mapping[str, bytes], *, overwrite: bool = False) -> Path:
+    """Write all files as a folder, or as a zip when the name ends in .zip; appears at once or not at all.
+
+    Equal files give equal bytes. Errors: FileExistsError; OSError of the disk, with nothing left behind.
+    """
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} exists already; choose another name or allow it to be replaced")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    _remove(partial)
+    try:
+        if path.suffix == ".zip":
+            _write_zip(partial, files)
+        else:
+            _write_folder(partial, files)
+        _put_in_place(partial, path)
+    finally:
+        _remove(partial)
+    return path
+
+
+def add_file(bundle: Path, name: str, data: bytes) -> None:
+    """Add one small file to a bundle, or replace it; at once or not at all.
+
+    A zip is written again as a whole. Errors: BundleCorrupt, OSError.
+    """
+    archive = open_archive(bundle)
+    if not isinstance(archive, ZipArchive):
+        write_file(bundle / name, data)
+    else:
+        files = {kept: archive.read(kept) for kept in archive.names() if kept != name}
+        write_bundle(bundle, {**files, name: data}, overwrite=True)
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Write one file that appears at once or not at all, replacing an older one. Errors: OSError."""
+    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with partial.open("wb") as out:
+            out.write(data)
+            out.flush()
+            os.fsync(out.fileno())
+        partial.replace(path)
+    finally:
+        _remove(partial)
+
+
+def _write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
+    for name, data in files.items():
+        file = folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("wb") as out:
+            out.write(data)
+            out.flush()
+            os.fsync(out.fileno())
+
+
+def _write_zip(file: Path, files: Mapping[str, bytes]) -> None:
+    with file.open("wb") as out:
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, data in sorted(files.items()):
+                member = zipfile.ZipInfo(name, ZIP_EPOCH)
+                member.compress_type = zipfile.ZIP_DEFLATED
+                member.external_attr = (stat.S_IFREG | 0o644) << 16
+                archive.writestr(member, data)
+        out.flush()
+        os.fsync(out.fileno())
+
+
+def _put_in_place(partial: Path, path: Path) -> None:
+    """Rename to the final path; an existing folder is moved away first, because rename cannot replace it."""
+    if not path.is_dir():
+        partial.rename(path)
+        return
+    aside = path.with_name(f".{path.name}.replaced-{os.getpid()}")
+    _remove(aside)
+    path.rename(aside)
+    try:
+        partial.rename(path)
+    except OSError:
+        aside.rename(path)
+        raise
+    _remove(aside)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
