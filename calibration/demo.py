@@ -70,7 +70,7 @@ def demo(
     # The broker first: if none is installed, the error comes before a minute of work, not after it.
     with LocalBroker() as broker, _recordings_folder(output if keep else None) as folder:
         nominal, test = _simulated(folder, seed)
-        bundle = _fitted(nominal, output / "bundle")
+        bundle = _fit(nominal, output / "bundle")
         tally = _inspected(output, bundle, test, heatmaps, broker)
         tally.show(heatmaps)
         tally.check(test)
@@ -111,7 +111,7 @@ def _simulated(folder: Path, seed: int) -> tuple[Path, Path]:
     return paths[0], paths[1]
 
 
-def _fitted(nominal: Path, path: Path) -> Path:
+def _fit(nominal: Path, path: Path) -> Path:
     import datetime
 
     from calibration.fitting.fit import FitConfig, fit_bundle
@@ -163,7 +163,7 @@ class _Tally:
         typer.echo(f"subscriber: {self.received} results over MQTT; heatmaps in {heatmaps}/")
 
     def check(self, recording: Path) -> None:
-        """Errors: PressesMissed, SinkUnavailable: a demo that lost a press or a result has failed."""
+        """Compare with the labels. Errors: PressesMissed, SinkUnavailable: a press or a result was lost."""
         from edge.core.errors import SinkUnavailable
         from edge.gateway.report import check_played
         from edge.recording.format import Recording
@@ -185,7 +185,7 @@ def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path, brok
     from edge.gateway.gateway import Gateway
     from edge.store.press_store import Store
 
-    tally = _known_truth(recording)
+    tally = _read_truth(recording)
     for old in folder.glob("gelgate.db*"):
         old.unlink()
     shutil.rmtree(folder / "gelgate.references", ignore_errors=True)
@@ -223,7 +223,7 @@ def _level(broker: "LocalBroker") -> "Level":
     return "5" if broker.speaks_mqtt5 else "3.1.1"
 
 
-def _known_truth(recording: Path) -> _Tally:
+def _read_truth(recording: Path) -> _Tally:
     """The labels of the simulation: which press is damaged, and how."""
     from edge.recording.format import Recording
 

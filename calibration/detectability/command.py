@@ -63,7 +63,7 @@ def detectability(
     loaded = Bundle.load(bundle)
     found = _presses(loaded, sources, part, position, no_contact, resize, pattern)
     _make_folder(output)
-    planned, trials = _measured(loaded, found, settings, Rows(output / TRIALS, _warn))
+    planned, trials = _measure(loaded, found, settings, Rows(output / TRIALS, _warn))
     curves = results(planned, trials)
     made = card(planned, curves, _today())
     write_atomically(output / TABLE, (table(made) + "\n").encode())
@@ -77,7 +77,7 @@ def detectability(
 
 
 def _kinds(asked: list[str] | None) -> tuple[str, ...]:
-    """Errors: ConfigError for an unknown kind."""
+    """Return the kinds to measure. Errors: ConfigError for an unknown kind."""
     from calibration.fitting.damage.damage import KINDS
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
@@ -114,7 +114,7 @@ def _presses(
     )
 
 
-def _measured(
+def _measure(
     bundle: "Bundle", presses: "NominalPresses", settings: "Settings", rows: "Rows"
 ) -> "tuple[Plan, list[Trial]]":
     from calibration.detectability.study import Trial, plan, run
@@ -122,7 +122,7 @@ def _measured(
 
     with Stages() as report:
         planned = plan(bundle, presses, settings, lambda fraction: report("banks", fraction))
-    typer.echo(_planned(planned))
+    typer.echo(_describe_plan(planned))
     if planned.warning:
         _warn(planned.warning)
     done = {row["key"]: Trial.of(row) for row in rows.read()}
@@ -130,8 +130,8 @@ def _measured(
         return planned, run(planned, done, rows.append, advance)
 
 
-def _planned(planned: "Plan") -> str:
-    """What is going to be measured, and which presses are not used."""
+def _describe_plan(planned: "Plan") -> str:
+    """Say what is going to be measured, and which presses are not used."""
     judged = {
         "presses apart": "presses that the bundle has not learnt, judged by it",
         "folds": "learnt presses, each judged by a bank fitted without it",
@@ -148,7 +148,7 @@ def _planned(planned: "Plan") -> str:
 
 
 def _make_folder(output: Path) -> None:
-    """Errors: ConfigError."""
+    """Make the output folder. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
     try:

@@ -74,11 +74,11 @@ class Judge:
     manifest: Manifest
 
     def passes(self, rgb: NDArray[np.uint8]) -> bool:
-        """Whether the press passes as it is. Errors: NotScorable."""
+        """Say whether the press passes as it is. Errors: NotScorable."""
         return self._result(self.scorer.score(rgb)) is Result.PASS
 
     def finds(self, press: Press, damage: Damage) -> bool:
-        """Whether the press with the damage fails and its map is highest on the damage. Errors: NotScorable.
+        """Say whether the press with the damage fails and its map is highest on the damage. Errors: NotScorable.
 
         A press whose part is not recognised any more is rejected, which finds no damage.
         """
@@ -124,9 +124,9 @@ def panel(bundle: Bundle, presses: NominalPresses, seed: int, threads: int, prog
     learnt = [k for k, name in enumerate(presses.names) if name in bundle.manifest.provenance.presses]
     apart = _apart(bundle, presses)
     if bundle.manifest.detector is not None:
-        return _by_bundle(bundle, _shuffled([*learnt, *apart], seed), threads, "third party's graph")
+        return _by_bundle(bundle, _shuffle([*learnt, *apart], seed), threads, "third party's graph")
     if len(apart) >= MIN_PRESSES:
-        return _by_bundle(bundle, _shuffled(apart, seed), threads, "presses apart")
+        return _by_bundle(bundle, _shuffle(apart, seed), threads, "presses apart")
     _require_complete(bundle, len(learnt), len(apart))
     return _by_folds(bundle, _only(presses, learnt), learnt, seed, threads, progress)
 
@@ -147,7 +147,7 @@ def _apart(bundle: Bundle, presses: NominalPresses) -> list[int]:
 
 
 def _require_complete(bundle: Bundle, found: int, apart: int) -> None:
-    """Errors: DatasetError where no bank without a press can be fitted as the bundle was."""
+    """Check that a bank without a press can be fitted as the bundle was. Errors: DatasetError."""
     expected = len(bundle.manifest.provenance.presses)
     if found == expected >= MIN_PRESSES:
         return
@@ -158,8 +158,8 @@ def _require_complete(bundle: Bundle, found: int, apart: int) -> None:
     )
 
 
-def _shuffled(indices: Sequence[int], seed: int) -> list[int]:
-    """In an order drawn by the seed. Errors: DatasetError for too few."""
+def _shuffle(indices: Sequence[int], seed: int) -> list[int]:
+    """Shuffle indices by the seed. Errors: DatasetError for too few."""
     if len(indices) < MIN_PRESSES:
         raise DatasetError(
             f"{len(indices)} press{'' if len(indices) == 1 else 'es'} to edit, at least {MIN_PRESSES} are needed for a "
@@ -190,7 +190,7 @@ def _by_folds(
     for number, held in enumerate(found):
         judges |= dict.fromkeys((indices[k] for k in held.tolist()), folds.judge(held))
         progress((number + 1) / len(found))
-    return Panel({k: judges[k] for k in _shuffled(indices, seed)}, "folds")
+    return Panel({k: judges[k] for k in _shuffle(indices, seed)}, "folds")
 
 
 class _Folds:
@@ -241,16 +241,16 @@ class _Folds:
 
 
 def _only(presses: NominalPresses, rows: Sequence[int]) -> NominalPresses:
-    """Those presses alone."""
+    """Return these presses alone."""
     return replace(
         presses,
         frames=presses.frames[list(rows)],
-        names=_chosen(presses.names, rows),
-        specimens=_chosen(presses.specimens, rows),
-        touches=_chosen(presses.touches, rows),
-        reliefs=_chosen(presses.reliefs, rows),
+        names=_select(presses.names, rows),
+        specimens=_select(presses.specimens, rows),
+        touches=_select(presses.touches, rows),
+        reliefs=_select(presses.reliefs, rows),
     )
 
 
-def _chosen(values: tuple[T, ...], rows: Sequence[int]) -> tuple[T, ...]:
+def _select(values: tuple[T, ...], rows: Sequence[int]) -> tuple[T, ...]:
     return tuple(values[k] for k in rows) if values else ()

@@ -73,7 +73,7 @@ def fit_pod(low: Sequence[float], high: Sequence[float], largest_mm: float) -> P
 
     Errors: ValueError for intervals that are empty or no sizes.
     """
-    intervals = _checked(low, high)
+    intervals = _check_intervals(low, high)
     trials, found = len(low), int(np.isfinite(intervals[1]).sum())
     if trials < MIN_TRIALS:
         return Pod(trials, found, "too few")
@@ -109,13 +109,15 @@ class _Counted:
 
 
 def log_likelihood(low: Sequence[float], high: Sequence[float], a90_mm: float, sigma: float) -> float:
-    """Of trials (low, high] by the curve that finds 90 % at a90_mm, with this spread of ln size."""
-    found = _log_likelihoods(_Counted.of(_checked(low, high)), math.log(a90_mm), np.array([1 / sigma]))
+    """Return the log likelihood of trials (low, high] by the curve of this a90 and spread of ln size."""
+    found = _log_likelihoods(
+        _Counted.of(_check_intervals(low, high)), math.log(a90_mm), np.array([1 / sigma])
+    )
     return float(found[0])
 
 
 def _log_likelihoods(trials: _Counted, x90: float, slopes: F64) -> F64:
-    """Of curves through 0.9 at ln a90 = x90 with 1 / sigma = slopes, (m,)."""
+    """Return the log likelihoods of curves through 0.9 at ln a90 = x90 with 1 / sigma = slopes, (m,)."""
     low, high = slopes[None, :, None] * (trials.logs[:, None] - x90) + Z90
     flipped = low + high > 0
     below, above = np.where(flipped, -high, low), np.where(flipped, -low, high)
@@ -125,7 +127,7 @@ def _log_likelihoods(trials: _Counted, x90: float, slopes: F64) -> F64:
     return np.asarray(each @ trials.counts)
 
 
-def _checked(low: Sequence[float], high: Sequence[float]) -> F64:
+def _check_intervals(low: Sequence[float], high: Sequence[float]) -> F64:
     intervals = np.array([low, high], np.float64)
     if intervals.ndim != 2 or not (intervals[0] >= 0).all() or not (intervals[0] < intervals[1]).all():
         raise ValueError("a trial is an interval (low, high] of sizes in mm, 0 <= low < high")
@@ -168,7 +170,7 @@ def _upper(trials: _Counted, x90: float, best: float) -> float:
 
 
 def _highest(value: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
-    """Where a function with one peak is highest, by golden section, and how high."""
+    """Find where a function with one peak is highest, by golden section, and how high."""
     left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
     at_left, at_right = value(left), value(right)
     for _ in range(_STEPS):

@@ -46,7 +46,7 @@ def _pod(kind: str, trials: Sequence[Trial]) -> Pod:
 
 
 def card(planned: Plan, found: Sequence[KindResult], created: str) -> DetectabilityCard:
-    """What the bundle carries. created: a date."""
+    """Return what the bundle carries. created: a date."""
     middles = (planned.grid.middle_mm(place) for place in planned.places)
     return DetectabilityCard(
         created=created,
@@ -66,20 +66,20 @@ def _kind_card(one: KindResult) -> KindCard:
         largest_mm=KINDS[one.kind].largest_mm,
         trials=one.anywhere.trials,
         found=one.anywhere.found,
-        a90_mm=_rounded(one.anywhere.a90_mm),
-        a90_95_mm=_rounded(one.anywhere.a90_95_mm),
-        place_a90_mm=tuple(_rounded(pod.a90_mm) for pod in pods),
-        place_a90_95_mm=tuple(_rounded(pod.a90_95_mm) for pod in pods),
+        a90_mm=_round_mm(one.anywhere.a90_mm),
+        a90_95_mm=_round_mm(one.anywhere.a90_95_mm),
+        place_a90_mm=tuple(_round_mm(pod.a90_mm) for pod in pods),
+        place_a90_95_mm=tuple(_round_mm(pod.a90_95_mm) for pod in pods),
         place_state=tuple(pod.state for pod in pods),
     )
 
 
-def _rounded(size_mm: float | None) -> float | None:
+def _round_mm(size_mm: float | None) -> float | None:
     return None if size_mm is None else round(size_mm, 4)
 
 
 def table(found: DetectabilityCard) -> str:
-    """One line for each kind and place, sizes in mm."""
+    """Write one line for each kind and place, sizes in mm."""
     lines = [f"{'damage':<10}{'x mm':>7}{'y mm':>7}{'a90':>8}{'a90/95':>8}  state"]
     for kind in found.kinds:
         lines.append(_line(kind.kind, "any", "", kind.a90_mm, kind.a90_95_mm, kind.largest_mm, ""))

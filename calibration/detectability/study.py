@@ -70,7 +70,7 @@ class PlaceGrid:
         return down, across
 
     def touched(self, contact: NDArray[np.bool_], place: Place) -> bool:
-        """Whether a press with this contact, bool (h, w), touches the place."""
+        """Say whether a press with this contact, bool (h, w), touches the place."""
         return bool(contact[self.pixels(place)].mean() >= _TOUCHED_SHARE)
 
     def spot(self, contact: NDArray[np.bool_], place: Place, rng: np.random.Generator) -> Spot | None:
@@ -169,7 +169,7 @@ class Trial:
     high_mm: float
 
     def row(self, key: str) -> dict[str, Any]:
-        """As it is stored; an infinite size is null."""
+        """Return the row as it is stored; an infinite size is null."""
         return {
             "key": key,
             "kind": self.kind,
@@ -211,7 +211,7 @@ class Plan:
         return len(self.settings.kinds) * len(self.places) * len(self.presses)
 
     def key(self, kind: str, place: Place, press: str) -> str:
-        """What a trial depends on, as a short hash: rows of other bundles and settings are not taken for its own."""
+        """Hash what a trial depends on: rows of other bundles and settings are not taken for its own."""
         edited = self.presses[press]
         facts = [FORMAT, self.bundle.digest, self.by, kind, place.row, place.column, press]
         facts += [
@@ -288,7 +288,7 @@ def run(
 
 
 def _trial(planned: Plan, kind: str, place: Place, name: str, number: int) -> Trial | None:
-    """None where the press does not touch the place."""
+    """Prepare a trial; None where the press does not touch the place."""
     press = planned.presses[name]
     seed = [planned.settings.seed, tuple(KINDS).index(kind), place.row, place.column, number]
     spot = planned.grid.spot(press.contact, place, np.random.default_rng(seed))
@@ -306,7 +306,7 @@ def _passes(judge: Judge, press: EditedPress) -> bool:
 
 
 def _require_station(bundle: Bundle, presses: NominalPresses, refused: Sequence[str]) -> None:
-    """Errors: DatasetError for a sensor whose light is not known, or presses of another sensor."""
+    """Check the sensor. Errors: DatasetError where its light is not known, or for presses of another one."""
     profile = bundle.profile
     seen = tuple(round(n * m, 1) for n, m in zip(profile.size, profile.mm_per_pixel, strict=True))
     if any(abs(found / crop - 1) > _CROP_TOLERANCE for found, crop in zip(seen, CROP_MM, strict=True)):
@@ -323,7 +323,7 @@ def _require_station(bundle: Bundle, presses: NominalPresses, refused: Sequence[
 
 
 def _require_contact(bundle: Bundle, presses: Sequence[EditedPress]) -> None:
-    """Errors: DatasetError where no press touches."""
+    """Refuse presses without contact. Errors: DatasetError where no press touches."""
     if not any(press.contact.any() for press in presses):
         raise DatasetError(
             f"none of the {len(presses)} presses touches the region {bundle.region}: no contact is seen against the "

@@ -78,7 +78,7 @@ class Evaluation:
         return self._count(Kind.UNSURE, is_defective=False), self._count(Kind.UNSURE, is_defective=True)
 
     def _count(self, kind: Kind, *, is_defective: bool) -> int:
-        """How many presses of this truth get this verdict."""
+        """Count how many presses of this truth get this verdict."""
         decided = self.bundle.manifest.decide
         return sum(
             s.press.is_defective is is_defective and decided(s.anomaly_score).kind is kind
@@ -103,8 +103,10 @@ def evaluate_bundle(
     Errors: BundleError, DatasetError (the dataset lacks the part or position; nothing is left to score).
     """
     bundle = Bundle.load(bundle_path)
-    dataset = _chosen(open_dataset(dataset_path, resolution_of(bundle.profile.size)), bundle, part, position)
-    fitted = _fitted(dataset.presses, bundle.manifest.provenance.presses)
+    dataset = _choose_presses(
+        open_dataset(dataset_path, resolution_of(bundle.profile.size)), bundle, part, position
+    )
+    fitted = _find_fitted(dataset.presses, bundle.manifest.provenance.presses)
     presses = tuple(p for p in dataset.presses if p.path not in fitted)
     if not presses:
         raise DatasetError(
@@ -129,7 +131,7 @@ def evaluate_bundle(
     )
 
 
-def _chosen(dataset: Dataset, bundle: Bundle, part: str | None, position: str | None) -> Dataset:
+def _choose_presses(dataset: Dataset, bundle: Bundle, part: str | None, position: str | None) -> Dataset:
     """The presses of the given part and position. Errors: DatasetError if the dataset has none of them."""
     own = bundle.manifest.part, bundle.manifest.position
     wanted = [mine if asked is None else asked for asked, mine in zip((part, position), own, strict=True)]
@@ -142,8 +144,8 @@ def _chosen(dataset: Dataset, bundle: Bundle, part: str | None, position: str | 
         ) from None
 
 
-def _fitted(presses: Sequence[LabelledPress], names: Sequence[str]) -> set[Path]:
-    """The files named in the provenance: a name is the end of a path, such as `rgb_320x240/PZ3_pos1_s001_p01.png`.
+def _find_fitted(presses: Sequence[LabelledPress], names: Sequence[str]) -> set[Path]:
+    """Find the files named in the provenance: a name is the end of a path, such as `rgb_320x240/PZ3_pos1_s001_p01.png`.
 
     MVTec folders have the same file names in train/good and test/good; if a name fits both, train was fitted.
     """

@@ -181,7 +181,7 @@ class Run:
             defect = self._defect(piece)
             imprint = self.station.line.imprint(piece, defect)
             free = self.station.line.free_gel(age, self._shares(number), before)
-            rgb = self.station.line.press(imprint, piece, age, self._shown_scars(number))
+            rgb = self.station.line.press(imprint, piece, age, self._scars_at(number))
             self._judge(number, piece, age, imprint, defect, rgb, free, left)
             before, left = imprint, as_view(rgb) - free
         return self
@@ -232,7 +232,7 @@ class Run:
         self, number: int, piece: int, age: int, imprint: F32, defect: Defect | None, judged: Judged
     ) -> Truth | None:
         """Say what an alarm is due to; None for a false alarm."""
-        station, shares = self.station, self._shown_scars(number)
+        station, shares = self.station, self._scars_at(number)
         if defect is not None:
             sound = station.score(station.line.press(station.line.imprint(piece), piece, age, shares))
             return "damage" if station.passes(sound, judged.masked) else "both"
@@ -247,7 +247,7 @@ class Run:
     def _shares(self, number: int) -> tuple[tuple[Scar, float], ...]:
         return tuple((one, one.share(number)) for one in self._scars)
 
-    def _shown_scars(self, number: int) -> tuple[tuple[Scar, float], ...]:
+    def _scars_at(self, number: int) -> tuple[tuple[Scar, float], ...]:
         """Return the scars as a press shows them."""
         return tuple((one, share * (1 - self.flattened)) for one, share in self._shares(number))
 

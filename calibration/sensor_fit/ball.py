@@ -30,7 +30,7 @@ class Ball:
     depth_mm: float
 
     def contact_radius_mm(self, ball_radius_mm: float) -> float:
-        """Of the circle in which the ball stands above the free gel's surface."""
+        """Return the radius of the circle in which the ball stands above the free gel's surface."""
         return float(np.sqrt(max(2 * ball_radius_mm * self.depth_mm - self.depth_mm**2, 0.0)))
 
 
@@ -43,7 +43,7 @@ class Circle:
     radius: float
 
     def is_inside(self, size: tuple[int, int]) -> bool:
-        """Whether the touching part lies in a picture of (width, height)."""
+        """Say whether the touching part lies in a picture of (width, height)."""
         reach = _TOUCHING * self.radius
         return reach <= self.x <= size[0] - reach and reach <= self.y <= size[1] - reach
 
@@ -84,7 +84,7 @@ def _through(points: NDArray[np.float64]) -> Circle:
 
 
 def ball_height(ball: Ball, ball_radius_mm: float, x: F32, y: F32) -> F32:
-    """How far the ball stands above the free gel's surface, mm, float32 as x and y (mm from the picture's centre)."""
+    """Return how far the ball stands above the free gel, mm, float32 as x and y (mm from the picture's centre)."""
     squared = (x - np.float32(ball.x_mm)) ** 2 + (y - np.float32(ball.y_mm)) ** 2
     rise = np.sqrt(np.maximum(np.float32(ball_radius_mm**2) - squared, 0))
     return f32(np.maximum(rise - np.float32(ball_radius_mm - ball.depth_mm), 0))

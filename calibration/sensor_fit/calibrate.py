@@ -22,7 +22,7 @@ from calibration.simulator.sensor_appearance import SensorAppearance
 from calibration.simulator.sensor_file import SensorFile
 from edge.core.detector import Progress
 
-__all__ = ["MOST_PRESSES", "Calibrated", "calibrate_sensor", "divided"]
+__all__ = ["MOST_PRESSES", "Calibrated", "calibrate_sensor", "divide"]
 
 Press = TypeVar("Press")
 
@@ -60,7 +60,7 @@ def calibrate_sensor(
     check_ball(radius)
     gel = untouched_gel(presses)
     found = ball_presses(presses, gel, radius)
-    fitted, others = divided(found.usable)
+    fitted, others = divide(found.usable)
     fit = fit_gel(fit_response(fitted, gel.planes, radius), fitted, progress)
     base = _base(name, gel, [*fitted, *others], radius)
     judged = judge(fit, base, fitted, others)
@@ -68,8 +68,8 @@ def calibrate_sensor(
     return Calibrated(sensor, tuple(judged), found.left_out, tuple(_warnings(with_response(base, fit), gel)))
 
 
-def divided(presses: Sequence[Press]) -> tuple[list[Press], list[Press]]:
-    """At most 20 presses, spread over all, and the others."""
+def divide(presses: Sequence[Press]) -> tuple[list[Press], list[Press]]:
+    """Divide the presses into at most 20, spread over all, and the others."""
     most = min(MOST_PRESSES, len(presses))
     chosen = set(np.linspace(0, len(presses) - 1, most).round().astype(int).tolist())
     fitted = [press for number, press in enumerate(presses) if number in chosen]

@@ -65,7 +65,7 @@ def calibrate(
 
 
 def _check_output(output: Path, overwrite: bool) -> Path:
-    """Where the picture goes. Errors: ConfigError before any work is done."""
+    """Return where the picture goes. Errors: ConfigError before any work is done."""
     from edge.core.errors import ConfigError
 
     if output.suffix != ".toml":

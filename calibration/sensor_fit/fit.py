@@ -16,7 +16,7 @@ from calibration.simulator.field_of_view import F32
 from calibration.simulator.gel import GEL, Gel
 from edge.core.detector import Progress
 
-__all__ = ["BallPress", "SensorFit", "fit_gel", "fit_poses", "fit_response", "held_out"]
+__all__ = ["BallPress", "SensorFit", "fit_gel", "fit_poses", "fit_response", "fit_without_each"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -168,7 +168,7 @@ def _with_gel(fit: SensorFit, presses: Sequence[BallPress]) -> SensorFit:
     for changes in _GEL_CHANGES:
         for factor in changes:
             while True:
-                tried = _changed(best.gel, *factor)
+                tried = _scale_gel(best.gel, *factor)
                 if tried is None:
                     break
                 poses = [press.ball for press in presses]
@@ -193,7 +193,7 @@ _GEL_CHANGES = (
 _SHORTEST_MM, _LONGEST_MM = 0.1, 3.0
 
 
-def _changed(gel: Gel, short: float, long: float, share: float) -> Gel | None:
+def _scale_gel(gel: Gel, short: float, long: float, share: float) -> Gel | None:
     made = (gel.short_mm * short, gel.long_mm * long, gel.long_share + share)
     is_possible = _SHORTEST_MM <= made[0] <= made[1] <= _LONGEST_MM and 0 <= made[2] <= 1
     return Gel(*made) if is_possible else None
@@ -209,8 +209,8 @@ def error_of(fit: SensorFit, presses: Sequence[BallPress]) -> float:
     return float(np.sqrt(squares / max(counted, 1)))
 
 
-def held_out(fit: SensorFit, presses: Sequence[BallPress]) -> list[SensorFit]:
-    """For each press, the same fit without it and its fold; its ball is placed again, from the circle that was found.
+def fit_without_each(fit: SensorFit, presses: Sequence[BallPress]) -> list[SensorFit]:
+    """Fit for each press the same without it and its fold; its ball is placed again, from the circle that was found.
 
     Five folds. The gel is the one of the complete fit.
     """

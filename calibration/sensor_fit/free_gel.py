@@ -65,13 +65,13 @@ def _sd(values: F32) -> float:
 
 
 def marker_dots(planes: F32) -> Mask:
-    """Where dark dots and their rims lie, bool (h, w)."""
+    """Find where dark dots and their rims lie, bool (h, w)."""
     dark = _dark(planes)
     return np.asarray(cv2.dilate(dark, np.ones((_RIM_PX, _RIM_PX), np.uint8)), np.bool_)
 
 
 def has_markers(planes: F32) -> bool:
-    """Whether the free gel carries the dots of a tracking gel."""
+    """Say whether the free gel carries the dots of a tracking gel."""
     _, _, found, _ = cv2.connectedComponentsWithStats(_dark(planes))
     area = found[1:, cv2.CC_STAT_AREA]
     return int(((area >= _DOT_AREA_PX[0]) & (area <= _DOT_AREA_PX[1])).sum()) >= _FEWEST_DOTS

@@ -52,7 +52,7 @@ class Window:
 
     @property
     def inner(self) -> tuple[slice, slice]:
-        """The same part, counted in the window."""
+        """This part, counted in the window."""
         rows, columns = self.seen
         return slice(rows.start - self.y, rows.stop - self.y), slice(
             columns.start - self.x, columns.stop - self.x
@@ -119,7 +119,7 @@ def predict(ball: Ball, ball_radius_mm: float, gel: Gel, free: F32, window: Wind
 
 
 def _columns(nx: F32, ny: F32, surface: F32, lens: F32, seen: tuple[slice, slice]) -> F32:
-    """In the order of `slope_response` and `height_response`, through the lens."""
+    """Return the columns in the order of `slope_response` and `height_response`, through the lens."""
     powers = _powers()[:, *seen]
     squares = np.stack([nx * nx, ny * ny, nx * ny]) * lens
     columns = np.concatenate([nx * powers, ny * powers, squares, surface * powers])

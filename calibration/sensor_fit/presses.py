@@ -50,7 +50,7 @@ class Found:
 
 
 def untouched_gel(presses: NominalPresses) -> Untouched:
-    """Errors: FitError without a picture of the free gel."""
+    """Return the free gel. Errors: FitError without a picture of the free gel."""
     if presses.no_contact is None:
         raise FitError(
             "there is no picture of the free gel; give one with --no-contact, or a recording that begins before contact"
@@ -63,7 +63,7 @@ def untouched_gel(presses: NominalPresses) -> Untouched:
 
 
 def check_ball(ball_radius_mm: float) -> None:
-    """Errors: FitError for a ball that is larger than the view."""
+    """Check the ball. Errors: FitError for a ball that is larger than the view."""
     if 2 * ball_radius_mm > LR.extent_mm[1]:
         raise FitError(
             f"a ball of radius {ball_radius_mm:g} mm is larger than the view, which is {LR.extent_mm[1]:.1f} mm high; "
@@ -104,7 +104,7 @@ def ball_presses(presses: NominalPresses, gel: Untouched, ball_radius_mm: float)
 
 
 def _reasons(planes: F32, circle: Circle | None, away: float) -> Iterator[str]:
-    """Why a press cannot be used, a clause each."""
+    """Say why a press cannot be used, a clause each."""
     if away > _OTHER_GEL_LEVELS:
         yield f"outside contact it differs from the free gel by {away:.0f} grey levels, at most {_OTHER_GEL_LEVELS:.0f}"
     if circle is None or circle.touching_mm < _SMALLEST_MM:
@@ -126,7 +126,7 @@ def _press(name: str, change: F32, ignored: Mask, circle: Circle, ball_radius_mm
 
 
 def _why_no_ball(press: BallPress, free: F32, ball_radius_mm: float) -> str:
-    """Why a press is of something else, empty for a ball: under any light a ball's change follows its own slopes."""
+    """Say why a press is no ball's, empty for a ball: under any light a ball's change follows its own slopes."""
     seen = predict(press.ball, ball_radius_mm, GEL, free, press.window)
     compared = seen.changed & ~press.ignored[press.window.seen]
     change = press.change[:, *press.window.seen][:, compared].T

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.sensor_fit.ball import Ball, ball_height
-from calibration.sensor_fit.fit import BallPress, SensorFit, fit_poses, held_out
+from calibration.sensor_fit.fit import BallPress, SensorFit, fit_poses, fit_without_each
 from calibration.simulator.field_of_view import F32, LR, grids
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
@@ -46,13 +46,13 @@ def judge(
 ) -> list[Judged]:
     """Each fitted press by a fit without its fold, each other press by the complete fit."""
     judged = [
-        _judged(with_response(base, one), fit, press)
-        for press, one in zip(fitted, held_out(fit, fitted), strict=True)
+        _judge(with_response(base, one), fit, press)
+        for press, one in zip(fitted, fit_without_each(fit, fitted), strict=True)
     ]
     complete = with_response(base, fit)
     for press in others:
         fit_poses(fit, [press], _PLACING_STEPS)
-        judged.append(_judged(complete, fit, press))
+        judged.append(_judge(complete, fit, press))
     return judged
 
 
@@ -64,7 +64,7 @@ def rms_of(judged: Sequence[Judged]) -> tuple[float, float]:
     return float(np.sqrt((weights * inside**2).sum() / weights.sum())), float(np.sqrt((outside**2).mean()))
 
 
-def _judged(appearance: SensorAppearance, fit: SensorFit, press: BallPress) -> Judged:
+def _judge(appearance: SensorAppearance, fit: SensorFit, press: BallPress) -> Judged:
     height = _height(press.ball, fit.ball_radius_mm)
     renderer = Renderer(LR, _EFFECTS, appearance)
     simulated = renderer.light(renderer.imprint(height, 0.0))
@@ -94,7 +94,7 @@ def _rms(values: F32) -> float:
 
 
 def gain(appearance: SensorAppearance) -> float:
-    """How strongly colours answer a slope, as a share of the shipped sensors' response."""
+    """Measure how strongly colours answer a slope, as a share of the shipped sensors' response."""
 
     def strength(response: F64) -> float:
         return float(np.linalg.norm(response[:, [0, 6]]))

@@ -17,7 +17,7 @@ _MAGNIFIED, _SHOWN, _TITLE_PX, _GAP_PX, _PAPER = 4, 8, 20, 4, 24
 
 
 def calibration_sheet(judged: Sequence[Judged]) -> U8:
-    """At most eight presses, the best to the worst: real | simulated | difference x 4 about mid grey; RGB."""
+    """Draw at most eight presses, the best to the worst: real | simulated | difference x 4 about mid grey; RGB."""
     ranked = sorted(judged, key=lambda one: one.inside)
     shown = [ranked[k] for k in np.linspace(0, len(ranked) - 1, min(_SHOWN, len(ranked))).round().astype(int)]
     return np.vstack([_row(one) for one in shown])

@@ -131,7 +131,7 @@ def load(folder: Path, recipe: TrainConfig | None = None) -> Checkpoint:
 
 
 def weights_sha256(folder: Path) -> str:
-    """What names the weights of a run's newest checkpoint. Errors: ConfigError when there is none."""
+    """Return what names the weights of a run's newest checkpoint. Errors: ConfigError when there is none."""
     at = latest(folder)
     if at is None:
         raise ConfigError(f"no checkpoint in '{folder}' to start from; name the folder of a run")

@@ -110,7 +110,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _facts_of(graph: bytes, tactile: bytes) -> dict[str, Any]:
-    """What is stored with the trunk: its size and hash, and what it was made of."""
+    """Return what is stored with the trunk: its size and hash, and what it was made of."""
     digest = hashlib.sha256()
     for _, weight, bias in _convolutions(tactile):
         digest.update(weight.tobytes())

@@ -17,7 +17,15 @@ from calibration.training.render import Spacing, slopes
 from calibration.training.train_config import STAGES, TrainConfig
 from calibration.training.training_pairs import Pairs
 
-__all__ = ["Losses", "cell_distances", "changed_cells", "losses", "pair_losses", "separation", "window_cells"]
+__all__ = [
+    "Losses",
+    "cell_distances",
+    "find_changed_cells",
+    "losses",
+    "pair_losses",
+    "separation",
+    "window_cells",
+]
 
 # Typical sizes of slope, depth in mm and energy, so that the targets are of order 1.
 _SLOPE, _DEPTH, _ENERGY = 0.3, 0.2, 0.1
@@ -63,7 +71,7 @@ def pair_losses(features: Tensor, batch: Pairs, recipe: TrainConfig) -> tuple[Te
     stride = batch.change_mm.shape[-1] // features.shape[-1]
     reach = window_cells(recipe.window_mm, stride, batch.spacing)
     distance = cell_distances(features, reach)
-    changed, unchanged = changed_cells(batch.change_mm, stride, recipe)
+    changed, unchanged = find_changed_cells(batch.change_mm, stride, recipe)
     return *_pair(distance, changed, unchanged, recipe.margin), _rank(distance, changed, unchanged)
 
 
@@ -81,7 +89,7 @@ def window_cells(window_mm: float, stride: int, spacing: Spacing) -> tuple[int, 
 
 
 def cell_distances(features: Tensor, reach: tuple[int, int] = (0, 0)) -> Tensor:
-    """From each cell of the partner to the nearest cell of the nominal press, (n, rows, columns).
+    """Measure the distance from each cell of the partner to the nearest cell of the nominal press, (n, rows, columns).
 
     Features are compared as they are, in units of their root mean square length over the batch. reach: the search
     window in rows and columns to either side of the cell, as in a detector; cells outside the map do not count.
@@ -105,7 +113,7 @@ def cell_distances(features: Tensor, reach: tuple[int, int] = (0, 0)) -> Tensor:
     return torch.sqrt((second.square().sum(dim=-1) + nearest).clamp(min=0) + 1e-6)
 
 
-def changed_cells(change_mm: Tensor, stride: int, recipe: TrainConfig) -> tuple[Tensor, Tensor]:
+def find_changed_cells(change_mm: Tensor, stride: int, recipe: TrainConfig) -> tuple[Tensor, Tensor]:
     """Float masks (n, rows, columns): cells that damage changed, and cells that it did not change, neighbours
     included."""
     most = F.max_pool2d(change_mm[:, None], stride)
@@ -120,7 +128,7 @@ def _pair(distance: Tensor, changed: Tensor, unchanged: Tensor, margin: float) -
 
 
 def _rank(distance: Tensor, changed: Tensor, unchanged: Tensor) -> Tensor:
-    """How much changed cells fall below the mean of the most distant hundredth of unchanged ones, as a soft loss."""
+    """Measure softly how much changed cells fall below the most distant hundredth of unchanged ones."""
     count = max(1, int(_FALSE_ALARMS * distance.numel()))
     bar = (distance * unchanged).flatten().topk(count).values.mean()
     short = F.softplus((bar + _RANK_SOFTNESS - distance) / _RANK_SOFTNESS) * _RANK_SOFTNESS

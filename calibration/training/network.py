@@ -75,7 +75,7 @@ class TrunkNetwork(nn.Module):  # type: ignore[misc]
 
 
 def heads() -> nn.ModuleDict:
-    """One 1x1 convolution per stage, from features to the geometry under each cell."""
+    """Make one 1x1 convolution per stage, from features to the geometry under each cell."""
     return nn.ModuleDict(
         {s: nn.Conv2d(c, GEOMETRY_CHANNELS, 1) for s, c in zip(STAGES, _CHANNELS, strict=True)}
     )

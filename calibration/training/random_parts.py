@@ -13,7 +13,7 @@ from torch import Tensor
 from calibration.training.random_sensors import Draws
 from calibration.training.render import Spacing, blur
 
-__all__ = ["FLOOR_MM", "Parts", "damaged", "draw_parts", "ramp", "turned"]
+__all__ = ["FLOOR_MM", "Parts", "add_damage", "draw_parts", "ramp", "turned"]
 
 # The height around a part: far below any press.
 FLOOR_MM = -4.0
@@ -154,7 +154,7 @@ def draw_parts(draws: Draws, n: int, view_mm: float) -> Parts:
     plate = _draw_solid(draws, n, main_angle, view_mm, scale)
     large = 0.5 * draws.log_uniform(0.35, 2.0, 2, n) * view_mm
     zero, one = torch.zeros_like(main_angle), torch.ones_like(main_angle)
-    plate = _changed(
+    plate = _replace(
         plate,
         x=draws.normal(0.08 * view_mm, n),
         y=draws.normal(0.08 * view_mm, n),
@@ -173,7 +173,7 @@ def draw_parts(draws: Draws, n: int, view_mm: float) -> Parts:
     alone = (base == 2).float()
     first = solids[0]
     solids = (
-        _changed(
+        _replace(
             first,
             x=first.x * (1 - 0.7 * alone),
             y=first.y * (1 - 0.7 * alone),
@@ -242,7 +242,7 @@ def _draw_ridges(draws: Draws, n: int, main_angle: Tensor, scale: float, one: Te
     )
 
 
-def _changed(solid: Solid, **fields: Tensor) -> Solid:
+def _replace(solid: Solid, **fields: Tensor) -> Solid:
     return Solid(**(vars(solid) | fields))
 
 
@@ -253,7 +253,7 @@ _KINDS = (0.5, 0.2, 0.15, 0.15)
 _TOUCH_SHARE = 0.25
 
 
-def damaged(
+def add_damage(
     draws: Draws, height: Tensor, depth_mm: Tensor, x: Tensor, y: Tensor, spacing: Spacing, scale: float
 ) -> Tensor:
     """Heights (n, h, w) with up to three defects each; nine of ten samples have at least one.
@@ -276,7 +276,7 @@ def damaged(
 def _one(
     draws: Draws, height: Tensor, filled: Tensor, u: Tensor, v: Tensor, share: float, scale: float
 ) -> Tensor:
-    """One defect per sample; u, v: coordinates along and across it, (n, h, w)."""
+    """Make one defect per sample; u, v: coordinates along and across it, (n, h, w)."""
     n = len(height)
 
     def per(values: Tensor) -> Tensor:

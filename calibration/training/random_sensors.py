@@ -40,13 +40,13 @@ class Draws:
         return (torch.rand(shape, generator=self._generator, device=self.device) < share).float()
 
     def kind(self, shares: tuple[float, ...], *shape: int) -> Tensor:
-        """One index per element, int64, with these shares."""
+        """Draw one index per element, int64, with these shares."""
         edges = torch.tensor(shares, device=self.device).cumsum(0)
         point = torch.rand(shape, generator=self._generator, device=self.device) * edges[-1]
         return torch.searchsorted(edges, point, right=True).clamp(max=len(shares) - 1)
 
     def pick(self, weights: Tensor) -> Tensor:
-        """One column per row, int64 (rows,), by weight; weights: (rows, columns), no row all zero."""
+        """Draw one column per row, int64 (rows,), by weight; weights: (rows, columns), no row all zero."""
         return torch.multinomial(weights, 1, generator=self._generator)[:, 0]
 
 
@@ -83,7 +83,7 @@ def appearance(draws: Draws, n: int, u: Tensor, v: Tensor) -> BatchAppearance:
 
 
 def gains(draws: Draws, n: int) -> Tensor:
-    """How bright each colour of n presses is, (n, 3): the lamps drift."""
+    """Draw how bright each colour of n presses is, (n, 3): the lamps drift."""
     large = 1 + 2.5 * draws.chance(0.15, n)[:, None]
     return torch.exp(large * (draws.normal(0.015, n, 1) + draws.normal(0.008, n, 3)))
 

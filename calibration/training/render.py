@@ -178,7 +178,7 @@ def shadows(planes: Tensor, surface_mm: Tensor, keeps: Tensor, spacing: Spacing)
 
 
 def _hidden_by(height: Tensor, dx: int, dy: int, spacing: float) -> Tensor:
-    """By how many mm the ray towards the light passes below the surface; 0 where it is free or leaves the region."""
+    """Return the mm by which the ray towards the light passes below the surface; 0 where it is free."""
     hidden = torch.zeros_like(height)
     rows, columns = height.shape[-2:]
     for k in range(1, SHADOW_STEPS + 1):

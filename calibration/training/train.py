@@ -24,7 +24,7 @@ from calibration.training.checkpoint import Checkpoint
 from calibration.training.losses import (
     Losses,
     cell_distances,
-    changed_cells,
+    find_changed_cells,
     losses,
     separation,
     window_cells,
@@ -65,7 +65,7 @@ class TrainingRun:
 
 
 def learning_rate(recipe: TrainConfig, step: int) -> float:
-    """One cycle: a cosine rise from a 25th of the peak over the warm-up, then a cosine fall to almost nothing."""
+    """Return the rate: a cosine rise from a 25th of the peak over the warm-up, then a cosine fall to almost nothing."""
     done = step / max(recipe.steps, 1)
     if done < recipe.warm_up:
         return recipe.max_rate * (0.04 + 0.96 * 0.5 * (1 - math.cos(math.pi * done / recipe.warm_up)))
@@ -130,7 +130,7 @@ class _Learner:
                 )
                 for stage, features in zip(STAGES, self._maps(batch), strict=True):
                     stride = self.recipe.side // features.shape[-1]
-                    cells = changed_cells(batch.change_mm, stride, self.recipe)
+                    cells = find_changed_cells(batch.change_mm, stride, self.recipe)
                     reach = window_cells(self.recipe.window_mm, stride, batch.spacing)
                     distance = cell_distances(features, reach)
                     found[stage].append((distance.flatten(), cells[0].flatten(), cells[1].flatten()))
@@ -158,7 +158,7 @@ class _Learner:
         self.before = saved.history
 
     def restore(self, saved: Checkpoint) -> None:
-        """Errors: ConfigError for weights of another network."""
+        """Continue from a checkpoint. Errors: ConfigError for weights of another network."""
         try:
             self.model.load_state_dict(saved.weights)
             for name, parameter in self.model.named_parameters():

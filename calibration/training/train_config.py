@@ -100,7 +100,7 @@ class TrainConfig(BaseModel):
 
     @classmethod
     def from_json(cls, text: str) -> "TrainConfig":
-        """Errors: ConfigError for a setting that this program does not know."""
+        """Read a recipe. Errors: ConfigError for a setting that this program does not know."""
         settings = json.loads(text)
         kept = {name: value for name, value in settings.items() if _ALWAYS.get(name, ...) != value}
         return cls.of(kept)

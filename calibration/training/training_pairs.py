@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from calibration.training import render
-from calibration.training.random_parts import Parts, damaged, draw_parts, draw_waves, turned, waves
+from calibration.training.random_parts import Parts, add_damage, draw_parts, draw_waves, turned, waves
 from calibration.training.random_sensors import Draws, appearance, draws_for, gains, under_dots
 from calibration.training.render import BatchAppearance, Spacing
 from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
@@ -76,7 +76,7 @@ def draw_pairs(
 
     views = _draw_views(draws, pairs, x, y, scale)
     height = _heights(draws, draw_parts(draws, pairs, view_mm), views)
-    broken = damaged(draws, height[pairs:], views.depth_mm[pairs:], x, y, spacing, scale)
+    broken = add_damage(draws, height[pairs:], views.depth_mm[pairs:], x, y, spacing, scale)
     obstacles = (
         torch.cat([height, broken]) + torch.cat([views.depth_mm, views.depth_mm[pairs:]])[:, None, None]
     )

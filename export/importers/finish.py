@@ -101,7 +101,7 @@ def _measure_losses(
     reduction = _measure_reduction(model, frames, threads, source)
     if not packing:
         return Losses(reduction, 0.0, 0.0, 1.0, stored, used)
-    full = _score(Scorer(_unpacked(model, scorer.bundle), threads), frames)
+    full = _score(Scorer(_unpack_bank(model, scorer.bundle), threads), frames)
     packed = _score(scorer, frames)
     stages = [
         Stage("map of the packed bank", full.score_map, packed.score_map, "map", PACKED_MOST),
@@ -118,7 +118,7 @@ def _measure_losses(
     return Losses(reduction, of_score, of_map, order, stored, used)
 
 
-def _unpacked(model: Imported, bundle: Bundle) -> Bundle:
+def _unpack_bank(model: Imported, bundle: Bundle) -> Bundle:
     """Return the bundle with the bank as the importer gave it."""
     files = bundle_files(
         facts_of(bundle.manifest), bundle.graphs, Bank(model.bank.arrays), backbone=model.trunk.id

@@ -8,7 +8,7 @@ import pytest
 from ball_presses import PLACES_MM, RADIUS_MM, UNSEEN, frames, nominal, renderer, without_free_gel
 
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.sensor_fit.calibrate import Calibrated, calibrate_sensor, divided
+from calibration.sensor_fit.calibrate import Calibrated, calibrate_sensor, divide
 from calibration.sensor_fit.result import gain
 from calibration.simulator.sensor_appearance import SENSORS
 from edge.core.errors import FitError
@@ -157,7 +157,7 @@ def test_presses_that_cannot_serve_are_refused(
 
 def test_of_many_presses_twenty_are_fitted(shown: list[np.ndarray]) -> None:
     """They are spread over all; the others are judged only."""
-    fitted, others = divided(list(range(45)))
+    fitted, others = divide(list(range(45)))
     assert (len(fitted), len(others)) == (20, 25)
     assert (fitted[0], fitted[-1]) == (0, 44)
-    assert divided([1, 2, 3]) == ([1, 2, 3], [])
+    assert divide([1, 2, 3]) == ([1, 2, 3], [])

@@ -12,7 +12,7 @@ import torch
 from calibration.simulator import gel, gel_surface, optics, sensor_appearance
 from calibration.simulator.field_of_view import LR, Field, grids
 from calibration.training import render
-from calibration.training.losses import cell_distances, changed_cells, separation, window_cells
+from calibration.training.losses import cell_distances, find_changed_cells, separation, window_cells
 from calibration.training.random_parts import draw_parts
 from calibration.training.random_sensors import TRAINING_UNITS, draws_for, under_dots
 from calibration.training.train_config import TrainConfig
@@ -131,11 +131,11 @@ def test_fine_spacings_are_drawn_when_requested() -> None:
         assert math.isclose(y / x, 1.0) or math.isclose(y / x, 4 / 3)
 
 
-def test_changed_and_unchanged_cells_never_meet() -> None:
+def test_changed_and_unfind_changed_cells_never_meet() -> None:
     """One changed pixel marks its cell; its neighbours are neither changed nor unchanged."""
     change = torch.zeros(1, 32, 32)
     change[0, 9, 9] = 0.1
-    changed, unchanged = changed_cells(change, 8, TrainConfig.shipped())
+    changed, unchanged = find_changed_cells(change, 8, TrainConfig.shipped())
     assert changed[0].nonzero().tolist() == [[1, 1]]
     assert unchanged[0].sum() == 16 - 9
     distance = torch.zeros(1, 4, 4)
