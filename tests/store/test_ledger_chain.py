@@ -142,6 +142,9 @@ TAMPERINGS = {
     "INSERT INTO presses (press_id, time_ns, serial, gel_id, part, verdict) "
     "SELECT '01ARZ3NDEKTSV4RRFFQ69G5FAV', time_ns, serial, gel_id, part, 'pass' FROM presses WHERE number = 1":
         "press 6 was inserted",
+    "INSERT INTO study_presses (press_id, time_ns, running_ns, serial, gel_id, part, position, bundle_id, study_id, "
+    "step, piece, operator, repeat, verdict) VALUES ('x', 1, 1, 's', 'g', 'p', 'q', 'b', 't', 1, 'a', 'o', 1, 'pass')":
+        "study press 1 was inserted",
     "DELETE FROM ledger_chain WHERE kind = 'press' AND ref = 2": "before that of press 3, were removed",
     "UPDATE ledger_chain SET content = zeroblob(32) WHERE kind = 'press' AND ref = 2": "of press 2, does not follow",
     "UPDATE ledger_chain SET hash = zeroblob(32) WHERE kind = 'press' AND ref = 4": "of press 4, does not follow",
