@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from heads import RESNET18, fit, grid, parity, presses_of, run_head, stored_bytes, with_spot
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from heads import fit, grid, parity, presses_of, stored_bytes
 
 from edge.core.detector import Grid, Mode
-from edge.core.errors import FitError, NotScorable
+from edge.core.errors import FitError
 from plugins.detectors.fapm import FapmParameters, fapm
 
 MODES = ("paper", "corrected")
@@ -34,15 +32,6 @@ def test_the_graph_is_the_oracle(mode: str, banks: str, n: int) -> None:
     assert score_error < 1e-5
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_the_graph_is_the_oracle_on_a_real_trunk(mode: str) -> None:
-    """The same with the tap sizes of a ResNet-18 on the 224 crop."""
-    nominal, asked = presses_of(12, 0, RESNET18), with_spot(presses_of(1, 1, RESNET18))
-    _, map_error, score_error = parity(fapm, fapm.parameters(mode), nominal, asked, grid(RESNET18))
-    assert map_error < 1e-4
-    assert score_error < 1e-4
-
-
 @pytest.mark.parametrize("banks", ["cell", "location"])
 def test_a_grid_that_ends_inside_a_cell(banks: str) -> None:
     """Cells cut off by the border have their own prototypes and scores (a 720 line frame has 22.5 cells)."""
@@ -53,28 +42,6 @@ def test_a_grid_that_ends_inside_a_cell(banks: str) -> None:
     )
     assert map_error < 1e-5
     assert (oracle.score_map > 0).all()
-
-
-@pytest.mark.parametrize("banks", ["cell", "location"])
-def test_a_press_of_the_bank_scores_nothing(banks: str) -> None:
-    """With every descriptor kept, a nominal press is at distance 0 from its own."""
-    nominal = presses_of(5, 0, TAPS)
-    p = choices(banks=banks, near_fraction=1.0, is_calibrated=False, packing="none")
-    bank = fit(fapm, p, nominal, at())
-    own = run_head(fapm.head(at(), bank, p), nominal, bank)["score_map"]
-    foreign = run_head(fapm.head(at(), bank, p), presses_of(1, 9, TAPS), bank)["score_map"]
-    assert own.max() < 1e-4 * foreign.max()
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_the_maximum_is_where_the_foreign_patch_is(mode: str) -> None:
-    """A patch unlike anything nominal is found at its place."""
-    p = choices(mode)
-    bank = fit(fapm, p, presses_of(20, 0, TAPS), at())
-    spotted = fapm.reference_score(with_spot(presses_of(1, 3, TAPS), 0.75), at(), bank, p).score_map[0]
-    row, column = np.unravel_index(spotted.argmax(), spotted.shape)
-    assert 16 <= row < 32
-    assert 16 <= column < 32
 
 
 def test_a_shared_cell_forgives_a_small_shift() -> None:
@@ -152,57 +119,7 @@ def test_the_prototypes_fit_into_the_bank() -> None:
         assert stored_bytes(bank) <= room
 
 
-@settings(max_examples=15, deadline=None)
-@given(
-    st.integers(1, 5), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from(["noise", "same", "constant", "dead"]),
-    st.sampled_from(MODES), st.integers(0, 10_000),
-)  # fmt: skip
-def test_hard_nominal_sets_keep_the_error_bound(
-    n: int, scale: float, kind: str, mode: str, seed: int
-) -> None:
-    """Few, equal, constant and all-zero presses at any scale: finite, and the graph equals the oracle to 1e-4."""
-    nominal = presses_of(n, seed, TAPS, scale=scale)
-    for tap, maps in nominal.items():
-        if kind == "same":
-            nominal[tap] = np.repeat(maps[:1], n, axis=0)
-        elif kind == "constant":
-            nominal[tap] = np.full_like(maps, scale)
-        elif kind == "dead":
-            maps[:, ::2] = 0
-    asked = with_spot(presses_of(1, seed + 1, TAPS, scale=scale))
-    p = choices(mode, weighting="none")
-    oracle, map_error, score_error = parity(fapm, p, nominal, asked, at())
-    assert np.isfinite(oracle.score_map).all()
-    assert map_error < 1e-4
-    assert score_error < 1e-4
-
-
-def test_features_that_are_not_finite_are_refused() -> None:
-    """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
-    broken = presses_of(3, 0, TAPS)
-    broken["layer3"][1, 0, 0, 0] = np.nan
-    p = choices()
-    with pytest.raises(FitError, match="not finite"):
-        fit(fapm, p, broken, at())
-    bank = fit(fapm, p, presses_of(3, 0, TAPS), at())
-    with pytest.raises(NotScorable, match="no score"):
-        fapm.reference_score(broken, at(), bank, p)
-    found = run_head(fapm.head(at(), bank, p), broken, bank)
-    assert not np.isfinite(found["score_map"][1]).all()
-    assert np.isfinite(found["score_map"][[0, 2]]).all()
-
-
 def test_layers_that_do_not_follow_each_other_are_refused() -> None:
     """The coarse layer must be half of the fine one."""
     with pytest.raises(FitError, match="follow each other"):
         fit(fapm, fapm.parameters(layers=("layer1", "layer3")), presses_of(3), grid())
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("near_fraction", 0), ("banks", "both"), ("neighbours", 0), ("layers", []), ("pooling", 2), ("far", 2)],
-)
-def test_nonsense_is_refused(name: str, value: object) -> None:
-    """Unknown names and values out of range are refused by name."""
-    with pytest.raises(FitError, match="fapm"):
-        fapm.parameters(**{name: value})

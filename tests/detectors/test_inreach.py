@@ -2,12 +2,9 @@
 
 import numpy as np
 import pytest
-from heads import RESNET18, fit, grid, hard_presses, parity, presses_of, run_head, with_spot
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from heads import RESNET18, fit, grid, parity, presses_of, with_spot
 
 from edge.core.detector import Grid
-from edge.core.errors import FitError, NotScorable
 from plugins.detectors.inreach import channels, inreach
 from plugins.detectors.inreach.channels import Channels, associate, prune
 from plugins.detectors.inreach.paper import PAPER_TAPS
@@ -19,16 +16,6 @@ HERE = {"taps": ("layer1", "layer2", "layer3"), "grid_tap": "layer1"}
 
 def parameters(mode: str, **overrides: object) -> object:
     return inreach.parameters(mode, **(HERE if mode == "paper" else {}) | overrides)
-
-
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("n", [1, 2, 6, 14])
-def test_the_graph_is_the_oracle(mode: str, n: int) -> None:
-    """Map and score agree to 1e-5, also where only the fallback makes a bank, for several presses at once."""
-    p = parameters(mode, is_fallback=True)
-    _, map_error, score_error = parity(inreach, p, presses_of(n), presses_of(3, 1), grid())
-    assert map_error < 1e-5
-    assert score_error < 1e-5
 
 
 @pytest.mark.parametrize(
@@ -63,26 +50,6 @@ def test_the_published_taps() -> None:
         at,
     )
     assert map_error < 1e-5
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_a_press_of_the_bank_scores_nothing(mode: str) -> None:
-    """Where every patch is in the bank, a nominal press is at distance 0."""
-    nominal = presses_of(1)
-    p = parameters(mode, is_fallback=True, most_rows=None, packing="none")
-    bank = fit(inreach, p, nominal, grid())
-    own = run_head(inreach.head(grid(), bank, p), nominal, bank)["score_map"].max()
-    assert own < 1e-4 * run_head(inreach.head(grid(), bank, p), presses_of(1, 9), bank)["score_map"].max()
-
-
-def test_the_maximum_is_where_the_foreign_patch_is() -> None:
-    """A patch unlike anything nominal is found at its place."""
-    p = parameters("corrected")
-    bank = fit(inreach, p, presses_of(20), grid())
-    spotted = inreach.reference_score(with_spot(presses_of(1, 3), 0.75), grid(), bank, p).score_map[0]
-    row, column = np.unravel_index(spotted.argmax(), spotted.shape)
-    assert 16 <= row < 32
-    assert 16 <= column < 32
 
 
 def test_channels_by_hand() -> None:
@@ -163,49 +130,6 @@ def test_the_bank_is_thinned_by_k_centre() -> None:
     assert len(one.arrays["bank"]) == 9
     np.testing.assert_array_equal(one.arrays["bank"], two.arrays["bank"])
     assert one.facts["radius"] > 0
-
-
-@settings(max_examples=15, deadline=None)
-@given(
-    st.integers(1, 5), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from(["noise", "same", "constant", "dead"]),
-    st.sampled_from(MODES), st.integers(0, 10_000),
-)  # fmt: skip
-def test_hard_nominal_sets_keep_the_error_bound(
-    n: int, scale: float, kind: str, mode: str, seed: int
-) -> None:
-    """Few, equal, constant and all-zero presses at any scale: finite, and the graph equals the oracle to 1e-4."""
-    nominal = hard_presses(n, kind, seed, scale)
-    asked = with_spot(presses_of(1, seed + 1, scale=scale))
-    oracle, map_error, score_error = parity(
-        inreach, parameters(mode, is_fallback=True), nominal, asked, grid()
-    )
-    assert np.isfinite(oracle.score_map).all()
-    assert map_error < 1e-4
-    assert score_error < 1e-4
-
-
-def test_features_that_are_not_finite_are_refused() -> None:
-    """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
-    broken = presses_of(3)
-    broken["layer1"][1, 0, 0, 0] = np.nan
-    p = parameters("corrected")
-    with pytest.raises(FitError, match="not finite"):
-        fit(inreach, p, broken, grid())
-    bank = fit(inreach, p, presses_of(3), grid())
-    with pytest.raises(NotScorable, match="no score"):
-        inreach.reference_score(broken, grid(), bank, p)
-    found = run_head(inreach.head(grid(), bank, p), broken, bank)
-    assert not np.isfinite(found["score_map"][1]).all()
-    assert np.isfinite(found["score_map"][[0, 2]]).all()
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("realisations", 0), ("grid_tap", "x"), ("upsampling", "cubic"), ("sgma", 1)]
-)
-def test_nonsense_is_refused(name: str, value: object) -> None:
-    """Unknown names and values out of range are refused by name."""
-    with pytest.raises(FitError, match="inreach"):
-        inreach.parameters(**{name: value})
 
 
 @pytest.mark.parametrize("rows_at_once", [1, 5])

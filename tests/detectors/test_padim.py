@@ -9,10 +9,8 @@ from presses import LIKE_RESNET, features, fitted, head_scores, largest_error, r
 from scipy.ndimage import gaussian_filter
 
 from edge.core.detector import Bank, Features, Grid, Nominal
-from edge.core.errors import FitError, NotScorable
+from edge.core.errors import FitError
 from edge.model.packing import pack
-from plugins.backbones.random import random_state
-from plugins.backbones.reference import forward, normalise
 from plugins.detectors.common.smoothing import smoothing_matrix
 from plugins.detectors.padim import PadimParameters, padim
 
@@ -88,24 +86,6 @@ def test_the_graph_equals_the_oracle(n: int, choice: dict[str, Any], touched: np
     assert largest_error(head_scores(padim, parameters, QUERY, bank), oracle) < 2e-6
 
 
-@pytest.mark.parametrize("topology", ["resnet18", "wide_resnet50_2"])
-@pytest.mark.parametrize("mode", ["paper", "corrected"])
-def test_parity_on_real_topologies(topology: str, mode: str) -> None:
-    """On the taps of seeded networks: within 1e-4 with the bank as fitted, and within 3 % with the bank as stored."""
-    frames = np.random.default_rng(0).integers(0, 256, (7, 64, 64, 3), dtype=np.uint8)
-    taps = {
-        k: v.astype(np.float32)
-        for k, v in forward(random_state(topology), topology, normalise(frames)).items()
-    }
-    grid = Grid((64, 64), {tap: value.shape[1:] for tap, value in taps.items()}, 15.77)
-    parameters = padim.parameters(mode)
-    bank = fitted(padim, parameters, Nominal({tap: value[:5] for tap, value in taps.items()}), grid)
-    query = {tap: value[5:] for tap, value in taps.items()}
-    oracle = padim.reference_score(query, grid, bank, parameters)
-    assert largest_error(head_scores(padim, parameters, query, bank, grid), oracle) < 1e-4
-    assert largest_error(head_scores(padim, parameters, query, stored(bank), grid), oracle) < 0.03
-
-
 @pytest.mark.parametrize(("packing", "bound"), [("float16", 2e-3), ("int8", 2e-2)])
 def test_stored_banks_stay_within_their_bound(packing: str, bound: float) -> None:
     """float16 costs at most 0.2 % of the largest distance, int8 at most 2 %; the stored size follows."""
@@ -138,17 +118,6 @@ def test_the_bank_stays_within_its_megabytes(packing: str) -> None:
     assert whole.facts["warnings"] == []
 
 
-def test_a_press_scores_the_same_alone_and_in_a_batch() -> None:
-    """The batch size changes no score by more than 1e-6 of it."""
-    parameters = padim.parameters()
-    bank = fitted(padim, parameters, Nominal(features(20, seed=1), TOUCHED))
-    head = padim.head(LIKE_RESNET, bank, parameters)
-    together = run_head(head, QUERY, bank)
-    for index in range(3):
-        alone = run_head(head, {tap: value[index : index + 1] for tap, value in QUERY.items()}, bank)
-        np.testing.assert_allclose(alone.score_map[0], together.score_map[index], rtol=1e-6)
-
-
 def test_one_head_serves_parts_touched_in_different_places() -> None:
     """The head fitted on one part scores another part's bank, touched elsewhere and in fewer cells."""
     parameters = padim.parameters(margin_mm=0.0)
@@ -172,12 +141,6 @@ def test_the_maximum_is_where_the_features_were_changed() -> None:
 
 
 # --- the repairs of the corrected mode, switch by switch
-
-
-def test_repair_ridge_once() -> None:
-    """is_ridge_twice: the seed paper's scripts add the ridge at fit and at prediction; corrected adds it once."""
-    assert padim.parameters("paper").total_ridge == pytest.approx(0.02)
-    assert padim.parameters("corrected", ridge=0.01).total_ridge == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
@@ -270,34 +233,6 @@ def test_neighbours_tolerate_a_shift() -> None:
     )
 
 
-# --- refused values
-
-
-@pytest.mark.parametrize(
-    ("overrides", "says"),
-    [
-        ({"chanels": 5}, "did you mean 'channels'"),
-        ({"ridge": 0.0}, "'ridge' is 0.0: Input should be greater than 0"),
-        ({"ridge": float("nan")}, "'ridge' is nan: Input should be a finite number"),
-        ({"rank": 0}, "'rank' is 0: Input should be greater than or equal to 1"),
-        ({"neighbours": 2}, "'neighbours' is 2: Input should be less than or equal to 1"),
-        ({"sigma": -1.0}, "'sigma' is -1.0: Input should be greater than or equal to 0"),
-        ({"sigma_unit": "inch"}, "'sigma_unit' is 'inch': Input should be 'mm' or 'px'"),
-        ({"taps": ()}, "taps must be distinct"),
-        ({"grid_tap": "layer4"}, "not among the taps"),
-        ({"projection": "pca"}, "'projection' is 'pca': Input should be 'all', 'random'"),
-        ({"projection": "random", "channels": None}, "needs channels >= 1"),
-        ({"channel_list": (3, 1)}, "projection=random"),
-        ({"projection": "random", "channel_list": (3, 3)}, "different channel numbers"),
-        ({"projection": "random", "channel_list": (-1, 3)}, "different channel numbers"),
-    ],
-)
-def test_nonsense_parameters_are_refused(overrides: dict[str, object], says: str) -> None:
-    """Each names itself, what was found and what is allowed."""
-    with pytest.raises(FitError, match=says):
-        padim.parameters(**overrides)
-
-
 def test_unfit_presses_are_refused() -> None:
     """No press, a missing tap, a wrong shape, a value that is not finite, a wrong mask, no touch: FitError."""
     train = features(4, seed=1)
@@ -316,16 +251,6 @@ def test_unfit_presses_are_refused() -> None:
     for says, nominal in cases.items():
         with pytest.raises(FitError, match=says):
             fitted(padim, padim.parameters(taps=DEEP), nominal)
-
-
-def test_the_oracle_refuses_features_that_are_not_finite() -> None:
-    """NaN in a press: NotScorable."""
-    parameters = padim.parameters(taps=DEEP)
-    bank = fitted(padim, parameters, Nominal(features(4, seed=1)))
-    spoilt = {tap: value.copy() for tap, value in QUERY.items()}
-    spoilt["layer3"][0, 0, 0, 0] = np.inf
-    with pytest.raises(NotScorable, match="layer3"):
-        padim.reference_score(spoilt, LIKE_RESNET, bank, parameters)
 
 
 def test_a_published_choice_of_channels_is_taken() -> None:
@@ -352,21 +277,6 @@ def test_a_listed_channel_that_no_tap_has_is_refused() -> None:
     parameters = padim.parameters("paper", channel_list=(3, 40))
     with pytest.raises(FitError, match="names channel 40, the taps have 40 together, 0 to 39"):
         fitted(padim, parameters, Nominal(features(4, seed=1)))
-
-
-def test_the_fit_is_reproducible() -> None:
-    """Same presses and seed: the same bank, bit by bit; the drawn channels are in it."""
-    parameters = padim.parameters("paper", channels=9)
-    first, second, third = (
-        fitted(padim, parameters, Nominal(features(6, seed=1)), seed=seed) for seed in (0, 0, 1)
-    )
-    assert all(np.array_equal(first.arrays[name], second.arrays[name]) for name in first.arrays)
-    assert sum(len(first.arrays[f"channels_{tap}"]) for tap in parameters.taps) == 9
-    assert any(
-        not np.array_equal(first.arrays[name], third.arrays[name])
-        for name in first.arrays
-        if "channels" in name
-    )
 
 
 def bare_neighbourhoods(block: int) -> tuple[Bank, PadimParameters, np.ndarray]:
@@ -413,6 +323,6 @@ def test_the_bank_says_what_was_repaired() -> None:
     bank = fitted(padim, padim.parameters("corrected"), Nominal(features(6)))
     paper = fitted(padim, padim.parameters("paper", channels=20), Nominal(features(6)))
 
-    assert "is_ridge_twice=False" in bank.facts["repairs"]
-    assert "sigma_unit=mm" in bank.facts["repairs"]
+    assert {"is_ridge_twice=False", "sigma_unit=mm"} <= set(bank.facts["repairs"])
     assert paper.facts["repairs"] == []
+    assert [padim.parameters(mode, ridge=0.01).total_ridge for mode in ("paper", "corrected")] == [0.02, 0.01]

@@ -1,18 +1,26 @@
-"""Every method, in both modes, on every backbone: the graph against the float64 oracle, end to end from frames.
+"""What every method does, in both modes: the graph is the float64 oracle, and the cheapest truths hold.
 
-Relative error below 1e-4 of the map's maximum with the bank as fitted. tests/backbones compares trunks with their own
-float64 reference; here their taps are given, so that only the head differs.
+On every backbone, end to end from frames, the relative error is below 1e-4 of the map's maximum with the bank as
+fitted. tests/backbones compares trunks with their own float64 reference; here their taps are given, so that only the
+head differs. The methods that compare with a memory are tried on small taps as well.
 """
 
 from functools import cache
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
+from heads import fit, hard_presses, parity, presses_of, run_head, with_spot
+from heads import grid as small_grid
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from presses import fitted, head_scores, largest_error
 
 from calibration.fitting.features import extract, trunk_grid
 from edge import registry
 from edge.core.detector import Features, Grid, Nominal
+from edge.core.errors import FitError, NotScorable
 from edge.model.session import open_session
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
@@ -79,3 +87,86 @@ def test_the_graph_equals_the_oracle(method: str, mode: str, topology: str) -> N
 def test_the_graph_equals_the_oracle_where_the_touch_is_known(method: str) -> None:
     """The same with cells that no nominal press touches."""
     assert error(method, "corrected", "resnet18", TOUCHED) < 1e-4
+
+
+MODES = ("paper", "corrected")
+MEMORIES = ("spade", "fapm", "inreach", "patchcore")
+KEEPS_ALL = {
+    "spade": {"image_neighbours": 1, "pixel_neighbours": 1},
+    "fapm": {"near_fraction": 1.0, "is_calibrated": False},
+    "inreach": {"is_fallback": True, "most_rows": None},
+    "patchcore": {"coreset_fraction": 1.0, "most_rows": None},
+}
+EACH = pytest.mark.parametrize(("method", "mode"), list(product(MEMORIES, MODES)))
+
+
+def on_small_taps(method: str, mode: str, **changes: object) -> Any:
+    """Return parameters for the small taps: InReaCh has a bank of few presses, and FAPM's weight is finite."""
+    fixed: dict[str, object] = {"weighting": "none"} if method == "fapm" else {}
+    if method == "inreach":
+        fixed |= {"is_fallback": True}
+    if (method, mode) == ("inreach", "paper"):
+        fixed |= {"taps": TAPS[:3], "grid_tap": "layer1"}
+    return registry.detector(method).parameters(mode, **fixed | changes)
+
+
+@EACH
+@pytest.mark.parametrize("n", [1, 2, 14])
+def test_few_presses_have_the_oracles_scores(method: str, mode: str, n: int) -> None:
+    """Map and score agree to 1e-5, also with fewer presses than neighbours, for several presses at once."""
+    p = on_small_taps(method, mode)
+    errors = parity(registry.detector(method), p, presses_of(n), presses_of(3, 1), small_grid())[1:]
+    assert max(errors) < 1e-5
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(1, 5), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from(["noise", "same", "constant", "dead"]),
+    st.sampled_from(MEMORIES), st.sampled_from(MODES), st.integers(0, 10_000),
+)  # fmt: skip
+def test_hard_nominal_sets_keep_the_error_bound(
+    n: int, scale: float, kind: str, method: str, mode: str, seed: int
+) -> None:
+    """Few, equal, constant and all-zero presses at any scale: finite, and the graph equals the oracle to 1e-4."""
+    asked = with_spot(presses_of(1, seed + 1, scale=scale))
+    nominal, p = hard_presses(n, kind, seed, scale), on_small_taps(method, mode)
+    oracle, *errors = parity(registry.detector(method), p, nominal, asked, small_grid())
+    assert np.isfinite(oracle.score_map).all()
+    assert max(errors) < 1e-4
+
+
+@EACH
+def test_a_press_of_the_bank_scores_nothing(method: str, mode: str) -> None:
+    """With everything kept, a nominal press is at distance 0 from itself."""
+    detector, p = registry.detector(method), on_small_taps(method, mode, packing="none", **KEEPS_ALL[method])
+    nominal = presses_of(1 if method == "inreach" else 5)
+    bank = fit(detector, p, nominal, small_grid())
+    head = detector.head(small_grid(), bank, p)
+    own, foreign = (run_head(head, asked, bank)["score_map"] for asked in (nominal, presses_of(1, 9)))
+    assert own.max() < 1e-4 * foreign.max()
+
+
+@EACH
+def test_the_maximum_is_where_the_foreign_patch_is(method: str, mode: str) -> None:
+    """A patch unlike anything nominal is found at its place."""
+    detector, p = registry.detector(method), on_small_taps(method, mode)
+    bank = fit(detector, p, presses_of(20), small_grid())
+    asked = with_spot(presses_of(1, 3), 0.75)
+    spotted = detector.reference_score(asked, small_grid(), bank, p).score_map[0]
+    row, column = np.unravel_index(spotted.argmax(), spotted.shape)
+    assert min(row, column) >= 16
+
+
+@pytest.mark.parametrize("method", MEMORIES)
+def test_features_that_are_not_finite_are_refused(method: str) -> None:
+    """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
+    detector, p, broken = registry.detector(method), on_small_taps(method, "corrected"), presses_of(3)
+    broken["layer1"][1, 0, 0, 0] = np.nan
+    with pytest.raises(FitError, match="not finite"):
+        fit(detector, p, broken, small_grid())
+    bank = fit(detector, p, presses_of(3), small_grid())
+    with pytest.raises(NotScorable, match="no score"):
+        detector.reference_score(broken, small_grid(), bank, p)
+    found = run_head(detector.head(small_grid(), bank, p), broken, bank)["score_map"]
+    assert not np.isfinite(found[1]).all()
+    assert np.isfinite(found[[0, 2]]).all()

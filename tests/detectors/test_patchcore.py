@@ -3,12 +3,11 @@
 import numpy as np
 import onnxruntime as ort
 import pytest
-from heads import RESNET18, SMALL, fit, grid, hard_presses, parity, presses_of, run_head, with_spot
+from heads import SMALL, fit, grid, presses_of, run_head, with_spot
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.core.detector import Bank, Grid
-from edge.core.errors import FitError, NotScorable
 from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.common.descriptor import BINS, Descriptor, binned_weights
 from plugins.detectors.common.patchbank import PatchBank
@@ -17,46 +16,6 @@ from plugins.detectors.common.smoothing import upsampling_matrix
 from plugins.onnx_builder import Graph
 
 MODES = ("paper", "corrected")
-
-
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("n", [1, 2, 6])
-def test_the_graph_is_the_oracle(mode: str, n: int) -> None:
-    """Map and score agree to 1e-5, for several presses at once."""
-    p = patchcore.parameters(mode, coreset_fraction=0.2)
-    _, map_error, score_error = parity(patchcore, p, presses_of(n), presses_of(3, 1), grid())
-    assert map_error < 1e-5
-    assert score_error < 1e-5
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_the_graph_is_the_oracle_on_a_real_trunk(mode: str) -> None:
-    """The same with the tap sizes of a ResNet-18 on the 224 crop."""
-    nominal, asked = presses_of(4, 0, RESNET18), with_spot(presses_of(1, 1, RESNET18))
-    _, map_error, score_error = parity(patchcore, patchcore.parameters(mode), nominal, asked, grid(RESNET18))
-    assert map_error < 1e-4
-    assert score_error < 1e-4
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_a_press_of_the_bank_scores_nothing(mode: str) -> None:
-    """With every patch kept, a nominal press is at distance 0."""
-    nominal = presses_of(3)
-    p = patchcore.parameters(mode, coreset_fraction=1.0, most_rows=None, packing="none")
-    bank = fit(patchcore, p, nominal, grid())
-    own = run_head(patchcore.head(grid(), bank, p), nominal, bank)["score_map"].max()
-    assert own < 1e-4 * run_head(patchcore.head(grid(), bank, p), presses_of(1, 9), bank)["score_map"].max()
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_the_maximum_is_where_the_foreign_patch_is(mode: str) -> None:
-    """A patch unlike anything nominal is found at its place."""
-    p = patchcore.parameters(mode, coreset_fraction=0.5)
-    bank = fit(patchcore, p, presses_of(20), grid())
-    spotted = patchcore.reference_score(with_spot(presses_of(1, 3), 0.75), grid(), bank, p).score_map[0]
-    row, column = np.unravel_index(spotted.argmax(), spotted.shape)
-    assert 16 <= row < 32
-    assert 16 <= column < 32
 
 
 def test_the_binned_descriptor_is_the_published_one() -> None:
@@ -145,34 +104,6 @@ def test_the_exact_coreset_leaves_no_patch_far() -> None:
     assert np.mean(radius[True]) < np.mean(radius[False])
 
 
-def test_the_coreset_is_reproducible_and_limited() -> None:
-    """The same seed gives the same rows, the random choices are in the facts, and most_rows is kept."""
-    p = patchcore.parameters(most_rows=7)
-    one, two = (fit(patchcore, p, presses_of(6), grid(), seed=4) for _ in range(2))
-    np.testing.assert_array_equal(one.arrays["bank"], two.arrays["bank"])
-    assert one.facts == two.facts
-    assert len(one.arrays["bank"]) == 7
-    assert "start" in one.facts
-
-
-@settings(max_examples=15, deadline=None)
-@given(
-    st.integers(1, 4), st.sampled_from([1e-6, 1.0, 1e6]), st.sampled_from(["noise", "same", "constant", "dead"]),
-    st.sampled_from(MODES), st.integers(0, 10_000),
-)  # fmt: skip
-def test_hard_nominal_sets_keep_the_error_bound(
-    n: int, scale: float, kind: str, mode: str, seed: int
-) -> None:
-    """Few, equal, constant and all-zero presses at any scale: finite, and the graph equals the oracle to 1e-4."""
-    nominal = hard_presses(n, kind, seed, scale)
-    asked = with_spot(presses_of(1, seed + 1, scale=scale))
-    p = patchcore.parameters(mode, coreset_fraction=0.3)
-    oracle, map_error, score_error = parity(patchcore, p, nominal, asked, grid())
-    assert np.isfinite(oracle.score_map).all()
-    assert map_error < 1e-4
-    assert score_error < 1e-4
-
-
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 12), st.integers(2, 9), st.integers(1, 9), st.integers(0, 2**32 - 1))
 def test_turned_descriptors_never_seem_farther(n: int, c: int, dims: int, seed: int) -> None:
@@ -207,30 +138,6 @@ def test_the_place_can_be_part_of_the_descriptor() -> None:
     graph.output("raw", bank.emit(graph, grid(), whole, False), ("n", 4, 4))
     found = run_head(graph.serialise(), features, whole)["raw"]
     np.testing.assert_allclose(found, bank.distances(features, grid(), whole.arrays, False), atol=1e-3)
-
-
-def test_features_that_are_not_finite_are_refused() -> None:
-    """NaN in a nominal press is a FitError; in a press to be scored it is NotScorable, and the graph's map is NaN."""
-    broken = presses_of(3)
-    broken["layer1"][1, 0, 0, 0] = np.nan
-    p = patchcore.parameters()
-    with pytest.raises(FitError, match="not finite"):
-        fit(patchcore, p, broken, grid())
-    bank = fit(patchcore, p, presses_of(3), grid())
-    with pytest.raises(NotScorable, match="no score"):
-        patchcore.reference_score(broken, grid(), bank, p)
-    found = run_head(patchcore.head(grid(), bank, p), broken, bank)
-    assert not np.isfinite(found["score_map"][1]).all()
-    assert np.isfinite(found["score_map"][[0, 2]]).all()
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("coreset_fraction", 0), ("dims", 0), ("grid_tap", "x"), ("layrs", [])]
-)
-def test_nonsense_is_refused(name: str, value: object) -> None:
-    """Unknown names and values out of range are refused by name."""
-    with pytest.raises(FitError, match="patchcore"):
-        patchcore.parameters(**{name: value})
 
 
 def test_only_its_taps_are_read() -> None:

@@ -7,7 +7,6 @@ import pytest
 from presses import LIKE_RESNET, features, fitted, head_scores, largest_error, stored
 
 from edge.core.detector import Features, Nominal
-from edge.core.errors import FitError, NotScorable
 from plugins.detectors.baselines.subspace import subspace
 
 QUERY = features(3, seed=7)
@@ -87,26 +86,3 @@ def test_the_span_never_fills_the_space() -> None:
     bank = fitted(subspace, parameters, Nominal(features(30, seed=1)))
     assert bank.facts["rank"] == 6
     assert head_scores(subspace, parameters, QUERY, bank).score.min() > 0.01
-
-
-@pytest.mark.parametrize(
-    ("overrides", "says"),
-    [
-        ({"variance": 0.0}, "variance"),
-        ({"most_rank": 0}, "most_rank"),
-        ({"sigma": -1.0}, "sigma"),
-        ({"rank": 3}, "did you mean 'most_rank'"),
-    ],
-)
-def test_nonsense_parameters_are_refused(overrides: dict[str, object], says: str) -> None:
-    """Each names itself."""
-    with pytest.raises(FitError, match=says):
-        subspace.parameters(**overrides)
-
-
-def test_the_oracle_refuses_features_that_are_not_finite() -> None:
-    """NaN in a press: NotScorable."""
-    bank = fitted(subspace, subspace.parameters(), Nominal(features(4, seed=1)))
-    spoilt = {tap: value * np.float32(np.nan) for tap, value in QUERY.items()}
-    with pytest.raises(NotScorable, match="subspace"):
-        subspace.reference_score(spoilt, LIKE_RESNET, bank, subspace.parameters())

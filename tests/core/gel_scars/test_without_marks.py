@@ -35,7 +35,7 @@ def test_taking_a_change_out_of_its_own_picture_gives_the_first_one() -> None:
     """To the rounding of the levels, of a smooth change."""
     y, x = np.mgrid[:120, :160]
     change = (
-        (30 * np.exp(-((x - 80) ** 2 + (y - 60) ** 2) / 200))[..., None].repeat(3, axis=2).astype(np.float32)
+        (30 * np.exp(-((x - 80) ** 2 + (y - 60) ** 2) / 20))[..., None].repeat(3, axis=2).astype(np.float32)
     )
     rgb = np.asarray(np.rint(120 + change), np.uint8)
 
