@@ -43,16 +43,16 @@ MOST_CELLS = 32
 
 @dataclass(frozen=True)
 class Coverage:
-    """What n presses of some pieces show of a part. near: the distance below which two cells show the same.
-
-    neighbours: int (n, rows, cols), how many other pieces have a near press at each cell of each press. touched: bool
-    (rows, cols). pieces: their number; a press of an unknown piece counts as one.
-    """
+    """What n presses of some pieces show of a part."""
 
     near: float
+    """The distance below which two cells show the same."""
     neighbours: NDArray[np.int64]
+    """int (n, rows, cols), how many other pieces have a near press at each cell of each press."""
     touched: NDArray[np.bool_]
+    """bool (rows, cols)."""
     pieces: int
+    """Their number; a press of an unknown piece counts as one."""
 
     @property
     def presses_of_each(self) -> float:
@@ -225,10 +225,11 @@ class Goal:
 
 @dataclass(frozen=True)
 class Standing:
-    """Where an acquisition is. pieces: None where it is not known which press is of which piece."""
+    """Where an acquisition is."""
 
     presses: int
     pieces: int | None
+    """None where it is not known which press is of which piece."""
     coverage: Coverage | None
     goal: Goal = Goal()
 

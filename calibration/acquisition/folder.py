@@ -33,20 +33,22 @@ _ABOUT, _VERSION = "acquisition.json", 1
 
 @dataclass(frozen=True)
 class About:
-    """What an acquisition is of. region: as text."""
+    """What an acquisition is of."""
 
     part: str
     position: str
     profile: str
     region: str
+    """As text."""
 
 
 @dataclass(frozen=True)
 class KeptPress:
-    """A press in the folder. piece: its number, None where pieces are not known."""
+    """A press in the folder."""
 
     path: Path
     piece: int | None
+    """Its number, None where pieces are not known."""
 
 
 class AcquisitionFolder:

@@ -46,25 +46,28 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Press:
-    """One press. name: where it is from. payload: the picture's file. piece: None where unknown.
-
-    rgb: uint8 (h, w, 3) in the profile's size. mask: where it touches in the contact view, bool (120, 160), None where
-    the free gel is not known.
-    """
+    """One press."""
 
     name: str
+    """Where it is from."""
     payload: bytes
+    """The picture's file."""
     piece: str | None
+    """None where unknown."""
     rgb: NDArray[np.uint8]
+    """uint8 (h, w, 3) in the profile's size."""
     mask: NDArray[np.bool_] | None = None
+    """Where it touches in the contact view, bool (120, 160), None where the free gel is not known."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeGel:
-    """The gel without contact. payload: the picture's file. rgb: as of a press."""
+    """The gel without contact."""
 
     payload: bytes
+    """The picture's file."""
     rgb: NDArray[np.uint8]
+    """As of a press."""
 
 
 @dataclass(frozen=True)
@@ -148,11 +151,12 @@ WAIT_S = 0.2
 
 @dataclass(frozen=True)
 class Sensor:
-    """Where frames come from. gel_limit: presses that its gel is rated for."""
+    """Where frames come from."""
 
     open: Callable[[], Device]
     contact: ContactSettings
     gel_limit: int
+    """Presses that its gel is rated for."""
 
 
 def station_device(config: Path, profile: SensorProfile, clock: Clock) -> Sensor:

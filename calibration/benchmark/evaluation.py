@@ -71,12 +71,13 @@ def random_trunk() -> bytes:
 
 @dataclass(frozen=True)
 class _Taken:
-    """The features of one trial by one trunk. take: those of further frames, every tap."""
+    """The features of one trial by one trunk."""
 
     grid: Grid
     nominal: Nominal
     scored: Features
     take: Callable[[NDArray[np.uint8]], Features]
+    """Those of further frames, every tap."""
 
 
 @dataclass(frozen=True)

@@ -61,18 +61,20 @@ class Sizes:
 class Condition:
     """The differences from a plain gel on a sensor that training varies.
 
-    effects: added to the scene's. learnt_at, scored_at: earlier presses on the gel. is_remembering: each press has the
-    residual imprint of one at another place. slide_mm_s: of scored presses, sideways, in any direction. anywhere_mm:
-    the part is put down by hand up to this far off in any direction, and turned by any angle.
+    learnt_at, scored_at: earlier presses on the gel.
     """
 
     sensor: str = "unit_b"
     effects: tuple[str, ...] = ()
+    """Added to the scene's."""
     learnt_at: int = 0
     scored_at: int = 0
     is_remembering: bool = False
+    """Each press has the residual imprint of one at another place."""
     slide_mm_s: float = 0.0
+    """Of scored presses, sideways, in any direction."""
     anywhere_mm: float = 0.0
+    """The part is put down by hand up to this far off in any direction, and turned by any angle."""
 
 
 CONDITIONS: Mapping[str, Condition] = {
@@ -118,11 +120,12 @@ def development_trial(number: int, sizes: Sizes | None = None, condition: str = 
 
 @dataclass(frozen=True)
 class _Picture:
-    """One press. mask: where damage shows, all False on a sound piece."""
+    """One press."""
 
     plan: PressPlan
     rgb: NDArray[np.uint8]
     mask: NDArray[np.bool_]
+    """Where damage shows, all False on a sound piece."""
 
 
 class _Rendered:

@@ -58,16 +58,16 @@ class Presses:
 
 @dataclass(frozen=True)
 class Object:
-    """Presses of one object by one sensor.
-
-    sensor: its folder. is_registered: cut around the contact. marred: presses left out, seen by eye in the pictures.
-    """
+    """Presses of one object by one sensor."""
 
     name: str
     sensor: str
+    """Its folder."""
     read: Callable[[Path], Presses]
     is_registered: bool = False
+    """Cut around the contact."""
     marred: tuple[str, ...] = ()
+    """Presses left out, seen by eye in the pictures."""
 
 
 def _balls(folder: str, pattern: str, free: str, other: str, data: Path) -> Presses:

@@ -21,19 +21,18 @@ __all__ = ["SENSORS", "SETS", "EvaluationSet", "evaluation_sets"]
 
 @dataclass(frozen=True)
 class EvaluationSet:
-    """Trials whose measures are averaged.
-
-    text: what they show, and what they cannot show. is_brief: only the first backbone and random weights are compared
-    on it. is_on_request: it is opened only where it is named. missing: why there are no trials, empty when there are
-    some.
-    """
+    """Trials whose measures are averaged."""
 
     title: str
     text: str
+    """What they show, and what they cannot show."""
     trials: tuple[Callable[[], Trial], ...]
     is_brief: bool = False
+    """Only the first backbone and random weights are compared on it."""
     is_on_request: bool = False
+    """It is opened only where it is named."""
     missing: str = ""
+    """Why there are no trials, empty when there are some."""
 
     def __post_init__(self) -> None:
         if bool(self.trials) == bool(self.missing):

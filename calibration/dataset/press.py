@@ -21,19 +21,18 @@ _NAME = re.compile(r"(?P<where>.+)_s(?P<specimen>\d{3,})_p(?P<press>\d{2,})")
 
 @dataclass(frozen=True)
 class LabelledPress:
-    """One frame of a part, with its mask if the part is defective.
-
-    specimen: id of the physical part, None when unknown. defect: its kind, None for a good part. size: (width, height).
-    The mask comes from `mask_file` or from annotated `shapes`; a good part has an empty one.
-    """
+    """One frame of a part, with its mask if the part is defective."""
 
     path: Path
     part: str
     position: str
     size: tuple[int, int]
+    """(width, height). The mask comes from `mask_file` or from annotated `shapes`; a good part has an empty one."""
     specimen: str | None = None
+    """Id of the physical part, None when unknown."""
     press: int | None = None
     defect: str | None = None
+    """Its kind, None for a good part."""
     mask_file: Path | None = None
     shapes: tuple[Shape, ...] = field(default=(), repr=False)
 

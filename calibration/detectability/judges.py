@@ -68,10 +68,11 @@ class Press(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """The verdict on one press by a bank that has not learnt it. manifest: with the limit and its tolerance."""
+    """The verdict on one press by a bank that has not learnt it."""
 
     scorer: Scorer
     manifest: Manifest
+    """With the limit and its tolerance."""
 
     def passes(self, rgb: NDArray[np.uint8]) -> bool:
         """Say whether the press passes as it is. Errors: NotScorable."""
@@ -110,10 +111,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Presses that may be edited, by their index in a random order, each with its judge. by: which judges they are."""
+    """Presses that may be edited, by their index in a random order, each with its judge."""
 
     judges: dict[int, Judge]
     by: JudgedBy
+    """Which judges they are."""
 
 
 def panel(bundle: Bundle, presses: NominalPresses, seed: int, threads: int, progress: Advance) -> Panel:

@@ -52,18 +52,18 @@ _GOLDEN = (math.sqrt(5) - 1) / 2
 class Pod:
     """The probability of detection at one place, or over several.
 
-    trials, found: how many, and in how many some size was found. a90_mm: the size found in 90 % of cases, its best
-    estimate. a90_95_mm: its upper bound, 95 % sure. Each is None where it lies beyond the largest size tried.
-    state: `separated` where one size parts all misses from all finds, so that a90 is only known to lie between two
-    sizes and the upper one is given; `blind` where no size was found; `too few` trials for a curve. median_mm, sigma:
-    of the curve, None without one.
+    trials, found: how many, and in how many some size was found. median_mm, sigma: of the curve, None without one.
     """
 
     trials: int
     found: int
     state: State
+    """`separated` where one size parts all misses from all finds, so that a90 is only known to lie between two sizes
+    and the upper one is given; `blind` where no size was found; `too few` trials for a curve."""
     a90_mm: float | None = None
+    """The size found in 90 % of cases, its best estimate."""
     a90_95_mm: float | None = None
+    """Its upper bound, 95 % sure. Each is None where it lies beyond the largest size tried."""
     median_mm: float | None = None
     sigma: float | None = None
 

@@ -188,22 +188,23 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Everything that a study needs, before its first trial.
-
-    presses: to edit, by their names. judges: of each. false_alarms: names of presses that fail without damage; they
-    are not edited. refused: names of presses of another sensor. warning: what is not known of the light.
-    """
+    """Everything that a study needs, before its first trial."""
 
     bundle: Bundle
     settings: Settings
     grid: PlaceGrid
     presses: dict[str, EditedPress]
+    """To edit, by their names."""
     judges: dict[str, Judge]
+    """Of each."""
     places: tuple[Place, ...]
     by: JudgedBy
     false_alarms: tuple[str, ...]
+    """Names of presses that fail without damage; they are not edited."""
     refused: tuple[str, ...]
+    """Names of presses of another sensor."""
     warning: str | None = None
+    """What is not known of the light."""
 
     @property
     def total(self) -> int:

@@ -41,19 +41,18 @@ class ScoredPress:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """All results of an evaluation.
-
-    left_out: presses of the dataset that the bundle was fitted on. seen_specimens: scored specimens with other
-    presses in the fit. unscorable: presses without a score, with the reason.
-    """
+    """All results of an evaluation."""
 
     bundle: Bundle
     dataset: Dataset
     scored: tuple[ScoredPress, ...]
     measures: tuple[Measure, ...]
     left_out: int
+    """Presses of the dataset that the bundle was fitted on."""
     seen_specimens: int
+    """Scored specimens with other presses in the fit."""
     unscorable: tuple[tuple[LabelledPress, str], ...]
+    """Presses without a score, with the reason."""
     limit: float
     replicates: int
     seed: int

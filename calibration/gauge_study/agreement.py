@@ -42,27 +42,30 @@ class Share:
 @dataclass(frozen=True)
 class Kappa:
     """Agreement beyond chance: 1 complete, 0 as by chance. value None where only one verdict occurs: every agreement is
-    then by chance, and kappa is not defined. observed, expected: shares of agreement. standard_error: without agreement
-    beyond chance."""
+    then by chance, and kappa is not defined. observed, expected: shares of agreement."""
 
     value: float | None
     observed: float
     expected: float
     standard_error: float | None = None
+    """Without agreement beyond chance."""
 
 
 @dataclass(frozen=True)
 class Appraiser:
-    """One operator. within: pieces with one verdict in all repeats. The others are None where nothing is known of the
-    pieces. effectiveness: pieces with the right verdict in all repeats. misses: of the decisions on bad pieces, passes.
-    false_alarms: of those on good pieces, others than a pass. kappa: with what is known."""
+    """One operator."""
 
     name: str
     within: Share
+    """Pieces with one verdict in all repeats. The others are None where nothing is known of the pieces."""
     effectiveness: Share | None = None
+    """Pieces with the right verdict in all repeats."""
     misses: Share | None = None
+    """Of the decisions on bad pieces, passes."""
     false_alarms: Share | None = None
+    """Of those on good pieces, others than a pass."""
     kappa: Kappa | None = None
+    """With what is known."""
 
 
 @dataclass(frozen=True)

@@ -242,7 +242,7 @@ _POINTS: Final = 601
 
 @dataclass(frozen=True)
 class AverageRange:
-    """Standard deviations. mean_range: over the cells. upper_range: a cell with a larger range is looked at first."""
+    """Standard deviations."""
 
     ev: float
     av: float
@@ -251,7 +251,9 @@ class AverageRange:
     tv: float
     ndc: int
     mean_range: float
+    """Over the cells."""
     upper_range: float
+    """A cell with a larger range is looked at first."""
     cells_above: int
 
     def percent(self, name: str) -> float:
@@ -306,14 +308,15 @@ def _range_of_normal(n: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Drift:
-    """Of the score from the first press to the last. low, high: 95 % interval of `total`. p: probability of such a
-    slope without a drift. sd: of one score around the line."""
+    """Of the score from the first press to the last. low, high: 95 % interval of `total`."""
 
     total: float
     low: float
     high: float
     p: float
+    """Probability of such a slope without a drift."""
     sd: float
+    """Of one score around the line."""
     presses: int
 
     @property

@@ -38,21 +38,21 @@ def open_steps(plan: StudyPlan, rows: Sequence[StudyPress]) -> list[int]:
 
 @dataclass
 class StudyLabels(PressStage):
-    """Names each press after the plan of a study.
-
-    rows: its presses so far. say: lines for the person. stop: ends the run. void: makes the press with this id count
-    no more. keys: what a person has typed, `r` or `s`, from any thread.
-
-    fault: why the study cannot go on.
-    """
+    """Names each press after the plan of a study."""
 
     plan: StudyPlan
     rows: Sequence[StudyPress]
+    """Its presses so far."""
     say: Callable[[str], None]
+    """Lines for the person."""
     stop: Callable[[], None]
+    """Ends the run."""
     void: Callable[[str], object]
+    """Makes the press with this id count no more."""
     keys: "queue.SimpleQueue[str]" = field(default_factory=queue.SimpleQueue)
+    """What a person has typed, `r` or `s`, from any thread."""
     fault: str | None = None
+    """Why the study cannot go on."""
 
     def __post_init__(self) -> None:
         self._open = open_steps(self.plan, self.rows)

@@ -138,24 +138,26 @@ Cell = tuple[str, str]
 
 @dataclass(frozen=True)
 class Material:
-    """A balanced study. pieces, operators, repeats: what is analysed, which may be less than the plan.
-
-    scores: float64 (pieces, operators, repeats). verdicts: the same as words. presses: every counted press with a score
-    in the order of time. missing: of the plan, without a counted press. left_out: counted presses that the table has no
-    place for. rejected: by operator, presses without a score. void: pressed again.
-    """
+    """A balanced study. pieces, operators, repeats: what is analysed, which may be less than the plan."""
 
     plan: StudyPlan
     pieces: tuple[str, ...]
     operators: tuple[str, ...]
     repeats: int
     scores: NDArray[np.float64]
+    """float64 (pieces, operators, repeats)."""
     verdicts: list[list[list[str]]]
+    """The same as words."""
     presses: tuple[StudyPress, ...]
+    """Every counted press with a score in the order of time."""
     missing: int
+    """Of the plan, without a counted press."""
     left_out: int
+    """Counted presses that the table has no place for."""
     rejected: Mapping[str, int]
+    """By operator, presses without a score."""
     void: int
+    """Pressed again."""
 
     @property
     def known(self) -> list[str] | None:

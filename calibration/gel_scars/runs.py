@@ -55,7 +55,7 @@ the ordinary wear that the simulator adds to every gel."""
 
 @dataclass(frozen=True)
 class Alarm:
-    """One press that did not pass. what: the kinds of scar or damage."""
+    """One press that did not pass."""
 
     placing: str
     gel: int
@@ -63,6 +63,7 @@ class Alarm:
     truth: Truth
     cause: str
     what: str
+    """The kinds of scar or damage."""
     blind_share: float
 
 
@@ -153,14 +154,13 @@ _FREE: Final = 6
 
 @dataclass(eq=False)
 class Run:
-    """One gel from its first press on, and those that follow it.
-
-    gel: its number; it draws scars, damage and order. flattened: the share of a scar that contact presses flat, 0 to 1.
-    """
+    """One gel from its first press on, and those that follow it."""
 
     station: Station
     gel: int
+    """Its number; it draws scars, damage and order."""
     flattened: float = 0.0
+    """The share of a scar that contact presses flat, 0 to 1."""
     alarms: list[Alarm] = field(default_factory=list)
     presses: int = 0
     false: int = 0

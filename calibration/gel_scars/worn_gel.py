@@ -34,18 +34,18 @@ _GROWTHS = (1, 1, 5, 20)
 
 @dataclass(frozen=True)
 class Scar:
-    """One mark of the gel. at_mm: its middle, from the picture's. size: its length or radius in mm.
-
-    strength: height in mm, or for worn coat the share of light lost. since: the press from which it exists; it grows
-    evenly over `growth` presses.
-    """
+    """One mark of the gel."""
 
     kind: str
     at_mm: tuple[float, float]
+    """Its middle, from the picture's."""
     turn_rad: float
     size: float
+    """Its length or radius in mm."""
     strength: float
+    """Height in mm, or for worn coat the share of light lost."""
     since: int
+    """The press from which it exists; it grows evenly over `growth` presses."""
     growth: int = 1
     seed: int = 0
 
@@ -151,14 +151,14 @@ _RANDOM_PART_DEPTH_MM: Final = 0.4
 
 @dataclass(frozen=True)
 class Placing:
-    """A part and how it is put under the gel. position None: a random part. is_registered: presses are brought to one
-    pose."""
+    """A part and how it is put under the gel. position None: a random part."""
 
     name: str
     part: str
     position: str | None
     jitter: Jitter
     is_registered: bool = False
+    """Presses are brought to one pose."""
 
     @property
     def depth_mm(self) -> float:
@@ -199,10 +199,11 @@ class Shown:
 
 @dataclass(eq=False)
 class Line:
-    """One placing on one gel. seed: of pieces and marks."""
+    """One placing on one gel."""
 
     placing: Placing
     seed: int
+    """Of pieces and marks."""
     _free: dict[str, F32] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property

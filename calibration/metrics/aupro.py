@@ -38,10 +38,12 @@ Masks = Sequence[NDArray[np.bool_]] | NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Regions:
-    """The connected defects of one mask. labels: int32 (h, w), 0 is sound. areas: int64 (regions,), in pixels."""
+    """The connected defects of one mask."""
 
     labels: NDArray[np.int32]
+    """int32 (h, w), 0 is sound."""
     areas: NDArray[np.int64]
+    """int64 (regions,), in pixels."""
 
 
 def label_regions(mask: NDArray[np.bool_]) -> Regions:

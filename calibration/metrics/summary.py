@@ -33,14 +33,12 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Measure:
-    """One number and how sure it is.
-
-    value: None when undefined, and then `reason` says why. The intervals are 95 % percentile bootstrap intervals over
-    images and over specimens; None where they were not requested, or where specimens are not known.
-    """
+    """One number and how sure it is."""
 
     name: str
     value: float | None
+    """None when undefined, and then `reason` says why. The intervals are 95 % percentile bootstrap intervals over
+    images and over specimens; None where they were not requested, or where specimens are not known."""
     over_images: tuple[float, float] | None = None
     over_specimens: tuple[float, float] | None = None
     reason: str | None = None

@@ -36,16 +36,15 @@ _GEL_PRESSES, _LEAST_FOR_GEL = 8, 5
 
 @dataclass(eq=False)
 class BallPress:
-    """One press: its name, its change against the free gel (3, h, w), what is not compared, and where the ball is.
-
-    start: where the ball was found; window: around that.
-    """
+    """One press: its name, its change against the free gel (3, h, w), what is not compared, and where the ball is."""
 
     name: str
     change: F32
     ignored: Mask
     start: Ball
+    """Where the ball was found."""
     window: Window
+    """Around that."""
     ball: Ball = field(init=False)
 
     def __post_init__(self) -> None:
@@ -54,12 +53,14 @@ class BallPress:
 
 @dataclass(frozen=True, eq=False)
 class SensorFit:
-    """What is common to all presses. free: the free gel, float32 (3, 240, 320). response: float64 (3, 21)."""
+    """What is common to all presses."""
 
     ball_radius_mm: float
     free: F32
+    """The free gel, float32 (3, 240, 320)."""
     gel: Gel
     response: F64
+    """float64 (3, 21)."""
 
     def predicted(self, press: BallPress, ball: Ball | None = None) -> Prediction:
         return predict(ball or press.ball, self.ball_radius_mm, self.gel, self.free, press.window)

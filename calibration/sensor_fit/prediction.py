@@ -32,11 +32,12 @@ _LIFTED, _LIFTED_MM, _SPARE_MM = 1.5, 0.3, 0.9
 
 @dataclass(frozen=True)
 class Window:
-    """A square of pixels that may reach beyond the picture. x, y: its first column and row. side: in pixels."""
+    """A square of pixels that may reach beyond the picture. x, y: its first column and row."""
 
     x: int
     y: int
     side: int
+    """In pixels."""
 
     @property
     def field(self) -> Field:
@@ -76,18 +77,18 @@ def window_around(ball: Ball, contact_mm: float) -> Window:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """A press in its window, before the response is known.
-
-    columns: float32 (COLUMNS, rows, cols). kept: float32 (3, rows, cols), the light that shadows leave. offset: float32
-    (3, rows, cols), the change that does not depend on the response. height_mm: of the ball above the free gel.
-    changed: bool (rows, cols), where the gel is lifted.
-    """
+    """A press in its window, before the response is known."""
 
     columns: F32
+    """float32 (COLUMNS, rows, cols)."""
     kept: F32
+    """float32 (3, rows, cols), the light that shadows leave."""
     offset: F32
+    """float32 (3, rows, cols), the change that does not depend on the response."""
     height_mm: F32
+    """Of the ball above the free gel."""
     changed: Mask
+    """bool (rows, cols), where the gel is lifted."""
 
     def change(self, response: F64) -> F32:
         """The press without the free gel, float32 (3, rows, cols). response: float64 (3, COLUMNS)."""

@@ -20,16 +20,17 @@ DENT_DEPTH_MM, SCRATCH_DEPTH_MM = 0.4, 0.16
 
 @dataclass(frozen=True)
 class Defect:
-    """A defect on one piece. at_mm: its centre in the part's plane. turn_rad: its direction. size: 1 is typical.
-
-    severity: 0 (invisible) to 1 (failure); depth and height grow in proportion, width with its square root.
-    """
+    """A defect on one piece."""
 
     kind: str
     severity: float
+    """0 (invisible) to 1 (failure); depth and height grow in proportion, width with its square root."""
     at_mm: tuple[float, float]
+    """Its centre in the part's plane."""
     turn_rad: float = 0.0
+    """Its direction."""
     size: float = 1.0
+    """1 is typical."""
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -15,12 +15,13 @@ Stage = Literal["pose", "surface", "light", "camera"]
 @dataclass(frozen=True)
 class Effect:
     """One effect: where in the chain it acts, and the pure function that computes it (its docstring has units and
-    source). draws: the words that name its random streams, empty when it is not random."""
+    source)."""
 
     name: str
     stage: Stage
     function: object
     draws: tuple[str, ...] = ()
+    """The words that name its random streams, empty when it is not random."""
 
     @property
     def summary(self) -> str:

@@ -20,10 +20,12 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Field:
-    """A grid of pixels over the gel. size: (width, height) in pixels. mm_per_px: (x, y)."""
+    """A grid of pixels over the gel."""
 
     size: tuple[int, int]
+    """(width, height) in pixels."""
     mm_per_px: tuple[float, float]
+    """(x, y)."""
 
     def __post_init__(self) -> None:
         if min(self.size) < 8:

@@ -112,14 +112,12 @@ _MOST_MARKS = 60
 
 @dataclass(frozen=True, eq=False)
 class GelWear:
-    """The damage of presses to one gel, oldest first.
-
-    scratches: float64 (n, 6): x, y mm, direction rad, length mm, depth mm, press. stains: float64 (n, 5): x, y mm,
-    radius mm, share of light lost, press.
-    """
+    """The damage of presses to one gel, oldest first."""
 
     scratches: NDArray[np.float64]
+    """float64 (n, 6): x, y mm, direction rad, length mm, depth mm, press."""
     stains: NDArray[np.float64]
+    """float64 (n, 5): x, y mm, radius mm, share of light lost, press."""
 
 
 def new_wear(rng: np.random.Generator) -> GelWear:

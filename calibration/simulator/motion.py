@@ -17,14 +17,17 @@ _SLIDE_MM_S = 3.0
 
 @dataclass(frozen=True)
 class Moment:
-    """One frame's moment. time_s: since the press's first frame. depth: share of the commanded depth, 0 to 1.
-    slide_mm_s: sideways speed of the gel. since_release_s: time since the previous press was released."""
+    """One frame's moment."""
 
     time_s: float
+    """Since the press's first frame."""
     phase: Phase
     depth: float
+    """Share of the commanded depth, 0 to 1."""
     slide_mm_s: float = 0.0
+    """Sideways speed of the gel."""
     since_release_s: float = 0.0
+    """Time since the previous press was released."""
 
 
 @dataclass(frozen=True)

@@ -154,14 +154,13 @@ PARTS: Mapping[str, Part] = {
 
 @dataclass(frozen=True)
 class Specimen:
-    """One piece of a part: the nominal geometry within its tolerance, with its own tool marks.
-
-    scale: about 1. marks: (x, y wave number in rad/mm, phase in rad, amplitude in mm) of shallow waves.
-    """
+    """One piece of a part: the nominal geometry within its tolerance, with its own tool marks."""
 
     nominal: HeightField
     scale: float
+    """About 1."""
     marks: tuple[tuple[float, float, float, float], ...]
+    """(x, y wave number in rad/mm, phase in rad, amplitude in mm) of shallow waves."""
 
     def __call__(self, x_mm: F32, y_mm: F32) -> F32:
         height = self.nominal(x_mm * np.float32(self.scale), y_mm * np.float32(self.scale))

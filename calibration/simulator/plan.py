@@ -31,7 +31,7 @@ class PressPlan:
     """One press. specimen counts from 1, nominal ones first; press counts from 1 within specimen and position.
 
     kind, severity: of its defect; kind is empty for a sound piece. gel, gel_presses: which cartridge, and how many
-    presses it has had. time_s: since power on.
+    presses it has had.
     """
 
     part: str
@@ -43,6 +43,7 @@ class PressPlan:
     gel: str = "gel1"
     gel_presses: int = 0
     time_s: float = 0.0
+    """Since power on."""
 
     @property
     def key(self) -> Key:

@@ -19,13 +19,14 @@ class HeightField(Protocol):
 
 @dataclass(frozen=True)
 class Pose:
-    """The part's place. shift: mm in the picture's axes. turn: radians, clockwise in the picture. tilt: mm of height
-    per mm along the picture's x and y. depth_factor: on the commanded depth."""
+    """The part's place. shift: mm in the picture's axes. turn: radians, clockwise in the picture."""
 
     shift_mm: tuple[float, float] = (0.0, 0.0)
     turn_rad: float = 0.0
     tilt: tuple[float, float] = (0.0, 0.0)
+    """mm of height per mm along the picture's x and y."""
     depth_factor: float = 1.0
+    """On the commanded depth."""
 
 
 @dataclass(frozen=True)

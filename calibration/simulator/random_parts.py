@@ -23,10 +23,12 @@ Relief = Callable[[F32, F32], F32]
 
 @dataclass(frozen=True)
 class RandomPart:
-    """One random part. body: an outline with a flat, domed or slanted top; features: relief that is added or cut in."""
+    """One random part."""
 
     body: HeightField
+    """An outline with a flat, domed or slanted top."""
     features: tuple[Relief, ...]
+    """Relief that is added or cut in."""
     place: Pose
 
     def __call__(self, x_mm: F32, y_mm: F32) -> F32:

@@ -47,20 +47,21 @@ class Exposure:
 
 @dataclass(eq=False)
 class Renderer:
-    """Renders one sensor with one gel.
-
-    field: the pixels. effects: their names. sensor: its colours. jitter: how presses differ (for `pose_jitter`).
-    streams: where random numbers come from; `gel_id` and `session` select the gel's dust and the lamps' drift. A
-    renderer holds about 15 float32 pictures and nothing that grows.
-    """
+    """Renders one sensor with one gel."""
 
     field: Field = LR
+    """The pixels."""
     effects: Iterable[str] = DEFAULT_EFFECTS
+    """Their names."""
     sensor: sensor_appearance.SensorAppearance = dataclasses.field(
         default_factory=lambda: sensor_appearance.SENSORS["unit_b"]
     )
+    """Its colours."""
     jitter: Jitter = dataclasses.field(default_factory=Jitter)
+    """How presses differ (for `pose_jitter`)."""
     streams: Streams = dataclasses.field(default_factory=lambda: make_streams(0))
+    """Where random numbers come from; `gel_id` and `session` select the gel's dust and the lamps' drift. A renderer
+    holds about 15 float32 pictures and nothing that grows."""
     gel_id: str = "gel1"
     session: str = "session1"
     _coat: dict[str, tuple[int, F32]] = dataclasses.field(default_factory=dict, init=False, repr=False)

@@ -205,21 +205,20 @@ def _table(rows: tuple[tuple[float, ...], ...]) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class SensorAppearance:
-    """One sensor's colours, gel and noise.
-
-    free_gel: float64 (3, 15) or (3, 28), log of the level of the untouched gel as a polynomial of degree 4 or 6 in u
-    and v.
-    slope_response: float64 (3, 15), grey levels per component of the surface normal. height_response: float64 (3, 6),
-    grey levels per mm that the gel is raised, times (1, u, v, u^2, v^2, uv); None: not fitted, none. gel: how it gives
-    way. noise_sd: of one frame at the mean level, in grey levels, of red, green and blue.
-    """
+    """One sensor's colours, gel and noise."""
 
     name: str
     free_gel: F64
+    """float64 (3, 15) or (3, 28), log of the level of the untouched gel as a polynomial of degree 4 or 6 in u and v."""
     slope_response: F64 = field(default_factory=lambda: _table(_RESPONSE))
+    """float64 (3, 15), grey levels per component of the surface normal."""
     height_response: F64 | None = None
+    """float64 (3, 6), grey levels per mm that the gel is raised, times (1, u, v, u^2, v^2, uv); None: not fitted, none.
+    """
     gel: Gel = GEL
+    """How it gives way."""
     noise_sd: tuple[float, float, float] = NOISE_SD
+    """Of one frame at the mean level, in grey levels, of red, green and blue."""
 
     def __post_init__(self) -> None:
         if self.free_gel.shape not in ((3, 15), (3, 28)):

@@ -29,18 +29,16 @@ Tensors = dict[str, Tensor]
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Everything that the next step needs. step: how many are done. Random draws need no state: they depend on the
-    step.
-
-    before: the runs whose weights this one started from, oldest first: `recipe` and `steps` of each.
-    """
+    """Everything that the next step needs."""
 
     recipe: TrainConfig
     step: int
+    """How many are done. Random draws need no state: they depend on the step."""
     weights: Tensors
     first_moment: Tensors
     second_moment: Tensors
     before: tuple[dict[str, Any], ...] = ()
+    """The runs whose weights this one started from, oldest first: `recipe` and `steps` of each."""
 
     @property
     def history(self) -> tuple[dict[str, Any], ...]:

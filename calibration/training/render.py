@@ -57,15 +57,14 @@ Spacing = tuple[float, float]
 
 @dataclass(frozen=True)
 class BatchAppearance:
-    """The colours of n sensors over a grid.
-
-    free: (n, 3, h, w), the untouched gel. per_normal: (n, 3, 2, h, w), grey levels per nx and ny. curvature: (n, 3, 3),
-    grey levels per nx^2, ny^2 and nx ny.
-    """
+    """The colours of n sensors over a grid."""
 
     free: Tensor
+    """(n, 3, h, w), the untouched gel."""
     per_normal: Tensor
+    """(n, 3, 2, h, w), grey levels per nx and ny."""
     curvature: Tensor
+    """(n, 3, 3), grey levels per nx^2, ny^2 and nx ny."""
 
 
 def blur(x: Tensor, sigma_px: tuple[float, float], reach: float = 2.5, mode: str = "replicate") -> Tensor:

@@ -46,22 +46,25 @@ _LOSS_NAMES = tuple(f.name for f in fields(Losses))
 class TrainingRun:
     """How a run is executed; it does not change the result.
 
-    folder: for checkpoints, log and figure. resume: a run to continue, None to start. minutes: stop and save after this
-    time, 0 for never. save_every, log_every, validate_every: steps. threads: of the CPU, 0 for torch's choice; on
-    shared cores 1 is several times faster than 2. is_drawn_ahead: draw in a second process. start: another run whose
-    weights the recipe starts from.
+    save_every, log_every, validate_every: steps.
     """
 
     folder: Path
+    """For checkpoints, log and figure."""
     resume: Path | None = None
+    """a run to continue, None to start."""
     minutes: float = 0.0
+    """Stop and save after this time, 0 for never."""
     save_every: int = 500
     log_every: int = 20
     validate_every: int = 500
     device: str = "auto"
     threads: int = 0
+    """Of the CPU, 0 for torch's choice; on shared cores 1 is several times faster than 2."""
     is_drawn_ahead: bool = False
+    """Draw in a second process."""
     start: Path | None = None
+    """Another run whose weights the recipe starts from."""
 
 
 def learning_rate(recipe: TrainConfig, step: int) -> float:

@@ -30,25 +30,26 @@ _JPEG_QUALITY = (75.0, 96.0)
 
 @dataclass(frozen=True)
 class Pairs:
-    """n pairs. The first n samples are nominal, the last n their partners.
-
-    frames: (2n, 3, h, w), whole grey levels 0 to 255, RGB. surface_mm: (2n, h, w), the imprint without dust. change_mm:
-    (n, h, w), how much the damage alone moves the partner's imprint. spacing: mm per pixel (x, y).
-    """
+    """n pairs. The first n samples are nominal, the last n their partners."""
 
     frames: Tensor
+    """(2n, 3, h, w), whole grey levels 0 to 255, RGB."""
     surface_mm: Tensor
+    """(2n, h, w), the imprint without dust."""
     change_mm: Tensor
+    """(n, h, w), how much the damage alone moves the partner's imprint."""
     spacing: Spacing
+    """Mm per pixel (x, y)."""
 
 
 @dataclass(frozen=True)
 class _Views:
-    """Poses of 2n presses; x, y: their part coordinates (2n, h, w); tilt_mm: height added (2n, h, w)."""
+    """Poses of 2n presses; x, y: their part coordinates (2n, h, w)"""
 
     x: Tensor
     y: Tensor
     tilt_mm: Tensor
+    """Height added (2n, h, w)."""
     depth_mm: Tensor
 
 

@@ -30,12 +30,10 @@ def read_file(file: str) -> bytes:
 
 @dataclass(frozen=True)
 class TactileBackbone:
-    """A backbone under the entry points `gelgate.backbones`, with trained weights.
-
-    name: of the variant, as in the facts.
-    """
+    """A backbone under the entry points `gelgate.backbones`, with trained weights."""
 
     name: str
+    """Of the variant, as in the facts."""
     topology: str = "resnet18"
 
     def facts(self) -> dict[str, object]:

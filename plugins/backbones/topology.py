@@ -59,12 +59,13 @@ class Block:
 
 @dataclass(frozen=True)
 class Topology:
-    """One member of the family. width: channels of the 3x3 convolutions at layer1."""
+    """One member of the family."""
 
     name: str
     kind: Literal["basic", "bottleneck"]
     depths: tuple[int, int, int, int]
     width: int = 64
+    """Channels of the 3x3 convolutions at layer1."""
     stem: Conv = field(default=Conv("conv1", "bn1", 3, 64, 7, 2))
 
     @property

@@ -36,20 +36,22 @@ USUAL_EPS = 1e-6
 
 @dataclass(frozen=True)
 class VitShape:
-    """A transformer's sizes, read from its weights. patch: pixels per side. grid: patches per side in training.
-
-    prefixes: tokens before the patches. placed: how many of them have a position. eps: of the layer norms.
-    """
+    """A transformer's sizes, read from its weights."""
 
     width: int
     depth: int
     heads: int
     patch: int
+    """Pixels per side."""
     grid: int
+    """Patches per side in training."""
     channels: int
     prefixes: int
+    """Tokens before the patches."""
     placed: int
+    """How many of them have a position."""
     eps: float = USUAL_EPS
+    """Of the layer norms."""
 
 
 def list_vit_taps(shape: VitShape) -> tuple[str, ...]:

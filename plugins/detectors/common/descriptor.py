@@ -74,16 +74,16 @@ def _bands(channels: int, taps: int, number: int) -> tuple[Band, ...]:
 
 @dataclass(frozen=True)
 class Descriptor:
-    """How taps become descriptors.
-
-    taps: in this order. grid_tap: the tap whose grid the descriptors are on. kind: see the module. is_sampled: a cell
-    represents its top left pixel, the centre of its convolution, instead of a square of pixels.
-    """
+    """How taps become descriptors."""
 
     taps: tuple[str, ...]
+    """In this order."""
     grid_tap: str
+    """The tap whose grid the descriptors are on."""
     kind: Kind
+    """See the module."""
     is_sampled: bool
+    """a cell represents its top left pixel, the centre of its convolution, instead of a square of pixels."""
 
     def __post_init__(self) -> None:
         if not self.taps or len(set(self.taps)) != len(self.taps) or self.grid_tap not in self.taps:

@@ -191,10 +191,11 @@ class Embedding:
 
 @dataclass(frozen=True)
 class Embedded:
-    """Descriptors of n presses. native: tap to (n, cells of the tap, part)."""
+    """Descriptors of n presses."""
 
     embedding: Embedding
     native: Mapping[str, NDArray[np.floating]]
+    """Tap to (n, cells of the tap, part)."""
 
     def at(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """Descriptors at flat cells of the grid: float64 (len(cells), n, d)."""

@@ -40,17 +40,15 @@ FREE_GEL_ROWS = 4096
 
 @dataclass(frozen=True)
 class PatchBank:
-    """How descriptors become rows.
-
-    dims: leading directions kept, plus the length of the rest; None keeps all. is_balanced: each tap is divided by its
-    nominal deviation. position_weight: two more numbers, the place on the grid (0 to 1, down and across) times this;
-    0 leaves them out.
-    """
+    """How descriptors become rows."""
 
     descriptor: Descriptor
     dims: int | None
+    """Leading directions kept, plus the length of the rest; None keeps all."""
     is_balanced: bool
+    """Each tap is divided by its nominal deviation."""
     position_weight: float = 0.0
+    """Two more numbers, the place on the grid (0 to 1, down and across) times this; 0 leaves them out."""
 
     def learn(
         self, features: Features, grid: Grid, rng: np.random.Generator
