@@ -75,7 +75,7 @@ def bad_presses(given: StudyArguments) -> None:
     """Accuracy with damaged presses among the nominal ones.
 
     The same command continues an interrupted study."""
-    from calibration.studies.bad_presses import study_bad_presses
+    from calibration.studies.bad_presses_study import study_bad_presses
 
     _end(study_bad_presses(given.options()), "bad-presses")
 

@@ -5,26 +5,53 @@ position: none, 5, 10 or 15 %. Nominal test presses, held out of both positions,
 scored. The measures are of both positions together, as in the paper, and of each alone.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from calibration.dataset import Dataset
 from calibration.studies.cells import Cell
+from calibration.studies.effects import COMPARED, effects, medians
+from calibration.studies.figures import shares_figure
 from calibration.studies.material import Drawn, Material, Place, fit_cell, material
+from calibration.studies.page import (
+    Page,
+    compared_table,
+    effects_table,
+    fractions_of,
+    make_page,
+    paper_note,
+    percent,
+    seeds_of,
+    table,
+)
 from calibration.studies.presses import HeldOut, hold_out, opened, subset
+from calibration.studies.published import published
 from calibration.studies.rows import Rows
 from calibration.studies.scoring import Scored, TestPresses, measures
 from calibration.studies.study import Evaluation, Options, chosen_places, make_cells, prepare, run_cells
 from edge.core.errors import DatasetError
 
-__all__ = ["STUDY", "TARGET_FRACTIONS", "CrossPosition", "cross_position_cells", "study_cross_position"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = [
+    "STUDY",
+    "TARGET_FRACTIONS",
+    "CrossPosition",
+    "cross_position_cells",
+    "page",
+    "study_cross_position",
+]
 
 STUDY = "cross-position"
 
 TARGET_FRACTIONS = (0.0, 0.05, 0.10, 0.15)
 """Shares of the target position's pool, as in the paper."""
+
+_ALONE = ("aupro_001_source", "aupro_001_target")
 
 
 class CrossPosition(Evaluation):
@@ -144,3 +171,55 @@ def crossed_places(dataset: Dataset, options: Options, target: str | None) -> li
             "this study needs nominal and defective presses at two positions of one part"
         )
     return places
+
+
+def page(rows: "pd.DataFrame") -> Page:
+    """Make the page. rows: of this study."""
+    column = "target_fraction"
+    pairs = sorted(set(zip(rows["part"], rows["position"], rows["target"], strict=True)))
+    where = "; ".join(f"{part}: {source} to {target}" for part, source, target in pairs)
+    head = (
+        "# Does a bank of one position serve another?\n\n"
+        f"{where}. Each bank has a method's stable fraction of the first position's nominal presses and a share of the "
+        f"second's; {int(rows['held_out'].max())} nominal presses of each position and all defective ones are scored. "
+        f"Medians over {seeds_of(rows, column)} seeds.\n\n{paper_note()}"
+    )
+    label = "share of the second position's nominal presses, %"
+    draw = partial(shares_figure, x=column, label=label)
+    return make_page(rows, column, head, _setup, draw, percent)
+
+
+def _setup(rows: "pd.DataFrame") -> Iterator[str]:
+    paper, ours = published(STUDY), medians(rows, "target_fraction")
+    shares = sorted(rows["target_fraction"].unique())
+    conditions = [(f"{share:g}", f"{share:g}", percent(share)) for share in shares]
+    yield f"Share of the first position: {fractions_of(rows)}.\n"
+    yield from (compared_table(ours, paper, measure, conditions) for measure in COMPARED)
+    for before, after in _steps(shares):
+        names = f"{before:g}", f"{after:g}"
+        found = effects(rows, "target_fraction", before, after, paper, names)
+        yield effects_table(found, f"From {percent(before)} to {percent(after)} of the second position")
+    yield _each_alone(rows, shares)
+
+
+def _steps(shares: list[float]) -> list[tuple[float, float]]:
+    """From none to the first share, and from there to the last."""
+    pairs = list(zip(shares, [*shares[1:2], *shares[-1:]], strict=False))
+    return [(before, after) for before, after in pairs if before < after]
+
+
+def _each_alone(rows: "pd.DataFrame", shares: list[float]) -> str:
+    """AU-PRO of each position alone: whether the second gains, and whether the first loses."""
+    found = medians(rows, "target_fraction", _ALONE)
+    lines = [
+        [
+            method,
+            part,
+            measure.rpartition("_")[2],
+            *(f"{by[f'{s:g}']:.4f}" if f"{s:g}" in by else "-" for s in shares),
+        ]
+        for (method, part, measure), by in sorted(found.items())
+    ]
+    return "AU-PRO@0.01 of each position alone.\n\n" + table(
+        ["method", "part", "position", *map(percent, shares)], lines
+    )

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from calibration.studies.bad_presses import study_bad_presses
+from calibration.studies.bad_presses_study import study_bad_presses
 from calibration.studies.cross_position_study import crossed_places, study_cross_position
 from calibration.studies.good_fraction_study import FRACTIONS, SHOTS, study_good_fraction
 from calibration.studies.presses import opened

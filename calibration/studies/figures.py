@@ -1,15 +1,19 @@
-"""Figures of the good-fraction study, as matplotlib figures and as SVG text that is the same in every run."""
+"""Figures of the studies, as matplotlib figures and as SVG text that is the same in every run."""
 
 import io
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.studies.curves import MEASURE_NAMES, Curve, curves, gel_share
+from calibration.studies.intervals import is_drawn, mean_interval
+from edge.core.gel import DEFAULT_LIMIT_PRESSES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -17,45 +21,97 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
+    "Curve",
     "conditions_figure",
+    "curves",
     "fraction_figure",
+    "gel_share",
     "overview_figure",
     "shares_figure",
     "shots_figure",
     "svg",
 ]
 
+_MEASURE_NAMES = {
+    "aupro_001": "AU-PRO@0.01",
+    "aupro_005": "AU-PRO@0.05",
+    "auprc": "AUPRC",
+    "pixel_auroc": "pixel AUROC",
+    "image_auroc": "image AUROC",
+    "recall_001": "recall at 1 % false alarms",
+}
+
 # Okabe and Ito's palette: readers with any kind of colour vision can distinguish it.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
 _PANEL = (4.2, 3.1)  # inches
 
+_SHARE = "share of the nominal presses, %"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One method on one part."""
+
+    part: str
+    method: str
+    x: NDArray[np.float64]
+    """The fractions or shots, rising, (m,)."""
+    values: tuple[NDArray[np.float64], ...]
+    """Each seed's, a row per x."""
+    mean: NDArray[np.float64]
+    low: NDArray[np.float64]
+    """Of the 95 % interval of the mean over seeds, (m,), as `high`; nan where too few presses were drawn for one."""
+    high: NDArray[np.float64]
+    presses: NDArray[np.int64]
+    """Nominal presses at each x, (m,)."""
+
+
+def curves(rows: "pd.DataFrame", x: str, measure: str) -> Iterator[Curve]:
+    """Compute the curves of one backbone, mode and split. x: the column that varies, such as `fraction`."""
+    if x not in rows or measure not in rows:
+        return
+    for (part, method), group in rows.dropna(subset=[x, measure]).groupby(["part", "method"]):
+        at = list(group.groupby(x))
+        values = tuple(cell[measure].to_numpy(np.float64) for _, cell in at)
+        spans = [_interval(cell, each) for (_, cell), each in zip(at, values, strict=True)]
+        yield Curve(
+            part,
+            method,
+            np.array([float(value) for value, _ in at]),
+            values,
+            np.array([each.mean() for each in values]),
+            np.array([low for low, _ in spans]),
+            np.array([high for _, high in spans]),
+            np.array([int(cell["presses"].max()) for _, cell in at]),
+        )
+
+
+def _interval(cell: "pd.DataFrame", values: NDArray[np.float64]) -> tuple[float, float]:
+    """The interval of the mean over the seeds of a cell; nan where they learn the same presses."""
+    if not any(is_drawn(row) for row in cell.to_dict("records")):
+        return math.nan, math.nan
+    return mean_interval(values)
+
+
+def gel_share(presses: float) -> float:
+    """Return the part of a gel's rated life that this number of presses uses, 1 is all of it."""
+    return presses / DEFAULT_LIMIT_PRESSES
+
 
 def overview_figure(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
-    """A panel per method, a line per part, against the fraction. rows: of one backbone, mode and split."""
-    every = sorted(curves(rows, "fraction", measure), key=lambda c: (c.method, c.part))
-    panels = [(method, list(group)) for method, group in groupby(every, lambda c: c.method)]
-    figure, axes = _panels(len(panels))
-    colours = _coloured(sorted({c.part for c in every}))
-    for axis, (method, group) in zip(axes, panels, strict=True):
-        for curve in group:
-            _line(axis, curve, 100 * curve.x, curve.part, colours[curve.part], with_dots=False)
-        _label(axis, method, "share of the nominal presses, %", measure)
-    return figure
+    """Draw a panel per method, a line per part, against the fraction. rows: of one backbone, mode and split."""
+    return shares_figure(rows, "fraction", _SHARE, measure, panel="method", with_dots=False)
 
 
 def fraction_figure(rows: "pd.DataFrame", part: str, measure: str = "aupro_001") -> "Figure":
-    """All methods on one part, every seed a dot, against the fraction, the presses and the gel that they use."""
-    found = sorted(curves(rows[rows["part"] == part], "fraction", measure), key=lambda c: c.method)
-    figure, (axis,) = _panels(1)
-    colours = _coloured([c.method for c in found])
-    for curve in found:
-        _line(axis, curve, 100 * curve.x, curve.method, colours[curve.method])
-    _label(axis, part, "share of the nominal presses, %", measure)
-    pool = max((float(c.presses[-1] / c.x[-1]) for c in found), default=0.0)
+    """Draw all methods on one part, every seed a dot, against the fraction, the presses and the gel that they use."""
+    own = rows[rows["part"] == part]
+    figure = shares_figure(own, "fraction", _SHARE, measure)
+    pool = max((float(c.presses[-1] / c.x[-1]) for c in curves(own, "fraction", measure)), default=0.0)
     if pool:
-        above = axis.secondary_xaxis(
-            "top", functions=(partial(_scaled, by=pool / 100), partial(_scaled, by=100 / pool))
+        above = figure.axes[0].secondary_xaxis(
+            "top", functions=(partial(np.multiply, pool / 100), partial(np.multiply, 100 / pool))
         )
         above.set_xlabel(
             f"presses; all {pool:.0f} are {100 * gel_share(pool):.0f} % of a gel's rated life", fontsize=8
@@ -65,40 +121,50 @@ def fraction_figure(rows: "pd.DataFrame", part: str, measure: str = "aupro_001")
 
 
 def shots_figure(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
-    """A panel per part, a line per method, against the number of presses on a logarithmic axis."""
-    every = sorted(curves(rows, "shots", measure), key=lambda c: (c.part, c.method))
-    panels = [(part, list(group)) for part, group in groupby(every, lambda c: c.part)]
-    figure, axes = _panels(len(panels))
-    colours = _coloured(sorted({c.method for c in every}))
-    for axis, (part, group) in zip(axes, panels, strict=True):
-        for curve in group:
-            _line(axis, curve, curve.x, curve.method, colours[curve.method])
-        axis.set_xscale("log", base=2)
-        shots = sorted({x for curve in group for x in curve.x})
-        axis.set_xticks(shots, [f"{x:g}" for x in shots])
-        _label(axis, part, "nominal presses", measure)
+    """Draw a panel per part, a line per method, against the number of presses on a logarithmic axis."""
+    figure = shares_figure(rows, "shots", "nominal presses", measure, scale=1)
+    for axis in figure.axes:
+        if axis.has_data():
+            axis.set_xscale("log", base=2)
+            own = rows[(rows["part"] == axis.get_title(loc="left")) & rows[measure].notna()]
+            shots = sorted(own["shots"].dropna().unique())
+            axis.set_xticks(shots, [f"{x:g}" for x in shots])
     return figure
 
 
-def shares_figure(rows: "pd.DataFrame", x: str, label: str, measure: str = "aupro_001") -> "Figure":
-    """A panel per part, a line per method, against a share that may be zero. x: the column of shares."""
-    every = sorted(curves(rows, x, measure), key=lambda c: (c.part, c.method))
-    panels = [(part, list(group)) for part, group in groupby(every, lambda c: c.part)]
+def shares_figure(
+    rows: "pd.DataFrame",
+    x: str,
+    label: str,
+    measure: str = "aupro_001",
+    *,
+    panel: str = "part",
+    scale: float = 100,
+    with_dots: bool = True,
+) -> "Figure":
+    """Draw a panel per part, a line per method, against a share that may be zero.
+
+    x: the column of shares. panel: `part` or `method`, the other one has the lines. scale: of x.
+    """
+    line = attrgetter("method" if panel == "part" else "part")
+    every = sorted(curves(rows, x, measure), key=lambda curve: (getattr(curve, panel), line(curve)))
+    panels = [(name, list(group)) for name, group in groupby(every, attrgetter(panel))]
     figure, axes = _panels(len(panels))
-    colours = _coloured(sorted({c.method for c in every}))
-    for axis, (part, group) in zip(axes, panels, strict=True):
+    names = sorted({line(curve) for curve in every})
+    colours = {name: _COLOURS[k % len(_COLOURS)] for k, name in enumerate(names)}
+    for axis, (name, group) in zip(axes, panels, strict=False):
         for curve in group:
-            _line(axis, curve, 100 * curve.x, curve.method, colours[curve.method])
-        _label(axis, part, label, measure)
+            _line(axis, curve, scale * curve.x, line(curve), colours[line(curve)], with_dots=with_dots)
+        _label(axis, name, label, measure)
     return figure
 
 
 def conditions_figure(
     rows: "pd.DataFrame", column: str, order: Sequence[str], measure: str, title: str
 ) -> "Figure":
-    """A panel per part, a line per method, over named conditions in an order."""
+    """Draw a panel per part, a line per method, over named conditions in an order."""
     placed = rows.assign(place=[order.index(name) for name in rows[column]])
-    figure = shares_figure(placed.assign(place=placed["place"] / 100), "place", "", measure)
+    figure = shares_figure(placed, "place", "", measure, scale=1)
     for axis in figure.axes:
         if axis.has_data():
             axis.set_xticks(range(len(order)), list(order))
@@ -107,7 +173,7 @@ def conditions_figure(
 
 
 def svg(figure: "Figure") -> str:
-    """The figure's SVG: no date, and identifiers that do not depend on the process."""
+    """Return the figure's SVG: no date, and identifiers that do not depend on the process."""
     import matplotlib as mpl
 
     out = io.StringIO()
@@ -131,14 +197,6 @@ def _panels(count: int) -> tuple["Figure", Sequence["Axes"]]:
     return figure, list(axes[: max(1, count)])
 
 
-def _scaled(values: NDArray[np.float64], by: float) -> NDArray[np.float64]:
-    return values * by
-
-
-def _coloured(names: Sequence[str]) -> dict[str, str]:
-    return {name: _COLOURS[k % len(_COLOURS)] for k, name in enumerate(names)}
-
-
 def _line(
     axis: "Axes", curve: Curve, x: NDArray[np.float64], name: str, colour: str, *, with_dots: bool = True
 ) -> None:
@@ -154,7 +212,7 @@ def _line(
 def _label(axis: "Axes", title: str, x: str, measure: str) -> None:
     axis.set_title(title, fontsize=9, loc="left")
     axis.set_xlabel(x, fontsize=8)
-    axis.set_ylabel(MEASURE_NAMES.get(measure, measure), fontsize=8)
+    axis.set_ylabel(_MEASURE_NAMES.get(measure, measure), fontsize=8)
     axis.tick_params(labelsize=7)
     axis.grid(alpha=0.3, linewidth=0.5)
     if axis.has_data():

@@ -5,17 +5,57 @@ position are scored with them. Banks are fitted on a share of the other nominal 
 shots), which each seed draws.
 """
 
-from collections.abc import Sequence
-from typing import Any
+import re
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from calibration.studies.cells import Cell
+from calibration.studies.figures import (
+    Curve,
+    curves,
+    fraction_figure,
+    gel_share,
+    overview_figure,
+    shots_figure,
+)
+from calibration.studies.intervals import MIN_DRAWS
 from calibration.studies.material import Drawn, fit_cell, material
+from calibration.studies.page import (
+    Page,
+    by_setup,
+    cells_table,
+    cost_table,
+    only_scored,
+    percent,
+    refusals,
+    split_table,
+    table,
+)
 from calibration.studies.presses import hold_out, opened, subset
-from calibration.studies.rows import Rows
+from calibration.studies.published import stable_fraction
+from calibration.studies.rows import TIMES, Rows
+from calibration.studies.stable import STABLE_WITHIN, stable_from
 from calibration.studies.study import Evaluation, Options, chosen_places, make_cells, prepare, run_cells
 from edge.core.errors import ConfigError, DatasetError
+from edge.core.gel import DEFAULT_LIMIT_PRESSES
 
-__all__ = ["FRACTIONS", "HELD_OUT", "SHOTS", "STUDY", "GoodFraction", "study_good_fraction"]
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "FRACTIONS",
+    "HELD_OUT",
+    "SHOTS",
+    "STUDY",
+    "GoodFraction",
+    "page",
+    "same_in_every_seed",
+    "study_good_fraction",
+]
 
 STUDY = "good-fraction"
 
@@ -27,6 +67,11 @@ SHOTS = (1, 2, 4, 8, 16, 32)
 
 HELD_OUT = 20
 """Nominal test presses, as in the paper."""
+
+SEEDS = 10
+"""Of a complete study, as in the paper."""
+
+_FIGURE_MEASURES = ("aupro_001", "auprc", "image_auroc")
 
 
 class GoodFraction(Evaluation):
@@ -71,3 +116,196 @@ def study_good_fraction(
         for split in options.splits:
             hold_out(found.presses, options.held_out, split)
     return run_cells(cells, evaluate, options, materials)
+
+
+def page(rows: "pd.DataFrame") -> Page:
+    """Make the page. rows: of this study."""
+    scored = only_scored(rows)
+    figures: dict[str, Callable[[], Figure]] = {}
+    sections = [
+        _head(rows),
+        *(cells_table(rows[rows[size].notna()], size) for size in ("fraction", "shots") if size in rows),
+    ]
+    for title, group in by_setup(scored):
+        drawn = dict(_figures(group))
+        figures |= drawn
+        sections += [_setup(title, group), *(f"![{name}]({name})\n" for name in drawn)]
+    sections += [_splits(scored), refusals(rows)]
+    if "fraction" in scored:
+        sections += [cost_table(_quarters(scored), "fraction", percent), _complete(scored)]
+    return Page("\n".join(section for section in sections if section), figures)
+
+
+def _head(rows: "pd.DataFrame") -> str:
+    where = ", ".join(sorted({f"{a} {b}" for a, b in zip(rows["part"], rows["position"], strict=True)}))
+    held = int(rows["held_out"].max())
+    return (
+        "# How many nominal presses a part needs\n\n"
+        f"{where}; {len(rows)} cells. Of each part {held} nominal presses are held "
+        "out, the same in every cell, and scored with the defective presses of the same position. Banks are fitted on "
+        "a share of the other nominal presses, the pool, which each seed draws. Intervals are of the mean over seeds, "
+        "95 %, Student's t: they show how much the choice of training presses matters, and not what other test "
+        f"presses would give. With fewer than {MIN_DRAWS} seeds, and with all presses, there is none. A gel is rated "
+        f"for {DEFAULT_LIMIT_PRESSES} presses.\n"
+    )
+
+
+def _setup(title: str, rows: "pd.DataFrame") -> str:
+    parts = [f"## {title}\n", _changed(rows), _plateaus(rows), _levels(rows), _shots(rows), _repeated(rows)]
+    return "\n".join(part for part in parts if part)
+
+
+def _changed(rows: "pd.DataFrame") -> str:
+    if "changed" not in rows:
+        return ""
+    pairs = rows.dropna(subset=["changed"])[["method", "changed"]].drop_duplicates()
+    return "".join(
+        f"{method} runs with {changed}, because the backbone lacks the taps that it reads in this mode.\n"
+        for method, changed in pairs.itertuples(index=False)
+    )
+
+
+def _plateaus(rows: "pd.DataFrame") -> str:
+    """The plateau of each method by the stated rule, in presses and gel."""
+    if "fraction" not in rows:
+        return ""
+    lines = []
+    for method, group in rows.dropna(subset=["fraction"]).groupby("method"):
+        found = stable_from(group.astype(object).where(group.notna(), None).to_dict("records"))
+        if found is None:
+            continue
+        paper, last = stable_fraction(method), group["fraction"].max()
+        pools = group.groupby("part")["pool"].max()
+        at = {part: max(1, round(found * pool)) for part, pool in pools.items()}
+        lines.append(
+            [
+                method,
+                percent(found) + (" (the largest: no plateau)" if found == last else ""),
+                "-" if paper is None else percent(paper),
+                ", ".join(f"{part} {count}" for part, count in at.items()),
+                f"{100 * gel_share(max(at.values())):.0f} %",
+            ]
+        )
+    heading = ["method", "plateau from", "the paper's", "presses", "of a gel's life, at most"]
+    return (
+        "**Plateau.** The smallest fraction from which on the mean over seeds is within "
+        f"{STABLE_WITHIN:g} of that of the largest fraction, for every larger fraction, every part, and AU-PRO@0.01, "
+        f"AUPRC and pixel AUROC together: one value for a method, as in the paper.\n\n{table(heading, lines)}"
+    )
+
+
+def _levels(rows: "pd.DataFrame") -> str:
+    """AU-PRO at a few fractions."""
+    found = sorted(curves(rows, "fraction", "aupro_001"), key=lambda c: (c.part, c.method))
+    if not found:
+        return ""
+    shown = _spread(sorted({x for curve in found for x in curve.x}))
+    lines = [
+        [curve.part, curve.method, int(curve.presses[-1]), *(_at(curve, x) for x in shown)] for curve in found
+    ]
+    heading = ["part", "method", "all presses", *map(percent, shown)]
+    return f"**AU-PRO@0.01** at shares of the nominal presses, mean [interval]:\n\n{table(heading, lines)}"
+
+
+def _shots(rows: "pd.DataFrame") -> str:
+    """The field's few-shot curve."""
+    found = sorted(curves(rows, "shots", "aupro_001"), key=lambda c: (c.part, c.method))
+    if not found:
+        return ""
+    shown = sorted({x for curve in found for x in curve.x})
+    lines = [[curve.part, curve.method, *(_at(curve, x) for x in shown)] for curve in found]
+    heading = ["part", "method", *(f"{x:g}" for x in shown)]
+    return f"**AU-PRO@0.01** with few presses, mean [interval]:\n\n{table(heading, lines)}"
+
+
+def _repeated(rows: "pd.DataFrame") -> str:
+    """Where ten seeds are one computation."""
+    same = same_in_every_seed(rows)
+    if same.empty:
+        return ""
+    lines = [
+        [method, ", ".join(sorted(set(group["part"]))), ", ".join(_sizes(group)), int(group["seeds"].max())]
+        for method, group in same.groupby("method")
+    ]
+    return (
+        "**One computation, not several.** Here all seeds give identical scores, because nothing random is left; that "
+        f"they do not scatter says nothing about robustness.\n\n{table(['method', 'parts', 'at', 'seeds'], lines)}"
+    )
+
+
+def _sizes(group: "pd.DataFrame") -> list[str]:
+    fractions = group["fraction"].dropna().unique() if "fraction" in group else []
+    shots = group["shots"].dropna().unique() if "shots" in group else []
+    return [percent(f) for f in sorted(fractions)] + [f"{k:g} presses" for k in sorted(shots)]
+
+
+def _splits(rows: "pd.DataFrame") -> str:
+    """With fractions alone: the shots are the same number of presses in both splits, of other specimens."""
+    return split_table(rows.dropna(subset=["fraction"]), "fraction") if "fraction" in rows else ""
+
+
+def _figures(rows: "pd.DataFrame") -> Iterator[tuple[str, Callable[[], "Figure"]]]:
+    """File name of every figure of one setup, and what draws it."""
+    setup = "-".join(str(rows[name].iloc[0]) for name in ("mode", "backbone", "split"))
+    base = "good-fraction-" + re.sub(r"[^A-Za-z0-9_-]+", "-", setup)
+    if "fraction" in rows and rows["fraction"].notna().any():
+        for measure in _FIGURE_MEASURES:
+            yield f"{base}-{measure}.svg", partial(overview_figure, rows, measure)
+        for part in sorted(set(rows["part"])):
+            yield f"{base}-{part}.svg", partial(fraction_figure, rows, part)
+    if "shots" in rows and rows["shots"].notna().any():
+        yield f"{base}-shots.svg", partial(shots_figure, rows)
+
+
+def _complete(rows: "pd.DataFrame") -> str:
+    """What the complete study of a part takes, from the mean of a cell's processor seconds at every fraction."""
+    lines, stages = [], list(TIMES)
+    cells = rows.dropna(subset=["fraction", *stages])
+    cells = cells.assign(seconds=cells[stages].sum(axis=1))
+    for (part, backbone, mode, split), group in cells.groupby(["part", "backbone", "mode", "split"]):
+        means = group.groupby(["method", "fraction"])["seconds"].mean()
+        each = {method: means[method] for method in sorted(set(group["method"]))}
+        if min(map(len, each.values())) > 1:
+            spent = sum(SEEDS * np.interp(FRACTIONS, at.index, at).sum() for at in each.values()) / 60
+            pool = int(group["pool"].max()) if "pool" in group else int(group["presses"].max())
+            lines.append([part, backbone, mode, split, pool, len(each), f"{spent:.0f}", f"{spent / 2:.0f}"])
+    if not lines:
+        return ""
+    heading = ["part", "backbone", "mode", "split", "pool", "methods", "minutes of one core", "on two cores"]
+    return (
+        f"**A complete part**, {len(FRACTIONS)} fractions with {SEEDS} seeds, takes by these cells (fractions between "
+        f"them are interpolated; a busy machine takes longer):\n\n{table(heading, lines)}"
+    )
+
+
+def _at(curve: Curve, x: float) -> str:
+    (where,) = (curve.x == x).nonzero()
+    if not len(where):
+        return "-"
+    k = int(where[0])
+    if not np.isfinite(curve.low[k]):
+        return f"{curve.mean[k]:.3f}"
+    return f"{curve.mean[k]:.3f} [{curve.low[k]:.3f}, {curve.high[k]:.3f}]"
+
+
+def _spread(values: list[float]) -> list[float]:
+    """At most six of them, the first and the last included."""
+    count = min(6, len(values))
+    return [values[round(k * (len(values) - 1) / max(1, count - 1))] for k in range(count)]
+
+
+def _quarters(rows: "pd.DataFrame") -> "pd.DataFrame":
+    return rows[rows["fraction"].isin(_spread(sorted(rows["fraction"].dropna().unique())))]
+
+
+def same_in_every_seed(rows: "pd.DataFrame") -> "pd.DataFrame":
+    """Cells of several seeds whose scores are identical: one computation, whose lack of scatter says nothing.
+
+    Columns part, method, fraction, shots (NaN where not varied) and seeds.
+    """
+    import pandas as pd
+
+    sizes = [name for name in ("fraction", "shots") if name in rows]
+    grouped = rows.groupby(["part", "method", *sizes], dropna=False)["scores_sha256"]
+    found = pd.DataFrame({"seeds": grouped.size(), "results": grouped.nunique()}).reset_index()
+    return found[(found["seeds"] > 1) & (found["results"] == 1)].drop(columns="results")

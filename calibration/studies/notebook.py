@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.studies.bad_presses import study_bad_presses
+from calibration.studies.bad_presses_study import study_bad_presses
 from calibration.studies.cross_position_study import study_cross_position
 from calibration.studies.good_fraction_study import FRACTIONS, SHOTS, study_good_fraction
-from calibration.studies.page_parts import only_scored
+from calibration.studies.page import only_scored
 from calibration.studies.resolution_study import MOST_PRESSES, study_resolution
 from calibration.studies.rows import Rows, frame
 from calibration.studies.study import Options

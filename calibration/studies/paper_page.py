@@ -21,8 +21,7 @@ from calibration.studies.effects import (
     written,
 )
 from calibration.studies.intervals import is_drawn
-from calibration.studies.page import Page
-from calibration.studies.page_parts import by_setup, directions_table, only_scored, table
+from calibration.studies.page import Page, by_setup, directions_table, only_scored, table
 from calibration.studies.published import published, source, stable_fraction
 from calibration.studies.stable import stable_from
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.studies.intervals import mean_interval
-from calibration.studies.page_parts import table
+from calibration.studies.page import table
 from calibration.studies.rows import frame
 
 if TYPE_CHECKING:

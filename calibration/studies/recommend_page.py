@@ -2,8 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from calibration.studies.page import Page
-from calibration.studies.page_parts import by_setup, only_scored, table
+from calibration.studies.page import Page, by_setup, only_scored, table
 from calibration.studies.published import source
 from calibration.studies.recommend import Answer, recommended
 

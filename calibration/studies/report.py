@@ -1,9 +1,19 @@
-"""Pages made from rows alone. Each study has a page, a function in PAGES."""
+"""Pages made from rows alone."""
 
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calibration.studies import (
+    bad_presses_study,
+    cross_position_study,
+    good_fraction_study,
+    paper_page,
+    recommend_page,
+    resolution_study,
+    time_page,
+)
+from calibration.studies.figures import svg
 from calibration.studies.page import Page
 from calibration.studies.rows import rows_of_studies
 from edge.core.errors import ConfigError, StoreError
@@ -14,58 +24,14 @@ if TYPE_CHECKING:
 __all__ = ["PAGES", "write_report"]
 
 
-def _good_fraction(rows: "pd.DataFrame") -> Page:
-    from calibration.studies.good_fraction_page import page
-
-    return page(rows)
-
-
-def _cross_position(rows: "pd.DataFrame") -> Page:
-    from calibration.studies.cross_position_page import page
-
-    return page(rows)
-
-
-def _resolution(rows: "pd.DataFrame") -> Page:
-    from calibration.studies.resolution_page import page
-
-    return page(rows)
-
-
-def _bad_presses(rows: "pd.DataFrame") -> Page:
-    from calibration.studies.bad_presses_page import page
-
-    return page(rows)
-
-
-def _paper(rows: "pd.DataFrame") -> Page:
-    from calibration.studies.paper_page import page
-
-    return page(rows)
-
-
-def _recommend(rows: "pd.DataFrame") -> Page:
-    from calibration.studies.recommend_page import page
-
-    return page(rows)
-
-
-def _time(rows: "pd.DataFrame") -> Page:
-    from calibration.studies.time_page import page
-
-    return page(rows)
-
-
 COMPARED_WITH_THE_PAPER = ("good-fraction", "cross-position", "resolution")
 """The studies that repeat a validation of the paper."""
 
 PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {
-    "good-fraction": _good_fraction,
-    "cross-position": _cross_position,
-    "resolution": _resolution,
-    "bad-presses": _bad_presses,
+    study.STUDY: study.page
+    for study in (good_fraction_study, cross_position_study, resolution_study, bad_presses_study)
 }
-"""A study's page from its rows, by the study's name. Modules are imported at use."""
+"""A study's page from its rows, by the study's name."""
 
 
 def write_report(rows: Path, output: Path, say: Callable[[str], None] = lambda sentence: None) -> list[Path]:
@@ -89,9 +55,9 @@ def write_report(rows: Path, output: Path, say: Callable[[str], None] = lambda s
     ]
     repeated = every[every["study"].isin(COMPARED_WITH_THE_PAPER)]
     if not repeated.empty:
-        written.append(_write(output, "paper", _paper(repeated)))
-    written.append(_write(output, "recommend", _recommend(every)))
-    return [*written, _write(output, "time", _time(every))]
+        written.append(_write(output, "paper", paper_page.page(repeated)))
+    written.append(_write(output, "recommend", recommend_page.page(every)))
+    return [*written, _write(output, "time", time_page.page(every))]
 
 
 def _write(output: Path, name: str, page: Page) -> Path:
@@ -99,7 +65,7 @@ def _write(output: Path, name: str, page: Page) -> Path:
     try:
         output.mkdir(parents=True, exist_ok=True)
         for file, draw in page.figures.items():
-            (output / file).write_text(draw(), encoding="utf-8")
+            (output / file).write_text(svg(draw()), encoding="utf-8")
         target.write_text(page.markdown, encoding="utf-8")
     except OSError as error:
         raise StoreError(

@@ -6,10 +6,10 @@ the pool of nominal presses is capped; every view has the same capped pool.
 
 import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,21 @@ from calibration.dataset import LabelledPress
 from calibration.fitting.features import trunk_grid
 from calibration.fitting.trunks import Trunk, open_trunk
 from calibration.studies.cells import Cell, Split
+from calibration.studies.effects import COMPARED, effects, medians
+from calibration.studies.figures import conditions_figure
 from calibration.studies.material import Drawn, Material, Place, fit_cell, material
+from calibration.studies.page import (
+    Page,
+    compared_table,
+    effects_table,
+    make_page,
+    paper_note,
+    seeds_of,
+    table,
+)
 from calibration.studies.pictures import PressPictures
 from calibration.studies.presses import TEST_SEED, HeldOut, StudyPresses, hold_out, opened, presses_of, subset
+from calibration.studies.published import published
 from calibration.studies.rows import Rows
 from calibration.studies.scoring import Scored, TestPresses, measures
 from calibration.studies.study import (
@@ -37,12 +49,34 @@ from edge.core.detector import Progress
 from edge.core.errors import DatasetError, StoreError
 from edge.model.session import open_session
 
-__all__ = ["MOST_PRESSES", "STUDY", "ResolutionStudy", "ViewPlace", "capped_presses", "study_resolution"]
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "MOST_PRESSES",
+    "STUDY",
+    "ResolutionStudy",
+    "ViewPlace",
+    "capped_presses",
+    "page",
+    "study_resolution",
+]
 
 STUDY = "resolution"
 
 MOST_PRESSES = 40
 """Nominal presses of the pool, by default."""
+
+_COMMON = tuple(f"{measure}_common" for measure in COMPARED)
+
+_CONTROLS = (
+    ("lr", "lr_tiled", "the tiles and the denser features, without more detail"),
+    ("lr_tiled", "hr_tiled", "the detail alone: as many pixels, the same tiles"),
+    ("hr_full", "hr_tiled", "the tiles alone, on the same pictures"),
+    ("lr", "lr_full", "the field of view alone, at low resolution"),
+)
+"""Pairs of views that differ in little, and in what."""
 
 
 @dataclass(frozen=True)
@@ -213,3 +247,58 @@ def fine_places(options: Options) -> list[tuple[str, str]]:
             "`gelgate lab simulate paper` makes one"
         )
     return both
+
+
+def page(rows: "pd.DataFrame") -> Page:
+    """Make the page. rows: of this study."""
+    head = (
+        "# Does high resolution pay?\n\n"
+        f"Parts {', '.join(sorted(rows['part'].unique()))}; at most {int(rows['most_presses'].max())} nominal presses "
+        f"in the pool, the same for every view; {int(rows['held_out'].max())} nominal presses and all defective ones "
+        f"are scored. Medians over {seeds_of(rows, 'view')} seeds.\n\n{paper_note()}\n"
+        f"{table(['view', 'picture', 'inspected', 'in tiles'], map(_described, VIEWS))}\n"
+        "Every view has the same normalisation of pixels: it is part of the trunk. The paper's low and high resolution "
+        "differ in field of view, masks and share of damaged pixels; the common measures are computed in the field of "
+        "view of `lr`, on the pixels and masks of 1280x720, for every view.\n"
+    )
+    return make_page(rows, "view", head, _setup, _draw)
+
+
+def _draw(rows: "pd.DataFrame") -> "Figure":
+    title = "AU-PRO@0.01, common field of view"
+    return conditions_figure(rows, "view", _views_of(rows), "aupro_001_common", title)
+
+
+def _views_of(rows: "pd.DataFrame") -> list[str]:
+    return [view for view in VIEWS if view in set(rows["view"])]
+
+
+def _described(name: str) -> tuple[str, str, str, str]:
+    view = VIEWS[name]
+    scaled = view.view.scaled_to
+    picture = "{}x{}".format(*view.view.size) + ("" if scaled is None else " scaled to {}x{}".format(*scaled))
+    return (
+        f"`{name}`",
+        picture,
+        f"{view.view.shape[1]}x{view.view.shape[0]}",
+        "yes" if view.is_tiled else "no",
+    )
+
+
+def _setup(rows: "pd.DataFrame") -> Iterator[str]:
+    paper, ours = published(STUDY), medians(rows, "view")
+    views, names = _views_of(rows), {"lr": "lr", "hr_tiled": "hr"}
+    conditions = [(view, names.get(view, ""), f"`{view}`") for view in views]
+    yield from (compared_table(ours, paper, measure, conditions) for measure in COMPARED)
+    if {"lr", "hr_tiled"} <= set(views):
+        found = effects(rows, "view", "lr", "hr_tiled", paper, ("lr", "hr"))
+        yield effects_table(found, "From low resolution to high resolution in tiles, each on its own masks")
+    yield "### Common field of view and masks\n"
+    common = medians(rows, "view", _COMMON)
+    yield from (compared_table(common, {}, measure, conditions) for measure in _COMMON)
+    for before, after, what in _CONTROLS:
+        measured = effects(rows, "view", before, after, {}, ("", ""), ("aupro_001_common",))
+        lines = [[e.method, e.part, f"{e.difference:+.4f}", e.ours] for e in measured]
+        if lines:
+            heading = ["method", "part", "mean difference of AU-PRO@0.01", "direction"]
+            yield f"From `{before}` to `{after}`: {what}.\n\n{table(heading, lines)}"

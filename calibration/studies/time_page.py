@@ -2,8 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from calibration.studies.page import Page
-from calibration.studies.page_parts import only_scored, table
+from calibration.studies.page import Page, only_scored, table
 from calibration.studies.rows import TIMES
 
 if TYPE_CHECKING:

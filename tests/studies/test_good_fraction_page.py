@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 from command_line import gelgate
 
-from calibration.studies.curves import curves, gel_share, same_in_every_seed
-from calibration.studies.good_fraction_page import page
+from calibration.studies.figures import curves, gel_share, svg
+from calibration.studies.good_fraction_study import page, same_in_every_seed
 from calibration.studies.report import write_report
 from edge.core.errors import ConfigError, StoreError
 
@@ -155,9 +155,9 @@ def test_the_page_is_the_same_in_every_run() -> None:
 
     assert first.markdown == second.markdown
     assert all(f"]({name})" in first.markdown for name in first.figures)
-    drawn = {name: draw() for name, draw in first.figures.items()}
-    assert drawn == {name: draw() for name, draw in second.figures.items()}
-    assert not any(re.search(r"<dc:date>|20\d\d-\d\d-\d\dT", svg) for svg in drawn.values())
+    drawn = {name: svg(draw()) for name, draw in first.figures.items()}
+    assert drawn == {name: svg(draw()) for name, draw in second.figures.items()}
+    assert not any(re.search(r"<dc:date>|20\d\d-\d\d-\d\dT", text) for text in drawn.values())
 
 
 def test_a_full_study_has_small_figures() -> None:
@@ -173,7 +173,7 @@ def test_a_full_study_has_small_figures() -> None:
         ]
     )
     every["aupro_001"] = rng.uniform(0.5, 1, len(every))
-    sizes = [len(draw()) for draw in page(every).figures.values()]
+    sizes = [len(svg(draw())) for draw in page(every).figures.values()]
 
     assert len(sizes) == 3 + 5
     assert max(sizes) < 300_000

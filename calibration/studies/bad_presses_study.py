@@ -4,20 +4,26 @@ Half of the defective presses may be mixed into the nominal ones, the other half
 so that shares can be compared. The number of presses does not change; damaged ones take the place of nominal ones.
 """
 
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.studies.cells import Cell
+from calibration.studies.effects import COMPARED, effects, medians
 from calibration.studies.good_fraction_study import presses_in
 from calibration.studies.material import Drawn, fit_cell, material
+from calibration.studies.page import Page, compared_table, fractions_of, make_page, percent, seeds_of, table
 from calibration.studies.presses import TEST_SEED, hold_out, opened, subset
 from calibration.studies.rows import Rows
 from calibration.studies.study import Evaluation, Options, chosen_places, make_cells, prepare, run_cells
 from edge.core.errors import DatasetError
 
-__all__ = ["BAD_SHARES", "STUDY", "BadPresses", "halves", "mixed", "study_bad_presses"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["BAD_SHARES", "STUDY", "BadPresses", "halves", "mixed", "page", "study_bad_presses"]
 
 STUDY = "bad-presses"
 
@@ -77,3 +83,24 @@ def study_bad_presses(options: Options) -> Rows:
         for split in options.splits:
             hold_out(found.presses, options.held_out, split)
     return run_cells(cells, evaluate, options, materials)
+
+
+def page(rows: "pd.DataFrame") -> Page:
+    """Make the page. rows: of this study."""
+    head = (
+        "# What do damaged presses among the nominal ones cost?\n\n"
+        f"Parts {', '.join(sorted(rows['part'].unique()))}. Each bank is of a share of the nominal presses; damaged "
+        f"presses take the place of some. Medians over {seeds_of(rows, 'bad')} seeds.\n"
+    )
+    return make_page(rows, "bad", head, _setup, name=percent)
+
+
+def _setup(rows: "pd.DataFrame") -> Iterator[str]:
+    shares = sorted(rows["bad"].unique())
+    conditions = [(f"{share:g}", "", percent(share)) for share in shares]
+    yield f"Share of the nominal presses: {fractions_of(rows)}.\n"
+    yield from (compared_table(medians(rows, "bad"), {}, measure, conditions) for measure in COMPARED)
+    yield f"Change of AU-PRO@0.01 from {percent(shares[0])} to {percent(shares[-1])}.\n"
+    found = effects(rows, "bad", shares[0], shares[-1], {}, ("", ""), ("aupro_001",))
+    lines = [[e.method, e.part, f"{e.difference:+.4f}", e.ours] for e in found]
+    yield table(["method", "part", "mean difference", "direction"], lines)
