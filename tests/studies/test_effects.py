@@ -7,7 +7,7 @@ import pytest
 
 pd = pytest.importorskip("pandas", reason="SKIPPED, NOT TESTED: the extra `studies` brings pandas")
 
-from calibration.studies import cross_position_page, resolution_page  # noqa: E402
+from calibration.studies import cross_position_study, resolution_study  # noqa: E402
 from calibration.studies.effects import agreement, direction, effects, published_direction  # noqa: E402
 from calibration.studies.published import published  # noqa: E402
 from calibration.studies.views import VIEWS  # noqa: E402
@@ -64,7 +64,7 @@ def test_effects_are_set_next_to_the_papers() -> None:
     }
 
 
-@pytest.mark.parametrize(("page", "table"), [(cross_position_page, CROSSED), (resolution_page, FINE)])
+@pytest.mark.parametrize(("page", "table"), [(cross_position_study, CROSSED), (resolution_study, FINE)])
 def test_every_number_in_brackets_is_the_papers(page: Any, table: "pd.DataFrame") -> None:
     """No number is typed into a page."""
     study = table["study"][0]
@@ -79,7 +79,7 @@ def test_every_number_in_brackets_is_the_papers(page: Any, table: "pd.DataFrame"
 
 def test_the_cross_position_page_counts_what_agrees() -> None:
     """From none to 5 %: ten of twelve directions agree; beyond, nothing changes here."""
-    text = cross_position_page.page(CROSSED).markdown
+    text = cross_position_study.page(CROSSED).markdown
 
     assert "From 0 % to 5 % of the second position: 10 agree, 2 differ, 0 undecided." in text
     assert "From 5 % to 15 % of the second position: 0 agree, 0 differ, 12 undecided." in text
@@ -88,7 +88,7 @@ def test_the_cross_position_page_counts_what_agrees() -> None:
 
 def test_the_page_says_what_the_study_cost() -> None:
     """120 cells of 6 processor seconds are 12 minutes."""
-    text = cross_position_page.page(CROSSED).markdown
+    text = cross_position_study.page(CROSSED).markdown
 
     assert "the 120 cells of this table took 12 minutes of one core" in text
     assert "| 5 % | padim | 10 | 9 | 1.00 | 2.00 | 3.00 | 1.0 |" in text
@@ -96,7 +96,7 @@ def test_the_page_says_what_the_study_cost() -> None:
 
 def test_seeds_that_learn_the_same_presses_give_no_direction() -> None:
     """With the cap of the pool as many as are learnt, ten seeds are one bank."""
-    text = resolution_page.page(FINE.assign(presses=40)).markdown
+    text = resolution_study.page(FINE.assign(presses=40)).markdown
 
     assert "0 agree, 0 differ, 12 undecided" in text
     assert "| +0.1000 | undecided |" in text
@@ -104,7 +104,7 @@ def test_seeds_that_learn_the_same_presses_give_no_direction() -> None:
 
 def test_the_resolution_page_separates_detail_from_tiles() -> None:
     """The gain of 0.2 is 0.1 by tiles and 0.1 by detail in these rows."""
-    text = resolution_page.page(FINE).markdown
+    text = resolution_study.page(FINE).markdown
 
     assert re.search(r"From `lr` to `lr_tiled`: .*\n\n.*\n.*\n\| fapm \| PZ3 \| \+0\.1000 \| up", text)
     assert re.search(r"From `lr_tiled` to `hr_tiled`: .*\n\n.*\n.*\n\| fapm \| PZ3 \| \+0\.1000 \| up", text)
@@ -117,7 +117,7 @@ def test_both_splits_are_compared_and_refusals_are_listed() -> None:
     """How much a split by press flatters, and what could not be scored."""
     harder = CROSSED.assign(split="specimen", aupro_001=CROSSED["aupro_001"] - 0.1)
     refused = CROSSED[:1].assign(error="the trunk lacks a tap", aupro_001=None)
-    text = cross_position_page.page(pd.concat([CROSSED, harder, refused], ignore_index=True)).markdown
+    text = cross_position_study.page(pd.concat([CROSSED, harder, refused], ignore_index=True)).markdown
 
     assert re.search(
         r"\| tiny \| corrected \| padim \| PZ3 \| 30 \| 0\.\d{4} \| 0\.\d{4} \| \+0\.1000 \|", text
