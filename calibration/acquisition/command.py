@@ -3,8 +3,8 @@
 import math
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,6 +23,7 @@ from calibration.fitting.options import (
     Threads,
 )
 from calibration.fitting.trunks import AUTO
+from edge.cli.arguments import flatten
 
 if TYPE_CHECKING:
     from calibration.acquisition.acquiring import Acquiring
@@ -30,69 +31,68 @@ if TYPE_CHECKING:
     from calibration.acquisition.sources import FreeGel, LeftOut, Press
     from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["Plan", "acquire", "alpha", "fit_command", "fit_now"]
+__all__ = ["AcquireArguments", "acquire", "alpha", "fit_command", "fit_now"]
 
 # A limit on memory: 4 bytes for each pair of presses and each cell, 125 MB on the default region.
 MOST_PRESSES = 200
 
-Sources = Annotated[
-    list[Path] | None,
-    typer.Argument(metavar="[SOURCE...]", help="Recordings, datasets or pictures in place of a sensor."),
-]
-Output = Annotated[
-    Path,
-    typer.Option("--output", "-o", help="Folder of the acquisition: new, or one to continue."),
-]
-Station = Annotated[
-    Path | None,
-    typer.Option("--config", "-c", help="A station's TOML file: its sensor is read.", show_default=False),
-]
-DeviceName = Annotated[str | None, typer.Option("--device", help="A device plugin, such as gelsight_mini.")]
-OptionTexts = Annotated[
-    list[str] | None, typer.Option("--option", help="A device option, as name=value; repeatable.")
-]
-Method = Annotated[
-    str, typer.Option(help="The detector that will be fitted, or 'auto'; its first tap is compared.")
-]
-Each = Annotated[
-    int | None,
-    typer.Option("--per-piece", min=1, help="A new piece is put in after this number of presses."),
-]
-Enter = Annotated[
-    bool,
-    typer.Option("--enter", help="A new piece is in place whenever a line is entered (the Enter key)."),
-]
-Rate = Annotated[float, typer.Option("--promise", help="The rate of false alarms to promise.")]
-Confidence = Annotated[float, typer.Option(help="How sure the promise is.")]
-Most = Annotated[int, typer.Option("--most", min=1, max=MOST_PRESSES, help="Stop at this number of presses.")]
-GoOn = Annotated[bool, typer.Option("--go-on", help="Do not stop when presses are enough, but at --most.")]
-FitTo = Annotated[Path | None, typer.Option("--fit", help="Fit this bundle at the end.", show_default=False)]
+
+@dataclass(frozen=True)
+class AcquireArguments:
+    """What the command line says."""
+
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder of the acquisition: new, or one to continue.")
+    ]
+    sources: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[SOURCE...]", help="Recordings, datasets or pictures in place of a sensor."),
+    ] = None
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", "-c", help="A station's TOML file: its sensor is read.", show_default=False),
+    ] = None
+    device: Annotated[
+        str | None, typer.Option("--device", help="A device plugin, such as gelsight_mini.")
+    ] = None
+    option: Annotated[
+        list[str] | None, typer.Option("--option", help="A device option, as name=value; repeatable.")
+    ] = None
+    part: Part = None
+    position: Position = None
+    method: Annotated[
+        str, typer.Option(help="The detector that will be fitted, or 'auto'; its first tap is compared.")
+    ] = DEFAULT_METHOD
+    backbone: ChosenBackbone = AUTO
+    profile: Profile = ""
+    region: RegionText = "centre"
+    no_contact: NoContact = None
+    resize: Resize = False
+    pattern: Pattern = None
+    per_piece: Annotated[
+        int | None,
+        typer.Option("--per-piece", min=1, help="A new piece is put in after this number of presses."),
+    ] = None
+    enter: Annotated[
+        bool,
+        typer.Option("--enter", help="A new piece is in place whenever a line is entered (the Enter key)."),
+    ] = False
+    promise: Annotated[float, typer.Option("--promise", help="The rate of false alarms to promise.")] = 0.1
+    confidence: Annotated[float, typer.Option(help="How sure the promise is.")] = 0.9
+    most: Annotated[
+        int, typer.Option("--most", min=1, max=MOST_PRESSES, help="Stop at this number of presses.")
+    ] = 100
+    go_on: Annotated[
+        bool, typer.Option("--go-on", help="Do not stop when presses are enough, but at --most.")
+    ] = False
+    fit: Annotated[
+        Path | None, typer.Option("--fit", help="Fit this bundle at the end.", show_default=False)
+    ] = None
+    threads: Threads = 2
 
 
-def acquire(
-    output: Output,
-    sources: Sources = None,
-    config: Station = None,
-    device: DeviceName = None,
-    option: OptionTexts = None,
-    part: Part = None,
-    position: Position = None,
-    method: Method = DEFAULT_METHOD,
-    backbone: ChosenBackbone = AUTO,
-    profile: Profile = "",
-    region: RegionText = "centre",
-    no_contact: NoContact = None,
-    resize: Resize = False,
-    pattern: Pattern = None,
-    per_piece: Each = None,
-    enter: Enter = False,
-    promise: Rate = 0.1,
-    confidence: Confidence = 0.9,
-    most: Most = 100,
-    go_on: GoOn = False,
-    fit: FitTo = None,
-    threads: Threads = 2,
-) -> None:
+@flatten
+def acquire(given: AcquireArguments) -> None:
     """Take nominal presses until they are enough, then fit.
 
     After each press: what is new on it, and what its number promises. Every press is kept at once; after Ctrl-C the
@@ -100,58 +100,37 @@ def acquire(
     """
     from calibration.fitting.command import chosen_profile, refuse_existing
 
-    _check(sources, config, device, promise, confidence, per_piece, enter)
-    if fit is not None:
-        refuse_existing(fit, overwrite=False)
-    sensor = chosen_profile(profile, sources or [])
-    stream, part, position, limit = _stream(
-        sources, config, device, option, part, position, sensor, no_contact, resize, pattern
-    )
-    plan = Plan(part, position, sensor.name, region, method, backbone, resize)
-    acquiring = _acquiring(output, plan, sensor, per_piece, enter, (promise, confidence), threads)
+    _check(given)
+    if given.fit is not None:
+        refuse_existing(given.fit, overwrite=False)
+    sensor = chosen_profile(given.profile, given.sources or [])
+    stream, part, position, limit = _stream(given, sensor)
+    plan = replace(given, part=part, position=position, profile=sensor.name)
+    acquiring = _acquiring(plan, part, position, sensor)
     try:
-        _run(acquiring, stream, limit, most, go_on)
+        _run(acquiring, stream, limit, given.most, given.go_on)
     except KeyboardInterrupt:
         typer.echo("stopped with Ctrl-C", err=True)
-    _finish(acquiring, plan, limit, fit, threads)
+    _finish(acquiring, plan, limit)
 
 
-def _check(
-    sources: Sequence[Path] | None,
-    config: Path | None,
-    device: str | None,
-    promise: float,
-    confidence: float,
-    per_piece: int | None,
-    enter: bool,
-) -> None:
+def _check(given: AcquireArguments) -> None:
     """Check the options. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
-    if sum(bool(given) for given in (sources, config, device)) != 1:
+    if sum(bool(source) for source in (given.sources, given.config, given.device)) != 1:
         raise ConfigError("name one of SOURCE, --config and --device; `gelgate devices` lists the devices")
-    for name, value in (("--promise", promise), ("--confidence", confidence)):
+    for name, value in (("--promise", given.promise), ("--confidence", given.confidence)):
         if not 0 < value < 1:
             raise ConfigError(f"{name} lies between 0 and 1, found {value}; 0.1 is one in ten")
-    if per_piece is not None and enter:
+    if given.per_piece is not None and given.enter:
         raise ConfigError("--per-piece and --enter are two ways to say when a piece is new; give one of them")
 
 
 Stream = Iterator["Press | FreeGel | LeftOut"]
 
 
-def _stream(
-    sources: list[Path] | None,
-    config: Path | None,
-    device: str | None,
-    option: Sequence[str] | None,
-    part: str | None,
-    position: str | None,
-    profile: "SensorProfile",
-    no_contact: Sequence[Path] | None,
-    resize: bool,
-    pattern: str | None,
-) -> tuple[Stream, str, str, int]:
+def _stream(given: AcquireArguments, profile: "SensorProfile") -> tuple[Stream, str, str, int]:
     """The presses, their part and position, and how many presses the gel is rated for. Errors: as the sources'."""
     from calibration.acquisition.sources import (
         frames_of,
@@ -165,39 +144,33 @@ def _stream(
     from edge.clock import SystemClock
     from edge.core.gel import DEFAULT_LIMIT_PRESSES
 
-    if sources:
-        found = found_sources(sources, part, position, profile)
+    if given.sources:
+        found = found_sources(given.sources, given.part, given.position, profile)
         stream = from_sources(
             found.paths,
             profile,
             found.specimens,
-            no_contact=no_contact or (),
-            resize=resize,
-            pattern=pattern,
+            no_contact=given.no_contact or (),
+            resize=given.resize,
+            pattern=given.pattern,
         )
         return stream, found.part, found.position, DEFAULT_LIMIT_PRESSES
-    if part is None:
+    if given.part is None:
         raise typer.BadParameter("Missing option '--part': a sensor does not know what is pressed.")
     clock = SystemClock()
-    if config is not None:
-        sensor = station_device(config, profile, clock)
+    if given.config is not None:
+        sensor = station_device(given.config, profile, clock)
     else:
-        sensor = open_named(device or "", option or [], clock)
+        sensor = open_named(given.device or "", given.option or [], clock)
     frames = frames_of(sensor, clock, lambda text: typer.echo(text, err=True))
     finder = PressFinder(profile, sensor.contact)
-    stream = from_frames(((frame, None) for frame in frames), finder, profile, device or str(config))
-    return stream, part, position or "default", sensor.gel_limit
+    stream = from_frames(
+        ((frame, None) for frame in frames), finder, profile, given.device or str(given.config)
+    )
+    return stream, given.part, given.position or "default", sensor.gel_limit
 
 
-def _acquiring(
-    output: Path,
-    plan: "Plan",
-    profile: "SensorProfile",
-    per_piece: int | None,
-    enter: bool,
-    goal: tuple[float, float],
-    threads: int,
-) -> "Acquiring":
+def _acquiring(plan: AcquireArguments, part: str, position: str, profile: "SensorProfile") -> "Acquiring":
     from calibration.acquisition.acquiring import Acquiring
     from calibration.acquisition.coverage import Goal
     from calibration.acquisition.folder import About, AcquisitionFolder, Keys, Pieces
@@ -211,12 +184,13 @@ def _acquiring(
     detector = registry.detector(usual.methods[0])
     tap = detector.taps(detector.parameters())[0]
     trunk = open_trunk(usual.trunks[0], (tap,))
-    folder = AcquisitionFolder(output, About(plan.part, plan.position, plan.profile, str(region)))
+    folder = AcquisitionFolder(plan.output, About(part, position, plan.profile, str(region)))
     if folder.presses:
-        typer.echo(f"{output} has {len(folder.presses)} presses already; they count")
-    pieces = Pieces(folder.presses, per_piece, Keys(sys.stdin) if enter else None)
+        typer.echo(f"{plan.output} has {len(folder.presses)} presses already; they count")
+    pieces = Pieces(folder.presses, plan.per_piece, Keys(sys.stdin) if plan.enter else None)
+    goal = Goal(plan.promise, plan.confidence)
     return Acquiring(
-        folder, trunk, tap, profile, region, pieces, Goal(*goal), resize=plan.resize, threads=threads
+        folder, trunk, tap, profile, region, pieces, goal, resize=plan.resize, threads=plan.threads
     )
 
 
@@ -246,7 +220,7 @@ def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: b
             typer.echo(f"put in piece {acquiring.pieces.next}")
 
 
-def _finish(acquiring: "Acquiring", plan: "Plan", limit: int, fit: Path | None, threads: int) -> None:
+def _finish(acquiring: "Acquiring", plan: AcquireArguments, limit: int) -> None:
     """The summary, the map, and the fit or its command. Errors: FitError where no press was taken."""
     from calibration.acquisition.report import summary_lines
     from edge.core.errors import FitError
@@ -258,26 +232,13 @@ def _finish(acquiring: "Acquiring", plan: "Plan", limit: int, fit: Path | None, 
     typer.echo("\n".join(summary_lines(standing, limit)))
     if (picture := acquiring.map()) is not None:
         typer.echo(f"where something is still new: {picture}")
-    if fit is None:
+    if plan.fit is None:
         typer.echo(f"fit them with:\n  {fit_command(acquiring.folder.root, plan, standing)}")
     else:
-        fit_now(acquiring.folder.root, plan, standing, fit, threads)
+        fit_now(acquiring.folder.root, plan, standing, plan.fit)
 
 
 USUAL_ALPHA = 0.05
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What was acquired and how it is seen, in the words of `fit`."""
-
-    part: str
-    position: str
-    profile: str
-    region: str
-    method: str
-    backbone: str
-    resize: bool
 
 
 def alpha(standing: "Standing") -> float:
@@ -289,18 +250,18 @@ def alpha(standing: "Standing") -> float:
     return min(USUAL_ALPHA, math.ceil(1e4 / (pieces + 1)) / 1e4)
 
 
-def fit_command(folder: Path, plan: Plan, standing: "Standing") -> str:
-    """The command line that fits the acquired presses."""
+def fit_command(folder: Path, plan: AcquireArguments, standing: "Standing") -> str:
+    """Return the command line that fits the acquired presses."""
     words = ["gelgate", "fit", str(folder / "presses"), "-o", f"{plan.part}.bundle"]
     if any((folder / "free").iterdir()):
         words += ["--no-contact", str(folder / "free")]
-    words += ["--part", plan.part, "--position", plan.position, "--profile", plan.profile]
-    words += ["--region", plan.region, "--method", plan.method, "--backbone", plan.backbone]
+    for name in ("part", "position", "profile", "region", "method", "backbone"):
+        words += [f"--{name}", str(getattr(plan, name))]
     words += ["--alpha", f"{alpha(standing):g}"] + ["--resize"] * plan.resize
     return shlex.join(words)
 
 
-def fit_now(folder: Path, plan: Plan, standing: "Standing", output: Path, threads: int) -> None:
+def fit_now(folder: Path, plan: AcquireArguments, standing: "Standing", output: Path) -> None:
     """Fit the acquired presses and print the summary. Errors: as `gelgate fit`."""
     from calibration.fitting.command import fit
 
@@ -316,5 +277,5 @@ def fit_now(folder: Path, plan: Plan, standing: "Standing", output: Path, thread
         alpha=alpha(standing),
         no_contact=[folder / "free"] if any((folder / "free").iterdir()) else None,
         resize=plan.resize,
-        threads=threads,
+        threads=plan.threads,
     )

@@ -8,15 +8,19 @@ the command that gives them.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from calibration.fitting.candidates import DEFAULT_METHOD
 from calibration.studies.evidence import Mean, Sample, Samples, Standing, ranking
 from calibration.studies.intervals import is_drawn
-from calibration.studies.published import judgements, no_fixture
+from calibration.studies.page import Page, by_setup, only_scored, table
+from calibration.studies.published import judgements, no_fixture, source
 from edge.core.errors import ConfigError
 
-__all__ = ["NEEDS", "Answer", "Question", "answered", "recommended"]
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["NEEDS", "Answer", "Question", "answered", "page", "recommended"]
 
 Row = Mapping[str, Any]
 
@@ -29,31 +33,41 @@ FEW_SHOT = 0.05
 CLOSE = 0.05
 """Where the rows do not decide, a mean this far below the highest is as good for the choice."""
 
-_SPAN_OF_A_GAIN = (-1.0, 1.0)
-
 
 @dataclass(frozen=True)
 class Question:
-    """One question to the rows.
+    """One question to the rows."""
 
-    title: as it is printed, with the measure. study: whose rows answer it. values: of one row set by method, empty
-    where the rows do not cover the question. command: what gives the rows. column: of the paper's Table 4. span: the
-    lowest and highest value possible.
-    """
-
+    need: str
+    """The need that it belongs to."""
     title: str
+    """As it is printed, with the measure."""
     study: str
+    """Whose rows answer it."""
     values: Callable[[Sequence[Row]], Samples]
-    command: str
+    """The values of one row set by method, empty where the rows do not cover the question."""
+    column: str | None = None
+    """Of the paper's Table 4."""
+    span: tuple[float, float] = (0.0, 1.0)
+    """The lowest and highest value possible."""
+    parts: Sequence[str] = ()
+    """Which it is about; all if empty."""
     higher_is_better: bool = True
     unit: str = ""
-    column: str | None = None
-    span: tuple[float, float] = (0.0, 1.0)
 
     @property
     def judgements(self) -> Mapping[str, str]:
         """What the paper says of each method."""
         return {} if self.column is None else judgements(self.column)
+
+    @property
+    def command(self) -> str:
+        """What gives the rows."""
+        words = [
+            f"gelgate lab study {self.study} DATASET -o FOLDER",
+            *(f"--part {part}" for part in self.parts),
+        ]
+        return " ".join(words)
 
 
 @dataclass(frozen=True)
@@ -163,10 +177,6 @@ def _at_all(rows: Sequence[Row], measure: str = "aupro_001") -> Samples:
     return by_method([r for r in rows if r.get("fraction") == max(shares)], measure) if shares else {}
 
 
-def _unfixed(rows: Sequence[Row]) -> Samples:
-    return _at_all([row for row in rows if row["part"] in no_fixture()])
-
-
 def _at_most_bad(rows: Sequence[Row]) -> Samples:
     """Where few damaged presses can be learnt, a method with a large bank has no row of a large share."""
     of_share = {share: [r for r in rows if r["bad"] == share] for share in {r["bad"] for r in rows}}
@@ -189,103 +199,77 @@ def _head_time(rows: Sequence[Row]) -> Samples:
 
 _HEAD_MS = "head_ms"
 
-_GOOD = "gelgate lab study good-fraction DATASET -o FOLDER"
-_CROSS = "gelgate lab study cross-position DATASET -o FOLDER"
-_FINE = "gelgate lab study resolution DATASET -o FOLDER"
 
-NEEDS: Mapping[str, tuple[Question, ...]] = {
-    "few-presses": (
-        Question(
-            f"few presses: AU-PRO@0.01 with {FEW} presses or fewer",
-            "good-fraction",
-            _at_few,
-            _GOOD,
-            column="few nominal contacts",
-        ),
+def _gain(measure: str, column: str, before: object, after: object) -> Callable[[Sequence[Row]], Samples]:
+    return lambda rows: gains(rows, measure, column, before, after)
+
+
+_GAIN = (-1.0, 1.0)
+
+QUESTIONS = (
+    Question(
+        "few-presses",
+        f"few presses: AU-PRO@0.01 with {FEW} presses or fewer",
+        "good-fraction", _at_few, "few nominal contacts",
     ),
-    "localisation": (
-        Question(
-            "localisation at low resolution: AU-PRO@0.01 with the largest share of presses",
-            "good-fraction",
-            _at_all,
-            _GOOD,
-            column="LR localization",
-        ),
+    Question(
+        "localisation",
+        "localisation at low resolution: AU-PRO@0.01 with the largest share of presses",
+        "good-fraction", _at_all, "LR localization",
     ),
-    "cross-position": (
-        Question(
-            "another position, none of its presses: AU-PRO@0.01 of both positions",
-            "cross-position",
-            lambda rows: by_method([r for r in rows if r["target_fraction"] == 0], "aupro_001"),
-            _CROSS,
-            column="zero-shot cross-pos.",
-        ),
-        Question(
-            f"another position, gain in AU-PRO@0.01 by {FEW_SHOT:.0%} of its presses",
-            "cross-position",
-            lambda rows: gains(rows, "aupro_001", "target_fraction", 0.0, FEW_SHOT),
-            _CROSS,
-            column="few-shot cross-pos. gain",
-            span=_SPAN_OF_A_GAIN,
-        ),
+    Question(
+        "cross-position",
+        "another position, none of its presses: AU-PRO@0.01 of both positions",
+        "cross-position",
+        lambda rows: by_method([r for r in rows if r["target_fraction"] == 0], "aupro_001"),
+        "zero-shot cross-pos.",
     ),
-    "high-resolution": (
-        Question(
-            "high resolution: AU-PRO@0.01 in tiles, in the field of view of both resolutions",
-            "resolution",
-            lambda rows: by_method([r for r in rows if r["view"] == "hr_tiled"], "aupro_001_common"),
-            _FINE,
-        ),
-        Question(
-            "high resolution: gain in AU-PRO@0.01 over low resolution, same field of view and masks",
-            "resolution",
-            lambda rows: gains(rows, "aupro_001_common", "view", "lr", "hr_tiled"),
-            _FINE,
-            column="HR benefit",
-            span=_SPAN_OF_A_GAIN,
-        ),
-        Question(
-            "high resolution: gain by its detail alone, over low resolution scaled up and tiled",
-            "resolution",
-            lambda rows: gains(rows, "aupro_001_common", "view", "lr_tiled", "hr_tiled"),
-            _FINE,
-            span=_SPAN_OF_A_GAIN,
-        ),
+    Question(
+        "cross-position",
+        f"another position, gain in AU-PRO@0.01 by {FEW_SHOT:.0%} of its presses",
+        "cross-position", _gain("aupro_001", "target_fraction", 0.0, FEW_SHOT), "few-shot cross-pos. gain", _GAIN,
     ),
-    "no-fixture": (
-        Question(
-            f"no fixture: AU-PRO@0.01 on {', '.join(no_fixture())} with the largest share of presses",
-            "good-fraction",
-            _unfixed,
-            f"{_GOOD} {' '.join(f'--part {part}' for part in no_fixture())}",
-        ),
+    Question(
+        "high-resolution",
+        "high resolution: AU-PRO@0.01 in tiles, in the field of view of both resolutions",
+        "resolution",
+        lambda rows: by_method([r for r in rows if r["view"] == "hr_tiled"], "aupro_001_common"),
     ),
-    "bad-presses": (
-        Question(
-            "damaged presses among the nominal ones: AU-PRO@0.01 with the largest share of them that every method has",
-            "bad-presses",
-            _at_most_bad,
-            "gelgate lab study bad-presses DATASET -o FOLDER",
-        ),
+    Question(
+        "high-resolution",
+        "high resolution: gain in AU-PRO@0.01 over low resolution, same field of view and masks",
+        "resolution", _gain("aupro_001_common", "view", "lr", "hr_tiled"), "HR benefit", _GAIN,
     ),
-    "least-time": (
-        Question(
-            "least time: processor milliseconds of the head per press, the largest share of presses in the bank",
-            "good-fraction",
-            _head_time,
-            _GOOD,
-            higher_is_better=False,
-            unit=" ms",
-            span=(0.0, math.inf),
-        ),
+    Question(
+        "high-resolution",
+        "high resolution: gain by its detail alone, over low resolution scaled up and tiled",
+        "resolution", _gain("aupro_001_common", "view", "lr_tiled", "hr_tiled"), span=_GAIN,
     ),
-}
-"""What `--need` takes, with the questions that are asked of the rows."""
+    Question(
+        "no-fixture",
+        f"no fixture: AU-PRO@0.01 on {', '.join(no_fixture())} with the largest share of presses",
+        "good-fraction", _at_all, parts=no_fixture(),
+    ),
+    Question(
+        "bad-presses",
+        "damaged presses among the nominal ones: AU-PRO@0.01 with the largest share of them that every method has",
+        "bad-presses", _at_most_bad,
+    ),
+    Question(
+        "least-time",
+        "least time: processor milliseconds of the head per press, the largest share of presses in the bank",
+        "good-fraction", _head_time, span=(0.0, math.inf), higher_is_better=False, unit=" ms",
+    ),
+)  # fmt: skip
+
+NEEDS = tuple(dict.fromkeys(question.need for question in QUESTIONS))
+"""What `--need` takes."""
 
 
 def answered(question: Question, rows: Sequence[Row]) -> Answer:
     """The answer of rows of one mode, backbone and split; rows with an error count as missing."""
     own = [row for row in rows if row["study"] == question.study and row.get("error") is None]
+    own = [row for row in own if not question.parts or row["part"] in question.parts]
     try:
         samples = question.values(own) if own else {}
     except ConfigError as error:
@@ -298,4 +282,45 @@ def answered(question: Question, rows: Sequence[Row]) -> Answer:
 
 def recommended(rows: Sequence[Row], needs: Sequence[str] = ()) -> list[Answer]:
     """The answers to some needs, or to all."""
-    return [answered(question, rows) for need in needs or NEEDS for question in NEEDS[need]]
+    asked = [question for need in needs or NEEDS for question in QUESTIONS if question.need == need]
+    return [answered(question, rows) for question in asked]
+
+
+def page(rows: "pd.DataFrame") -> Page:
+    """Make the page. rows: of all studies."""
+    sections = [
+        "# Which method to take\n",
+        "The answers of `gelgate lab recommend` from these rows. Each method has its mean with a 95 % interval: "
+        "over the "
+        "parts, or over the draws of presses where there is one part. A method is the answer if the interval of its "
+        "advantage over each other one is above zero. Where none is, a sentence says what to take then. The last "
+        f"column is the judgement of Table 4 of: {source()}.\n",
+    ]
+    for title, group in by_setup(only_scored(rows)):
+        records = group.astype(object).where(group.notna(), None).to_dict("records")
+        answers = [answer for answer in recommended(records) if answer.standing is not None or answer.refusal]
+        sections += [f"## {title}\n", *map(_section, answers)]
+    return Page("\n".join(sections))
+
+
+def _section(answer: Answer) -> str:
+    question = answer.question
+    then = f" {answer.then}" if answer.then else ""
+    title = f"### {question.title[0].upper() + question.title[1:]}\n\n**{answer.verdict}**{then}\n"
+    if answer.standing is None:
+        return title
+    means = answer.standing.means
+    any_mean = next(iter(means.values()))
+    lines = [
+        [
+            name,
+            f"{mean.value:.4f}{question.unit}",
+            f"{mean.low:.4f} to {mean.high:.4f}" if mean.has_interval else "-",
+            question.judgements.get(name, "-"),
+        ]
+        for name, mean in means.items()
+    ]
+    return (
+        f"{title}\nParts: {any_mean.parts}; draws of presses on each: {any_mean.draws} or more.\n\n"
+        f"{table(['method', 'mean', '95 % interval', 'the paper'], lines)}"
+    )

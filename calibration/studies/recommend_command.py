@@ -36,12 +36,9 @@ def recommend(
     Where the rows do not decide, it says so, and which command would."""
     from calibration.studies.recommend import NEEDS, recommended
     from calibration.studies.rows import rows_of_studies
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
+    from calibration.studies.study import require_known
 
-    for name in need or ():
-        if name not in NEEDS:
-            raise ConfigError(f"no need is named '{name}'; {suggestion(name, NEEDS)}")
+    require_known("need", need or (), NEEDS)
     chosen: Sequence[Mapping[str, Any]] = rows_of_studies(rows, partial(typer.echo, err=True))
     for column, wanted in (("mode", mode), ("backbone", backbone), ("split", split)):
         chosen = _of_one(chosen, column, wanted)

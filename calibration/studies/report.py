@@ -9,7 +9,7 @@ from calibration.studies import (
     cross_position_study,
     good_fraction_study,
     paper_page,
-    recommend_page,
+    recommend,
     resolution_study,
     time_page,
 )
@@ -56,7 +56,7 @@ def write_report(rows: Path, output: Path, say: Callable[[str], None] = lambda s
     repeated = every[every["study"].isin(COMPARED_WITH_THE_PAPER)]
     if not repeated.empty:
         written.append(_write(output, "paper", paper_page.page(repeated)))
-    written.append(_write(output, "recommend", recommend_page.page(every)))
+    written.append(_write(output, "recommend", recommend.page(every)))
     return [*written, _write(output, "time", time_page.page(every))]
 
 

@@ -9,7 +9,7 @@ import pytest
 from calibration.studies.page import Page
 from calibration.studies.paper_page import page as paper_page
 from calibration.studies.placement_page import page as placement_page
-from calibration.studies.recommend_page import page as recommend_page
+from calibration.studies.recommend import page as recommend_page
 from calibration.studies.report import PAGES
 from calibration.studies.rows import frame
 from calibration.studies.time_page import page as time_page

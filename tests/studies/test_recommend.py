@@ -9,8 +9,7 @@ import pandas as pd
 import pytest
 from command_line import gelgate
 
-from calibration.studies.recommend import NEEDS, recommended
-from calibration.studies.recommend_page import page
+from calibration.studies.recommend import NEEDS, page, recommended
 from calibration.studies.rows import Rows
 
 METHODS = ("spade", "padim", "fapm")
