@@ -1,8 +1,6 @@
 """A scar of the gel at a station: named, masked, more than is accepted, and gone with the gel; across a restart."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 from command_line import gelgate
@@ -14,7 +12,6 @@ from edge.core.gel_scars.causes import Cause
 from edge.core.press_label import PressLabel, StudyLabel
 from edge.core.verdict import Kind
 from edge.features.press_stage import PressStage
-from edge.messaging.result_payload import ResultPayload
 from edge.store.history import HistoryQuery, read_history
 
 # Of the other marks together, more than a twentieth of the contact once they are masked with their surroundings.
@@ -29,72 +26,53 @@ def scarred(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def played(
-    tmp_path_factory: pytest.TempPathFactory, scarred: Path, bundle: Path
-) -> tuple[Path, list[ResultPayload], dict[str, Any]]:
-    """The station's folder, its results, and what was retained at the end."""
-    config = station_config(tmp_path_factory.mktemp("played"), scarred, bundle)
-    with SteppedStation(config) as station:
+def played(tmp_path_factory: pytest.TempPathFactory, scarred: Path, bundle: Path) -> SteppedStation:
+    """The station at the end of the recording."""
+    with SteppedStation(station_config(tmp_path_factory.mktemp("played"), scarred, bundle)) as station:
         station.play()
-        return config.parent, [report.result for report in station.reports], retained(station)
+    return station
 
 
-def retained(station: SteppedStation) -> dict[str, Any]:
-    said = {message.topic: message.payload for message in station.parts.publisher.retained_state.all()}
-    return {topic: json.loads(payload) if payload[:1] == b"{" else None for topic, payload in said.items()}
-
-
-Played = tuple[Path, list[ResultPayload], dict[str, Any]]
-
-
-def test_a_part_that_fails_because_of_a_scar_has_the_cause_gel(played: Played) -> None:
+def test_a_part_that_fails_because_of_a_scar_has_the_cause_gel(played: SteppedStation) -> None:
     """The free gel before the press shows the mark; the presses before it pass, and a pass has no cause."""
-    _, results, _ = played
+    causes = [result.cause for result in played.results]
 
-    assert [one.verdict for one in results[:3]] == [Kind.PASS, Kind.PASS, Kind.FAIL]
-    assert [one.cause for one in results[:3]] == [None, None, Cause.GEL]
-    assert "wipe the gel" in (results[2].cause_text or "")
+    assert played.verdicts[:3] == [Kind.PASS, Kind.PASS, Kind.FAIL]
+    assert causes[:3] == [None, None, Cause.GEL]
+    assert "wipe the gel" in (played.results[2].cause_text or "")
+    rows = read_history(played.parts.store.path, HistoryQuery())
+    assert [row.cause for row in rows] == [cause and cause.value for cause in causes]
 
 
-def test_a_known_scar_is_not_judged_and_the_result_says_how_much_is_not(played: Played) -> None:
-    """The next sound part passes; with the scar it would fail, and the result has that score too."""
-    result = played[1][3]
-    assert result.unmasked_score is not None
-    assert result.score is not None
-    assert result.threshold is not None
+def test_a_known_scar_is_not_judged_and_the_result_says_how_much_is_not(played: SteppedStation) -> None:
+    """The next sound part passes; with the scar it would fail, and the result has that score too. What is masked is the
+    scar and its surroundings: the dent next to it is found, and is not named gel."""
+    result, dented = played.results[3:5]
 
     assert (result.verdict, result.cause) == (Kind.PASS, None)
-    assert result.score < result.threshold < result.unmasked_score
-    assert result.blind_area_mm2 is not None
-    assert 0.25 < result.blind_area_mm2 < 2
-    assert result.blind_share is not None
-    assert 0 < result.blind_share < 0.05
+    assert (result.score or 9) < (result.threshold or 0) < (result.unmasked_score or 0)
+    assert 0.25 < (result.blind_area_mm2 or 0) < 2
+    assert 0 < (result.blind_share or 0) < 0.05
+    assert dented.verdict is Kind.FAIL
+    assert dented.cause is not Cause.GEL
 
 
-def test_damage_next_to_a_masked_scar_fails(played: Played) -> None:
-    """What is masked is the scar and its surroundings; the dent next to it is found, and is not named gel."""
-    result = played[1][4]
-
-    assert result.verdict is Kind.FAIL
-    assert result.cause is not Cause.GEL
-
-
-def test_with_too_much_under_scars_no_press_passes(played: Played) -> None:
+def test_with_too_much_under_scars_no_press_passes(played: SteppedStation) -> None:
     """Seven more scars are named once; then they are masked, and the sound part is unsure because of the gel."""
-    _, results, last = played
+    named, masked = played.results[5:7]
 
-    assert (results[5].verdict, results[5].cause) == (Kind.FAIL, Cause.GEL)
-    assert (results[6].verdict, results[6].cause) == (Kind.UNSURE, Cause.GEL)
-    assert (results[6].blind_share or 0) > 0.05
-    assert "at most 5% are accepted" in last["alarm/gel_scar"]["text"]
+    assert (named.verdict, named.cause) == (Kind.FAIL, Cause.GEL)
+    assert (masked.verdict, masked.cause) == (Kind.UNSURE, Cause.GEL)
+    assert (masked.blind_share or 0) > 0.05
+    assert "at most 5% are accepted" in str(played.alarm("gel_scar"))
 
 
-def test_the_history_has_the_causes(played: Played) -> None:
-    """As the results had them."""
-    folder, results, _ = played
-    rows = list(read_history(folder / "gelgate.db", HistoryQuery()))
+def test_a_verdict_with_masked_scars_is_made_again(played: SteppedStation) -> None:
+    """The places that were not judged are archived with the press: all seven verdicts are equal bit for bit."""
+    done = gelgate("station", "replay", "--all", "-c", played.parts.store.path.with_name("gelgate.toml"))
 
-    assert [row.cause for row in rows] == [one.cause and one.cause.value for one in results]
+    assert done.code == 0, done.err
+    assert "7 presses: 7 equal, 0 differ" in done.out
 
 
 def test_scars_are_known_after_a_restart_and_forgotten_with_the_gel(
@@ -106,50 +84,33 @@ def test_scars_are_known_after_a_restart_and_forgotten_with_the_gel(
         station.play_until(lambda: len(station.reports) == 3)
     with SteppedStation(config) as station:
         station.play_until(lambda: len(station.reports) == 3)
-        again = [report.result for report in station.reports]
+        assert station.verdicts == [Kind.PASS] * 3
+        assert (station.results[2].blind_share or 0) > 0
         station.ask("replace_gel", gel_id="new")
         station.play_until(lambda: len(station.reports) == 4)
-        fresh = station.reports[3].result
+        fresh = station.results[3]
 
-    assert [one.verdict for one in again] == [Kind.PASS, Kind.PASS, Kind.PASS]
-    assert (again[2].blind_share or 0) > 0
-    assert fresh.gel_id == "new"
-    assert (fresh.blind_share, fresh.unmasked_score) == (0, None)
+    assert (fresh.gel_id, fresh.blind_share, fresh.unmasked_score) == ("new", 0, None)
 
 
-def test_scars_that_are_only_named_are_judged(tmp_path: Path, scarred: Path, bundle: Path) -> None:
-    """For parts of which every place must be judged: each press fails, and the cause says why."""
-    config = station_config(tmp_path, scarred, bundle)
-    config.write_text(config.read_text().replace("[store]", '[gel]\nscars = "named"\n[store]'))
-    with SteppedStation(config) as station:
+class Study(PressStage):
+    """Every press is of one piece."""
+
+    def begin(self, label: PressLabel | None) -> PressLabel:
+        return StudyLabel("gauge", 1, "7", "A", 1)
+
+
+@pytest.mark.parametrize(
+    ("tables", "labels", "cause"), [('[gel]\nscars = "named"', None, Cause.GEL), ("", Study(), None)]
+)
+def test_scars_that_are_not_masked_are_judged(
+    tmp_path: Path, scarred: Path, bundle: Path, tables: str, labels: PressStage | None, cause: Cause | None
+) -> None:
+    """For parts of which every place must be judged: each press fails, and the cause says why. And in a gauge study
+    one piece is pressed again and again: nothing of it is masked, and no press has a cause."""
+    with SteppedStation(station_config(tmp_path, scarred, bundle, tables=tables), labels=labels) as station:
         station.play_until(lambda: len(station.reports) == 4)
-        results = [report.result for report in station.reports]
 
-    assert [one.verdict for one in results[2:]] == [Kind.FAIL, Kind.FAIL]
-    assert [one.cause for one in results[2:]] == [Cause.GEL, Cause.GEL]
-    assert [one.blind_area_mm2 for one in results[2:]] == [0, 0]
-
-
-def test_a_verdict_with_masked_scars_is_made_again(played: Played) -> None:
-    """The places that were not judged are archived with the press: all seven verdicts are equal bit for bit."""
-    done = gelgate("station", "replay", "--all", "-c", str(played[0] / "gelgate.toml"))
-
-    assert done.code == 0, done.err
-    assert "7 presses: 7 equal, 0 differ" in done.out
-
-
-def test_a_press_that_is_no_parts_teaches_no_scar(tmp_path: Path, scarred: Path, bundle: Path) -> None:
-    """A gauge study presses one piece again and again: nothing of it is masked, and none of its presses has a cause."""
-
-    class Study(PressStage):
-        """Every press is of one piece."""
-
-        def begin(self, label: PressLabel | None) -> PressLabel:
-            return StudyLabel("gauge", 1, "7", "A", 1)
-
-    config = station_config(tmp_path, scarred, bundle)
-    with SteppedStation(config, labels=Study()) as station:
-        station.play_until(lambda: len(station.reports) == 4)
-        results = [report.result for report in station.reports]
-
-    assert [(one.cause, one.unmasked_score) for one in results] == [(None, None)] * 4
+    assert labels or station.verdicts[2:] == [Kind.FAIL, Kind.FAIL]
+    assert [result.cause for result in station.results] == [None, None, cause, cause]
+    assert [result.unmasked_score for result in station.results] == [None] * 4

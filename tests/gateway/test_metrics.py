@@ -91,13 +91,15 @@ def test_alarms_and_state_are_followed() -> None:
 def test_a_station_serves_them_until_it_is_closed(
     tmp_path: Path, recording: Path, bundle: Path, port: int
 ) -> None:
-    """Presses, gel, memory of the process; afterwards nothing answers."""
-    config = station_config(tmp_path, recording, bundle)
-    config.write_text(config.read_text() + f"[metrics]\nport = {port}\n")
+    """Presses, gel, memory of the process, on one loopback address alone: there is no login, so no other address of the
+    machine answers, and 127.0.0.2 stands for them. Afterwards nothing answers."""
+    config = station_config(tmp_path, recording, bundle, tables=f"[metrics]\nport = {port}")
     with SteppedStation(config) as station:
         station.play()
         station.loop.publish_stats()
         found = read(port)
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.2", port), timeout=10)
 
     assert found["gelgate_presses_total"] == 3
     assert found['gelgate_verdicts_total{verdict="fail"}'] == 1
@@ -105,14 +107,6 @@ def test_a_station_serves_them_until_it_is_closed(
     assert found["process_resident_memory_bytes"] > 0
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port), timeout=10)
-
-
-def test_they_are_serve_metrics_on_one_loopback_address_alone(port: int) -> None:
-    """There is no login, so no other address of the machine answers; 127.0.0.2 stands for them."""
-    with serve_metrics(port):
-        socket.create_connection(("127.0.0.1", port), timeout=10).close()
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(("127.0.0.2", port), timeout=10)
 
 
 def test_a_page_of_others_and_slow_clients_are_no_readers(port: int) -> None:

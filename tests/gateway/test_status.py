@@ -22,6 +22,7 @@ class Heard:
         self.states: list[str] = []
         self.reasons: list[str | None] = []
         self.alarms: set[str] = set()
+        self.available: list[bytes] = []
         self.info: dict[str, object] = {}
 
     def __call__(self, message: Message) -> None:
@@ -29,6 +30,8 @@ class Heard:
             content = json.loads(message.payload)
             self.states.append(content["state"])
             self.reasons.append(content["reason"])
+        elif message.topic == "availability":
+            self.available.append(message.payload)
         elif message.topic == "info":
             self.info = json.loads(message.payload)
         elif message.payload and message.topic.startswith("alarm/"):
@@ -46,6 +49,7 @@ def test_ready_is_said_when_nothing_is_awaited_any_more() -> None:
     status.set_waiting_for(None)
     status.stopped()
 
+    assert [heard.available[0], *heard.available[-2:]] == [b"online", b"online", b"offline"]
     assert heard.states == ["starting", "starting", "ready", "stopped"]
     assert heard.reasons == ["waiting for the sensor", "waiting for the free gel", None, None]
 
