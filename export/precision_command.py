@@ -66,13 +66,14 @@ def precision(
 def _frames(opened: "Bundle", sources: list[Path]) -> "tuple[NDArray[np.uint8], Masked]":
     """Nominal frames of all sources, and damaged ones with masks of those that are datasets."""
     from calibration.dataset import open_dataset, resolution_of
-    from calibration.fitting.command import found_sources, nominal_presses
+    from calibration.fitting.command import resolve_sources
+    from calibration.fitting.presses.nominal_presses import read_presses
     from calibration.fitting.presses.sources import is_dataset
 
     manifest, sensor, region = opened.manifest, opened.profile, opened.region
     given = any(map(is_dataset, sources))
-    nominal = found_sources(sources, manifest.part, manifest.position if given else None, sensor)
-    presses = nominal_presses(nominal, sensor, region, None, False)
+    nominal = resolve_sources(sources, manifest.part, manifest.position if given else None, sensor)
+    presses = read_presses(nominal.paths, sensor, region, specimens=nominal.specimens)
     damaged = [
         press
         for source in filter(is_dataset, sources)

@@ -82,13 +82,13 @@ def wrap(given: WrapArguments) -> None:
 
     The graph is adapted and compared with itself. The threshold comes from nominal presses."""
     from calibration.fitting.command import (
-        chosen_profile,
-        counted,
-        found_sources,
+        choose_profile,
+        count_presses,
         make,
-        nominal_presses,
         refuse_existing,
+        resolve_sources,
     )
+    from calibration.fitting.presses.nominal_presses import read_presses
     from edge.core.imaging.region import Region
     from export.finish import WrapConfig, wrap_files
     from export.graph_file import read_graph
@@ -98,15 +98,22 @@ def wrap(given: WrapArguments) -> None:
     refuse_existing(given.output, given.overwrite)
     content = read_graph(graph)
     licence = stated_licence(given.licence, f"the graph {graph}")
-    sensor = chosen_profile(given.profile, given.sources)
+    sensor = choose_profile(given.profile, given.sources)
     region = Region.parse(given.region, sensor.size)
-    material = found_sources(given.sources, given.part, given.position, sensor)
-    presses = nominal_presses(material, sensor, region, given.no_contact, given.resize)
+    material = resolve_sources(given.sources, given.part, given.position, sensor)
+    presses = read_presses(
+        material.paths,
+        sensor,
+        region,
+        no_contact=given.no_contact,
+        resize=given.resize,
+        specimens=material.specimens,
+    )
     ready, facts = _adapt(given, content, presses.frames)
     facts = {"licence": licence, "graph": graph.name, **facts}
     where = (material.part, material.position, sensor, region)
     config = WrapConfig(*where, given.method, given.alpha, given.threshold, given.threads, facts)
-    typer.echo(f"{counted(len(presses))}, {graph.name} as '{given.method}', region {region}")
+    typer.echo(f"{count_presses(len(presses))}, {graph.name} as '{given.method}', region {region}")
     make(partial(wrap_files, ready, presses, config), given.output, given.overwrite)
 
 

@@ -98,12 +98,12 @@ def acquire(given: AcquireArguments) -> None:
     After each press: what is new on it, and what its number promises. Every press is kept at once; after Ctrl-C the
     same command continues.
     """
-    from calibration.fitting.command import chosen_profile, refuse_existing
+    from calibration.fitting.command import choose_profile, refuse_existing
 
     _check(given)
     if given.fit is not None:
         refuse_existing(given.fit, overwrite=False)
-    sensor = chosen_profile(given.profile, given.sources or [])
+    sensor = choose_profile(given.profile, given.sources or [])
     stream, part, position, limit = _stream(given, sensor)
     plan = replace(given, part=part, position=position, profile=sensor.name)
     acquiring = _acquiring(plan, part, position, sensor)
@@ -139,13 +139,13 @@ def _stream(given: AcquireArguments, profile: "SensorProfile") -> tuple[Stream, 
         open_named,
         station_device,
     )
-    from calibration.fitting.command import found_sources
+    from calibration.fitting.command import resolve_sources
     from calibration.fitting.presses.recorded_presses import PressFinder
     from edge.clock import SystemClock
     from edge.core.gel import DEFAULT_LIMIT_PRESSES
 
     if given.sources:
-        found = found_sources(given.sources, given.part, given.position, profile)
+        found = resolve_sources(given.sources, given.part, given.position, profile)
         stream = from_sources(
             found.paths,
             profile,

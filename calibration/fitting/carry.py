@@ -28,7 +28,7 @@ from edge.model.manifest import Facts, ThresholdEntry, ToleranceEntry
 from edge.model.scorer import Scorer
 from edge.model.tile_runner import most_typical
 
-__all__ = ["FEWEST", "MOST", "CarryConfig", "carried"]
+__all__ = ["FEWEST", "MOST", "CarryConfig", "carry_bundle"]
 
 FEWEST, MOST = 4, 8
 """Presses. With fewer their median is no measure; with more a fit is the better use of them."""
@@ -53,7 +53,7 @@ class CarryConfig:
     threads: int = 2
 
 
-def carried(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -> Fitted:
+def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -> Fitted:
     """The bundle for the gel of these presses. Errors: FitError for presses that do not allow it."""
     _check_bundle(bundle)
     _check_presses(bundle, presses)

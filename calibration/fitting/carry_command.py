@@ -1,7 +1,8 @@
 """`gelgate bundle carry`: a bundle and a few presses on a new gel in, the bundle for that gel out."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -16,32 +17,35 @@ from calibration.fitting.options import (
     Revision,
     Threads,
 )
+from edge.cli.arguments import flatten
 
-if TYPE_CHECKING:
-    from calibration.fitting.presses.nominal_presses import NominalPresses
-    from edge.model.bundle import Bundle
-
-__all__ = ["carry"]
+__all__ = ["CarryArguments", "carry"]
 
 
-def carry(
-    bundle: Annotated[Path, typer.Argument(help="The bundle of the old gel.")],
+@dataclass(frozen=True)
+class CarryArguments:
+    """What the command line says."""
+
+    bundle: Annotated[Path, typer.Argument(help="The bundle of the old gel.")]
     sources: Annotated[
         list[Path],
         typer.Argument(
             metavar="SOURCE...", help="4 to 8 presses of sound parts on the new gel, as for `fit`."
         ),
-    ],
-    output: Output,
-    no_contact: NoContact = None,
-    gel: GelId = None,
-    resize: Resize = False,
-    pattern: Pattern = None,
-    leave_out: LeaveOut = None,
-    threads: Threads = 2,
-    overwrite: Overwrite = False,
-    revision: Revision = None,
-) -> None:
+    ]
+    output: Output
+    no_contact: NoContact = None
+    gel: GelId = None
+    resize: Resize = False
+    pattern: Pattern = None
+    leave_out: LeaveOut = None
+    threads: Threads = 2
+    overwrite: Overwrite = False
+    revision: Revision = None
+
+
+@flatten
+def carry(given: CarryArguments) -> None:
     """Carry a bundle over to a new gel of its sensor.
 
     Bank and graphs stay; limit, free gel, colours and golden frames are those of the new gel. The promise of the limit
@@ -49,35 +53,23 @@ def carry(
     """
     import datetime
 
-    from calibration.fitting.carry import CarryConfig, carried
-    from calibration.fitting.command import refuse_existing, summary, write
+    from calibration.fitting.carry import CarryConfig, carry_bundle
+    from calibration.fitting.command import refuse_existing, summarise, write
+    from calibration.fitting.presses.nominal_presses import read_presses
     from edge.model.bundle import Bundle
 
-    refuse_existing(output, overwrite)
-    old = Bundle.load(bundle)
-    presses = _presses(old, sources, no_contact or [], resize, pattern, leave_out or [])
-    config = CarryConfig(datetime.date.today().isoformat(), gel, revision, threads)
-    fitted = carried(old, presses, config)
-    write(fitted, output, overwrite)
-    summary(fitted, output)
-
-
-def _presses(
-    bundle: "Bundle",
-    sources: list[Path],
-    no_contact: list[Path],
-    resize: bool,
-    pattern: str | None,
-    leave_out: list[str],
-) -> "NominalPresses":
-    from calibration.fitting.presses.nominal_presses import read_presses
-
-    return read_presses(
-        sources,
-        bundle.profile,
-        bundle.region,
-        no_contact=no_contact,
-        resize=resize,
-        pattern=pattern,
-        leave_out=leave_out,
+    refuse_existing(given.output, given.overwrite)
+    old = Bundle.load(given.bundle)
+    presses = read_presses(
+        given.sources,
+        old.profile,
+        old.region,
+        no_contact=given.no_contact,
+        resize=given.resize,
+        pattern=given.pattern,
+        leave_out=given.leave_out,
     )
+    config = CarryConfig(datetime.date.today().isoformat(), given.gel, given.revision, given.threads)
+    fitted = carry_bundle(old, presses, config)
+    write(fitted, given.output, given.overwrite)
+    summarise(fitted, given.output)

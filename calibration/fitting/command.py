@@ -2,40 +2,37 @@
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
 from calibration.fitting.candidates import DEFAULT_METHOD, Candidates
 from calibration.fitting.options import (
     Alpha,
-    AugmentOption,
     ChosenBackbone,
-    ChosenMethod,
     GelId,
-    HiddenPattern,
-    HiddenProfile,
-    HiddenRegion,
-    HiddenRevision,
-    HiddenSeed,
-    HiddenThreads,
-    HiddenThreshold,
-    Holdout,
     LeaveOut,
-    Limit,
     NoContact,
     Output,
     Overwrite,
     Part,
+    Pattern,
     Position,
-    RegisterOption,
+    Profile,
+    RegionText,
     Resize,
-    Scattered,
+    Revision,
+    Seed,
     Settings,
+    Threads,
+    Threshold,
+    under_set,
 )
 from calibration.fitting.trunks import AUTO
+from edge.cli.arguments import flatten, named_values
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
@@ -43,98 +40,143 @@ if TYPE_CHECKING:
     from calibration.fitting.presses.nominal_presses import NominalPresses
     from calibration.fitting.presses.sources import Sources
     from calibration.progress import Report
-    from edge.core.imaging.region import Region
     from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = [
-    "chosen_profile",
-    "counted",
+    "FitArguments",
+    "choose_profile",
+    "count_presses",
     "fit",
-    "found_sources",
     "make",
     "next_revision",
-    "nominal_presses",
     "refuse_existing",
+    "resolve_sources",
+    "summarise",
+    "write",
 ]
 
 
-def fit(
+@dataclass(frozen=True)
+class FitArguments:
+    """What the command line says. What its help does not show is written under `--set`."""
+
     sources: Annotated[
         list[Path],
         typer.Argument(metavar="SOURCE...", help="Recordings, datasets, folders of pictures, or pictures."),
-    ],
-    output: Output,
-    part: Part = None,
-    position: Position = None,
-    method: ChosenMethod = DEFAULT_METHOD,
-    mode: Annotated[str, typer.Option(hidden=True, help="'corrected', or as in the 'paper'")] = "corrected",
-    backbone: ChosenBackbone = AUTO,
-    profile: HiddenProfile = "",
-    region: HiddenRegion = "centre",
-    alpha: Alpha = 0.05,
-    threshold: HiddenThreshold = None,
-    no_contact: NoContact = None,
-    resize: Resize = False,
-    pattern: HiddenPattern = None,
-    holdout: Holdout = 0.0,
-    settings: Settings = None,
-    seed: HiddenSeed = 0,
-    folds: Annotated[int, typer.Option(hidden=True, min=2, help="Banks that find the threshold.")] = 5,
-    threads: HiddenThreads = 2,
-    scattered: Scattered = False,
-    limit: Limit = "chosen",
-    register: RegisterOption = "auto",
-    augment: AugmentOption = "auto",
-    leave_out: LeaveOut = None,
-    trunk: Annotated[bool, typer.Option(hidden=True, help="Put the trunk into the bundle.")] = True,
-    overwrite: Overwrite = False,
-    revision: HiddenRevision = None,
-    gel: GelId = None,
-) -> None:
+    ]
+    output: Output
+    part: Part = None
+    position: Position = None
+    method: Annotated[
+        str,
+        typer.Option(
+            help="The detector; 'auto': of padim and patchcore the one that shows most of the damage put into the "
+            "presses."
+        ),
+    ] = DEFAULT_METHOD
+    mode: Annotated[str, typer.Option(hidden=True, help="'corrected', or as in the 'paper'")] = "corrected"
+    backbone: ChosenBackbone = AUTO
+    profile: Annotated[str, under_set(Profile)] = ""
+    region: Annotated[str, under_set(RegionText)] = "centre"
+    alpha: Alpha = 0.05
+    threshold: Annotated[float | None, under_set(Threshold)] = None
+    no_contact: NoContact = None
+    resize: Resize = False
+    pattern: Annotated[str | None, under_set(Pattern)] = None
+    holdout: Annotated[
+        float,
+        typer.Option(
+            hidden=True,
+            help="Share of a dataset's specimens that is kept for `gelgate evaluate`.",
+            min=0,
+            max=0.9,
+        ),
+    ] = 0.0
+    settings: Settings = None
+    seed: Annotated[int, under_set(Seed)] = 0
+    folds: Annotated[int, typer.Option(hidden=True, min=2, help="Banks that find the threshold.")] = 5
+    threads: Annotated[int, under_set(Threads)] = 2
+    scattered: Annotated[
+        bool, typer.Option("--scattered", hidden=True, help="Fit any method to parts that lie anywhere.")
+    ] = False
+    limit: Annotated[
+        str,
+        typer.Option(
+            hidden=True,
+            help="'chosen': the limit that finds most of the damage rendered into the presses; 'plain': one for all "
+            "places.",
+        ),
+    ] = "chosen"
+    register: Annotated[
+        str,
+        typer.Option(
+            hidden=True,
+            help="Bring presses to one pose: 'auto' where parts lie apart and it finds more damage, 'never', 'always'.",
+        ),
+    ] = "auto"
+    augment: Annotated[
+        str,
+        typer.Option(
+            hidden=True,
+            help="Learn rendered copies of the presses too: 'auto' with at most 8 presses and a picture of the free "
+            "gel, 'never', 'always'.",
+        ),
+    ] = "auto"
+    leave_out: LeaveOut = None
+    trunk: Annotated[bool, typer.Option(hidden=True, help="Put the trunk into the bundle.")] = True
+    overwrite: Overwrite = False
+    revision: Annotated[int | None, under_set(Revision)] = None
+    gel: GelId = None
+
+
+@flatten
+def fit(given: FitArguments) -> None:
     """Learn a bundle from nominal presses.
 
     The bundle holds bank, threshold and golden frames. Of a dataset (the paper's layout, MVTec's, CVAT's) the good
     presses of one part and position are learnt.
     """
     from calibration.fitting.fit_config import FitConfig
+    from calibration.fitting.presses.nominal_presses import read_presses
+    from edge.core.imaging.region import Region
 
-    refuse_existing(output, overwrite)
-    candidates = Candidates.of(method, backbone)
-    sensor = chosen_profile(profile, sources)
-    found = found_sources(sources, part, position, sensor, holdout, seed)
+    refuse_existing(given.output, given.overwrite)
+    candidates = Candidates.of(given.method, given.backbone)
+    sensor = choose_profile(given.profile, given.sources)
+    found = resolve_sources(given.sources, given.part, given.position, sensor, given.holdout, given.seed)
     config = FitConfig(
         part=found.part,
         position=found.position,
         profile=sensor,
-        region=_region(region, sensor),
-        **_detection(candidates, mode, settings or [], threshold),
-        alpha=alpha,
-        threshold=threshold,
-        seed=seed,
-        threads=threads,
-        folds=folds,
-        with_trunk=trunk,
-        is_scattered=scattered,
-        **_choices(limit, register, augment),
-        revision=revision or next_revision(output),
-        gel_id=gel,
+        region=Region.parse(given.region, sensor.size),
+        **_detection(candidates, given),
+        alpha=given.alpha,
+        threshold=given.threshold,
+        seed=given.seed,
+        threads=given.threads,
+        folds=given.folds,
+        with_trunk=given.trunk,
+        is_scattered=given.scattered,
+        limit=_check_word("limit", given.limit, ("chosen", "plain")),
+        register=_check_word("register", given.register, ("auto", "never", "always")),
+        augment=_check_word("augment", given.augment, ("auto", "never", "always")),
+        revision=given.revision or next_revision(given.output),
+        gel_id=given.gel,
     )
-    presses = nominal_presses(found, sensor, config.region, no_contact, resize, leave_out, pattern)
-    _announce(presses, config, candidates)
-    make(partial(_fit_best, candidates, presses, config), output, overwrite)
-
-
-def _region(text: str, sensor: "SensorProfile") -> "Region":
-    from edge.core.imaging.region import Region
-
-    return Region.parse(text, sensor.size)
-
-
-def _announce(presses: "NominalPresses", config: "FitConfig", candidates: Candidates) -> None:
-    """What is fitted, or may be."""
+    presses = read_presses(
+        found.paths,
+        sensor,
+        config.region,
+        no_contact=given.no_contact,
+        resize=given.resize,
+        specimens=found.specimens,
+        leave_out=given.leave_out,
+        pattern=given.pattern,
+    )
     on = " or ".join([config.trunk.id, *candidates.trunks[1:]])
     how = f"{' or '.join(candidates.methods)} ({config.mode}) on {on}"
-    typer.echo(f"{counted(len(presses))}, {how}, region {config.region}")
+    typer.echo(f"{count_presses(len(presses))}, {how}, region {config.region}")
+    make(partial(_fit_best, candidates, presses, config), given.output, given.overwrite)
 
 
 def _fit_best(
@@ -149,65 +191,41 @@ def _fit_best(
     return fit_files(presses, config, created=created, report=report)
 
 
-def _choices(limit: str, register: str, augment: str) -> dict[str, Any]:
-    """What a fit chooses itself unless it is decided by hand. Errors: ConfigError."""
+def _check_word(option: str, word: str, known: Sequence[str]) -> Any:
+    """Return the word of an option. Errors: ConfigError for an unknown one."""
     from edge.core.errors import ConfigError
 
-    for option, word in {"--set register": register, "--set augment": augment}.items():
-        if word not in ("auto", "never", "always"):
-            raise ConfigError(f"{option} is auto, never or always, found '{word}'")
-    return {"limit": _limit(limit), "register": register, "augment": augment}
+    if word not in known:
+        raise ConfigError(f"--set {option} is {', '.join(known[:-1])} or {known[-1]}, found '{word}'")
+    return word
 
 
-def _limit(word: str) -> Literal["chosen", "plain"]:
-    from edge.core.errors import ConfigError
-
-    if word not in ("chosen", "plain"):
-        raise ConfigError(f"no limit is named '{word}'; write --set limit=chosen or --set limit=plain")
-    return "plain" if word == "plain" else "chosen"
-
-
-def _detection(
-    candidates: Candidates, mode: str, settings: list[str], threshold: float | None
-) -> dict[str, Any]:
-    """The usual detector, its parameters and its trunk, as `FitConfig` takes them. Errors: ConfigError, FitError."""
+def _detection(candidates: Candidates, given: FitArguments) -> dict[str, Any]:
+    """Open the usual detector, with its parameters and its trunk, for `FitConfig`. Errors: ConfigError, FitError."""
     from calibration.fitting.trunks import open_trunk
     from edge import registry
-    from edge.cli.arguments import named_values
-    from edge.core.detector import Mode
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
 
-    if mode not in ("corrected", "paper"):
-        raise ConfigError(f"no mode is named '{mode}'; known: corrected, paper")
-    candidates.check(mode, settings, threshold)
-    chosen: Mode = "paper" if mode == "paper" else "corrected"
-    detector = registry.detector(candidates.methods[0])
-    overrides = named_values("--set", settings)
-    fields = {**_fields(detector.parameters("paper")), **_fields(detector.parameters("corrected"))}
+    mode, settings = _check_word("mode", given.mode, ("corrected", "paper")), given.settings or []
+    candidates.check(mode, settings, given.threshold)
+    detector, overrides = registry.detector(candidates.methods[0]), named_values("--set", settings)
+    fields: dict[str, object] = {}  # none where a detector's parameters keep them otherwise
+    for published in ("paper", "corrected"):
+        fields |= getattr(detector.parameters(published), "__dict__", {})
     for name in overrides:
         if fields and name not in fields:
+            hints = get_type_hints(FitArguments, include_extras=True).items()
+            ours = [one for one, hint in hints if getattr(hint.__metadata__[0], "hidden", False)]
             raise ConfigError(
                 f"--set {name}: the fit and {candidates.methods[0]} have no such parameter; "
-                f"{suggestion(name, [*_names_under_set(), *fields])}"
+                f"{suggestion(name, [*ours, *fields])}"
             )
-    trunk = open_trunk(candidates.trunks[0], detector.taps(detector.parameters(chosen, **overrides)))
-    return {"detector": detector, "mode": chosen, "overrides": overrides, "trunk": trunk}
+    trunk = open_trunk(candidates.trunks[0], detector.taps(detector.parameters(mode, **overrides)))
+    return {"detector": detector, "mode": mode, "overrides": overrides, "trunk": trunk}
 
 
-def _fields(parameters: object) -> dict[str, object]:
-    """Give the parameters by name; none where their class keeps them otherwise."""
-    return getattr(parameters, "__dict__", {})
-
-
-def _names_under_set() -> list[str]:
-    """Name the parameters of the fit that its help does not show."""
-    hints = get_type_hints(fit, include_extras=True)
-    marks = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    return [name for name, found in marks.items() if any(getattr(one, "hidden", False) for one in found)]
-
-
-def found_sources(
+def resolve_sources(
     sources: Sequence[Path],
     part: str | None,
     position: str | None,
@@ -215,7 +233,8 @@ def found_sources(
     holdout: float = 0.0,
     seed: int = 0,
 ) -> "Sources":
-    """The sources with datasets resolved; prints the held-out specimens. Errors: as `find_sources`; BadParameter."""
+    """Find the presses of datasets among the sources; prints the held-out specimens. Errors: as `find_sources`;
+    BadParameter."""
     from calibration.fitting.presses.sources import check_present, find_sources, is_dataset
 
     check_present(sources)
@@ -227,30 +246,6 @@ def found_sources(
     return found
 
 
-def nominal_presses(
-    found: "Sources",
-    sensor: "SensorProfile",
-    region: "Region",
-    no_contact: Sequence[Path] | None,
-    resize: bool,
-    leave_out: Sequence[str] | None = None,
-    pattern: str | None = None,
-) -> "NominalPresses":
-    """The presses of all sources. Errors: as `read_presses`."""
-    from calibration.fitting.presses.nominal_presses import read_presses
-
-    return read_presses(
-        found.paths,
-        sensor,
-        region,
-        no_contact=no_contact or (),
-        resize=resize,
-        specimens=found.specimens,
-        leave_out=leave_out or (),
-        pattern=pattern,
-    )
-
-
 def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
     """Do the work under progress bars, write the bundle and print a summary. work: takes created and report."""
     import datetime
@@ -260,11 +255,11 @@ def make(work: "Callable[..., Fitted]", output: Path, overwrite: bool) -> None:
     with Stages() as report:
         fitted = work(created=datetime.date.today().isoformat(), report=report)
     write(fitted, output, overwrite)
-    summary(fitted, output)
+    summarise(fitted, output)
 
 
 def refuse_existing(output: Path, overwrite: bool) -> None:
-    """Before any work: nothing is overwritten, and there is a folder to write in. Errors: ConfigError."""
+    """Check before any work that nothing is overwritten, and there is a folder to write in. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
     if os.path.exists(output) and not overwrite:
@@ -277,7 +272,7 @@ def refuse_existing(output: Path, overwrite: bool) -> None:
 
 
 def next_revision(output: Path) -> int:
-    """One more than that of the bundle that is replaced; 1 where there is none, or none that can be read."""
+    """Return one more than the revision of the bundle that is replaced; 1 where none can be read."""
     from edge.core.errors import BundleError
     from edge.model.archive import MANIFEST, open_archive
     from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest
@@ -289,12 +284,12 @@ def next_revision(output: Path) -> int:
     return (manifest.revision or 0) + 1
 
 
-def counted(n: int) -> str:
+def count_presses(n: int) -> str:
     return f"{n} nominal press{'' if n == 1 else 'es'}"
 
 
 def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:
-    """Errors: StoreError with what to do."""
+    """Write the bundle. Errors: StoreError with what to do."""
     from edge.core.errors import StoreError
     from edge.model.bundle_writer import write_bundle
 
@@ -306,8 +301,8 @@ def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:
         ) from error
 
 
-def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
-    """The requested profile, or the one that all recordings among the sources name."""
+def choose_profile(name: str, sources: list[Path]) -> "SensorProfile":
+    """Return the requested profile, or the one that all recordings among the sources name."""
     from calibration.fitting.presses.nominal_presses import is_recording
     from edge.core.errors import ConfigError
     from edge.core.imaging.known_profiles import profile
@@ -323,8 +318,8 @@ def chosen_profile(name: str, sources: list[Path]) -> "SensorProfile":
     return profile(named.pop() if named else "mini_lr")
 
 
-def summary(fitted: "Fitted", output: Path) -> None:
-    """The summary of the bundle, in a few lines."""
+def summarise(fitted: "Fitted", output: Path) -> None:
+    """Print what the bundle is, in a few lines."""
     from edge.model.limit_facts import (
         AUGMENTATION,
         BACKBONE_CHOICE,
@@ -340,19 +335,19 @@ def summary(fitted: "Fitted", output: Path) -> None:
     limit, cost = manifest.threshold, manifest.cost
     for warning in manifest.provenance.warnings:
         typer.echo(f"warning: {warning}", err=True)
-    if sentence := choice_sentence(manifest.facts, METHOD_CHOICE):
-        typer.echo(f"method: {sentence}")
-    if sentence := choice_sentence(manifest.facts, BACKBONE_CHOICE):
-        typer.echo(f"backbone: {sentence}")
-    if why := manifest.facts.get("registration"):
-        typer.echo(f"registration: {why}")
-    if sentence := choice_sentence(manifest.facts, AUGMENTATION):
-        typer.echo(f"augmentation: {sentence}")
-    typer.echo(f"threshold {limit.value:.5g}: {limit.method}")
-    if sentence := choice_sentence(manifest.facts, LIMIT):
-        typer.echo(f"limit: {sentence}")
-    if sentence := choice_sentence(manifest.facts, MISSING):
-        typer.echo(f"missing relief: {sentence}")
+    facts = manifest.facts
+    sentences = {
+        "method": choice_sentence(facts, METHOD_CHOICE),
+        "backbone": choice_sentence(facts, BACKBONE_CHOICE),
+        "registration": facts.get("registration"),
+        "augmentation": choice_sentence(facts, AUGMENTATION),
+        f"threshold {limit.value:.5g}": limit.method,
+        "limit": choice_sentence(facts, LIMIT),
+        "missing relief": choice_sentence(facts, MISSING),
+    }
+    for what, sentence in sentences.items():
+        if sentence:
+            typer.echo(f"{what}: {sentence}")
     typer.echo(f"false alarms: {promise(limit)}")
     if cost:
         typer.echo(

@@ -1,30 +1,17 @@
-"""The options that `fit` and `wrap` have in common, each with its help.
+"""The options that verbs of nominal presses have in common, each with its help."""
 
-What is hidden is written under `--set`; its own option ends with this version.
-"""
-
+import copy
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.models import OptionInfo
 
 __all__ = [
     "Alpha",
-    "AugmentOption",
-    "Backbone",
     "ChosenBackbone",
-    "ChosenMethod",
     "GelId",
-    "HiddenPattern",
-    "HiddenProfile",
-    "HiddenRegion",
-    "HiddenRevision",
-    "HiddenSeed",
-    "HiddenThreads",
-    "HiddenThreshold",
-    "Holdout",
     "LeaveOut",
-    "Limit",
     "NoContact",
     "Output",
     "Overwrite",
@@ -33,14 +20,13 @@ __all__ = [
     "Position",
     "Profile",
     "RegionText",
-    "RegisterOption",
     "Resize",
     "Revision",
-    "Scattered",
     "Seed",
     "Settings",
     "Threads",
     "Threshold",
+    "under_set",
 ]
 
 Output = Annotated[
@@ -57,38 +43,11 @@ Position = Annotated[
     ),
 ]
 Profile = Annotated[str, typer.Option(help="Sensor profile; default: the recording's, else mini_lr.")]
-HiddenProfile = Annotated[
-    str, typer.Option(hidden=True, help="Sensor profile; default: the recording's, else mini_lr.")
-]
 RegionText = Annotated[str, typer.Option(help="'centre', 'full', or x,y,WIDTHxHEIGHT.")]
-HiddenRegion = Annotated[str, typer.Option(hidden=True, help="'centre', 'full', or x,y,WIDTHxHEIGHT.")]
-RegisterOption = Annotated[
-    str,
-    typer.Option(
-        hidden=True,
-        help="Bring presses to one pose: 'auto' where parts lie apart and it finds more damage, 'never', 'always'.",
-    ),
-]
 GelId = Annotated[
     str | None,
     typer.Option(
         "--gel", help="The gel of the presses, by its id in `gelgate gel show`.", show_default=False
-    ),
-]
-AugmentOption = Annotated[
-    str,
-    typer.Option(
-        hidden=True,
-        help="Learn rendered copies of the presses too: 'auto' with at most 8 presses and a picture of the free gel, "
-        "'never', 'always'.",
-    ),
-]
-Backbone = Annotated[str, typer.Option(help="An installed backbone, or a trunk .onnx file.")]
-ChosenMethod = Annotated[
-    str,
-    typer.Option(
-        "--method",
-        help="The detector; 'auto': of padim and patchcore the one that shows most of the damage put into the presses.",
     ),
 ]
 ChosenBackbone = Annotated[
@@ -101,9 +60,6 @@ ChosenBackbone = Annotated[
 ]
 Alpha = Annotated[float, typer.Option(help="False-alarm rate of the threshold.")]
 Threshold = Annotated[float | None, typer.Option(help="Use this threshold instead of finding one.")]
-HiddenThreshold = Annotated[
-    float | None, typer.Option(hidden=True, help="Use this threshold instead of finding one.")
-]
 NoContact = Annotated[list[Path] | None, typer.Option(help="Pictures of the free gel, or a folder of them.")]
 Resize = Annotated[
     bool,
@@ -112,29 +68,6 @@ Resize = Annotated[
 Pattern = Annotated[
     str | None,
     typer.Option(help="Which files of a folder, also in folders below it, such as '*/press.png'."),
-]
-HiddenPattern = Annotated[
-    str | None,
-    typer.Option(
-        hidden=True, help="Which files of a folder, also in folders below it, such as '*/press.png'."
-    ),
-]
-Holdout = Annotated[
-    float,
-    typer.Option(
-        hidden=True,
-        help="Share of a dataset's specimens that is kept for `gelgate evaluate`.",
-        min=0,
-        max=0.9,
-    ),
-]
-Limit = Annotated[
-    str,
-    typer.Option(
-        hidden=True,
-        help="'chosen': the limit that finds most of the damage rendered into the presses; 'plain': one for all "
-        "places.",
-    ),
 ]
 LeaveOut = Annotated[
     list[str] | None,
@@ -148,13 +81,8 @@ Settings = Annotated[
         help="A parameter of the fit or of the detector; `gelgate station docs parameters` lists them.",
     ),
 ]
-Scattered = Annotated[
-    bool, typer.Option("--scattered", hidden=True, help="Fit any method to parts that lie anywhere.")
-]
 Seed = Annotated[int, typer.Option(help="Fixes every random choice.")]
-HiddenSeed = Annotated[int, typer.Option(hidden=True, help="Fixes every random choice.")]
 Threads = Annotated[int, typer.Option(min=1, max=64, help="Threads of the runtime.")]
-HiddenThreads = Annotated[int, typer.Option(hidden=True, min=1, max=64, help="Threads of the runtime.")]
 Overwrite = Annotated[bool, typer.Option(help="Replace an existing bundle.")]
 Revision = Annotated[
     int | None,
@@ -163,11 +91,14 @@ Revision = Annotated[
         help="Number of this bundle; by default one more than that of the bundle that it replaces, or 1.",
     ),
 ]
-HiddenRevision = Annotated[
-    int | None,
-    typer.Option(
-        hidden=True,
-        min=1,
-        help="Number of this bundle; by default one more than that of the bundle that it replaces, or 1.",
-    ),
-]
+
+
+def under_set(option: Any) -> OptionInfo:
+    """Return the option of an annotated type as one that help does not show: it is written under `--set`.
+
+    Its own option ends with this version.
+    """
+    (shown,) = option.__metadata__
+    hidden: OptionInfo = copy.copy(shown)
+    hidden.hidden = True
+    return hidden

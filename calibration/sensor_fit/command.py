@@ -89,7 +89,7 @@ def _presses(
         sources,
         own,
         Region.full(own.size),
-        no_contact=no_contact or (),
+        no_contact=no_contact,
         resize=resize,
         pattern=pattern,
     )

@@ -88,7 +88,7 @@ def _write_bundle(
     key: str, run: "Run", bundle: Path, overwrite: bool, row: dict[str, Any] | None = None
 ) -> None:
     """Fit the point and write its bundle; says so where its bank differs from the measured one, `row`."""
-    from calibration.fitting.command import refuse_existing, summary, write
+    from calibration.fitting.command import refuse_existing, summarise, write
     from calibration.progress import Stages
     from calibration.tradeoff.chosen_bundle import bundle_of
 
@@ -104,7 +104,7 @@ def _write_bundle(
             err=True,
         )
     write(fitted, bundle, overwrite)
-    summary(fitted, bundle)
+    summarise(fitted, bundle)
     typer.echo(f"trunk, head and bank: {made}")
 
 

@@ -111,13 +111,14 @@ def import_(given: ImportArguments) -> None:
     """Make a bundle of a detector that a research program trained.
 
     The threshold comes from nominal presses that the model has not seen, or from the model."""
-    from calibration.fitting.command import chosen_profile, found_sources, nominal_presses, refuse_existing
+    from calibration.fitting.command import choose_profile, refuse_existing, resolve_sources
+    from calibration.fitting.presses.nominal_presses import read_presses
     from calibration.progress import Stages
     from export.importers.api import ImportOptions, import_detector
 
     refuse_existing(given.output, given.overwrite)
-    sensor = chosen_profile(given.profile, given.sources)
-    found = found_sources(given.sources, given.part, given.position, sensor)
+    sensor = choose_profile(given.profile, given.sources)
+    found = resolve_sources(given.sources, given.part, given.position, sensor)
     options = ImportOptions(
         part=found.part,
         licence=given.licence,
@@ -136,7 +137,14 @@ def import_(given: ImportArguments) -> None:
     )
 
     def read(profile: "SensorProfile", inspected: "Region") -> "NominalPresses":
-        return nominal_presses(found, profile, inspected, given.no_contact, given.resize)
+        return read_presses(
+            found.paths,
+            profile,
+            inspected,
+            no_contact=given.no_contact,
+            resize=given.resize,
+            specimens=found.specimens,
+        )
 
     with Stages() as report:
         made = import_detector(

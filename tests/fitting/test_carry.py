@@ -15,7 +15,7 @@ from tiny import TINY, tiny_trunk
 from tiny_fit import config as tiny_config
 from tiny_fit import presses as tiny_presses
 
-from calibration.fitting.carry import CarryConfig, carried
+from calibration.fitting.carry import CarryConfig, carry_bundle
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
 from calibration.fitting.trunks import Trunk
@@ -79,7 +79,7 @@ def old() -> Bundle:
 
 @cache
 def new() -> Bundle:
-    return carried(old(), pressed(8), CONFIG).bundle()
+    return carry_bundle(old(), pressed(8), CONFIG).bundle()
 
 
 def test_bank_and_graphs_stay_and_the_rest_is_of_the_new_gel() -> None:
@@ -139,7 +139,7 @@ def test_the_limit_is_that_of_the_new_scores_alone() -> None:
 def test_another_number_of_presses_is_refused(count: int) -> None:
     """Few are no measure; more are worth a fit."""
     with pytest.raises(FitError, match=f"found {count} presses on the new gel, expected 4 to 8"):
-        carried(old(), pressed(count), CONFIG)
+        carry_bundle(old(), pressed(count), CONFIG)
 
 
 def test_presses_without_a_free_gel_are_refused() -> None:
@@ -147,18 +147,18 @@ def test_presses_without_a_free_gel_are_refused() -> None:
     with pytest.raises(
         FitError, match="the free new gel is not known; give a picture of it with --no-contact"
     ):
-        carried(old(), replace(pressed(8), no_contact=None, free_view=None), CONFIG)
+        carry_bundle(old(), replace(pressed(8), no_contact=None, free_view=None), CONFIG)
 
 
 def test_presses_of_the_old_gel_are_refused() -> None:
     """Other frames of it by its free gel, and a learnt frame by its bytes."""
     with pytest.raises(FitError, match="from that of the bundle: it is the old gel"):
-        carried(old(), pressed(8, 5, OLD), CONFIG)
+        carry_bundle(old(), pressed(8, 5, OLD), CONFIG)
 
     frames = pressed(8).frames.copy()
     frames[2] = old().golden[0].rgb
     with pytest.raises(FitError, match="press s002_p0 was learnt for this bundle, so it is of the old gel"):
-        carried(old(), replace(pressed(8), frames=frames), CONFIG)
+        carry_bundle(old(), replace(pressed(8), frames=frames), CONFIG)
 
 
 def test_presses_of_something_else_are_refused() -> None:
@@ -166,21 +166,21 @@ def test_presses_of_something_else_are_refused() -> None:
     with pytest.raises(
         FitError, match=r"times as high as the learnt ones in the median, expected 0\.40 to 2\.5 times"
     ):
-        carried(old(), pressed(8, dent=True, tint=(1.3, 0.7, 1.0)), CONFIG)
+        carry_bundle(old(), pressed(8, dent=True, tint=(1.3, 0.7, 1.0)), CONFIG)
 
 
 def test_presses_elsewhere_are_refused() -> None:
     """By the range of contacts that a station refuses outside of."""
     touches = tuple(replace(touch, x=0.9) for touch in pressed(8).touches)
     with pytest.raises(FitError, match="presses lie where no learnt press does: s000_p0, s001_p0"):
-        carried(old(), replace(pressed(8), touches=touches), CONFIG)
+        carry_bundle(old(), replace(pressed(8), touches=touches), CONFIG)
 
 
 def test_presses_of_another_kind_of_sensor_are_refused() -> None:
     """The colours run over the gel otherwise: turned by half."""
     other = replace(pressed(8), frames=np.ascontiguousarray(pressed(8).frames[:, ::-1]))
     with pytest.raises(FitError, match="the colours over the gel run otherwise than in the learnt presses"):
-        carried(old(), other, CONFIG)
+        carry_bundle(old(), other, CONFIG)
 
 
 def test_a_bundle_with_a_threshold_given_by_hand_is_refused() -> None:
@@ -190,7 +190,7 @@ def test_a_bundle_with_a_threshold_given_by_hand_is_refused() -> None:
     )
     given = fit_files(pressed(12, 1, OLD), config, created="2026-01-01").bundle()
     with pytest.raises(FitError, match=r"no scores of presses, so its threshold \(given by hand\) cannot be"):
-        carried(given, pressed(8), CONFIG)
+        carry_bundle(given, pressed(8), CONFIG)
 
 
 def test_a_fit_may_name_its_gel() -> None:

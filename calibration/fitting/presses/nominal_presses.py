@@ -180,11 +180,11 @@ def read_presses(
     profile: SensorProfile,
     region: Region,
     *,
-    no_contact: Sequence[Path] = (),
+    no_contact: Sequence[Path] | None = None,
     resize: bool = False,
     pattern: str | None = None,
     specimens: Mapping[Path, str | None] = MappingProxyType({}),
-    leave_out: Sequence[str] = (),
+    leave_out: Sequence[str] | None = None,
 ) -> NominalPresses:
     """The nominal presses of all sources together: recordings, folders of pictures, or pictures.
 
@@ -194,8 +194,9 @@ def read_presses(
     have it. leave_out: names of presses to leave out, as a bundle lists them. Errors: RecordingError, DatasetError
     listing every faulty picture, FitError when there is no press, or no press of a name to leave out.
     """
-    gathered = _Gathered(profile, region, unwanted=frozenset(leave_out))
-    free = _pictures(listed_pictures(no_contact), profile, resize)
+    gathered = _Gathered(profile, region, unwanted=frozenset(leave_out or ()))
+    free_files = listed_pictures(no_contact or ())
+    free = _pictures(free_files, profile, resize)
     for _, picture in free:
         gathered.add_free(picture)
     contact = _contacts([picture for _, picture in free])
@@ -203,7 +204,7 @@ def read_presses(
         if is_recording(source):
             _read_recording(source, gathered)
     files = listed_pictures([source for source in sources if not is_recording(source)], pattern)
-    files = [path for path in files if not any(path.samefile(one) for one in listed_pictures(no_contact))]
+    files = [path for path in files if not any(path.samefile(one) for one in free_files)]
     for path, picture in _pictures(files, profile, resize):
         gathered.add(picture, _name(path), specimens.get(path) or specimen_of(path), contact(picture))
     _require_left_out(gathered)
