@@ -30,25 +30,6 @@ def test_nearest_is_brute_force(q: int, m: int, c: int, k: int, scale: float, se
     np.testing.assert_allclose(found.distances, expected, rtol=1e-9, atol=1e-9 * scale)
 
 
-def test_chunks_do_not_matter() -> None:
-    """Any chunk size gives the same bits, also with a remainder."""
-    rng = np.random.default_rng(0)
-    queries, bank = rng.normal(size=(37, 6)), rng.normal(size=(11, 6))
-    whole = nearest(queries, bank, 3)
-    for chunk in (1, 5, 36, 37, 100):
-        part = nearest(queries, bank, 3, chunk=chunk)
-        np.testing.assert_array_equal(part.indices, whole.indices)
-        np.testing.assert_allclose(part.distances, whole.distances, rtol=1e-12)
-
-
-def test_one_more_row_never_raises_a_distance() -> None:
-    """A larger bank is never further away."""
-    rng = np.random.default_rng(1)
-    queries, bank = rng.normal(size=(20, 4)), rng.normal(size=(30, 4))
-    small, large = nearest(queries, bank[:-1]).distances, nearest(queries, bank).distances
-    assert (large <= small + 1e-12).all()
-
-
 def test_the_lowest_row_wins_a_tie() -> None:
     """Among equal rows the first of the bank is returned."""
     bank = np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]])

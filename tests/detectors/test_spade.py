@@ -65,16 +65,6 @@ def test_the_window_keeps_matches_near() -> None:
     assert corner[0.25] > 5 * corner[None]
 
 
-def test_both_modes_search_the_whole_gallery() -> None:
-    """The seed paper's script compares with every gallery cell: a stored press finds itself everywhere."""
-    taps = {"layer1": (5, 12, 12)}
-    at, nominal = grid(taps), presses_of(1, 0, taps)
-    for mode in MODES:
-        p = spade.parameters(mode, layers=("layer1",), packing="none")
-        bank = fit(spade, p, nominal, at)
-        assert run_head(spade.head(at, bank, p), nominal, bank)["raw_map"].max() < 1e-5
-
-
 @pytest.mark.parametrize("presses", [1, 2])
 def test_spade_pytorch_loses_the_last_columns(presses: int) -> None:
     """Published by SPADE-pytorch: of 12x12 cells, or of two presses', full chunks of 100 are searched, column by

@@ -10,10 +10,10 @@ PatchCore).
 import numpy as np
 import pytest
 from heads import fit, grid, presses_of, run_head, with_spot
+from presses import stored
 
-from edge.core.detector import Bank, Nominal
+from edge.core.detector import Nominal
 from edge.core.errors import FitError
-from edge.model.packing import pack, unpack
 from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.fapm import fapm
@@ -87,10 +87,3 @@ def taps_of(detector: object, mode: str) -> dict[str, object]:
     """InReaCh's published taps are a Wide-ResNet's."""
     named = {"taps": ("layer1", "layer2"), "grid_tap": "layer1"}
     return named if detector is inreach and mode == "paper" else {}
-
-
-def stored(bank: Bank) -> Bank:
-    """The bank after storage in its packing."""
-    ways = {name: bank.packing.get(name, "none") for name in bank.arrays}
-    arrays = {name: unpack(pack(array, ways[name]), ways[name]) for name, array in bank.arrays.items()}
-    return Bank(arrays, bank.packing, bank.facts)

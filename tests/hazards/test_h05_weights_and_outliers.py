@@ -8,9 +8,8 @@ with squared distances limited to float16's 65504 in `emit_group_nearest` the fi
 import numpy as np
 import pytest
 from heads import fit, grid, presses_of, run_head
+from presses import stored
 
-from edge.core.detector import Bank
-from edge.model.packing import pack, unpack
 from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
@@ -47,12 +46,7 @@ def test_the_stable_weight_is_the_same_number() -> None:
 def test_a_far_outlier_against_a_bank_in_halves(detector: object, outlier: float) -> None:
     """A bank stored as float16 and a press up to a million times brighter: finite, and equal to the oracle to 1e-4."""
     p = detector.parameters(packing="float16")  # type: ignore[attr-defined]
-    bank = fit(detector, p, presses_of(12), grid())  # type: ignore[arg-type]
-    stored = {}
-    for name, array in bank.arrays.items():
-        packing = bank.packing.get(name, "none")
-        stored[name] = unpack(pack(array, packing), packing)
-    bank = Bank(stored, bank.packing, bank.facts)
+    bank = stored(fit(detector, p, presses_of(12), grid()))  # type: ignore[arg-type]
     asked = presses_of(2, 1, scale=outlier)
     found = run_head(detector.head(grid(), bank, p), asked, bank)["score_map"]  # type: ignore[attr-defined]
     expected = detector.reference_score(asked, grid(), bank, p).score_map  # type: ignore[attr-defined]

@@ -46,17 +46,8 @@ def bank() -> object:
 def test_a_defect_is_seen_wherever_it_lies(bank: object) -> None:
     """On the border, in a corner, on both sides of every seam and in the overlaps: the peak is there, equally high."""
     peaks = []
-    for row, column in [
-        (0, 0),
-        (27, 43),
-        (0, 20),
-        (11, 12),
-        (12, 11),
-        (15, 16),
-        (16, 15),
-        (13, 40),
-        (27, 30),
-    ]:
+    places = ((0, 0), (27, 43), (0, 20), (11, 12), (12, 11), (15, 16), (16, 15), (13, 40), (27, 30))
+    for row, column in places:
         score_map = padim.reference_score(defect_at(row, column), GRID, bank, PARAMETERS).score_map[0]  # type: ignore[arg-type]
         assert np.unravel_index(score_map.argmax(), score_map.shape) == (4 * row, 4 * column)
         peaks.append(score_map.max())
@@ -108,8 +99,7 @@ def test_equal_tiles_give_the_map_of_one_piece() -> None:
         }
 
     train, query = features(9, whole, seed=1), features(2, whole, seed=2)
-    options = {**choice.__dict__, "is_balanced": False}
-    parameters = type(choice)(**options)
+    parameters = type(choice)(**{**choice.__dict__, "is_balanced": False})
     one = padim.reference_score(query, whole, fitted(padim, parameters, Nominal(train), whole), parameters)
     many = padim.reference_score(
         mosaic(query), tiled, fitted(padim, parameters, Nominal(mosaic(train)), tiled), parameters
