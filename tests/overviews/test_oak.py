@@ -93,10 +93,10 @@ def test_a_file_that_may_not_grow_does_not_end_the_process(tmp_path: Path) -> No
         env={**os.environ, "DEPTHAI_INSTALL_SIGNAL_HANDLER": "1"},
         capture_output=True,
         text=True,
-        check=True,
     )
 
-    assert done.stdout.strip().endswith("File too large")
+    assert done.stdout.strip().endswith("File too large"), done
+    assert done.returncode == 0, done
 
 
 def test_loading_the_plugin_does_not_import_depthai(tmp_path: Path) -> None:
