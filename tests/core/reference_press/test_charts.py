@@ -27,6 +27,10 @@ def learnt(count: int = LEARN) -> list[ReferencePress]:
     return [press(n) for n in range(count)]
 
 
+WRONG = press(2, verdict="fail", score=1.5)
+MOVED, WEAK = (Imprint(strength, x, 7.0, None, 1.0) for strength, x in ((2.0, 12.0), (1.0, 9.0)))
+
+
 def outcome(presses: Sequence[ReferencePress]) -> Outcome:
     return judge(presses, LEARN).outcome
 
@@ -43,19 +47,12 @@ def test_limits_are_learnt_from_the_first_presses() -> None:
     }
 
 
-def test_the_first_presses_are_not_compared_with_their_own_limits() -> None:
-    """An odd one among them is a wide limit, not an alarm after the fact."""
-    odd = [*learnt(4), press(4, score=0.9)]
-
-    assert outcome(odd) is Outcome.IN_LIMITS
-
-
 @pytest.mark.parametrize(
     ("changes", "word"),
     [
         ({"score": 0.9}, r"score is 0.9, the limits are .*; clean gel and master piece"),
         ({"imprint": Imprint(4.0, 9.0, 7.0, None, 1.0)}, r"strength is 4 levels, .*; check the force"),
-        ({"imprint": Imprint(2.0, 12.0, 7.0, None, 1.0)}, r"place x is 12 mm, .*; check fixture"),
+        ({"imprint": MOVED}, r"place x is 12 mm, .*; check fixture"),
         ({"imprint": Imprint(2.0, 9.0, 7.0, None, 3.0)}, r"noise is 3 levels, .*; check light"),
         ({"verdict": "fail", "score": 0.4}, r"its verdict is fail, this master piece must give pass"),
     ],
@@ -66,6 +63,32 @@ def test_each_measure_out_of_limits_says_what_to_do(changes: dict[str, object], 
 
     assert found.outcome is Outcome.OUT_OF_LIMITS
     assert any(re.search(word, sentence) for sentence in found.sentences)
+
+
+FAILING = [press(n, expected="fail", verdict="fail", score=1.4 + 0.01 * WOBBLE[n % 5]) for n in range(6)]
+OTHER = press(6, bundle_id="b2", score=40.0, threshold=100.0)
+OUTCOMES = {
+    "an odd one among the first makes wide limits": ([*learnt(4), press(4, score=0.9)], Outcome.IN_LIMITS),
+    "another verdict is out before there are limits": ([*learnt(2), WRONG], Outcome.OUT_OF_LIMITS),
+    "a damaged master piece fails": (FAILING, Outcome.IN_LIMITS),
+    "a damaged master piece that passes": ([*FAILING, press(6, expected="fail")], Outcome.OUT_OF_LIMITS),
+    "a new bundle has another scale of scores": ([*learnt(6), OTHER], Outcome.LEARNING),
+    "with a new bundle strength is compared": (
+        [*learnt(6), replace(OTHER, imprint=WEAK)],
+        Outcome.OUT_OF_LIMITS,
+    ),
+    "on a new gel the place is compared": (
+        [*learnt(6), press(6, gel_id="g2", imprint=MOVED)],
+        Outcome.OUT_OF_LIMITS,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OUTCOMES)
+def test_outcomes(name: str) -> None:
+    """Of the newest of several presses."""
+    presses, expected = OUTCOMES[name]
+    assert outcome(presses) is expected
 
 
 def test_eight_on_one_side_are_a_warning() -> None:
@@ -82,35 +105,20 @@ def test_eight_on_one_side_are_a_warning() -> None:
 
 
 def test_a_press_without_a_score_says_nothing_of_the_station() -> None:
-    """It is not learnt either, and says why."""
+    """It is not learnt, no more than one with another verdict than expected, and says why."""
     slid = press(2, verdict="rejected", score=None, reason="not_settled: it slid")
     found = judge([*learnt(2), slid], LEARN)
 
     assert found.outcome is Outcome.NOT_MEASURED
     assert found.sentences == ("not_settled: it slid; press the piece again",)
-    assert judge([*learnt(2), slid, press(3)], LEARN).sentences == ("limits are learnt: 3 of 5 presses",)
-
-
-def test_a_piece_that_gives_another_verdict_than_expected_is_not_learnt() -> None:
-    """It is out of limits before there are limits."""
-    failed = press(2, verdict="fail", score=1.5)
-
-    assert outcome([*learnt(2), failed]) is Outcome.OUT_OF_LIMITS
-    assert judge([*learnt(2), failed, press(3)], LEARN).sentences == ("limits are learnt: 3 of 5 presses",)
-
-
-def test_a_damaged_master_piece_must_fail() -> None:
-    """The same rules with the other verdict."""
-    failing = [press(n, expected="fail", verdict="fail", score=1.4 + 0.01 * WOBBLE[n % 5]) for n in range(6)]
-
-    assert outcome(failing) is Outcome.IN_LIMITS
-    assert outcome([*failing, press(6, expected="fail")]) is Outcome.OUT_OF_LIMITS
+    for other in (slid, WRONG):
+        found = judge([*learnt(2), other, press(3)], LEARN)
+        assert found.sentences == ("limits are learnt: 3 of 5 presses",)
 
 
 def test_a_new_gel_begins_new_charts_and_keeps_the_place() -> None:
-    """Strength may change with the gel; a place that moves is out of limits at once."""
+    """Strength may change with the gel."""
     harder = press(6, gel_id="g2", imprint=Imprint(3.0, 9.0, 7.0, None, 1.2))
-    moved = press(6, gel_id="g2", imprint=Imprint(3.0, 12.0, 7.0, None, 1.2))
     found = judge([*learnt(6), harder], LEARN)
 
     assert found.outcome is Outcome.LEARNING
@@ -118,21 +126,11 @@ def test_a_new_gel_begins_new_charts_and_keeps_the_place() -> None:
         "limits are learnt: 1 of 5 presses",
         "the first one on gel g2: its charts begin again, the limits of the place remain",
     )
-    assert outcome([*learnt(6), moved]) is Outcome.OUT_OF_LIMITS
-
-
-def test_a_new_bundle_begins_a_new_chart_of_the_score_alone() -> None:
-    """Another scale of scores is no fault; strength is compared as before."""
-    other = press(6, bundle_id="b2", score=40.0, threshold=100.0)
-    weak = replace(other, imprint=Imprint(1.0, 9.0, 7.0, None, 1.0))
-
-    assert outcome([*learnt(6), other]) is Outcome.LEARNING
-    assert outcome([*learnt(6), weak]) is Outcome.OUT_OF_LIMITS
 
 
 def test_charts_begin_again_on_request() -> None:
     """After the fixture was moved on purpose."""
-    moved = press(6, imprint=Imprint(2.0, 12.0, 7.0, None, 1.0), is_start=True)
+    moved = press(6, imprint=MOVED, is_start=True)
 
     assert judge([*learnt(6), moved], LEARN).sentences == ("limits are learnt: 1 of 5 presses",)
 

@@ -180,15 +180,12 @@ def test_the_map_comes_back_to_where_the_damage_lies() -> None:
 @pytest.mark.parametrize("what", ["free gel", "other part", "flat part"])
 def test_what_is_not_the_part_is_refused(what: str) -> None:
     """The free gel, another part, and a part without relief have no pose, and a sentence says so."""
-    find_relief = {
+    foreign = {
         "free gel": parts.free_gel(),
         "other part": parts.press(parts.OTHER, Pose(3.0, 2.0, 0.3)),
         "flat part": parts.press(((0.0, 0.0, 60.0, 0.5),)),
     }[what]
-    refusal = registrar("BLOCK").register(find_relief).refusal
-
-    assert refusal is not None
-    assert "not recognised" in refusal
+    assert "not recognised" in str(registrar("BLOCK").register(foreign).refusal)
 
 
 def test_a_second_part_does_not_lead_away() -> None:
