@@ -84,15 +84,6 @@ def test_parameters_are_plain_values(method: str, mode: str) -> None:
         p.sigma = 1.0  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_every_parameter_says_what_it_is(method: str) -> None:
-    """One sentence without a full stop, which docs/parameters.md prints."""
-    for name, field in type(registry.detector(method).parameters("paper")).model_fields.items():
-        assert field.description, f"{method}: {name} has no description"
-        assert "\n" not in field.description
-        assert not field.description.endswith(".")
-
-
 @pytest.mark.parametrize("method", OWN)
 def test_the_corrected_parameters_know_no_published_defect(method: str) -> None:
     """Only the published variant has the switches of published defects, and they are off unless named."""

@@ -1,8 +1,8 @@
 """What every method does, in both modes: the graph is the float64 oracle, and the cheapest truths hold.
 
-On a narrow and a wide backbone, end to end from frames, the relative error is below 1e-4 of the map's maximum with the bank as
-fitted. tests/backbones compares trunks with their own float64 reference; here their taps are given, so that only the
-head differs. The methods that compare with a memory are tried on small taps as well.
+On a narrow and a wide backbone, end to end from frames, the relative error is below 1e-4 of the map's maximum with the
+bank as fitted. tests/backbones compares trunks with their own float64 reference; here their taps are given, so that
+only the head differs. The methods that compare with a memory are tried on small taps as well.
 """
 
 from functools import cache
@@ -169,3 +169,14 @@ def test_features_that_are_not_finite_are_refused(method: str) -> None:
     found = run_head(detector.head(small_grid(), bank, p), broken, bank)["score_map"]
     assert not np.isfinite(found[1]).all()
     assert np.isfinite(found[[0, 2]]).all()
+
+
+@pytest.mark.parametrize("method", MEMORIES)
+def test_presses_that_touch_nothing_are_refused(method: str) -> None:
+    """A bank of the free gel would judge nothing of the part."""
+    detector, nowhere = registry.detector(method), np.zeros(small_grid().frame, bool)
+    nominal = Nominal(presses_of(3), nowhere)
+    with pytest.raises(FitError, match="no nominal press touches"):
+        detector.fit(
+            nominal, small_grid(), detector.parameters(), np.random.default_rng(0), lambda done: None
+        )

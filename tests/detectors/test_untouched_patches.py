@@ -14,7 +14,6 @@ import pytest
 from heads import run_head
 
 from edge.core.detector import Bank, Features, Grid, Nominal
-from edge.core.errors import FitError
 from edge.core.imaging.tiles import tiling
 from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.common.tile_layout import split
@@ -186,10 +185,3 @@ def test_the_published_mode_knows_no_touch(detector: Any) -> None:
     ]
     np.testing.assert_array_equal(banks[0].arrays["bank"], banks[1].arrays["bank"])
     assert banks[0].facts["rows_of_free_gel"] == 0
-
-
-@EACH
-def test_nothing_touched_is_refused(detector: Any) -> None:
-    """Presses that touch nothing are refused with a FitError that says so."""
-    with pytest.raises(FitError, match="no nominal press touches"):
-        fitted(detector, Nominal(frames(3, 0), NOWHERE))

@@ -11,7 +11,6 @@ import pytest
 from heads import run_head, stored_bytes
 
 from edge.core.detector import Bank, Features, Grid, Nominal
-from edge.core.errors import FitError
 from edge.core.imaging.tiles import tiling
 from plugins.detectors.fapm import fapm
 from plugins.detectors.spade import spade
@@ -140,45 +139,32 @@ def test_the_published_mode_knows_no_touch(detector: Any, choice: dict[str, obje
     assert not any("gel" in name for name in bank.arrays)
 
 
-@EACH
-def test_nothing_touched_is_refused(detector: Any, choice: dict[str, object]) -> None:
-    """Presses that touch nothing are refused with a FitError that says so."""
-    with pytest.raises(FitError, match="no nominal press touches"):
-        fitted(detector, choice, np.zeros(FRAME, bool))
+LARGE = Grid((224, 224), {"layer1": (64, 56, 56)}, 15.77)
 
 
 @pytest.mark.parametrize("detector", [fapm, spade], ids=lambda d: d.name)
-def test_untouched_places_of_tiles(detector: Any) -> None:
-    """On a mosaic each tile has its own touched places: the graph equals the oracle, and the bank is smaller."""
+@pytest.mark.parametrize(
+    ("grid", "top", "left", "n", "choice"),
+    [(TILED, 60, 100, 30, {"margin_mm": 0.25}), (LARGE, 100, 200, 7, {})],
+    ids=["tiles", "large"],
+)
+def test_a_small_touch(
+    detector: Any, grid: Grid, top: int, left: int, n: int, choice: dict[str, float]
+) -> None:
+    """On a mosaic each tile has its own touched places; on a large grid most parts of a search are empty: the graph
+    equals the oracle, and the bank of tiles is smaller."""
     rng = np.random.default_rng(0)
     nominal, asked = (
-        {"layer1": rng.normal(1, 0.1, (n, *TILED.taps["layer1"])).astype(np.float32)} for n in (30, 2)
-    )
-    touched = np.zeros(TILED.frame, bool)
-    touched[60:70, 100:110] = True
-    p = detector.parameters(margin_mm=0.25)
-    banks = [
-        detector.fit(Nominal(nominal, t), TILED, p, np.random.default_rng(0), lambda done: None)
-        for t in (touched, None)
-    ]
-    assert stored_bytes(banks[0]) < 0.6 * stored_bytes(banks[1])
-    oracle = detector.reference_score(asked, TILED, banks[0], p)
-    found = run_head(detector.head(TILED, banks[0], p), asked, banks[0])
-    assert np.abs(found["score_map"] - oracle.score_map).max() < 1e-5 * oracle.score_map.max()
-
-
-@pytest.mark.parametrize("detector", [fapm, spade], ids=lambda d: d.name)
-def test_a_small_touch_on_a_large_grid(detector: Any) -> None:
-    """A search in parts of a complete grid works when most parts are empty because little is touched."""
-    grid = Grid((224, 224), {"layer1": (64, 56, 56)}, 15.77)
-    rng = np.random.default_rng(0)
-    nominal, asked = (
-        {"layer1": rng.normal(1, 0.1, (n, *grid.taps["layer1"])).astype(np.float32)} for n in (7, 2)
+        {"layer1": rng.normal(1, 0.1, (count, *grid.taps["layer1"])).astype(np.float32)} for count in (n, 2)
     )
     touched = np.zeros(grid.frame, bool)
-    touched[100:110, 200:210] = True
-    p = detector.parameters()
-    bank = detector.fit(Nominal(nominal, touched), grid, p, np.random.default_rng(0), lambda done: None)
+    touched[top : top + 10, left : left + 10] = True
+    p = detector.parameters(**choice)
+    bank, whole = (
+        detector.fit(Nominal(nominal, t), grid, p, np.random.default_rng(0), lambda done: None)
+        for t in (touched, None)
+    )
+    assert grid is LARGE or stored_bytes(bank) < 0.6 * stored_bytes(whole)
     oracle = detector.reference_score(asked, grid, bank, p)
     found = run_head(detector.head(grid, bank, p), asked, bank)
     assert np.abs(found["score_map"] - oracle.score_map).max() < 1e-5 * oracle.score_map.max()
