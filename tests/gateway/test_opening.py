@@ -1,18 +1,25 @@
 """A gateway that cannot start leaves no trace outside: no connection, no thread, no lock."""
 
+import random
 import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
-from station import JSONL, MQTT, station_config
+from station import MQTT, station_config
+from stepped_station import SteppedStation
 
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import ConfigError, StoreError
+from edge.core.ports import Sink
 from edge.gateway.gateway import Gateway
+from edge.messaging.publisher import Publisher
 from edge.messaging.publisher_lock import PublisherLock
+from edge.messaging.retained_state import RetainedState
+from edge.store.press_store import Store
 
 
 @pytest.fixture
@@ -56,71 +63,25 @@ def test_a_sink_that_cannot_be_opened_closes_those_before_it(
 
 def test_a_sink_that_breaks_while_it_is_closed_does_not_keep_the_others_open(tmp_path: Path) -> None:
     """Nor the database's lock."""
-    import random
-
-    from edge.core.ports import Message
-    from edge.messaging.publisher import Publisher
-    from edge.messaging.retained_state import RetainedState
-    from edge.store.press_store import Store
-
-    class Plain:
-        is_closed = False
-
-        def send(self, message: Message) -> None: ...
-
-        def close(self) -> None:
-            self.is_closed = True
-
-    class Broken(Plain):
-        def close(self) -> None:
-            raise RuntimeError("a plugin's own fault")
-
-    path, good = tmp_path / "gelgate.db", Plain()
+    path, good = tmp_path / "gelgate.db", Mock(Sink)
+    bad = Mock(Sink, close=Mock(side_effect=RuntimeError("a plugin's own fault")))
     with Store(path):
-        running = Publisher(
-            path, {"bad": Broken(), "good": good}, RetainedState(), SystemClock(), random.Random(0)
-        )
+        sinks = {"bad": bad, "good": good}
+        running = Publisher(path, sinks, RetainedState(), SystemClock(), random.Random(0))
         running.start()
         running.stop()
 
-    assert good.is_closed
+    good.close.assert_called_once_with()
     PublisherLock(path).close()
 
 
-def test_a_store_that_refuses_at_the_first_frame_is_waited_for(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_a_store_that_refuses_at_the_first_frame_is_waited_for(station: SteppedStation) -> None:
     """A database that cannot be written when the sensor appears halts the station, and does not end it."""
-    import json
-    import sqlite3
-    import time
+    with station.refusing("gels"):
+        station.play_until(lambda: station.loop.is_halted)
+        assert station.said("state")["state"] == "halted"
+    station.turn()
+    station.play()
 
-    path = station_config(tmp_path, recording, bundle, sinks=JSONL % (tmp_path / "out"), loop=True)
-    log = tmp_path / "out" / "messages.jsonl"
-    stop = threading.Event()
-    with Gateway.open(load_config(path), SystemClock(), lambda report: stop.set()) as gateway:
-        other = sqlite3.connect(tmp_path / "gelgate.db", timeout=60)
-        with other:
-            other.execute("CREATE TRIGGER no BEFORE INSERT ON gels BEGIN SELECT RAISE(FAIL, 'no room'); END")
-
-        def repair() -> None:
-            deadline = time.monotonic() + 60
-            while '"state":"halted"' not in log.read_text(errors="replace") and time.monotonic() < deadline:
-                time.sleep(0.02)
-            with sqlite3.connect(tmp_path / "gelgate.db", timeout=60) as connection:
-                connection.execute("DROP TRIGGER no")
-            connection.close()
-
-        other.close()
-        log.parent.mkdir(exist_ok=True)
-        log.touch()
-        repairer = threading.Thread(target=repair)
-        repairer.start()
-        gateway.run(stop)
-        repairer.join()
-    messages = [json.loads(line) for line in log.read_text().splitlines()]
-    states = [message["payload"]["state"] for message in messages if message["topic"] == "state"]
-
-    # A sink that is slower than the recording, which is played at full speed, gets the latest state, not every state.
-    assert states[-1] == "stopped"
-    assert gateway.summary.presses == 1
+    assert station.verdicts == ["pass", "fail", "pass"]
+    assert station.said("state")["state"] == "ready"

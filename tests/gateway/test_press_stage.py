@@ -1,10 +1,7 @@
 """A feature of presses is one stage: a class of some lines, and a line in `build.py`."""
 
-from collections import Counter
-from datetime import UTC, datetime
 from pathlib import Path
 
-from station import station_config
 from stepped_station import SteppedStation
 
 from edge.core.contact.events import PressSettled
@@ -13,17 +10,6 @@ from edge.core.press_label import PressLabel
 from edge.features.press_stage import PressStage
 from edge.model.inspector import Inspector
 from edge.store.gel_ledger import GelRecord
-
-
-class PressesPerShift(PressStage):
-    """Counts the presses of each shift of eight hours."""
-
-    def __init__(self) -> None:
-        self.counts: Counter[int] = Counter()
-
-    def record(self, press: Press, gel: GelRecord) -> None:
-        hour = datetime.fromtimestamp(press.time_ns / 1e9, UTC).hour
-        self.counts[hour // 8] += 1
 
 
 class Told(PressStage):
@@ -48,18 +34,9 @@ class Told(PressStage):
         self.calls.append(f"record {press.word}")
 
 
-def test_a_new_feature_is_one_class(tmp_path: Path, recording: Path, bundle: Path) -> None:
-    """It sees every press that is recorded, and touches no other file."""
-    shifts = PressesPerShift()
-    with SteppedStation(station_config(tmp_path, recording, bundle), labels=shifts) as station:
-        station.play()
-    assert shifts.counts == {0: 3}
-
-
-def test_the_calls_of_a_press_come_in_order(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_the_calls_of_a_press_come_in_order(config: Path) -> None:
     """Three presses, the second one dented, each from its beginning to its row."""
-    told = Told()
-    with SteppedStation(station_config(tmp_path, recording, bundle), labels=told) as station:
+    with SteppedStation(config, labels=(told := Told())) as station:
         station.play()
     assert told.calls == [
         call

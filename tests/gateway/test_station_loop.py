@@ -1,116 +1,116 @@
 """The station's loop, one step at a time: nothing sleeps, and a test decides the order."""
 
-import json
+import threading
 from pathlib import Path
 
 import pytest
-from station import station_config
 from stepped_station import SteppedStation
 
 from edge.core.errors import DeviceNotFound, StoreError
-from edge.gateway.command_table import COMMANDS, Command
-from edge.messaging.command_payloads import CommandArguments
-
-VERBS: dict[str, Command[CommandArguments]] = {command.verb: command for command in COMMANDS}
-
-
-def test_a_recording_gives_its_presses_without_any_time_passing(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
-    """Three presses, the second one dented, numbered 1 to 3."""
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
-        station.play()
-
-    assert [report.result.verdict for report in station.reports] == ["pass", "fail", "pass"]
-    assert [report.result.sequence for report in station.reports] == [1, 2, 3]
+from edge.gateway import inspection_session
+from edge.messaging.command_payloads import SelectPartArguments
+from edge.store.press_store import Store
 
 
 @pytest.mark.parametrize("verb", ["relearn", "replace_gel", "trigger"])
-def test_nothing_can_be_asked_of_a_gel_before_the_sensor_is_known(
-    tmp_path: Path, recording: Path, bundle: Path, verb: str
-) -> None:
-    """The gel is not known. The refusal says that no frame has come yet."""
-    with (
-        SteppedStation(station_config(tmp_path, recording, bundle)) as station,
-        pytest.raises(DeviceNotFound, match="no frame has arrived"),
-    ):
-        VERBS[verb].do(station.loop, VERBS[verb].arguments.of({}))
+def test_nothing_can_be_asked_of_a_gel_before_the_sensor_is_known(station: SteppedStation, verb: str) -> None:
+    with pytest.raises(DeviceNotFound, match="no frame has arrived"):
+        station.ask(verb)
 
 
-def test_a_part_can_be_selected_before_the_sensor_is_known(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_a_part_can_be_selected_before_the_sensor_is_known(station: SteppedStation) -> None:
     """The answer has the part in use; a name that is not known is refused with those that are."""
-    verb = VERBS["select_part"]
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
-        found = verb.do(station.loop, verb.arguments.of({"part": "PZ0"}))
-        assert (found["part"], found["position"], found["is_waiting"]) == ("PZ0", "pos1", False)
-        with pytest.raises(ValueError, match="this station has no bundle for 'PZ9'; it has PZ0/pos1"):
-            verb.do(station.loop, verb.arguments.of({"part": "PZ9"}))
-        with pytest.raises(ValueError, match="expected either part, with or without position, or name"):
-            verb.arguments.of({"part": "PZ0", "name": "PZ0"})
+    found = station.ask("select_part", part="PZ0")
+    assert (found["part"], found["position"], found["is_waiting"]) == ("PZ0", "pos1", False)
+    with pytest.raises(ValueError, match="this station has no bundle for 'PZ9'; it has PZ0/pos1"):
+        station.ask("select_part", part="PZ9")
+    with pytest.raises(ValueError, match="expected either part, with or without position, or name"):
+        SelectPartArguments.of({"part": "PZ0", "name": "PZ0"})
 
 
-def test_a_requested_reload_is_served_by_the_bundles_thread(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_a_requested_reload_is_served_by_the_bundles_thread(station: SteppedStation) -> None:
     """The answer comes at once; the outcome is an act of the gateway."""
-    verb = VERBS["reload"]
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
-        assert verb.do(station.loop, verb.arguments.of({})) == {"is_waiting": True}
-        station.loop.step(None)
-        assert station.parts.store.acts() == []
-        station.parts.selection.stage.step()
-        station.loop.step(None)
-        assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]
+    assert station.ask("reload") == {"is_waiting": True}
+    station.turn()
+    assert station.parts.store.acts() == []
+    station.parts.selection.stage.step()
+    station.turn()
+    assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]
 
 
-def test_a_press_that_the_store_refuses_is_kept_and_recorded_when_it_can_be(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
-    """Halted with a reason while it lasts; commands are still answered; then the same press is recorded, once."""
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
-        with station.refusing("presses"):
-            station.play_until(lambda: station.loop.is_halted)
-            station.loop.step(None)
-            assert station.loop.is_halted
-            assert station.reports == []
-            assert VERBS["relearn"].do(station.loop, VERBS["relearn"].arguments.of({}))["state"]
-            state = {m.topic: m.payload for m in station.parts.publisher.retained_state.all()}["state"]
-        station.loop.step(None)
-        assert not station.loop.is_halted
-
-    assert json.loads(state)["state"] == "halted"
-    assert "no room" in json.loads(state)["reason"]
-    assert [report.result.sequence for report in station.reports] == [1]
-
-
-def test_a_run_that_ends_with_a_press_it_cannot_record_says_so(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
-    """A verdict that was not stored is an error of the run, not a line in a log."""
-    import threading
-
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station, station.refusing("presses"):
-        while not station.loop.is_halted:
-            station.play(1)
-        stop = threading.Event()
-        stop.set()
-        with pytest.raises(StoreError, match="no room"):
-            station.loop.run(stop)
-
-
-def test_a_new_gel_starts_from_nothing(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_a_new_gel_starts_from_nothing(station: SteppedStation) -> None:
     """Its count is 0, its picture is learnt again, and the sequence of presses continues."""
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
-        station.play_until(lambda: bool(station.reports))
-        replace = VERBS["replace_gel"]
-        answer = replace.do(station.loop, replace.arguments.of({"gel_id": "next", "limit_presses": 7}))
-        state = json.loads(
-            {m.topic: m.payload for m in station.parts.publisher.retained_state.all()}["state"]
-        )
-        with pytest.raises(StoreError, match="'next' was already used"):
-            replace.do(station.loop, replace.arguments.of({"gel_id": "next"}))
+    station.play_until(lambda: bool(station.reports))
+    answer = station.ask("replace_gel", gel_id="next", limit_presses=7)
+    state = station.said("state")
 
     assert answer == {"gel_id": "next", "presses": 0, "limit_presses": 7}
     assert (state["state"], state["reason"]) == ("starting", "waiting for the free gel, to learn its picture")
+    with pytest.raises(StoreError, match="'next' was already used"):
+        station.ask("replace_gel", gel_id="next")
+
+
+def test_presses_that_the_store_refuses_are_kept_and_recorded_when_they_can_be(
+    station: SteppedStation,
+) -> None:
+    """Halted with a reason while it lasts; commands are still answered; then all three, in order, once, each with its
+    verdict."""
+    with station.refusing("presses"):
+        station.play()
+        station.turn()
+        assert station.loop.is_halted
+        assert station.reports == []
+        assert station.ask("relearn")["state"]
+        state = station.said("state")
+    station.turn()
+
+    assert not station.loop.is_halted
+    assert (state["state"], "no room" in state["reason"]) == ("halted", True)
+    assert [result.sequence for result in station.results] == [1, 2, 3]
+    assert station.verdicts == ["pass", "fail", "pass"]
+
+
+def test_presses_that_find_no_room_to_wait_are_counted_on_the_gel(
+    station: SteppedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Memory is bounded: what does not fit has no result, and the gel has felt it."""
+    monkeypatch.setattr(inspection_session, "MOST_WAITING", 1)
+    with station.refusing("presses"):
+        station.play()
+    station.turn()
+
+    assert len(station.reports) == 1
+    assert station.loop.session.gel.presses == 3
+
+
+def test_a_gateway_that_ends_while_the_database_refuses_leaves_the_count_to_the_next(config: Path) -> None:
+    """A verdict that was not stored is an error of the run, not a line in a log. Ended or killed: the next start counts
+    the presses and raises the alarm `counts`."""
+    with SteppedStation(config) as station, station.refusing("presses"):
+        station.play()
+        (stop := threading.Event()).set()
+        with pytest.raises(StoreError, match="no room"):
+            station.loop.run(stop)
+
+    with SteppedStation(config) as station:
+        station.play(3)
+        station.loop.publish_stats()
+        alarm = str(station.alarm("counts"))
+    with Store(config.parent / "gelgate.db") as store:
+        (gel,) = store.gels()
+
+    assert gel.presses == 3
+    assert "3 presses of sensor TEST0001 were made while it refused writes" in alarm
+
+
+def test_a_lost_database_is_an_alarm_of_the_station(config: Path) -> None:
+    """The gel goes on counting, and a person is asked to look."""
+    with SteppedStation(config) as station:
+        station.play()
+    for name in ("gelgate.db", "gelgate.db-wal", "gelgate.db-shm"):
+        (config.parent / name).unlink(missing_ok=True)
+
+    with SteppedStation(config) as station:
+        station.play(3)
+        assert station.loop.session.gel.presses == 3
+        assert "presses 1 to 3 are missing" in str(station.alarm("counts"))
