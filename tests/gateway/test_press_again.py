@@ -2,18 +2,16 @@
 
 import json
 import logging
-import shutil
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import Mock
 
 import pytest
 from command_line import gelgate
-from station import Motion, press_recording, station_config
+from station import Motion, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
 from edge.cli.run import press_line
@@ -34,161 +32,113 @@ COSTS = "[press_again]\nmissed_defect = 1\nfalse_alarm = 1000\n"
 @pytest.fixture(scope="module")
 def again_bundle(tmp_path_factory: pytest.TempPathFactory, bundle: Path) -> Path:
     """The bundle of the other tests, with what `fit` states of pieces pressed twice and of damage."""
-    folder = tmp_path_factory.mktemp("again") / "bundle"
-    shutil.copytree(bundle, folder)
-    path = folder / "manifest.json"
-    manifest = json.loads(path.read_text(encoding="utf-8"))
-    manifest["facts"]["press_again"] = KNOWN
-    nominal = sorted(score for piece in KNOWN["sound"] for score in piece)
-    manifest["threshold"] |= {"nominal_scores": nominal, "pieces": 6, "alpha_floor": 1 / 7}
-    path.write_text(json.dumps(manifest), encoding="utf-8")
-    return folder
+    manifest = json.loads((bundle / "manifest.json").read_text(encoding="utf-8"))
+    scores = sorted(score for piece in KNOWN["sound"] for score in piece)
+    limit = manifest["threshold"] | {"nominal_scores": scores, "pieces": 6, "alpha_floor": 1 / 7}
+    folder, facts = tmp_path_factory.mktemp("again") / "bundle", manifest["facts"] | {"press_again": KNOWN}
+    return variant(bundle, folder, facts=facts, threshold=limit)
 
 
-def configured(
-    folder: Path, bundle: Path, dented: Sequence[int], *, presses: int = 3, extra: str = COSTS
-) -> Path:
-    """A station that asks for a second press. Presses of these numbers are dented."""
-    recording = press_recording(folder / "presses", presses, dented=dented, motion=Motion(hold=10), seed=3)
-    config = station_config(folder, recording, bundle)
-    text = config.read_text(encoding="utf-8").replace("[inspection]", '[inspection]\npress_again = "unsure"')
-    config.write_text(text + extra, encoding="utf-8")
-    return config
+Make = Callable[..., SteppedStation]
 
 
-def played(config: Path) -> tuple[list[dict[str, Any]], list[str], str]:
-    """(results, alarms at the end, the text of the alarm that a press is missing)."""
-    with SteppedStation(config) as station:
-        station.play()
-        station.loop.step(None)
-        results = [json.loads(report.result.encode()) for report in station.reports]
-        retained = {
-            message.topic: message.payload for message in station.parts.publisher.retained_state.all()
-        }
-        text = json.loads(retained.get("alarm/press_again") or b"{}").get("text", "")
-        return results, station.raised, text
+@pytest.fixture
+def asking(tmp_path: Path, again_bundle: Path) -> Make:
+    """A station of three presses that asks for a second one; those of these numbers are dented."""
+
+    def make(*dented: int, tables: str = COSTS, bundle: Path = again_bundle) -> SteppedStation:
+        recording = press_recording(tmp_path / "presses", 3, dented=dented, motion=Motion(hold=10), seed=3)
+        lines = f'press_again = "unsure"\nbundle = "{bundle}"'
+        return SteppedStation(station_config(tmp_path, recording, lines, tables=tables))
+
+    return make
 
 
 def test_a_press_a_little_above_the_limit_asks_and_the_lower_score_of_two_is_decided(
-    tmp_path: Path, again_bundle: Path
+    tmp_path: Path, asking: Make
 ) -> None:
     """The first is unsure, the second passes with its own score; the third is a press of its own. Every press counts
-    on the gel, and the pair is in the ledger."""
-    results, alarms, _ = played(configured(tmp_path, again_bundle, [0]))
-    first, second, third = results
+    on the gel, the pair is in the ledger, and the line at the terminal says that it asks."""
+    with asking(0) as station:
+        station.play()
+        lines = [press_line(report) for report in station.reports]
+    first, second, third = results = station.results
     with closing(sqlite3.connect(tmp_path / "gelgate.db")) as connection:
         pairs = connection.execute("SELECT second_of FROM presses ORDER BY number").fetchall()
 
-    assert [one["verdict"] for one in results] == ["unsure", "pass", "pass"]
-    assert first["score"] > first["threshold"]
-    assert first["press_again"]["is_asked"] is True
-    assert "press the same piece again, a little shifted" in first["press_again"]["reason"]
-    assert second["press_again"]["second_of"] == first["press_id"]
-    assert second["press_again"]["first_score"] == first["score"]
-    assert second["press_again"]["is_asked"] is False
-    assert third["press_again"] is None
-    assert [one["gel_presses"] for one in results] == [1, 2, 3]
-    assert pairs == [(None,), (first["press_id"],), (None,)]
+    assert station.verdicts == ["unsure", "pass", "pass"]
+    assert (first.score or 0) > (first.threshold or 9)
+    assert first.press_again is not None
+    assert first.press_again.is_asked
+    assert "press the same piece again, a little shifted" in str(first.press_again.reason)
+    assert second.press_again is not None
+    assert (second.press_again.second_of, second.press_again.is_asked) == (first.press_id, False)
+    assert second.press_again.first_score == first.score
+    assert third.press_again is None
+    assert [result.gel_presses for result in results] == [1, 2, 3]
+    assert pairs == [(None,), (first.press_id,), (None,)]
     assert [one for one in check_database(tmp_path / "gelgate.db") if one.is_fault] == []
-    assert alarms == []
+    assert station.raised == []
+    assert ["PRESS AGAIN" in line for line in lines] == [True, False, False]
 
 
-def test_a_piece_fails_where_both_presses_lie_above(tmp_path: Path, again_bundle: Path) -> None:
+def test_a_piece_fails_where_both_presses_lie_above(tmp_path: Path, asking: Make) -> None:
     """The damage is there in both. Replay knows that one asked, and what the other was decided with."""
-    config = configured(tmp_path, again_bundle, [0, 1])
-    results, _, _ = played(config)
-    again = gelgate("station", "replay", "--all", "-c", config)
+    with asking(0, 1) as station:
+        station.play()
+    again = gelgate("station", "replay", "--all", "-c", tmp_path / "gelgate.toml")
 
-    assert [one["verdict"] for one in results] == ["unsure", "fail", "pass"]
-    assert results[1]["press_again"]["reason"].startswith("decided by the lower score of two presses")
+    assert station.verdicts == ["unsure", "fail", "pass"]
+    decided = station.results[1].press_again
+    assert decided is not None
+    assert str(decided.reason).startswith("decided by the lower score of two presses")
     assert again.code == 0, again.out
     assert again.out.count("equal, bit for bit") == 3
 
 
-def test_a_press_that_does_not_come_in_time_is_said(tmp_path: Path, again_bundle: Path) -> None:
+def test_a_press_that_does_not_come_in_time_is_said(asking: Make) -> None:
     """With the press that stays unsure; the next press is one of its own, and ends the alarm."""
-    config = configured(tmp_path, again_bundle, [2], extra=COSTS + "within_s = 0.5\n")
-    with SteppedStation(config) as station:
-        station.play()
-        station.clock.sleep(1.0)
-        station.loop.step(None)
-        results = [json.loads(report.result.encode()) for report in station.reports]
-        retained = {
-            message.topic: message.payload for message in station.parts.publisher.retained_state.all()
-        }
-        alarms = station.raised
-
-    assert results[2]["verdict"] == "unsure"
-    assert alarms == ["press_again"]
-    text = json.loads(retained["alarm/press_again"])["text"]
-    assert f"the second press after press {results[2]['press_id']} did not come within 0.5 s" in text
-    assert "treat the piece as not inspected" in text
-
-
-def test_a_late_press_is_a_press_of_its_own(tmp_path: Path, again_bundle: Path) -> None:
-    """It is not decided with the press before, and the alarm ends."""
-    with SteppedStation(configured(tmp_path, again_bundle, [0], extra=COSTS + "within_s = 0.5\n")) as station:
+    with asking(0, tables=COSTS + "within_s = 0.5\n") as station:
         station.play_until(lambda: len(station.reports) == 1)
         station.clock.sleep(1.0)
+        station.turn()
+        late = str(station.alarm("press_again"))
         station.play()
-        results = [json.loads(report.result.encode()) for report in station.reports]
-        alarms = station.raised
 
-    assert [one["verdict"] for one in results] == ["unsure", "pass", "pass"]
-    assert [one["press_again"] is None for one in results] == [False, True, True]
-    assert alarms == []
+    first = station.results[0].press_id
+    assert f"the second press after press {first} did not come within 0.5 s" in late
+    assert "treat the piece as not inspected" in late
+    assert station.verdicts == ["unsure", "pass", "pass"]
+    assert [result.press_again is None for result in station.results] == [False, True, True]
+    assert station.raised == []
 
 
 def test_a_bundle_without_such_scores_never_asks_and_says_why(
-    tmp_path: Path, bundle: Path, caplog: pytest.LogCaptureFixture
+    asking: Make, bundle: Path, again_bundle: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Bundles of earlier versions, and fits without a picture of the free gel."""
-    with caplog.at_level(logging.WARNING):
-        results, _, _ = played(configured(tmp_path, bundle, [0]))
-
-    assert [one["verdict"] for one in results] == ["fail", "pass", "pass"]
-    assert "never: the bundle has no scores of damaged presses" in caplog.text
-
-
-def test_where_it_does_not_pay_a_press_fails_at_once(tmp_path: Path, again_bundle: Path) -> None:
-    """With the costs of the configuration."""
-    extra = "[press_again]\nmissed_defect = 1e9\nfalse_alarm = 0\n"
-    results, _, _ = played(configured(tmp_path, again_bundle, [0], extra=extra))
-
-    assert [one["verdict"] for one in results] == ["fail", "pass", "pass"]
-
-
-def test_the_line_of_a_press_says_that_it_asks(tmp_path: Path, again_bundle: Path) -> None:
-    """For the person at the terminal."""
-    with SteppedStation(configured(tmp_path, again_bundle, [0], presses=2)) as station:
+    """Bundles of earlier versions, and fits without a picture of the free gel; `inspect` says the same."""
+    with caplog.at_level(logging.WARNING), asking(0, bundle=bundle) as station:
         station.play()
-        lines = [press_line(report) for report in station.reports]
 
-    assert ["PRESS AGAIN" in line for line in lines] == [True, False]
+    assert station.verdicts == ["fail", "pass", "pass"]
+    assert "never: the bundle has no scores of damaged presses" in caplog.text
+    assert "never: the bundle has no scores" in gelgate("bundle", "inspect", bundle).out
+    assert "press again" in gelgate("bundle", "inspect", again_bundle).out
 
 
-def test_a_press_that_waits_is_dropped_with_a_gel_change(tmp_path: Path, again_bundle: Path) -> None:
+def test_where_it_does_not_pay_a_press_fails_at_once(asking: Make) -> None:
+    """With the costs of the configuration."""
+    with asking(0, tables="[press_again]\nmissed_defect = 1e9\nfalse_alarm = 0\n") as station:
+        station.play()
+    assert station.verdicts == ["fail", "pass", "pass"]
+
+
+def test_a_press_that_waits_is_dropped_with_a_gel_change(asking: Make) -> None:
     """The next press may be of another piece."""
-    with SteppedStation(configured(tmp_path, again_bundle, [0])) as station:
+    with asking(0) as station:
         station.play_until(lambda: len(station.reports) == 1)
         station.ask("replace_gel")
-        retained = {
-            message.topic: message.payload for message in station.parts.publisher.retained_state.all()
-        }
-
-    assert (
-        "is not waited for any more: the gel was replaced"
-        in json.loads(retained["alarm/press_again"])["text"]
-    )
-
-
-def test_inspect_states_what_one_more_press_brings(again_bundle: Path, bundle: Path) -> None:
-    """Presses a piece and error rates, at the default costs; or why it is never asked for."""
-    stated = gelgate("bundle", "inspect", again_bundle)
-    old = gelgate("bundle", "inspect", bundle)
-
-    assert "press again" in stated.out
-    assert "never: the bundle has no scores" in old.out
+        assert "is not waited for any more: the gel was replaced" in str(station.alarm("press_again"))
 
 
 def test_a_second_press_with_the_higher_score_is_decided_by_the_first(again_bundle: Path) -> None:

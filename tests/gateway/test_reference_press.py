@@ -13,7 +13,6 @@ from stepped_station import SteppedStation
 
 from edge.core.verdict import Kind
 from edge.features.reference_press import ReferenceGuard
-from edge.gateway.command_table import station_handlers
 from edge.store import reference_presses
 from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import check_database
@@ -29,7 +28,7 @@ learn = 5
 within_s = 60
 [[reference.pieces]]
 name = "M1"
-[store]"""
+"""
 
 
 @pytest.fixture(scope="session")
@@ -40,36 +39,13 @@ def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def config(tmp_path: Path, presses: Path, bundle: Path) -> Callable[[str], Path]:
+def config(tmp_path: Path, presses: Path, bundle: Path) -> Callable[..., Path]:
     """A station with one master piece."""
 
-    def made(enforce: str = "warn") -> Path:
-        path = station_config(tmp_path, presses, bundle)
-        path.write_text(path.read_text().replace("[store]", TABLE.format(enforce=enforce)))
-        return path
+    def make(enforce: str = "warn", tables: str = "") -> Path:
+        return station_config(tmp_path, presses, bundle, tables=TABLE.format(enforce=enforce) + tables)
 
-    return made
-
-
-def ask(station: SteppedStation, **arguments: Any) -> dict[str, Any]:
-    """As over MQTT: the request waits for the loop."""
-    handler = station_handlers(_Now(station))["reference_press"]  # type: ignore[arg-type]
-    return dict(handler(arguments).data)
-
-
-class _Now:
-    """Does a call of another thread at once."""
-
-    def __init__(self, station: SteppedStation) -> None:
-        self._station = station
-
-    def ask(self, do: Callable[[Any], Any]) -> Any:
-        return do(self._station.loop)
-
-
-def until_press(station: SteppedStation, number: int) -> None:
-    """Play until this number of presses is recorded, and the gel is free again."""
-    station.play_until(lambda: len(station.reports) == number and not station.loop.session.has_contact)
+    return make
 
 
 def start(station: SteppedStation) -> None:
@@ -77,21 +53,15 @@ def start(station: SteppedStation) -> None:
     station.play_until(lambda: station.loop.session is not None)
 
 
+def ask(station: SteppedStation, **arguments: Any) -> dict[str, Any]:
+    return dict(station.ask("reference_press", **arguments))
+
+
 def reference(station: SteppedStation, count: int = 1) -> None:
     """The next presses are reference presses."""
     for _ in range(count):
         ask(station)
-        until_press(station, len(station.reports) + 1)
-
-
-def said(station: SteppedStation) -> dict[str, Any]:
-    """The present state and alarms."""
-    kept = {m.topic: m.payload for m in station.parts.publisher.retained_state.all() if m.payload}
-    return {
-        topic: json.loads(payload)
-        for topic, payload in kept.items()
-        if topic == "state" or topic.startswith("alarm/")
-    }
+        station.play_presses(len(station.reports) + 1)
 
 
 def published(config: Path, topic: str) -> list[dict[str, Any]]:
@@ -109,16 +79,15 @@ def test_a_reference_press_is_no_result_and_counts_on_the_gel(config: Callable[.
     """It has its own topic with its charts; the part presses before and after have numbers without a gap."""
     path = config()
     with SteppedStation(path) as station:
-        until_press(station, 1)
+        station.play_presses(1)
         answer = ask(station)
-        until_press(station, 3)
+        station.play_presses(3)
         gel = station.loop.session.gel.presses
-        verdicts = dict(station.loop.summary.verdicts)
     (sent,) = published(path, "reference")
 
     assert answer == {"piece": "M1", "is_waiting": True, "within_s": 60.0}
     assert gel == 3
-    assert verdicts == {"pass": 2, "reference": 1}
+    assert dict(station.loop.summary.verdicts) == {"pass": 2, "reference": 1}
     assert [one["sequence"] for one in published(path, "result")] == [1, 2]
     assert [row.number for row in read_history(path.parent / "gelgate.db", HistoryQuery())] == [1, 2]
     assert (sent["kind"], sent["number"], sent["piece"], sent["gel_presses"]) == ("reference", 1, "M1", 2)
@@ -149,12 +118,12 @@ def test_limits_are_learnt_and_a_damaged_piece_is_out_of_them(config: Callable[.
     with SteppedStation(path) as station:
         start(station)
         reference(station, LEARN + 1)
-        calm = said(station)
+        calm = station.alarm("reference")
         reference(station)
-        raised = said(station)["alarm/reference"]
+        raised = station.said("alarm/reference")
     outcomes = [one["outcome"] for one in published(path, "reference")]
 
-    assert "alarm/reference" not in calm
+    assert calm is None
     assert (raised["severity"], "out of limits: " in raised["text"]) == ("warning", True)
     assert "score is " in raised["text"]
     assert "then press M1 again" in raised["text"]
@@ -164,30 +133,29 @@ def test_limits_are_learnt_and_a_damaged_piece_is_out_of_them(config: Callable[.
 def test_a_missing_reference_press_is_said_and_parts_pass_with_warn(config: Callable[..., Path]) -> None:
     """From the first frame on."""
     with SteppedStation(config("warn")) as station:
-        until_press(station, 1)
-        raised = said(station)
+        station.play_presses(1)
+        raised, state = str(station.alarm("reference")), station.said("state")
 
-    assert raised["alarm/reference"]["text"] == (
-        "a reference press of M1 is due: there was none with this gel and bundle; ask for it (`gelgate station "
-        "reference press`), then press M1"
+    assert raised.startswith(
+        "a reference press of M1 is due: there was none with this gel and bundle; ask for it"
     )
-    assert raised["state"]["state"] == "ready"
-    assert station.reports[0].result.verdict is Kind.PASS
+    assert state["state"] == "ready"
+    assert station.results[0].verdict is Kind.PASS
 
 
 def test_parts_are_rejected_until_the_reference_press_is_good(config: Callable[..., Path]) -> None:
     """With refuse: due, then good, then out of limits, then good again. A refused press has no score, and counts."""
     path = config("refuse")
     with SteppedStation(path) as station:
-        until_press(station, 1)
-        refused, state = station.reports[0].result, said(station)["state"]
+        station.play_presses(1)
+        refused, state = station.results[0], station.said("state")
         reference(station, LEARN)
-        good = said(station)["state"]
+        good = station.said("state")
         reference(station)  # dented
-        until_press(station, 8)
-        refused_again = station.reports[-1].result
+        station.play_presses(8)
+        refused_again = station.results[-1]
         reference(station)
-        gel, at_last = station.loop.session.gel.presses, said(station)["state"]
+        gel, at_last = station.loop.session.gel.presses, station.said("state")
 
     assert refused.verdict is refused_again.verdict is Kind.REJECTED
     assert refused.score is None
@@ -203,11 +171,11 @@ def test_off_says_nothing_and_keeps_the_charts(config: Callable[..., Path]) -> N
     path = config("off")
     with SteppedStation(path) as station:
         start(station)
-        before = said(station)
+        before = station.alarm("reference")
         reference(station)
-        after = said(station)
+        after = station.alarm("reference")
 
-    assert "alarm/reference" not in {**before, **after}
+    assert before is after is None
     assert len(published(path, "reference")) == 1
 
 
@@ -216,13 +184,13 @@ def test_it_is_due_again_after_the_configured_hours(config: Callable[..., Path])
     with SteppedStation(config("refuse")) as station:
         start(station)
         reference(station)
-        good = said(station)["state"]["state"]
+        good = station.said("state")["state"]
         station.clock.sleep(8 * 3600)
-        station.loop.step(None)
-        due = said(station)
+        station.turn()
+        due = station.said("state")["state"]
 
-    assert (good, due["state"]["state"]) == ("ready", "halted")
-    assert "is due: the last one is more than 8 h old" in due["alarm/reference"]["text"]
+    assert (good, due) == ("ready", "halted")
+    assert "is due: the last one is more than 8 h old" in str(station.alarm("reference"))
 
 
 def test_a_new_gel_is_due_at_once(config: Callable[..., Path]) -> None:
@@ -232,8 +200,8 @@ def test_a_new_gel_is_due_at_once(config: Callable[..., Path]) -> None:
         start(station)
         reference(station, LEARN)
         station.ask("replace_gel", gel_id="second")
-        station.loop.step(None)
-        due = said(station)["alarm/reference"]["text"]
+        station.turn()
+        due = str(station.alarm("reference"))
     with SteppedStation(path) as station:  # the recording again, from its free gel on
         start(station)
         reference(station)
@@ -255,7 +223,7 @@ def test_what_was_learnt_is_there_after_a_restart(config: Callable[..., Path]) -
         reference(station, LEARN)
     with SteppedStation(path) as station:
         start(station)
-        state = said(station)["state"]
+        state = station.said("state")
         reference(station)
 
     assert "reference press" not in (state["reason"] or "")
@@ -263,32 +231,27 @@ def test_what_was_learnt_is_there_after_a_restart(config: Callable[..., Path]) -
     assert {chart["learnt"] for chart in published(path, "reference")[-1]["charts"]} == {LEARN}
 
 
-def test_a_press_that_does_not_come_in_time_is_not_waited_for(config: Callable[..., Path]) -> None:
-    """The next press is a part's; the alarm says while it is waited for."""
+@pytest.mark.parametrize("is_cancelled", [True, False])
+def test_a_press_that_does_not_come_is_not_waited_for(
+    config: Callable[..., Path], is_cancelled: bool
+) -> None:
+    """In time, or because it was cancelled: the next press is a part's; the alarm says while it is waited for."""
     with SteppedStation(config("off")) as station:
         start(station)
         ask(station)
-        waiting = said(station)["alarm/reference"]["text"]
-        station.clock.sleep(61)
-        station.loop.step(None)
-        after = said(station)
-        until_press(station, 1)
-
-    assert waiting == "the next press is the reference press of M1: press it within 60 s"
-    assert "alarm/reference" not in after
-    assert station.reports[0].press.label is None
-
-
-def test_it_can_be_cancelled(config: Callable[..., Path]) -> None:
-    """The next press is a part's; without one that waits it is a sentence."""
-    with SteppedStation(config("off")) as station:
-        start(station)
-        ask(station)
-        assert ask(station, cancel=True) == {"is_waiting": False}
-        until_press(station, 1)
+        waiting = station.alarm("reference")
+        if is_cancelled:
+            assert ask(station, cancel=True) == {"is_waiting": False}
+        else:
+            station.clock.sleep(61)
+            station.turn()
+        after = station.alarm("reference")
         with pytest.raises(ValueError, match="no reference press is waited for"):
             ask(station, cancel=True)
+        station.play_presses(1)
 
+    assert waiting == "the next press is the reference press of M1: press it within 60 s"
+    assert after is None
     assert station.reports[0].press.label is None
 
 
@@ -301,23 +264,21 @@ def test_a_piece_that_is_not_known_is_refused_with_the_nearest(config: Callable[
         with pytest.raises(ValueError, match=r"no master piece of PZ0/pos1 is named 'M2'; known: M1"):
             ask(station, piece="M2")
         station.play_until(lambda: station.loop.session.has_contact)
-        station.loop.step(None)
+        station.turn()
         with pytest.raises(ValueError, match="something presses the gel; lift it"):
             ask(station)
 
 
 def test_several_pieces_are_named(config: Callable[..., Path]) -> None:
     """One that must fail, of this part; one of another part is not pressed here."""
-    path = config("refuse")
     more = '[[reference.pieces]]\nname = "bad"\npart = "PZ0"\nverdict = "fail"\n[[reference.pieces]]\nname = "other"\n'
-    path.write_text(path.read_text().replace("[store]", more + 'part = "PZ9"\n[store]'))
-    with SteppedStation(path) as station:
+    with SteppedStation(config("refuse", more + 'part = "PZ9"\n')) as station:
         start(station)
-        due = said(station)["alarm/reference"]["text"]
+        due = str(station.alarm("reference"))
         with pytest.raises(ValueError, match=r"PZ0/pos1 has several master pieces \(M1, bad\); name one"):
             ask(station)
         ask(station, piece="bad")
-        until_press(station, 1)
+        station.play_presses(1)
 
     assert ("press of M1 is due" in due, "press of bad is due" in due, "other" in due) == (True, True, False)
     assert "this master piece must give fail" in station.reports[0].sentences[0]
@@ -336,9 +297,9 @@ def test_the_command_line_asks_through_the_database(config: Callable[..., Path])
             wish = ReferenceRequest(request, "kim, command line", piece, False, time_ns)
             station.parts.store.write("asking", partial(reference_presses.ask, wish=wish))
             station.clock.sleep(1)
-            station.loop.step(None)
+            station.turn()
         acts = {act.request: act for act in station.parts.store.acts() if act.verb == "reference_press"}
-        until_press(station, 1)
+        station.play_presses(1)
 
     assert (acts["a"].outcome, acts["a"].who) == ("done", "kim, command line")
     assert (acts["b"].outcome, "no master piece" in str(acts["b"].sentence)) == ("refused", True)
@@ -374,8 +335,7 @@ def test_a_reference_press_waits_for_the_database_as_others_do(config: Callable[
         with station.refusing("reference_presses"):
             station.play_until(lambda: station.loop.is_halted)
             assert station.reports == []
-        station.loop.step(None)
-        state = said(station)
+        station.turn()
 
     assert len(station.reports) == 1
-    assert "alarm/reference" not in state
+    assert station.alarm("reference") is None

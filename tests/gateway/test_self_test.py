@@ -14,40 +14,27 @@ from stepped_station import SteppedStation
 from edge.core.press import Press
 from edge.core.verdict import decide
 from edge.features.outputs.stage import Outputs
-from edge.gateway.command_table import COMMANDS, Command
 from edge.messaging.alarm_payload import ALARMS, STAYING
 from edge.store.outbox import OutboxStatus
 
 PEDAL = '\n[[triggers]]\nplugin = "virtual_hid"\naction = "acknowledge"\n'
-VERBS: dict[str, Command[Any]] = {command.verb: command for command in COMMANDS}
-
-
-@pytest.fixture
-def config(tmp_path: Path, recording: Path, bundle: Path) -> Path:
-    return station_config(tmp_path, recording, bundle)
-
-
-def asked(station: SteppedStation, verb: str, **arguments: object) -> Any:
-    return VERBS[verb].do(station.loop, VERBS[verb].arguments.of(arguments))
 
 
 def self_tested(station: SteppedStation) -> Mapping[str, Any]:
     """The answer of a self-test, after the turns in which nothing presses."""
-    finish: Callable[[], Mapping[str, Any]] = asked(station, "self_test")
+    finish: Callable[[], Mapping[str, Any]] = station.ask("self_test")
     for _ in range(len(station.parts.selection.inspector.bundle.golden) + 1):
-        station.loop.step(None)
+        station.turn()
     found = finish()
     assert json.loads(json.dumps(found)) == found
     return found
 
 
-def test_a_sound_station_says_so_of_each_part(config: Path) -> None:
+def test_a_sound_station_says_so_of_each_part(station: SteppedStation) -> None:
     """Golden frames, database, sensor, receivers and disk, with what was found."""
-    with SteppedStation(config) as station:
-        station.play_until(lambda: station.loop.session is not None)
-        for worker in station.parts.publisher._workers.values():
-            worker.step()
-        found = self_tested(station)
+    station.play_until(lambda: station.loop.session is not None)
+    station.publish()
+    found = self_tested(station)
 
     texts = {part: one["text"] for part, one in found["parts"].items()}
     assert found["is_ok"], texts
@@ -56,15 +43,14 @@ def test_a_sound_station_says_so_of_each_part(config: Path) -> None:
     assert "serial TEST0001" in texts["sensor"]
 
 
-def test_each_part_that_is_not_well_says_why(config: Path) -> None:
+def test_each_part_that_is_not_well_says_why(station: SteppedStation) -> None:
     """Golden frames that score otherwise, no sensor yet, a receiver that was not tried."""
-    with SteppedStation(config) as station:
-        scorer = station.parts.selection.inspector.scorer
-        scorer._bank["mean"].update_inplace(scorer._bank["mean"].numpy() + 1)
-        station.loop.step(None)
-        parts = self_tested(station)["parts"]
-        station.loop.step(None)
-        fault = station.parts.selection.inspector.fault
+    scorer = station.parts.selection.inspector.scorer
+    scorer._bank["mean"].update_inplace(scorer._bank["mean"].numpy() + 1)
+    station.turn()
+    parts = self_tested(station)["parts"]
+    station.turn()
+    fault = station.parts.selection.inspector.fault
 
     assert {part for part, one in parts.items() if not one["is_ok"]} == {"golden", "receivers", "sensor"}
     assert "golden frame 0" in parts["golden"]["text"]
@@ -72,13 +58,12 @@ def test_each_part_that_is_not_well_says_why(config: Path) -> None:
     assert fault == parts["golden"]["text"]
 
 
-def test_a_self_test_ends_with_the_station(config: Path) -> None:
+def test_a_self_test_ends_with_the_station(station: SteppedStation) -> None:
     """Who waits for its golden frames is not kept waiting."""
-    with SteppedStation(config) as station:
-        finish, stop = asked(station, "self_test"), threading.Event()
-        stop.set()
-        station.loop.run(stop)
-        golden = finish()["parts"]["golden"]
+    finish, stop = station.ask("self_test"), threading.Event()
+    stop.set()
+    station.loop.run(stop)
+    golden = finish()["parts"]["golden"]
 
     assert not golden["is_ok"]
     assert golden["text"].endswith("were not scored: the station ends")
@@ -90,49 +75,42 @@ def dropped(station: SteppedStation, heatmaps: int) -> None:
     station.loop.report.note_drops(status)
 
 
-def test_dropped_messages_are_acknowledged_until_more_are_dropped(config: Path) -> None:
+def test_dropped_messages_are_acknowledged_until_more_are_dropped(station: SteppedStation) -> None:
     """The alarm of a drop stays over reports, ends by the request, and comes back with the next drop."""
-    with SteppedStation(config) as station:
-        for count in (0, 1, 1):
-            dropped(station, count)
-        assert station.raised == ["outbox_full"]
-        assert asked(station, "acknowledge_alarm", alarm="outbox_full") == {"alarms": []}
-        dropped(station, 1)
-        assert station.raised == []
-        dropped(station, 2)
-        assert station.raised == ["outbox_full"]
+    for count in (0, 1, 1):
+        dropped(station, count)
+    assert station.raised == ["outbox_full"]
+    assert station.ask("acknowledge_alarm", alarm="outbox_full") == {"alarms": []}
+    dropped(station, 1)
+    assert station.raised == []
+    dropped(station, 2)
+    assert station.raised == ["outbox_full"]
 
 
-def test_corrected_counts_are_acknowledged(config: Path) -> None:
+def test_corrected_counts_are_acknowledged(station: SteppedStation) -> None:
     """And the next report does not raise the alarm again."""
-    with SteppedStation(config) as station:
-        station.parts.store.findings.append("database gelgate.db: it knew fewer presses")
-        station.loop.publish_stats()
-        assert station.raised == ["counts"]
-        asked(station, "acknowledge_alarm", alarm="counts")
-        station.loop.publish_stats()
+    station.parts.store.findings.append("database gelgate.db: it knew fewer presses")
+    station.loop.publish_stats()
+    assert station.raised == ["counts"]
+    station.ask("acknowledge_alarm", alarm="counts")
+    station.loop.publish_stats()
 
-        assert station.raised == []
+    assert station.raised == []
 
 
 def test_pulses_that_were_not_given_are_acknowledged_without_the_verdict(
-    tmp_path: Path, config: Path
+    tmp_path: Path, recording: Path, bundle: Path
 ) -> None:
     """The count starts again; the light goes on showing the last verdict."""
-    config.write_text(config.read_text() + PEDAL)
-    with SteppedStation(config) as station:
+    with SteppedStation(station_config(tmp_path, recording, bundle, tables=PEDAL)) as station:
         io = station.find(Outputs)
         for _ in range(2):
             io._alarms.late("relay", "41 ms late")
         io.judge(Press(decide(2.0, 1.0), judged_ns=1), None, ANY)
-        assert asked(station, "acknowledge_alarm", alarm="pulse") == {"alarms": []}
+        assert station.ask("acknowledge_alarm", alarm="pulse") == {"alarms": []}
         io._alarms.late("relay", "7 ms late")
-        texts = [
-            one.payload for one in station.parts.publisher.retained_state.all() if one.topic == "alarm/pulse"
-        ]
-
-    assert io._verdict == "fail"
-    assert b"1 pulses were not given in time" in texts[-1]
+        assert io._verdict == "fail"
+        assert "1 pulses were not given in time" in str(station.alarm("pulse"))
 
 
 @pytest.mark.parametrize(
@@ -143,25 +121,18 @@ def test_pulses_that_were_not_given_are_acknowledged_without_the_verdict(
         ("pulses", "no alarm is named 'pulses'; did you mean 'pulse'"),
     ],
 )
-def test_only_a_raised_alarm_that_stays_can_be_acknowledged(config: Path, alarm: str, words: str) -> None:
+def test_only_a_raised_alarm_that_stays_can_be_acknowledged(
+    station: SteppedStation, alarm: str, words: str
+) -> None:
     """Others are refused with the reason, and nothing changes."""
-    with SteppedStation(config) as station:
-        station.parts.status.say("disk", "8 MB free", "warning")
-        with pytest.raises(ValueError, match=words):
-            asked(station, "acknowledge_alarm", alarm=alarm)
-        assert station.raised == ["disk"]
+    station.parts.status.say("disk", "8 MB free", "warning")
+    with pytest.raises(ValueError, match=words):
+        station.ask("acknowledge_alarm", alarm=alarm)
+    assert station.raised == ["disk"]
 
 
-def test_the_manual_names_the_alarms_that_stay() -> None:
-    """The verb's text has each of them; they are alarms of the program."""
-    named = {alarm for alarm in ALARMS if f"`{alarm}`" in VERBS["acknowledge_alarm"].help}
-
-    assert named == STAYING
-
-
-def test_each_alarm_that_stays_can_be_acknowledged_and_no_other(config: Path) -> None:
+def test_each_alarm_that_stays_can_be_acknowledged_and_no_other(station: SteppedStation) -> None:
     """The page offers it for these alone."""
-    with SteppedStation(config) as station:
-        for alarm in ALARMS:
-            with pytest.raises(ValueError, match="is not raised" if alarm in STAYING else "ends by itself"):
-                asked(station, "acknowledge_alarm", alarm=alarm)
+    for alarm in ALARMS:
+        with pytest.raises(ValueError, match="is not raised" if alarm in STAYING else "ends by itself"):
+            station.ask("acknowledge_alarm", alarm=alarm)

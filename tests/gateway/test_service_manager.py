@@ -1,10 +1,10 @@
 """What systemd hears of a gateway: ready, alive while the loop turns, stopping."""
 
 import socket
+import threading
 from pathlib import Path
 
 import pytest
-from station import station_config
 
 from edge.clock import ManualClock, SystemClock
 from edge.config import load_config
@@ -33,18 +33,15 @@ class Manager:
         self._socket.close()
 
 
-def test_a_run_is_ready_alive_and_stopping(
-    tmp_path: Path, recording: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_is_ready_alive_and_stopping(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In that order; the reports come from the loop's own turns, and a manager that does not read stops nothing."""
-    import threading
-
     manager = Manager()
     monkeypatch.setenv("NOTIFY_SOCKET", manager.path)
     monkeypatch.setenv("WATCHDOG_USEC", "3")
-    config = load_config(station_config(tmp_path / "station", recording, bundle))
     heard: list[str] = []
-    with Gateway.open(config, SystemClock(), lambda report: heard.extend(manager.heard())) as gateway:
+    with Gateway.open(
+        load_config(config), SystemClock(), lambda report: heard.extend(manager.heard())
+    ) as gateway:
         gateway.run(threading.Event())
     heard += manager.heard()
     manager.close()

@@ -16,6 +16,7 @@ from edge.features.snapshots import Snapshots
 from edge.recording.format import Recording
 from edge.store.acts import Act
 
+SERVED = '[commands]\nunsigned = ["snapshot"]\n'
 SENSOR = DeviceIdentity("GelSight Mini", "S1", (64, 48), 10.0)
 
 
@@ -85,17 +86,6 @@ def test_memory_is_bounded_by_time_and_by_bytes(tmp_path: Path, monkeypatch: pyt
     assert large._bytes == sum(len(one.payload) for one in large._ring) <= snapshots.RING_BYTES
 
 
-def test_a_station_that_does_not_serve_it_keeps_no_frame(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
-    """As a station comes."""
-    with (
-        SteppedStation(station_config(tmp_path, recording, bundle)) as station,
-        pytest.raises(ValueError, match="snapshots are off"),
-    ):
-        station.ask("snapshot", before_s=5, after_s=2)
-
-
 def test_a_snapshot_has_its_name_when_it_is_complete(tmp_path: Path) -> None:
     """While its frames are written the name is hidden; what a killed process left hidden is removed."""
     folder = tmp_path / "snapshots"
@@ -163,34 +153,30 @@ def test_a_snapshot_of_a_station_is_a_recording_of_its_sensor(
     tmp_path: Path, recording: Path, bundle: Path
 ) -> None:
     """Below the state folder, with a row in the table of acts; presses are judged as without it."""
-    path = station_config(tmp_path, recording, bundle)
-    path.write_text(path.read_text() + '[commands]\nunsigned = ["snapshot"]\n')
-    with SteppedStation(path) as station:
+    with SteppedStation(station_config(tmp_path, recording, bundle, tables=SERVED)) as station:
         with pytest.raises(ValueError, match="no frame has arrived"):
             station.ask("snapshot", before_s=5, after_s=0)
         station.play_until(lambda: len(station.reports) == 1)
-        folder = station.ask("snapshot", before_s=0.5, after_s=0.2)
+        folder = Path(station.ask("snapshot", before_s=0.5, after_s=0.2)["recording"])
         station.play()
         station.find(Snapshots).step()
-        station.loop.step(None)
+        station.turn()
         acts = station.parts.store.acts()
 
-    assert Path(folder["recording"]).parent == tmp_path / "gelgate.snapshots"
-    assert Recording.open(Path(folder["recording"])).header.serial == "TEST0001"
+    assert folder.parent == tmp_path / "gelgate.snapshots"
+    assert Recording.open(folder).header.serial == "TEST0001"
     assert [(act.verb, act.outcome) for act in acts] == [("snapshot", "done")]
-    assert [report.result.verdict for report in station.reports] == ["pass", "fail", "pass"]
+    assert station.verdicts == ["pass", "fail", "pass"]
 
 
-def test_no_snapshot_is_written_where_there_is_little_room(
-    tmp_path: Path, recording: Path, bundle: Path
+@pytest.mark.parametrize(
+    ("tables", "store", "words"),
+    [("", "", "snapshots are off"), (SERVED, "free_mb = 1e9", "no snapshot is written: the disk of")],
+)
+def test_a_station_that_may_not_write_one_says_why(
+    tmp_path: Path, recording: Path, bundle: Path, tables: str, store: str, words: str
 ) -> None:
-    """The disk is the database's."""
-    path = station_config(tmp_path, recording, bundle)
-    path.write_text(
-        path.read_text().replace("[store]", '[commands]\nunsigned = ["snapshot"]\n[store]\nfree_mb = 1e9')
-    )
-    with (
-        SteppedStation(path) as station,
-        pytest.raises(ValueError, match="no snapshot is written: the disk of"),
-    ):
+    """It does not serve the request, as a station comes, or there is little room: the disk is the database's."""
+    config = station_config(tmp_path, recording, bundle, tables=tables, store=store)
+    with SteppedStation(config) as station, pytest.raises(ValueError, match=words):
         station.ask("snapshot", before_s=5, after_s=0)
