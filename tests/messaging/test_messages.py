@@ -9,6 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from edge.clock import SystemClock
+from edge.core.defects import Defect
 from edge.core.errors import ConfigError
 from edge.core.ports import Message
 from edge.core.sink_context import Station, topic_root
@@ -17,7 +18,7 @@ from edge.gateway.command_policy import CommandPolicy
 from edge.gateway.commands import Change, Commands
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, alarm_message
 from edge.messaging.payload_base import as_replayed, iso_time
-from edge.messaging.result_payload import ResultPayload, heatmap_message, press_messages
+from edge.messaging.result_payload import DefectPlace, ResultPayload, heatmap_message, press_messages
 from edge.messaging.status_payloads import StatePayload
 from edge.messaging.topics import TOPICS
 from edge.store.gel_ledger import GelRecord
@@ -178,6 +179,12 @@ def test_a_station_refuses_nonsense(root: str, client_id: str) -> None:
     """A root without slashes at its ends, and an id."""
     with pytest.raises(ValueError, match=r"found|needs"):
         Station(root, client_id)
+
+
+def test_a_defect_is_placed_in_millimetres_along_both_axes() -> None:
+    """Worked by hand, for pixels that are twice as tall as wide."""
+    place = DefectPlace.of(Defect((2, 1, 3, 2), (3.5, 2.0), 6, 5.0), 0.1, 0.2)
+    assert (place.box_mm, place.centroid_mm, place.area_mm2) == ((0.2, 0.2, 0.3, 0.4), (0.35, 0.4), 0.12)
 
 
 def test_ulids_sort_by_time_and_are_canonical() -> None:

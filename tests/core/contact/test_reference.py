@@ -162,7 +162,7 @@ def test_a_refresh_moves_part_of_the_way() -> None:
     old = Reference(np.zeros((2, 2, 3), np.float32), 5, 0)
     new = old.refresh(np.full((2, 2, 3), 10, np.float32), 0.3, 7)
     assert new.view == pytest.approx(np.full((2, 2, 3), 3.0))
-    assert new.learnt_ns == 7
+    assert (new.frames, new.learnt_ns) == (6, 7)
     with pytest.raises(ValueError, match="weight"):
         old.refresh(old.view, 1.5, 8)
 
