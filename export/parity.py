@@ -89,7 +89,7 @@ class Stage:
 
     @cached_property
     def fault(self) -> str:
-        """Why the stages cannot be compared, or empty."""
+        """The reason why the stages cannot be compared, or empty."""
         expected, found = self.expected, self.found
         if expected.shape != found.shape:
             return f"has shape {found.shape}, the research model gives {expected.shape}"

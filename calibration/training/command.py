@@ -62,9 +62,9 @@ def _recipe(file: Path | None, settings: list[str], start: Path | None) -> "Trai
     """The run that ships, with the changes of the file and of the command line. Errors: ConfigError."""
     from calibration.training.checkpoint import weights_sha256
     from calibration.training.train_config import TrainConfig
-    from edge.cli.arguments import named_values
+    from edge.cli.arguments import parse_values
 
-    changes = (TrainConfig.read(file) if file else {}) | named_values("--set", settings)
+    changes = (TrainConfig.read(file) if file else {}) | parse_values("--set", settings)
     if start:
         changes["start"] = weights_sha256(start)
     return TrainConfig.shipped(**changes)

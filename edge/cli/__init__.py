@@ -103,11 +103,11 @@ class _LoadedVerbs(Mapping[str, Any]):
             is_moved = self._group is None and name in registry.names("commands")
             if not is_moved and name not in list(self):
                 raise KeyError(name)
-            self._loaded[name] = _group(name) if name in _GROUPS else _loaded(name)
+            self._loaded[name] = _group(name) if name in _GROUPS else _load(name)
         return self._loaded[name]
 
     def __iter__(self) -> Iterator[str]:
-        """In the order of the help; verbs of other packages last, by name."""
+        """List the verbs in the order of the help, those of other packages last, by name."""
         known = registry.names("commands")
         if self._group:
             return (name for name in _GROUPS[self._group] if name in known)
@@ -123,7 +123,7 @@ def _group(name: str) -> "_Verbs":
     return _Verbs(name=name, help=_GROUP_HELP[name], no_args_is_help=True, rich_markup_mode=None)
 
 
-def _loaded(name: str) -> Any:
+def _load(name: str) -> Any:
     app, verb = typer.Typer(rich_markup_mode=None), registry.command(name)
     if isinstance(verb, typer.Typer):
         app.add_typer(verb, name=name)
@@ -162,7 +162,7 @@ class _Verbs(typer.core.TyperGroup):
         self.commands = _LoadedVerbs(None if self._is_top else given["name"])  # type: ignore[assignment]  # only read
 
     def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
-        """Those that can be loaded, with a warning for each other one."""
+        """List the verbs that can be loaded, with a warning for each other one."""
         names = list(self.commands)
         for name in tuple(names):
             try:
@@ -288,7 +288,7 @@ def main() -> NoReturn:
 
 
 def _is_endless(word: str) -> bool:
-    """Whether a word of the command line names a pipe or a device: a verb that reads it may wait for ever."""
+    """Tell whether a word names a pipe or a device: a verb that reads it may wait for ever."""
     name = word.partition("=")[2] if word.startswith("--") else word
     try:
         kind = stat.S_IFMT(os.stat(name).st_mode)

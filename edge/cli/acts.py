@@ -47,10 +47,10 @@ def _line(act: "Act") -> str:
         *(f"{key}={value!r}" for key, value in act.arguments.items() if value not in (None, "")),
     ]
     if act.before is not None and act.after is not None:
-        words += [f"{key}: {act.before.get(key)!r} -> {act.after[key]!r}" for key in _changed(act)]
+        words += [f"{key}: {act.before.get(key)!r} -> {act.after[key]!r}" for key in _changes(act)]
     return printable("  ".join([*words, *([act.sentence] if act.sentence else [])]))
 
 
-def _changed(act: "Act") -> list[str]:
+def _changes(act: "Act") -> list[str]:
     before, after = act.before or {}, act.after or {}
     return [key for key in after if after[key] != before.get(key)]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     OptionsT = TypeVar("OptionsT", bound=BaseModel)
 
-__all__ = ["flatten", "named_values", "plugin_options"]
+__all__ = ["flatten", "parse_values", "plugin_options"]
 
 
 def flatten(verb: Callable[[Any], None], without: Collection[str] = ()) -> Callable[..., None]:
@@ -45,7 +45,7 @@ def flatten(verb: Callable[[Any], None], without: Collection[str] = ()) -> Calla
     return call
 
 
-def named_values(option: str, given: Sequence[str]) -> dict[str, object]:
+def parse_values(option: str, given: Sequence[str]) -> dict[str, object]:
     """The values of texts such as `pace=0`, `rank=[1, 2]` or `faults=["drop@3"]`; the last value of a name counts.
 
     A value is a number, a boolean, a quoted text or a list in TOML syntax, otherwise plain text.
@@ -76,7 +76,7 @@ def plugin_options(kind: str, name: str, model: "type[OptionsT]", given: Sequenc
     from edge.validation_messages import numbered, sentences
 
     try:
-        return model.model_validate(named_values("--option", given))
+        return model.model_validate(parse_values("--option", given))
     except ValidationError as error:
         faults = numbered(f"--option for the {kind} plugin '{name}'", sentences(model, error))
         raise ConfigError(f"{faults}\nit takes: {', '.join(model.model_fields)}") from error

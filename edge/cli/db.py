@@ -96,7 +96,7 @@ def migrate(database: DatabaseOption = None, config: ConfigOption = CONFIG) -> N
 
 
 def _head(text: str) -> "Head":
-    """Errors: ConfigError."""
+    """Read a head from the command line. Errors: ConfigError."""
     from edge.core.errors import ConfigError
     from edge.store.ledger_chain import Head
 

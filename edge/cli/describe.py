@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from edge.messaging.descriptions.station import DescribedStation
     from edge.messaging.mqtt_broker import Broker
 
-__all__ = ["Format", "describe", "described_text", "station_at", "text_at"]
+__all__ = ["Format", "describe", "describe_config", "station_at", "text_at"]
 
 # From the subscription on. Retained messages come at once; those of a broker far away take longer.
 WAIT_S: Final = 2.0
@@ -64,7 +64,7 @@ def describe(
     from edge.messaging.subscriber import broker_at, station_filter
 
     if host is None:
-        text = described_text(load_config(config), form)
+        text = describe_config(load_config(config), form)
     else:
         broker = broker_at(host, port, "describe", username, password_file, ca)
         text = text_at(broker, station_filter(prefix, site, line, station), form)
@@ -84,7 +84,7 @@ def text_at(broker: "Broker", topic_filter: str, form: Format) -> str:
     return _text(form, station, document, broker.host, broker.port, broker.tls is not None)
 
 
-def described_text(config: "Config", form: Format) -> str:
+def describe_config(config: "Config", form: Format) -> str:
     """The file, from a configuration. Errors: ConfigError."""
     from edge.gateway.description import broker_of, describe_station
     from edge.messaging.descriptions.access_rules import access_rules

@@ -65,7 +65,7 @@ def _every_plugin() -> Sequence[tuple[registry.PluginGroup, str]]:
 
 
 def _report(group: registry.PluginGroup, name: str, given: list[str]) -> dict[str, Any]:
-    """What a plugin finds, or why it cannot search (a missing option, a missing package)."""
+    """Search with a plugin; say why where it cannot (a missing option, a missing package)."""
     from dataclasses import asdict
 
     from edge.cli.arguments import plugin_options

@@ -77,7 +77,7 @@ def replace(
     with _open(config, database) as store:
         known = sorted({record.serial for record in store.gels()})
         record = store.replace_gel(
-            _only(known) if serial is None else _known(serial, known),
+            _only(known) if serial is None else _check_serial(serial, known),
             now_ns,
             gel_id,
             limit,
@@ -104,7 +104,7 @@ def prove(
 
     with _open(config, database) as store:
         known = sorted({record.serial for record in store.gels()})
-        on = _only(known) if serial is None else _known(serial, known)
+        on = _only(known) if serial is None else _check_serial(serial, known)
         used = store.read("reading where bundles are proven", gel_proofs.of_mounted)
         here = [(key, of, proof) for key, of, proof in used if key.serial == on and part in (None, of.part)]
         if part is not None and not here:
@@ -160,8 +160,8 @@ def _only(serials: list[str]) -> str:
     return serials[0]
 
 
-def _known(serial: str, serials: list[str]) -> str:
-    """A mistyped serial must not leave the worn gel in the ledger. Errors: ConfigError with the nearest serial."""
+def _check_serial(serial: str, serials: list[str]) -> str:
+    """Refuse an unknown serial: a mistyped one must not leave the worn gel in the ledger. Errors: ConfigError."""
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
 

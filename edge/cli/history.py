@@ -91,7 +91,7 @@ def moment_ns(text: str, now_ns: int) -> int:
 
 
 def _verdicts(given: list[str]) -> tuple[str, ...]:
-    """Errors: ConfigError with the nearest verdict."""
+    """Check the verdicts. Errors: ConfigError with the nearest one."""
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
     from edge.store.press_store import VERDICTS

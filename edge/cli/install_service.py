@@ -65,7 +65,7 @@ def install_service(
 
 
 def _refuse_hidden(config: Path) -> None:
-    """Errors: ConfigError where the unit could not start the program or read the configuration."""
+    """Refuse places that the unit hides from the program. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
     used = [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[2], config.absolute()]
@@ -80,7 +80,7 @@ def _refuse_hidden(config: Path) -> None:
 
 
 def _remove(root: Path, config: Path, *, is_printed: bool) -> None:
-    """Errors: GelgateError where a command of the removal fails."""
+    """Remove the service. Errors: GelgateError where a command fails."""
     import subprocess
 
     from edge.core.errors import GelgateError

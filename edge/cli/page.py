@@ -63,7 +63,7 @@ def page(
     start("text", is_verbose=False)
     try:
         shown.start()
-        typer.echo(f"gelgate: the page is at http://{_shown(settings.bind)}:{server.port}/", err=True)
+        typer.echo(f"gelgate: the page is at http://{_url_host(settings.bind)}:{server.port}/", err=True)
         for warning in settings.warnings():
             typer.echo(f"gelgate: {warning}", err=True)
         threading.Event().wait()
@@ -73,7 +73,7 @@ def page(
 
 
 def _settings(given: dict[str, object]) -> "PageSettings":
-    """Errors: ConfigError with every fault."""
+    """Check the options. Errors: ConfigError with every fault."""
     from pydantic import ValidationError
 
     from edge.core.errors import ConfigError
@@ -87,7 +87,7 @@ def _settings(given: dict[str, object]) -> "PageSettings":
 
 
 def _changes(shown: "BrokerStation", settings: "PageSettings", secret_file: Path | None) -> "Changes":
-    """Errors: ConfigError for a secret without a token, and a token without a secret."""
+    """Make the way in which the page changes something. Errors: ConfigError for a secret or a token alone."""
     from edge.clock import SystemClock
     from edge.config.secret_file import read_secret
     from edge.core.errors import ConfigError
@@ -110,6 +110,6 @@ def _changes(shown: "BrokerStation", settings: "PageSettings", secret_file: Path
     return Changes(page_requests(shown, secret, clock), TokenGate(token, clock), clock)
 
 
-def _shown(address: str) -> str:
-    """As in a browser's address line."""
+def _url_host(address: str) -> str:
+    """Write an address as a browser's address line has it."""
     return f"[{address}]" if ":" in address else address

@@ -107,7 +107,7 @@ def record(given: RecordArguments) -> None:
 
 
 def _from_images(given: RecordArguments, folder: Path) -> str:
-    """Errors: ConfigError."""
+    """Record press images. Errors: ConfigError."""
     from edge.core.errors import ConfigError
     from edge.recording.from_images import CopyNoise, PressLift, images_in, record_images
 
@@ -126,7 +126,7 @@ def _from_images(given: RecordArguments, folder: Path) -> str:
 
 
 def _from_video(given: RecordArguments, path: Path) -> str:
-    """Errors: ConfigError where the film has another size than the profile's camera."""
+    """Record a film. Errors: ConfigError where it has another size than the profile's camera."""
     from edge.core.errors import ConfigError
     from edge.core.imaging.aspect import cut_in_words
     from edge.core.imaging.known_profiles import profile as named
@@ -162,7 +162,7 @@ def _from_video(given: RecordArguments, path: Path) -> str:
 
 
 def _say_presses(out: Path, name: str) -> None:
-    """What the gateway would find, with this profile or one for frames of this size."""
+    """Print what the gateway would find, with this profile or one for frames of this size."""
     from edge.core.imaging.known_profiles import PROFILES
     from edge.recording.format import Recording
     from edge.recording.presses_in import presses_in

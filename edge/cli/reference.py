@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from edge.store.press_store import Store
     from edge.store.reference_presses import PieceKey, ReferenceRequest
 
-__all__ = ["asked", "reference"]
+__all__ = ["reference", "request_press"]
 
 T = TypeVar("T")
 
@@ -58,7 +58,7 @@ def press(
     now_ns = clock.time_ns()
     wish = ReferenceRequest(new_ulid(now_ns), f"{user()}, command line", piece, restart, now_ns)
     with Store(path) as store:
-        found = judge(asked(store, clock, wish, typer.echo, timeout), _learn(loaded, None))
+        found = judge(request_press(store, clock, wish, typer.echo, timeout), _learn(loaded, None))
     typer.echo("\n".join([found.outcome.value.replace("_", " "), *found.sentences]))
     if found.outcome in (Outcome.OUT_OF_LIMITS, Outcome.NOT_MEASURED):
         raise typer.Exit(1)
@@ -107,7 +107,7 @@ def chart(
             typer.echo(show(key, presses, _learn(loaded, learn)))
 
 
-def asked(
+def request_press(
     store: "Store",
     clock: "Clock",
     wish: "ReferenceRequest",
@@ -163,7 +163,7 @@ def _learn(loaded: "Config | None", learn: int | None) -> int:
 
 
 def _write(output: Path, chosen: "Mapping[PieceKey, list[ReferencePress]]", learn: int) -> None:
-    """Errors: ConfigError for an ending that is no format, and for an .svg of several master pieces."""
+    """Write the charts. Errors: ConfigError for an unknown ending, and for an .svg of several master pieces."""
     from edge.cli.reference_text import csv_text
     from edge.core.errors import ConfigError
     from edge.core.reference_press.charts import charts

@@ -18,7 +18,7 @@ __all__ = ["csv_text", "json_line", "nothing_text", "piece_text"]
 
 
 def nothing_text(known: Sequence[PieceKey]) -> str:
-    """For a person whose choice has no press."""
+    """Say that no press was chosen, and which pieces there are."""
     if not known:
         return "no reference press was made yet; ask for one with `gelgate station reference press`"
     return printable(f"no such master piece was pressed; there are {'; '.join(map(str, known))}")
@@ -34,7 +34,7 @@ def piece_text(key: PieceKey, presses: Sequence[ReferencePress], learn: int, cou
 
 
 def json_line(key: PieceKey, presses: Sequence[ReferencePress], learn: int) -> str:
-    """One object: the piece, its charts, what the newest press says, and the presses."""
+    """Write one object: the piece, its charts, what the newest press says, and the presses."""
     judgement = judge(presses, learn)
     return json.dumps(
         {
@@ -48,7 +48,7 @@ def json_line(key: PieceKey, presses: Sequence[ReferencePress], learn: int) -> s
 
 
 def csv_text(chosen: Mapping[PieceKey, Sequence[ReferencePress]], learn: int) -> str:
-    """One row for each press, with what it said when it was made. An empty cell is a missing value."""
+    """Write one row for each press, with what it said when it was made. An empty cell is a missing value."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     names = [measure.name for measure in MEASURES]

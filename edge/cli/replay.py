@@ -59,7 +59,7 @@ def replay(
     from edge.store.press_archive import ArchiveFolder
 
     path, places = _places(config, database, [*(bundles or []), *([bundle] if bundle else [])])
-    wanted = _wanted(path, press_id, is_all, since)
+    wanted = _select_presses(path, press_id, is_all, since)
     folder = ArchiveFolder(archive or path.with_suffix(".archive"))
     run = _Run(folder, picture, as_json, is_many=press_id is None)
     if bundle is None:
@@ -80,7 +80,7 @@ class _Run:
         self._folder, self._picture, self._as_json, self._is_many = folder, picture, as_json, is_many
 
     def again(self, wanted: "Iterable[KnownPress]", places: list[Path]) -> None:
-        """With the bundles that judged."""
+        """Judge again with the bundles that judged."""
         from edge.clock import SystemClock
         from edge.features.black_box.replay import Bundles
 
@@ -96,7 +96,7 @@ class _Run:
             )
 
     def otherwise(self, wanted: "Iterable[KnownPress]", path: Path) -> None:
-        """With another bundle: the verdicts that change, and how many of each kind."""
+        """Judge with another bundle: print the verdicts that change, and how many of each kind."""
         from collections import Counter
 
         from edge.clock import SystemClock
@@ -193,8 +193,10 @@ def _configured(config: "Config") -> "Iterator[Path]":
             yield path
 
 
-def _wanted(database: Path, press_id: str | None, is_all: bool, since: str | None) -> "Iterable[KnownPress]":
-    """Errors: ConfigError, ArchiveError."""
+def _select_presses(
+    database: Path, press_id: str | None, is_all: bool, since: str | None
+) -> "Iterable[KnownPress]":
+    """Select the presses that are judged again. Errors: ConfigError, ArchiveError."""
     import time
 
     from edge.cli.history import moment_ns
@@ -234,7 +236,7 @@ def _side(found: "Replayed") -> str:
 
 
 def _ratio(score: float | None, threshold: float | None) -> str:
-    """Of a score to its limit, by which bundles can be compared."""
+    """Give the ratio of a score to its limit, by which bundles can be compared."""
     return "   -  " if score is None or not threshold else f"{score / threshold:6.3f}"
 
 

@@ -79,7 +79,7 @@ def run(
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, lambda *_: stop.set())
         out = Lines()
-        on_press = log_press if log_json else lambda report: out.put(_timed_line(report))
+        on_press = log_press if log_json else lambda report: out.put(_line_with_time(report))
         read_again = partial(load_config, config, state_dir)
         with Gateway.open(loaded, clock, on_press, checked, read_again) as gateway:
             if is_service:
@@ -152,7 +152,7 @@ def example() -> str:
 
 
 def summary_text(summary: "Summary") -> str:
-    """What a run did, in one or two lines; lost frames are always reported."""
+    """Say what a run did, in one or two lines; lost frames are always reported."""
     words = ", ".join(f"{n} {word}" for word, n in sorted(summary.verdicts.items())) or "none"
     frames = summary.frames
     text = (
@@ -168,7 +168,7 @@ def summary_text(summary: "Summary") -> str:
 
 
 def log_press(report: "PressReport") -> None:
-    """One press in the log, its facts as fields."""
+    """Log one press, its facts as fields."""
     import logging
 
     from edge.logs import press_event
@@ -191,14 +191,14 @@ def log_summary(summary: "Summary") -> None:
     log.info("%s", summary_text(summary).replace("\n", "; "), extra={"fields": fields})
 
 
-def _timed_line(report: "PressReport") -> str:
+def _line_with_time(report: "PressReport") -> str:
     from edge.clock import local_time
 
     return f"{local_time(report.result.time_ns)}  {press_line(report)}"
 
 
 def press_line(report: "PressReport") -> str:
-    """One press in one line: part, verdict, score against threshold, latency per stage, gel count."""
+    """Write one press in one line: part, verdict, score against threshold, latency per stage, gel count."""
     from edge.core.printable import score_texts
 
     result = report.result

@@ -18,7 +18,7 @@ from calibration.fitting.options import (
     Settings,
     Threads,
 )
-from edge.cli.arguments import flatten, named_values
+from edge.cli.arguments import flatten, parse_values
 
 if TYPE_CHECKING:
     from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -131,7 +131,7 @@ def import_(given: ImportArguments) -> None:
         threshold=_threshold(given.threshold),
         alpha=given.alpha,
         channels=given.channels,
-        values=named_values("--set", given.settings or []),
+        values=parse_values("--set", given.settings or []),
         importer=given.importer,
         threads=given.threads,
     )

@@ -49,7 +49,7 @@ class Settings:
     values: Mapping[str, Any] = field(default_factory=dict)
     """Further settings of one importer by name."""
 
-    def given_trunk(self, path: Path, why: str) -> Trunk:
+    def require_trunk(self, path: Path, why: str) -> Trunk:
         """The trunk. Errors: ConfigError where none was given."""
         if self.trunk is None:
             raise ConfigError(

@@ -26,7 +26,7 @@ class Given:
 
 def cut_given_trunk(settings: Settings, path: Path, taps: Sequence[str], why: str) -> Given:
     """Cut the trunk at these taps. Errors: ConfigError where no trunk was given or it lacks a tap."""
-    trunk = settings.given_trunk(path, why)
+    trunk = settings.require_trunk(path, why)
     try:
         graph = cut_trunk(trunk.graph, tuple(taps))
     except GraphRefused as error:

@@ -32,7 +32,7 @@ from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.trunks import DEFAULT_BACKBONE, OTHER_BACKBONES, open_trunk
 from calibration.metrics import aupro, auroc
 from edge import registry
-from edge.cli.arguments import named_values
+from edge.cli.arguments import parse_values
 from edge.core.errors import PoseNotFound
 from edge.core.imaging.region import Region
 from edge.model.scorer import Scorer
@@ -84,7 +84,7 @@ def measured(trial: Trial, pairs: Sequence[Pair]) -> Iterator[dict[str, Any]]:
     judge = DamageJudge(trial.nominal, config)
     for method, trunk in pairs:
         name, *settings = method.split()
-        chosen = replace(config, overrides=named_values("--set", settings))
+        chosen = replace(config, overrides=parse_values("--set", settings))
         comparison = Comparison(chosen, Candidates((name,), (trunk,)))
         comparison.run(judge, lambda stage, fraction: None)
         (seen,) = comparison.seen.values()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from edge.cli.arguments import named_values
+from edge.cli.arguments import parse_values
 from edge.core.errors import ConfigError
 
 
@@ -25,7 +25,7 @@ from edge.core.errors import ConfigError
 )
 def test_a_value_is_toml_or_else_text(text: str, value: object) -> None:
     """Numbers, truth values, quoted texts and lists as TOML writes them; everything else, dates too, is text."""
-    found = named_values("--set", [text])
+    found = parse_values("--set", [text])
 
     assert found == {"n": value}
     assert type(found["n"]) is type(value)
@@ -36,4 +36,4 @@ def test_a_value_is_toml_or_else_text(text: str, value: object) -> None:
 def test_a_text_without_name_or_sign_is_refused(option: str, text: str) -> None:
     """The refusal names the option and how to write it."""
     with pytest.raises(ConfigError, match=f"'{option} {text}' is not understood; write {option} name=value"):
-        named_values(option, [text])
+        parse_values(option, [text])

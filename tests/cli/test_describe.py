@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from edge.cli.describe import Format, describe, described_text
+from edge.cli.describe import Format, describe, describe_config
 from edge.config import load_config
 from edge.core.errors import ConfigError
 from edge.gateway.description import describe_station
@@ -48,7 +48,7 @@ def config(tmp_path: Path) -> Path:
 
 
 def text(config: Path, form: str) -> str:
-    return described_text(load_config(config), Format(form))
+    return describe_config(load_config(config), Format(form))
 
 
 def test_neither_bundle_nor_sensor_nor_broker_is_needed(config: Path) -> None:

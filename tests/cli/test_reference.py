@@ -12,7 +12,7 @@ from command_line import gelgate
 from recorded_presses import T0
 from station import station_config
 
-from edge.cli.reference import asked
+from edge.cli.reference import request_press
 from edge.core.errors import GelgateError
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.measures import Imprint
@@ -158,7 +158,7 @@ def test_a_press_that_is_asked_for_is_waited_for(database: Path) -> None:
     said: list[str] = []
     with Store(database) as store:
         turns = (lambda: None, lambda: acted(store, "done"), lambda: None, lambda: record(store, 7, 0.4))
-        found = asked(store, Gateway(*turns), wish(), said.append, 60)
+        found = request_press(store, Gateway(*turns), wish(), said.append, 60)
 
     assert said[0].startswith("asked; a gateway takes it within 30 s")
     assert said[1:] == ["press the master piece M1"]
@@ -169,7 +169,7 @@ def test_a_request_that_no_gateway_takes_is_withdrawn(database: Path) -> None:
     """One sentence; a gateway that starts later does not do it."""
     with Store(database) as store:
         with pytest.raises(GelgateError, match=r"no gateway took the request within 30 s; one must run on"):
-            asked(store, Gateway(), wish(), print, 60)
+            request_press(store, Gateway(), wish(), print, 60)
         assert take(store) is None
 
 
@@ -177,13 +177,13 @@ def test_a_refusal_of_the_gateway_is_the_answer(database: Path) -> None:
     """Its own sentence."""
     why = "no master piece of bolt/crest is named 'M9'; known: M1"
     with Store(database) as store, pytest.raises(GelgateError, match=why):
-        asked(store, Gateway(lambda: acted(store, "refused", why)), wish("M9"), print, 60)
+        request_press(store, Gateway(lambda: acted(store, "refused", why)), wish("M9"), print, 60)
 
 
 def test_a_press_that_does_not_come_is_said(database: Path) -> None:
     """After the configured time."""
     with Store(database) as store, pytest.raises(GelgateError, match="no reference press came within 5 s"):
-        asked(store, Gateway(lambda: acted(store, "done")), wish(), print, 5)
+        request_press(store, Gateway(lambda: acted(store, "done")), wish(), print, 5)
 
 
 def test_a_station_without_master_pieces_is_not_asked(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from station import station_config
 from stepped_station import SteppedStation
 
 from edge.acquisition import AcquisitionStatus
-from edge.cli.describe import Format, described_text
+from edge.cli.describe import Format, describe_config
 from edge.cli.run import summary_text
 from edge.config import load_config
 from edge.core.imaging.quality import Reason, Rejection
@@ -44,7 +44,7 @@ def test_the_interval_of_the_counters_is_configured(
 
 def test_a_station_keeps_its_own_description_at_the_broker(station: SteppedStation, config: Path) -> None:
     """Retained from the start on: what `gelgate station describe` prints."""
-    assert station.said("asyncapi") == json.loads(described_text(load_config(config), Format.ASYNCAPI))
+    assert station.said("asyncapi") == json.loads(describe_config(load_config(config), Format.ASYNCAPI))
 
 
 def report(reason: str | None, total_ms: float) -> PressReport:
