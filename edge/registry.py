@@ -127,7 +127,7 @@ def backbone(name: str) -> "Backbone":
 
 
 def importer(name: str) -> object:
-    """The importer of that name; `export.importers.finding` checks its protocol. Errors: as `device`."""
+    """The importer of that name; `export.importers.contract` checks its protocol. Errors: as `device`."""
     return _load("importers", name)
 
 

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from edge.model.bundle_writer import write_file
-from edge.model.licence import LICENCE
+from edge.model.manifest_facts import LICENCE
 from export.graph_file import read_graph
-from export.known_weights import Encoder, check_release, encoder
-from export.licence import stated_licence
+from export.known_weights import Encoder, check_release, encoder, stated_licence
 from export.onnx_trunk import graph_trunk, name_taps
 from export.onnx_values import first_conv_input, run_values
 from export.parity import ParityReport, Stage, compare

@@ -111,7 +111,7 @@ def backbone(given: BackboneArguments) -> None:
 
 
 def _make(checkpoint: Path, output: Path, options: "BackboneOptions", report: Path | None) -> None:
-    from edge.model.licence import is_non_commercial
+    from edge.model.manifest_facts import is_non_commercial
     from export.backbone import export_backbone
 
     made = export_backbone(checkpoint, output, options, report)

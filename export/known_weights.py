@@ -1,4 +1,4 @@
-"""Releases of weights that are distinguished by their file's hash, and touch encoders with what their authors publish.
+"""Releases of weights, known by their hash, touch encoders as their authors publish them, and licences that are stated.
 
 The names of torchvision's files carry the first eight digits of their SHA-256, so a file is recognised also when it
 was renamed. Ref: torchvision.models.resnet (the `url` of each weights entry).
@@ -10,7 +10,19 @@ from dataclasses import dataclass
 from edge.core.errors import ConfigError
 from plugins.backbones.input_steps import InputSteps
 
-__all__ = ["ENCODERS", "RELEASES", "Encoder", "Release", "check_release", "encoder", "release_of"]
+__all__ = [
+    "ENCODERS",
+    "RELEASES",
+    "Encoder",
+    "Release",
+    "check_release",
+    "encoder",
+    "release_of",
+    "stated_licence",
+]
+
+
+MOST_CHARACTERS = 200
 
 
 @dataclass(frozen=True)
@@ -109,3 +121,23 @@ def encoder(name: str) -> Encoder:
             f"no touch encoder is named '{name}'; known: {', '.join(ENCODERS)}; others come in as ONNX with --taps"
         )
     return ENCODERS[name]
+
+
+def stated_licence(text: str | None, what: str, usual: str | None = None) -> str:
+    """The stated licence without surrounding spaces. what: the file or weights; usual: what its authors state.
+
+    Errors: ConfigError where it is not stated, or is not one short line.
+    """
+    licence = (text or "").strip()
+    if not licence:
+        hint = f"its authors state {usual}; " if usual else ""
+        raise ConfigError(
+            f"the licence of {what} is not stated; {hint}look it up and pass --licence, such as --licence Apache-2.0, "
+            "or --licence own for weights that you trained"
+        )
+    if len(licence) > MOST_CHARACTERS or not licence.isprintable():
+        raise ConfigError(
+            f"the licence of {what} has {len(licence)} characters or is not one line; give its short name, such as "
+            "CC-BY-NC-4.0"
+        )
+    return licence

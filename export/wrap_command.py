@@ -92,7 +92,7 @@ def wrap(given: WrapArguments) -> None:
     from edge.core.imaging.region import Region
     from export.finish import WrapConfig, wrap_files
     from export.graph_file import read_graph
-    from export.licence import stated_licence
+    from export.known_weights import stated_licence
 
     graph = given.graph
     refuse_existing(given.output, given.overwrite)

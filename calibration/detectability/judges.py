@@ -25,8 +25,8 @@ from edge.core.verdict import Kind as Result
 from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files
 from edge.model.detectability import JudgedBy
-from edge.model.limit_facts import copies_of_each
 from edge.model.manifest import Manifest
+from edge.model.manifest_facts import copies_of_each
 from edge.model.scorer import Scored, Scorer
 from edge.model.session import TrunkSessions, open_session
 

@@ -23,8 +23,8 @@ from edge.core.imaging.sensor_check import colour_cells, is_other_kind
 from edge.model.bundle import Bundle, GoldenFrame
 from edge.model.bundle_writer import bundle_files
 from edge.model.detectability import CARD
-from edge.model.gel_facts import gel_facts
 from edge.model.manifest import Facts, ThresholdEntry, ToleranceEntry
+from edge.model.manifest_facts import gel_facts
 from edge.model.scorer import Scorer
 from edge.model.tile_runner import most_typical
 

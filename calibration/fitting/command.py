@@ -335,7 +335,7 @@ def choose_profile(name: str, sources: list[Path]) -> "SensorProfile":
 
 def summarise(fitted: "Fitted", output: Path) -> None:
     """Print what the bundle is, in a few lines."""
-    from edge.model.limit_facts import (
+    from edge.model.manifest_facts import (
         AUGMENTATION,
         BACKBONE_CHOICE,
         LIMIT,

@@ -17,7 +17,7 @@ from calibration.progress import Report
 from calibration.threads import one_blas_thread
 from edge import registry
 from edge.core.errors import ConfigError, FitError
-from edge.model.limit_facts import BACKBONE_CHOICE, METHOD_CHOICE
+from edge.model.manifest_facts import BACKBONE_CHOICE, METHOD_CHOICE
 
 __all__ = ["Comparison", "choose_detection"]
 

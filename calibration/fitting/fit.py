@@ -57,8 +57,6 @@ from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Features, Nominal, Progress
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, write_bundle
-from edge.model.gel_facts import gel_facts
-from edge.model.limit_facts import MISSING
 from edge.model.manifest import (
     ColourEntry,
     Facts,
@@ -69,6 +67,7 @@ from edge.model.manifest import (
     ThresholdEntry,
     ToleranceEntry,
 )
+from edge.model.manifest_facts import MISSING, gel_facts
 from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions, open_session
 from edge.model.tile_runner import most_typical, untouched_tiles

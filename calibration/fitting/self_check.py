@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import FitError
-from edge.model.limit_facts import UNPROVEN
 from edge.model.manifest import ThresholdEntry
+from edge.model.manifest_facts import UNPROVEN
 
 __all__ = ["apart_warnings", "black_warnings", "room_warnings", "standing_apart", "unproven_warnings"]
 

@@ -48,7 +48,7 @@ def inspect(
 
 
 def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
-    from edge.model.limit_facts import AUGMENTATION, LIMIT, METHOD_CHOICE, MISSING, choice_sentence
+    from edge.model.manifest_facts import AUGMENTATION, LIMIT, METHOD_CHOICE, MISSING, choice_sentence
     from edge.model.press_again_facts import DEFAULT_COSTS, again_sentence, plan_for
     from edge.model.promise import promise
 
@@ -101,7 +101,7 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
 
 
 def _trunk_rows(manifest: "Manifest") -> list[tuple[str, str]]:
-    from edge.model.limit_facts import BACKBONE_CHOICE, choice_sentence
+    from edge.model.manifest_facts import BACKBONE_CHOICE, choice_sentence
 
     if manifest.backbone is None:
         return []
@@ -116,7 +116,7 @@ def _trunk_rows(manifest: "Manifest") -> list[tuple[str, str]]:
 
 def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
     from edge.model.detectability import detectability_lines
-    from edge.model.licence import licence_sentence
+    from edge.model.manifest_facts import licence_sentence
 
     rows = []
     if licence := licence_sentence(manifest):

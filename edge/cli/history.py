@@ -50,8 +50,7 @@ def history(
     import time
 
     from edge.extras import needs
-    from edge.store.history import HistoryQuery, read_history
-    from edge.store.history_files import write_history
+    from edge.store.history import HistoryQuery, read_history, write_history
 
     if output is not None and output.suffix.lower() == ".parquet":
         needs("parquet", f"writing {output}")

@@ -36,8 +36,8 @@ from edge.features.press_stage import Mounted, PressStage
 from edge.gateway.recorder import PressReport, Recorder, WaitingPress
 from edge.gateway.status import StationStatus
 from edge.logs import about_press
-from edge.model.gel_facts import read_origin
 from edge.model.inspector import Inspector
+from edge.model.manifest_facts import read_origin
 from edge.store.gel_files import ReferenceFolder
 from edge.store.gel_ledger import GelRecord
 from edge.store.ulid import new_ulid

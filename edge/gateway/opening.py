@@ -18,7 +18,7 @@ from edge.gateway.bundle_set import BundleSet, OpenBundle, part_of
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
 from edge.model.inspector import Inspector
-from edge.model.revision import check_revision
+from edge.model.manifest_facts import check_revision
 from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions
 from edge.model.signature import Trust, trusted_keys

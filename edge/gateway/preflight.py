@@ -31,7 +31,7 @@ from edge.gateway.command_policy import policy_of
 from edge.gateway.command_table import COMMANDS
 from edge.gateway.metrics import ADDRESS, serve_metrics
 from edge.gateway.opening import BundleOpener, device_opener, first_part
-from edge.model.licence import licence_sentence
+from edge.model.manifest_facts import licence_sentence
 from edge.store import bundles_in_use, gel_ledger
 from edge.store.database import SCHEMA_VERSION, open_read_only, quick_check, schema_version
 

@@ -20,7 +20,7 @@ from edge.messaging.status_payloads import (
     state_message,
 )
 from edge.model.bundle import Bundle
-from edge.model.limit_facts import BACKBONE_CHOICE, METHOD_CHOICE, choice_sentence
+from edge.model.manifest_facts import BACKBONE_CHOICE, METHOD_CHOICE, choice_sentence
 from edge.model.promise import promise
 from edge.store.gel_ledger import GelRecord
 

@@ -22,8 +22,8 @@ from edge.core.imaging.quality import (
 from edge.core.imaging.sensor_check import check_sensor
 from edge.core.ports import Clock
 from edge.core.press import Press
-from edge.model.limit_facts import USUAL_CONTACT
 from edge.model.manifest import ContactRange
+from edge.model.manifest_facts import USUAL_CONTACT
 from edge.model.scorer import Scorer
 
 __all__ = ["Inspector"]

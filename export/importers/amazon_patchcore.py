@@ -10,7 +10,6 @@ from typing import Any
 from edge.core.errors import ConfigError
 from export.importers.contract import Imported, Recognised, Settings
 from export.importers.framing import Framing
-from export.importers.given_trunk import cut_given_trunk
 from export.importers.heads import MapSteps, patchcore_head
 from plugins.detectors.common.descriptor import BINS, Descriptor
 from plugins.reading.foreign import Foreign, check_array, describe, float32
@@ -50,21 +49,21 @@ class AmazonPatchcore:
         """The parts of a bundle. Errors: as `Importer`."""
         table = file.table()
         layers = _read_layers(file.path, table)
-        given = cut_given_trunk(
-            settings, file.path, layers, f"its index and the name {table.get('backbone.name')} alone"
+        trunk, grid = settings.cut_trunk(
+            file.path, layers, f"its index and the name {table.get('backbone.name')} alone"
         )
         descriptor = Descriptor(layers, layers[0], "binned", False)
         with read_foreign(_index(file.path)) as index:
             rows = float32(check_array(index.path, "rows", index.table().get("rows"), None, BINS))
         steps = MapSteps(Framing(settings.frame), SIGMA_PX)
-        head = patchcore_head(descriptor, given.grid, len(rows), 1, True, steps)
+        head = patchcore_head(descriptor, grid, len(rows), 1, True, steps)
         return Imported(
             method="patchcore",
             source="PatchCore of amazon-science/patchcore-inspection",
-            trunk=given.trunk,
+            trunk=trunk,
             head=head,
             bank=settings.centred_bank(rows),
-            grid=given.grid,
+            grid=grid,
             parameters={"layers": list(layers), "sigma_px": SIGMA_PX},
             facts={"rows": len(rows), "backbone": str(table.get("backbone.name"))[:60]},
             says=(f"{len(rows)} rows; distances are squared, as published",),

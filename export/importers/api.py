@@ -23,12 +23,11 @@ from edge.core.imaging.known_profiles import profile as known_profile
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle_writer import write_bundle
-from edge.model.licence import LICENCE
+from edge.model.manifest_facts import LICENCE
 from export.finish import WrapConfig
-from export.importers.contract import Imported, Importer, Recognised, Settings
-from export.importers.finding import importer_of, importers
+from export.importers.contract import Imported, Importer, Recognised, Settings, importer_of, importers
 from export.importers.finish import Losses, import_files
-from export.licence import stated_licence
+from export.known_weights import stated_licence
 from plugins.reading.foreign import Foreign
 from plugins.reading.isolated import read_foreign
 

@@ -93,7 +93,7 @@ def detect(file: File) -> None:
     """Say what a file of a research program is.
 
     It is read in a process of its own, without network, and nothing that is in it is run."""
-    from export.importers.finding import importer_of
+    from export.importers.contract import importer_of
     from plugins.reading.isolated import read_foreign
 
     with read_foreign(file) as foreign:

@@ -4,7 +4,7 @@ An importer is an object behind an entry point of `gelgate.importers`. It gets t
 (`plugins.reading`) and never opens the file itself.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -12,12 +12,17 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting.features import trunk_grid
 from calibration.fitting.trunks import Trunk
+from edge import registry
 from edge.core.detector import Bank, Features, Grid, Packing
-from edge.core.errors import ConfigError
-from plugins.reading.foreign import Foreign
+from edge.core.errors import ConfigError, FitError
+from edge.model.graph_cut import cut_trunk
+from edge.model.onnx_validation import GraphRefused
+from edge.model.session import open_session
+from plugins.reading.foreign import Foreign, describe
 
-__all__ = ["Imported", "Importer", "Recognised", "Settings"]
+__all__ = ["Imported", "Importer", "Recognised", "Settings", "importer_of", "importers"]
 
 
 @dataclass(frozen=True)
@@ -49,14 +54,27 @@ class Settings:
     values: Mapping[str, Any] = field(default_factory=dict)
     """Further settings of one importer by name."""
 
-    def require_trunk(self, path: Path, why: str) -> Trunk:
-        """The trunk. Errors: ConfigError where none was given."""
-        if self.trunk is None:
+    def cut_trunk(self, path: Path, taps: Sequence[str], why: str) -> tuple[Trunk, Grid]:
+        """Cut the caller's trunk after these taps; with its grid on the inspected region.
+
+        path, why: which file has no weights, and what it has. Errors: ConfigError where no trunk was given or it lacks
+        a tap.
+        """
+        trunk = self.trunk
+        if trunk is None:
             raise ConfigError(
                 f"{path} holds no weights of its backbone ({why}); name the trunk that it was trained on: "
                 f"--backbone trunk.onnx"
             )
-        return self.trunk
+        try:
+            graph = cut_trunk(trunk.graph, tuple(taps))
+            session = open_session(graph, 2, f"the trunk '{trunk.id}'")
+            grid = trunk_grid(session, taps, self.frame, self.pixels_per_mm)
+        except GraphRefused as error:
+            raise ConfigError(f"the trunk '{trunk.id}' cannot be used: {error}") from error
+        except FitError as error:
+            raise ConfigError(f"{path}: {error}") from error
+        return Trunk(trunk.id, graph, trunk.facts), grid
 
     def bank(self, arrays: Mapping[str, NDArray[Any]], *packed: str) -> Bank:
         """Make a bank, of which these arrays are stored as the caller wants."""
@@ -128,3 +146,37 @@ class Importer(Protocol):
     def imported(self, file: Foreign, settings: Settings) -> Imported:
         """The parts of a bundle. Errors: ConfigError that names the file, the field, found and expected."""
         ...
+
+
+def importers() -> list[Importer]:
+    """List the installed importers by name. Errors: ConfigError for an object that is not an importer."""
+    return [_load(name) for name in registry.names("importers")]
+
+
+def importer_of(file: Foreign) -> tuple[Importer, Recognised]:
+    """The importer that recognises the file, and what it is.
+
+    Errors: ConfigError with what the file holds where none does, or where several do.
+    """
+    known = importers()
+    fitting = [(each, what) for each in known if (what := each.recognised(file)) is not None]
+    if not fitting:
+        raise ConfigError(
+            f"{file.path} is a {file.form} that holds {describe(file.content)}; no importer knows it. Known are "
+            f"{', '.join(each.name for each in known)}; weights of a backbone come in by `gelgate export backbone`"
+        )
+    if len(fitting) > 1:
+        names = ", ".join(importer.name for importer, _ in fitting)
+        raise ConfigError(
+            f"{file.path} is recognised by several importers ({names}); name one with --importer"
+        )
+    return fitting[0]
+
+
+def _load(name: str) -> Importer:
+    importer = registry.importer(name)
+    if not isinstance(importer, Importer):
+        raise ConfigError(
+            f"the importer '{name}' is a {type(importer).__name__} without recognised and imported; correct its package"
+        )
+    return importer

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.detector import Bank, Grid, Nominal
+from edge.core.detector import Grid, Nominal
 from edge.core.errors import ConfigError, FitError
 from export.importers.contract import Imported, Recognised, Settings
-from export.importers.given_trunk import Given, cut_given_trunk
 from plugins.detectors.common.descriptor import BINS
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
@@ -56,8 +55,8 @@ class SpadeFeatures:
         if not layers:
             raise ConfigError(f"{file.path} holds no features by layer; see `gelgate export detect`")
         taps = (*layers, "avgpool") if "avgpool" in file.table() else layers
-        given = cut_given_trunk(settings, file.path, taps, "features of presses alone")
-        features = {tap: _features(file.path, tap, file.table()[tap], given.grid) for tap in taps}
+        trunk, grid = settings.cut_trunk(file.path, taps, "features of presses alone")
+        features = {tap: _features(file.path, tap, file.table()[tap], grid) for tap in taps}
         counts = {tap: len(maps) for tap, maps in features.items()}
         if len(set(counts.values())) != 1:
             raise ConfigError(
@@ -76,13 +75,14 @@ class SpadeFeatures:
         )
         rng = np.random.default_rng(0)
         try:
-            bank = spade.fit(Nominal(features), given.grid, parameters, rng, lambda fraction: None)
+            bank = spade.fit(Nominal(features), grid, parameters, rng, lambda fraction: None)
         except FitError as error:
             raise ConfigError(f"{file.path}: {error}") from error
         how = "divided by their length" if is_normalised else "as they are"
-        says = (f"{counts[taps[0]]} presses, features {how}",)
-        head = spade.head(given.grid, bank, parameters)
-        return _imported("spade", "features of SPADE", given, head, bank, parameters, says=says)
+        said = f"{counts[taps[0]]} presses, features {how}"
+        head = spade.head(grid, bank, parameters)
+        values = vars(parameters)
+        return Imported("spade", "features of SPADE", trunk, head, bank, grid, values, says=(said,))
 
 
 class FapmPickle:
@@ -100,11 +100,11 @@ class FapmPickle:
     def imported(self, file: Foreign, settings: Settings) -> Imported:
         """The parts of a bundle. Settings: `layers`, `neighbours`. Errors: as `Importer`."""
         fine, coarse = settings.value("layers", tuple, ("layer2", "layer3"))
-        given = cut_given_trunk(settings, file.path, (fine, coarse), "prototypes alone")
+        trunk, grid = settings.cut_trunk(file.path, (fine, coarse), "prototypes alone")
         arrays: dict[str, NDArray[Any]] = {}
         kinds = set()
         for tap, end, side in ((fine, "f", 4), (coarse, "c", 2)):
-            kinds.add(_prototypes(file, tap, end, side, given.grid, arrays))
+            kinds.add(_prototypes(file, tap, end, side, grid, arrays))
         if len(kinds) != 1:
             raise ConfigError(
                 f"{file.path}: one layer has prototypes per place, the other per cell; one kind was expected"
@@ -114,16 +114,9 @@ class FapmPickle:
         )
         names = [name for name in arrays if name.endswith(("_near", "_far"))]
         bank = settings.bank(arrays, *names)
-        says = ("coarse distances are added in the release's order of rows (fusion=rows)",)
-        return _imported(
-            "fapm",
-            "prototypes of FAPM",
-            given,
-            fapm.head(given.grid, bank, parameters),
-            bank,
-            parameters,
-            says=says,
-        )
+        said = "coarse distances are added in the release's order of rows (fusion=rows)"
+        head, values = fapm.head(grid, bank, parameters), vars(parameters)
+        return Imported("fapm", "prototypes of FAPM", trunk, head, bank, grid, values, says=(said,))
 
 
 class InreachPoints:
@@ -154,36 +147,14 @@ class InreachPoints:
                 f"{file.path}: points of {points.shape[1]} numbers and position_weight={weight} do not fit together"
             )
         parameters = inreach.parameters("paper", position_weight=weight, packing=settings.packing)
-        given = cut_given_trunk(settings, file.path, parameters.taps, "nominal points alone")
+        trunk, grid = settings.cut_trunk(file.path, parameters.taps, "nominal points alone")
         bank = settings.centred_bank(points, BINS)
-        head = inreach.head(given.grid, bank, parameters)
-        return _imported(
-            "inreach",
-            "nominal points of InReaCh",
-            given,
-            head,
-            bank,
-            parameters,
-            says=(f"{len(points)} points",),
-        )
+        head = inreach.head(grid, bank, parameters)
+        source, values, said = "nominal points of InReaCh", vars(parameters), f"{len(points)} points"
+        return Imported("inreach", source, trunk, head, bank, grid, values, says=(said,))
 
 
 spade_features, fapm_pickle, inreach_points = SpadeFeatures(), FapmPickle(), InreachPoints()
-
-
-def _imported(
-    method: str,
-    source: str,
-    given: Given,
-    head: bytes,
-    bank: Bank,
-    parameters: Any,
-    *,
-    says: tuple[str, ...],
-) -> Imported:
-    return Imported(
-        method, source, given.trunk, head, bank, given.grid, dict(vars(parameters)), None, {}, says
-    )
 
 
 def _layers(table: Mapping[Any, Any]) -> tuple[str, ...]:

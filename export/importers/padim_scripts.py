@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from edge.core.errors import ConfigError
 from export.importers.contract import Imported, Recognised, Settings
 from export.importers.framing import Framing
-from export.importers.given_trunk import cut_given_trunk
 from export.importers.heads import MapSteps
 from export.importers.padim_parts import Gaussians, padim_parts
 from plugins.reading.foreign import Foreign, check_array
@@ -57,20 +56,20 @@ class PadimPickle:
         d, places = mean.shape
         dense = _dense(file.path, cov, d, places, _ridge_again(file.path, settings))
         layers = tuple(settings.value("layers", tuple, LAYERS))
-        given = cut_given_trunk(settings, file.path, layers, "means and covariances alone")
-        total = sum(given.grid.taps[tap][0] for tap in layers)
+        trunk, grid = settings.cut_trunk(file.path, layers, "means and covariances alone")
+        total = sum(grid.taps[tap][0] for tap in layers)
         channels, words = _channels(file.path, parts[2], settings, d, total)
         gaussians = Gaussians(file.path, "covariance", layers, channels, mean.T, dense, is_inverse=False)
         steps = MapSteps(Framing(settings.frame), SIGMA_PX)
-        made = padim_parts(gaussians, given.grid, steps, settings)
+        made = padim_parts(gaussians, grid, steps, settings)
         again = "the seed paper's scripts add the ridge of 0.01 a second time at prediction: --set ridge_again=0.01"
         return Imported(
             method="padim",
             source="PaDiM's mean and covariance",
-            trunk=given.trunk,
+            trunk=trunk,
             head=made.head,
             bank=made.bank,
-            grid=given.grid,
+            grid=grid,
             parameters={"layers": list(layers), "sigma_px": SIGMA_PX, "channels": int(d)},
             facts=made.facts,
             says=(words, made.reduction.words(), *(() if "ridge_again" in settings.values else (again,))),

@@ -4,6 +4,7 @@ Ref: docs.luxonis.com, DepthAI v3: Camera, ReplayVideo, MessageQueue. Seen with 
 (option `film`), and the search without a device (0.5 s). Not yet seen: an OAK on a physical bus.
 """
 
+import os
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final
@@ -21,12 +22,37 @@ from edge.core.errors import (
 from edge.core.imaging.frames import CameraFrame
 from edge.core.plugins import DevicePlugin
 from edge.core.ports import Clock, Device, DeviceIdentity, DiscoveredDevice
-from plugins.overviews.quiet_depthai import quiet_depthai
+from edge.extras import needs
 
-__all__ = ["Oak", "OakCamera", "OakOptions", "plugin"]
+__all__ = ["QUIET", "Oak", "OakCamera", "OakOptions", "plugin", "quiet_depthai"]
 
 JPEG_QUALITY: Final = 85
 PRODUCT: Final = "OAK"
+
+# Variables of depthai 3.12: a gateway sends only what its configuration says, telemetry is on by default.
+QUIET: Final = {
+    "DEPTHAI_TELEMETRY": "0",
+    "DEPTHAI_DISABLE_CRASHDUMP_COLLECTION": "1",
+    "DEPTHAI_CRASHDUMP": "0",
+    "DEPTHAI_DISABLE_FEEDBACK": "1",
+    "DEPTHAI_DISABLE_STARTUP_NOTIFICATIONS": "1",
+    "DEPTHAI_ZOO_INTERNET_CHECK": "0",
+    # Milliseconds that it looks for a device that vanished between search and opening; 10 s by default.
+    "DEPTHAI_SEARCH_TIMEOUT": "1000",
+    # Its handlers end the process at a file that may not grow, which Python reports as an error, and print to it.
+    "DEPTHAI_INSTALL_SIGNAL_HANDLER": "0",
+    # Its warnings go to the standard output, where results of verbs go.
+    "DEPTHAI_LEVEL": "error",
+}
+
+
+def quiet_depthai() -> Any:
+    """The module. It reads these variables when it is imported. Errors: ConfigError where it is not installed."""
+    needs("oak", "the overview camera 'oak'")
+    os.environ.update(QUIET)
+    import depthai
+
+    return depthai
 
 
 class OakOptions(BaseModel):

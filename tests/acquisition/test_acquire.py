@@ -14,7 +14,7 @@ import pytest
 from command_line import gelgate
 
 from edge.model.bundle import Bundle
-from edge.model.limit_facts import BACKBONE_CHOICE, choice_sentence
+from edge.model.manifest_facts import BACKBONE_CHOICE, choice_sentence
 
 # Twelve presses of six pieces promise 18 %; the region keeps the trunk small.
 OPTIONS = ("--part", "bolt", "--position", "pos1", "--profile", "cropped_lr", "--promise", "0.2")

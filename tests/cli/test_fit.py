@@ -17,7 +17,7 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import cli, registry
 from edge.core.errors import ConfigError, GelgateError
 from edge.model.bundle import Bundle
-from edge.model.limit_facts import METHOD_CHOICE, choice_sentence
+from edge.model.manifest_facts import METHOD_CHOICE, choice_sentence
 
 
 @pytest.fixture(autouse=True)

@@ -16,7 +16,7 @@ from calibration.fitting.presses.augmentation import rendered_copies
 from calibration.fitting.trunks import Trunk
 from edge import registry
 from edge.core.imaging.region import Region
-from edge.model.limit_facts import copies_of_each
+from edge.model.manifest_facts import copies_of_each
 
 
 @pytest.fixture(autouse=True)

@@ -6,10 +6,9 @@ import pytest
 import tiny
 
 from edge.core.errors import ConfigError
-from edge.model.licence import is_non_commercial, licence_of, licence_sentence
 from edge.model.manifest import Manifest
-from export.known_weights import ENCODERS, RELEASES, check_release, encoder, release_of
-from export.licence import stated_licence
+from edge.model.manifest_facts import is_non_commercial, licence_of, licence_sentence
+from export.known_weights import ENCODERS, RELEASES, check_release, encoder, release_of, stated_licence
 from plugins.backbones.input_steps import apply_steps
 
 V1, V2 = "95faca4d" + 56 * "0", "9ba9bcbe" + 56 * "0"

@@ -19,7 +19,7 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import registry
 from edge.core.detector import Detector
 from edge.core.errors import FitError
-from edge.model.limit_facts import BACKBONE_CHOICE, METHOD_CHOICE, choice_sentence
+from edge.model.manifest_facts import BACKBONE_CHOICE, METHOD_CHOICE, choice_sentence
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 

@@ -17,7 +17,7 @@ from calibration.simulator.renderer import Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import registry
 from edge.core.contact.mask import Touch
-from edge.model.limit_facts import LIMIT, MISSING, choice_sentence
+from edge.model.manifest_facts import LIMIT, MISSING, choice_sentence
 from edge.model.scorer import Scorer
 
 

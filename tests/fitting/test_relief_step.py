@@ -25,7 +25,7 @@ from edge.core.detector import Features, Grid, Nominal
 from edge.core.imaging.frames import CameraFrame
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
-from edge.model.limit_facts import MISSING, choice_sentence
+from edge.model.manifest_facts import MISSING, choice_sentence
 from edge.model.scorer import Scorer
 
 TRUNK = open_trunk("tactile_resnet18", ("layer1",))

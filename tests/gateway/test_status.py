@@ -11,8 +11,8 @@ from edge.core.ports import DeviceIdentity, Message
 from edge.features.overview import say_overview_camera
 from edge.gateway.status import StationStatus
 from edge.model.bundle import Bundle
-from edge.model.limit_facts import BACKBONE_CHOICE, METHOD_CHOICE
 from edge.model.manifest import Provenance
+from edge.model.manifest_facts import BACKBONE_CHOICE, METHOD_CHOICE
 
 
 class Heard:

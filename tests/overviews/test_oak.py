@@ -25,8 +25,7 @@ from edge.core.errors import (
 )
 from edge.core.ports import DeviceIdentity
 from edge.extras import is_installed
-from plugins.overviews.oak import OakCamera, OakOptions, _camera, plugin
-from plugins.overviews.quiet_depthai import QUIET
+from plugins.overviews.oak import QUIET, OakCamera, OakOptions, _camera, plugin
 
 IDENTITY = DeviceIdentity("OAK", "14442C10", (320, 240), 5.0)
 needs_depthai = pytest.mark.skipif(
@@ -74,7 +73,7 @@ def test_everything_that_calls_out_is_off_before_the_import(tmp_path: Path) -> N
 LIMITED = """
 import resource
 from pathlib import Path
-from plugins.overviews.quiet_depthai import quiet_depthai
+from plugins.overviews.oak import quiet_depthai
 quiet_depthai()
 resource.setrlimit(resource.RLIMIT_FSIZE, (10, 10))
 try:

@@ -11,8 +11,7 @@ from page_messages import gel, info, press, reference, state, stats
 
 from edge.core.gel import GelState
 from edge.core.ports import Message
-from edge.page.readable import LARGEST_PAYLOAD_BYTES, readable
-from edge.page.shown import Shown
+from edge.page.shown import LARGEST_PAYLOAD_BYTES, Shown, readable
 
 OWN = {
     "state": state("ready"),

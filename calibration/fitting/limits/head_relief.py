@@ -14,7 +14,7 @@ from calibration.fitting.limits.head_limit import Operation, bank_with, extend_h
 from calibration.fitting.limits.missing_relief import FAINT, START, STEEPNESS, TINY, MissingRelief
 from edge.core.detector import Bank
 from edge.core.errors import FitError
-from edge.model.limit_facts import MISSING
+from edge.model.manifest_facts import MISSING
 
 __all__ = ["ARRAYS", "head_with_relief", "relief_arrays", "relieved_like"]
 

@@ -21,7 +21,7 @@ from edge.core.detector import Features, Mode, Nominal
 from edge.core.errors import FitError
 from edge.core.registration.light import FreeLight
 from edge.core.registration.pose import Pose
-from edge.model.limit_facts import AUGMENTATION
+from edge.model.manifest_facts import AUGMENTATION
 
 __all__ = ["FEW", "Augment", "Augmentation", "Copies", "Take", "augmentation_of", "rendered_copies"]
 

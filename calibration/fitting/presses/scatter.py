@@ -12,7 +12,7 @@ from edge.core.contact.reference import Reference
 from edge.core.detector import Detector
 from edge.core.errors import FitError
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.model.limit_facts import UNPROVEN
+from edge.model.manifest_facts import UNPROVEN
 
 __all__ = ["SCATTERED_MM", "scatter_mm", "scatter_warnings"]
 

@@ -19,8 +19,7 @@ from toy_trunk import toy_trunk
 
 from calibration.fitting.trunks import Trunk
 from edge.core.errors import ConfigError, GelgateError
-from export.importers.contract import Settings
-from export.importers.finding import importers
+from export.importers.contract import Settings, importers
 from plugins.detectors.inreach.paper import PAPER_TAPS
 from plugins.reading.files import HEADER, read_here
 from plugins.reading.foreign import Foreign

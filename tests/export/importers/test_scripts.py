@@ -19,8 +19,7 @@ from calibration.fitting.trunks import Trunk
 from edge.core.detector import Bank, Grid
 from edge.core.errors import ConfigError
 from export.importers.amazon_patchcore import amazon_patchcore
-from export.importers.contract import Importer, Settings
-from export.importers.finding import importer_of
+from export.importers.contract import Importer, Settings, importer_of
 from export.importers.memory_scripts import fapm_pickle, inreach_points, spade_features
 from export.importers.padim_scripts import draw_channels, padim_pickle
 from export.parity import Stage, compare, order_stage

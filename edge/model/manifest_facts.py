@@ -1,0 +1,134 @@
+"""What a manifest says besides its fields: what a fit chose and why, the licence, the gel, whether it is the newest.
+
+All but the revision are entries of the manifest's `facts`.
+"""
+
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+from edge.core.errors import BundleMismatch
+from edge.core.gel_proof import MadeOn
+from edge.model.manifest import Facts, Manifest
+
+__all__ = [
+    "AUGMENTATION",
+    "BACKBONE_CHOICE",
+    "GEL",
+    "LICENCE",
+    "LIMIT",
+    "METHOD_CHOICE",
+    "MISSING",
+    "UNPROVEN",
+    "USUAL_CONTACT",
+    "check_revision",
+    "choice_sentence",
+    "copies_of_each",
+    "gel_facts",
+    "is_non_commercial",
+    "licence_of",
+    "licence_sentence",
+    "read_origin",
+]
+
+UNPROVEN = "not proven: "
+"""So begins a warning of `fit` that says what the bundle's own evidence does not show. They are the first warnings."""
+
+BACKBONE_CHOICE: Final = "backbone_choice"
+"""The entry's name: `chosen`, `why`, and `found`, what banks on each trunk saw of damage, by its kind; absent where the
+backbone was named."""
+
+METHOD_CHOICE: Final = "method_choice"
+"""The entry's name: `chosen`, `why`, and `found`, what banks of each method on each trunk saw of damage, by its kind;
+absent where the method was named."""
+
+AUGMENTATION: Final = "augmentation"
+"""The entry's name: `each`, the rendered copies of every nominal press that the bank learnt, and `why`; else absent."""
+
+LIMIT: Final = "limit"
+"""The entry's name: `kind`, `why`, and `found`, the share of rendered damage by kind."""
+
+MISSING: Final = "missing_relief"
+"""The entry's name: `is_checked`, `why`, `found`, the share of smoother presses, and `tap`, whose features are read."""
+
+USUAL_CONTACT = "relief_expected"
+"""The array of the bank with the mean contact of nominal presses, where missing relief is checked."""
+
+
+def choice_sentence(facts: Mapping[str, Any], name: str) -> str:
+    """Say what the fit chose in this entry, and why; empty for a bundle without it."""
+    entry = facts.get(name)
+    choice = {LIMIT: "kind", MISSING: "is_checked"}.get(name, "why")
+    if not isinstance(entry, Mapping) or not {choice, "why"} <= entry.keys():
+        return ""
+    if name == LIMIT:
+        return f"{entry[choice]}: {entry['why']}"
+    if name == MISSING:
+        return f"{'checked' if entry[choice] else 'not checked'}: {entry['why']}"
+    return str(entry["why"])
+
+
+def copies_of_each(facts: Mapping[str, Any]) -> int:
+    """Return the copies of every nominal press in the bundle's bank, 0 for none."""
+    entry = facts.get(AUGMENTATION)
+    return int(entry.get("each", 0)) if isinstance(entry, Mapping) else 0
+
+
+LICENCE = "licence"
+"""The key in a trunk's metadata, and in a manifest's `facts` (of a detector) or `facts.backbone` (of a trunk)."""
+
+_NON_COMMERCIAL = re.compile(r"(?<![a-z])nc(?![a-z])|non.?commercial|research.only", re.IGNORECASE)
+
+
+def licence_of(manifest: Manifest) -> str | None:
+    """The licences of the bundle's weights as they were stated, None where nothing was stated."""
+    backbone = manifest.facts.get("backbone")
+    sources = (manifest.facts, backbone if isinstance(backbone, Mapping) else {})
+    stated: list[Any] = [source.get(LICENCE) for source in sources]
+    return ", ".join(dict.fromkeys(str(one) for one in stated if one)) or None
+
+
+def is_non_commercial(licence: str) -> bool:
+    """Tell whether a licence's name says that commercial use is not allowed, such as CC-BY-NC-4.0."""
+    return _NON_COMMERCIAL.search(licence) is not None
+
+
+def licence_sentence(manifest: Manifest) -> str | None:
+    """The licence in words, None where nothing was stated."""
+    licence = licence_of(manifest)
+    if licence is None:
+        return None
+    limit = ": not for commercial use, not for production" if is_non_commercial(licence) else ""
+    return f"licence of the weights {licence}{limit}"
+
+
+GEL: Final = "gel"
+"""The entry's name: `gel_id`, as in the gel ledger of the station."""
+
+
+def read_origin(manifest: Facts) -> MadeOn:
+    """Read what the bundle says of its own gel."""
+    gel = manifest.facts.get(GEL)
+    gel_id = gel.get("gel_id") if isinstance(gel, dict) else None
+    return MadeOn(manifest.provenance.created, gel_id if isinstance(gel_id, str) else None)
+
+
+def gel_facts(gel_id: str | None) -> dict[str, Any]:
+    """The entry of a bundle that is made on this gel; none where the gel is not named."""
+    return {} if gel_id is None else {GEL: {"gel_id": gel_id}}
+
+
+def check_revision(manifest: Manifest, newest: int | None, where: str) -> None:
+    """Refuse a bundle that is older than the newest one in use here; None where none had a revision.
+
+    A signature says who made a bundle, not that it is the newest: an older one with a fault stays signed. Errors:
+    BundleMismatch.
+    """
+    revision = manifest.revision
+    if newest is None or (revision is not None and revision >= newest):
+        return
+    has = "no revision" if revision is None else f"revision {revision}"
+    raise BundleMismatch(
+        f"bundle {where} for {manifest.part}/{manifest.position} has {has}, and revision {newest} was in use here: it "
+        'is older; use the newer one, or set inspection.older = "allowed" to go back on purpose'
+    )
