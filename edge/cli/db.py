@@ -79,7 +79,7 @@ def migrate(database: DatabaseOption = None, config: ConfigOption = CONFIG) -> N
     The backup is next to the file. A start of the gateway does the same."""
     from edge.messaging.publisher_lock import PublisherLock
     from edge.store.backup import migrate as migrate_file
-    from edge.store.schema import CHAINED_SINCE, SCHEMA_VERSION
+    from edge.store.database import CHAINED_SINCE, SCHEMA_VERSION
 
     path = database_path(config, database)
     lock = PublisherLock(path)  # an older gateway must not write meanwhile

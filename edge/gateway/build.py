@@ -49,11 +49,11 @@ from edge.messaging.publisher_lock import PublisherLock
 from edge.messaging.retained_state import RetainedState
 from edge.messaging.status_payloads import StatePayload, availability_message, state_message
 from edge.store.backup import migrate
+from edge.store.database import SCHEMA_VERSION
 from edge.store.gel_files import ReferenceFolder, ScarFolder
 from edge.store.outbox import Bounds
 from edge.store.press_archive import PressArchive
 from edge.store.press_store import Store
-from edge.store.schema import SCHEMA_VERSION
 
 __all__ = ["build"]
 

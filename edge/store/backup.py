@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from edge.core.errors import StoreError
-from edge.store.database import Database, open_read_only, schema_version
-from edge.store.schema import SCHEMA_VERSION
+from edge.store.database import SCHEMA_VERSION, Database, open_read_only, schema_version
 
 __all__ = ["back_up", "backups_in", "migrate"]
 

@@ -9,8 +9,8 @@ import pytest
 from command_line import gelgate
 
 from edge.messaging.publisher_lock import PublisherLock
+from edge.store.database import SCHEMA_VERSION
 from edge.store.press_store import PressRecord, Store
-from edge.store.schema import SCHEMA_VERSION
 from edge.store.ulid import new_ulid
 
 T0 = 1_780_000_000 * 10**9

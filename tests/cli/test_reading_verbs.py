@@ -11,9 +11,8 @@ from breakable_station import Bench
 from command_line import gelgate
 
 from edge.store import ledger_chain
-from edge.store.database import APPLICATION_ID
+from edge.store.database import APPLICATION_ID, CHAINED_SINCE, MIGRATIONS, SCHEMA_VERSION
 from edge.store.press_store import PressRecord, Store
-from edge.store.schema import CHAINED_SINCE, MIGRATIONS, SCHEMA_VERSION
 from edge.store.ulid import new_ulid
 
 T0 = 1_780_000_000 * 10**9

@@ -12,10 +12,9 @@ import pytest
 from edge.core.errors import StoreError
 from edge.store import backup, database
 from edge.store.backup import back_up, backups_in, migrate
-from edge.store.database import open_read_only, schema_version
+from edge.store.database import MIGRATIONS, SCHEMA_VERSION, open_read_only, schema_version
 from edge.store.integrity import check_database
 from edge.store.press_store import MakeMessages, PressRecord, Store
-from edge.store.schema import MIGRATIONS, SCHEMA_VERSION
 
 MakePress = Callable[..., PressRecord]
 MessagesOf = Callable[..., MakeMessages]

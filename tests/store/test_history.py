@@ -12,10 +12,9 @@ from recorded_presses import SERIAL, T0
 
 from edge.core.errors import StoreError
 from edge.store.backup import migrate
-from edge.store.database import APPLICATION_ID, open_read_only
+from edge.store.database import APPLICATION_ID, MIGRATIONS, SCHEMA_VERSION, open_read_only
 from edge.store.history import COLUMNS, HistoryQuery, HistoryRow, read_history, write_history
 from edge.store.press_store import PressRecord, Store
-from edge.store.schema import MIGRATIONS, SCHEMA_VERSION
 
 MakePress = Callable[..., PressRecord]
 VERDICTS = ("pass", "fail", "pass", "unsure", "rejected", "error")

@@ -12,10 +12,9 @@ from full_disk import room_for
 
 from edge.core.errors import StoreError
 from edge.core.gel import GelState
-from edge.store.database import Database
+from edge.store.database import SCHEMA_VERSION, Database
 from edge.store.outbox import Outbox
 from edge.store.press_store import MakeMessages, PressRecord, Store
-from edge.store.schema import SCHEMA_VERSION
 
 MakePress = Callable[..., PressRecord]
 MessagesOf = Callable[..., MakeMessages]
