@@ -204,7 +204,6 @@ def _detection(candidates: Candidates, given: FitArguments) -> dict[str, Any]:
     """Open the usual detector, with its parameters and its trunk, for `FitConfig`. Errors: ConfigError, FitError."""
     from calibration.fitting.trunks import open_trunk
     from edge import registry
-<<<<<<< HEAD
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
 
@@ -214,20 +213,6 @@ def _detection(candidates: Candidates, given: FitArguments) -> dict[str, Any]:
     fields: dict[str, object] = {}  # none where a detector's parameters keep them otherwise
     for published in ("paper", "corrected"):
         fields |= getattr(detector.parameters(published), "__dict__", {})
-=======
-    from edge.cli.arguments import parse_values
-    from edge.core.detector import Mode
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
-
-    if mode not in ("corrected", "paper"):
-        raise ConfigError(f"no mode is named '{mode}'; known: corrected, paper")
-    candidates.check(mode, settings, threshold)
-    chosen: Mode = "paper" if mode == "paper" else "corrected"
-    detector = registry.detector(candidates.methods[0])
-    overrides = parse_values("--set", settings)
-    fields = {**_fields(detector.parameters("paper")), **_fields(detector.parameters("corrected"))}
->>>>>>> cdd2095 (cli: functions by verbs, docstrings by sentences)
     for name in overrides:
         if fields and name not in fields:
             hints = get_type_hints(FitArguments, include_extras=True).items()
