@@ -10,22 +10,21 @@ from numpy.typing import NDArray
 
 from calibration.benchmark.sets import EvaluationSet
 from calibration.benchmark.trial import FORMAT, PROFILE, Trial
-from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.folds import held_out_folds
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.limits.limit_choice import Choice, prepare_trial
 from calibration.fitting.limits.threshold import conformal_threshold
+from calibration.fitting.tap_reader import TapReader
 from calibration.metrics import image_weights, interval, pixel_measures
 from calibration.metrics.summary import image_auroc_of
 from calibration.simulator.workers import in_order
 from edge import registry
-from edge.core.detector import Bank, Detector, Features, Grid, Nominal
+from edge.core.detector import Bank, Features, Nominal
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.core.imaging.region import Region
 from edge.core.verdict import Kind, decide
 from edge.model.graph_cut import cut_trunk
-from edge.model.session import open_session
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 
@@ -52,7 +51,11 @@ _MEASURES = ("image_auroc", "pixel_auroc", "pixel_auprc", "aupro_fpr01")
 _FALSE_ALARMS, _MORE_FALSE_ALARMS = 0.01, 0.05
 _THREADS = 1
 
-Column = NDArray[np.float64]
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+U8 = NDArray[np.uint8]
+
+Column = Float
 """One measure: its value, then one value per bootstrap replicate."""
 
 Scored = dict[tuple[str, str], dict[str, Column]]
@@ -67,17 +70,6 @@ def default_detectors() -> list[str]:
 def random_trunk() -> bytes:
     """A ResNet-18 with random weights, seed 0: what training is compared with."""
     return build_trunk(random_state("resnet18"), "resnet18")
-
-
-@dataclass(frozen=True)
-class _Taken:
-    """The features of one trial by one trunk."""
-
-    grid: Grid
-    nominal: Nominal
-    scored: Features
-    take: Callable[[NDArray[np.uint8]], Features]
-    """Those of further frames, every tap."""
 
 
 @dataclass(frozen=True)
@@ -154,10 +146,11 @@ def score_columns(
     """The measures of every trunk with every detector on one trial."""
     scored: Scored = {}
     for trunk, graph in trunks.items():
-        taken = _features(graph, trial, _taps(detectors))
+        reader = TapReader(graph, _taps(detectors), trial.frames.shape[1:3], LR_PIXELS_PER_MM, _THREADS)
+        nominal, features = reader.nominal(trial.nominal), reader.take(trial.frames)
         for method in detectors:
-            detector = registry.detector(method)
-            scored[trunk, method] = trial_columns(detector, taken, trial, replicates)
+            learner = reader.learner(registry.detector(method))
+            scored[trunk, method] = trial_columns(learner, nominal, features, trial, reader.take, replicates)
     return scored
 
 
@@ -209,31 +202,24 @@ def _plain(value: float) -> float | None:
     return round(float(value), 5) if np.isfinite(value) else None
 
 
-def _features(graph: bytes, trial: Trial, taps: Sequence[str] = ()) -> _Taken:
-    """taps: those that are read, all of the trunk's when not given."""
-    session = open_session(graph, _THREADS, "trunk")
-    taps = list(taps) or [output.name for output in session.get_outputs()]
-    shape = (trial.frames.shape[1], trial.frames.shape[2])
-    grid = trunk_grid(session, taps, shape, LR_PIXELS_PER_MM)
+def trial_columns(
+    learner: Learner,
+    nominal: Nominal,
+    features: Features,
+    trial: Trial,
+    take: Callable[[U8], Features],
+    replicates: int,
+) -> dict[str, Column]:
+    """Measure one detector on one trial.
 
-    def take(frames: NDArray[np.uint8]) -> Features:
-        return extract(session, frames, grid, lambda fraction: None)
-
-    free = trial.nominal.no_contact
-    nominal = Nominal(take(trial.nominal.frames), trial.nominal.touched, None if free is None else take(free))
-    return _Taken(grid, nominal, take(trial.frames), take)
-
-
-def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: int) -> dict[str, Column]:
-    """Measure one detector on one trial. Where the trial states a false-alarm rate, AU-PRO up to 5 % and the measures
-    at the fitted limit are added.
+    Where the trial states a false-alarm rate, AU-PRO up to 5 % and the measures at the fitted limit are added. take:
+    the features of further frames, every tap.
     """
-    learner = _learner(detector, taken.grid)
-    bank = learner.bank(taken.nominal)
-    scored = learner.score(bank, taken.scored, range(len(trial.frames)))
+    bank = learner.bank(nominal)
+    scored = learner.score(bank, features, range(len(trial.frames)))
     maps, scores, limit = scored.maps, scored.scores, 0.0
     if trial.alpha is not None:
-        limits = fit_limits(learner, bank, taken.nominal, trial, taken.take)
+        limits = fit_limits(learner, bank, nominal, trial, take)
         maps, scores, limit = limits.applied(maps, scores)
     own = trial.is_own
     masks = trial.masks[own]
@@ -258,22 +244,11 @@ def trial_columns(detector: Detector, taken: _Taken, trial: Trial, replicates: i
     return columns
 
 
-def _learner(detector: Detector, grid: Grid) -> Learner:
-    """The detector with its defaults, on the taps that it reads."""
-    parameters = detector.parameters("corrected")
-    read = Grid(grid.frame, {tap: grid.taps[tap] for tap in detector.taps(parameters)}, grid.pixels_per_mm)
-    return Learner(detector, read, parameters, seed=0, threads=_THREADS)
-
-
 PEAK_PX = 6
 """How far from the damage a map's peak may lie: one and a half cells of the finest tap."""
 
 # As `gelgate fit` does without options.
 _FOLDS, _SEED = FitConfig.folds, FitConfig.seed
-
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-U8 = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)

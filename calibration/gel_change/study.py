@@ -12,11 +12,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.limits.folds import held_out_folds
 from calibration.fitting.limits.held_out import Learner, ScoredPresses, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.metrics import aupro, auroc
 from calibration.simulator.defects import DEFECTS
@@ -31,10 +31,9 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
 from calibration.simulator.streams import make_streams
 from edge import registry
-from edge.core.detector import Bank, Detector, Features, Grid, Nominal
+from edge.core.detector import Bank, Features, Nominal
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
-from edge.model.session import open_session
 
 __all__ = [
     "AGAIN",
@@ -175,17 +174,6 @@ class _GelPresses:
         return np.stack([REGION.crop(f) for f in frames]), np.stack([REGION.crop(m) for m in masks])
 
 
-def _first(presses: NominalPresses, count: int) -> NominalPresses:
-    return replace(
-        presses,
-        frames=presses.frames[:count],
-        names=presses.names[:count],
-        specimens=presses.specimens[:count],
-        touches=presses.touches[:count],
-        reliefs=presses.reliefs[:count],
-    )
-
-
 def measure_part(
     seed: int, number: int, methods: Sequence[str] = METHODS, *, is_other_unit: bool = False
 ) -> Iterator[Figures]:
@@ -204,38 +192,15 @@ def measure_part(
         old = old_gel.nominal(range(_NOMINAL))
         sound = np.stack([REGION.crop(old_gel.press(2000 + k)[0]) for k in range(_TESTED)])
         frames, masks = new_gel.scored_presses(number)
-    few = _first(again, _FEW)
-    reader = _Reader(methods)
+    few = again.first(_FEW)
+    detectors = {method: registry.detector(method) for method in methods}
+    taps = sorted({tap for one in detectors.values() for tap in one.taps(one.parameters())})
+    trunk, frame = open_trunk(DEFAULT_BACKBONE, taps).graph, (REGION.height, REGION.width)
+    reader = TapReader(trunk, taps, frame, PROFILE.pixels_per_mm)
     nominals = [reader.nominal(one) for one in (old, again, few)]
     features = [reader.take(one) for one in (sound, few.frames, frames)]
-    for method in methods:
-        learner = reader.learner(registry.detector(method))
-        yield from _compare(f"part {number}", method, learner, nominals, features, masks)
-
-
-class _Reader:
-    """Reads the taps of several methods by one trunk."""
-
-    def __init__(self, methods: Sequence[str]) -> None:
-        detectors = [registry.detector(method) for method in methods]
-        taps = sorted({tap for one in detectors for tap in one.taps(one.parameters())})
-        self._session = open_session(open_trunk(DEFAULT_BACKBONE, taps).graph, 1, "trunk")
-        frame = (REGION.height, REGION.width)
-        self._grid = trunk_grid(self._session, taps, frame, PROFILE.pixels_per_mm)
-
-    def take(self, frames: U8) -> Features:
-        return extract(self._session, frames, self._grid, lambda fraction: None)
-
-    def nominal(self, presses: NominalPresses) -> Nominal:
-        free = presses.no_contact
-        return Nominal(self.take(presses.frames), presses.touched, None if free is None else self.take(free))
-
-    def learner(self, detector: Detector) -> Learner:
-        parameters = detector.parameters()
-        read = {tap: self._grid.taps[tap] for tap in detector.taps(parameters)}
-        return Learner(
-            detector, Grid(self._grid.frame, read, self._grid.pixels_per_mm), parameters, seed=0, threads=1
-        )
+    for method, detector in detectors.items():
+        yield from _compare(f"part {number}", method, reader.learner(detector), nominals, features, masks)
 
 
 def _compare(

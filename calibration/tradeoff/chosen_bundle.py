@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.tradeoff.accuracy import measured
-from calibration.tradeoff.fitting import content_sha256, detector_of, first, trunk_of
+from calibration.tradeoff.fitting import content_sha256, detector_of, trunk_of
 from calibration.tradeoff.plan import Run
 from calibration.tradeoff.point import VIEWS, OperatingPoint
 from calibration.tradeoff.presses import on_common_grid, see
@@ -49,7 +49,7 @@ def bundle_of(
         is_scattered=True,
         limit="plain",  # as the point was measured
     )
-    presses = first(seen.nominal, point.presses)
+    presses = seen.nominal.first(point.presses)
     fitted = fit_files(presses, config, created=datetime.date.today().isoformat(), report=report)
     scorer = Scorer(fitted.bundle(), settings.threads)
     scored = [scorer.score(frame) for frame in seen.frames]

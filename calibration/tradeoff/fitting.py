@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import placeholders, provenance
-from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import Trunk, open_trunk
 from calibration.studies.scoring import run_head
 from calibration.tradeoff.point import VIEWS, OperatingPoint, View
 from calibration.tradeoff.presses import Chosen, Seen
 from edge import registry
-from edge.core.detector import Bank, Detector, Features, Grid, Nominal
+from edge.core.detector import Bank, Detector, Features, Nominal
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.tiles import tiling
 from edge.model.bundle import Bundle, Graphs
@@ -49,15 +49,6 @@ class FittedPoint:
     scores: NDArray[np.float64]
     features_s: float
     bank_s: float
-
-
-@dataclass(frozen=True)
-class _Taken:
-    """Features of all presses by one trunk: fitted ones first. seconds: of one press."""
-
-    grid: Grid
-    features: Features
-    seconds: float
 
 
 def trunk_of(point: OperatingPoint) -> Trunk:
@@ -96,52 +87,47 @@ def fit_points(
 
     Errors: FitError, with the point.
     """
-    most = max(point.presses for point in points)
-    seen = replace(seen, nominal=first(seen.nominal, most))
-    taken = _extract(points, seen, threads)
+    view, nominal = VIEWS[points[0].view], seen.nominal.first(max(point.presses for point in points))
+    taps = sorted({tap for point in points for tap in detector_of(point)[0].taps(detector_of(point)[1])})
+    trunk = _tiled(open_trunk(points[0].backbone, taps), view)
+    frame = view.region.height, view.region.width
+    reader = TapReader(trunk.graph, taps, frame, view.profile.pixels_per_mm, threads)
+    frames = np.concatenate([nominal.frames, seen.frames])
+    start = time.perf_counter()
+    features = reader.take(frames)
+    seconds = (time.perf_counter() - start) / len(frames)
     for point in points:
+        learner = reader.learner(*detector_of(point), seed)
         try:
-            yield _fitted(point, chosen, seen, taken, threads, seed)
+            yield _fitted(point, chosen, nominal, learner, features, seconds)
         except (FitError, NotScorable) as error:
             raise FitError(f"operating point {point.key}: {error}") from error
 
 
-def _extract(points: Sequence[OperatingPoint], seen: Seen, threads: int) -> _Taken:
-    """The features of every tap that one of the points reads."""
-    view = VIEWS[points[0].view]
-    taps = sorted({tap for point in points for tap in detector_of(point)[0].taps(detector_of(point)[1])})
-    trunk = _tiled(open_trunk(points[0].backbone, taps), view)
-    session = open_session(trunk.graph, threads, f"trunk '{trunk.id}'")
-    region = view.region
-    grid = trunk_grid(session, taps, (region.height, region.width), view.profile.pixels_per_mm)
-    frames = np.concatenate([seen.nominal.frames, seen.frames])
-    start = time.perf_counter()
-    features = extract(session, frames, grid, lambda fraction: None)
-    return _Taken(grid, features, (time.perf_counter() - start) / len(frames))
-
-
 def _fitted(
-    point: OperatingPoint, chosen: Chosen, seen: Seen, taken: _Taken, threads: int, seed: int
+    point: OperatingPoint,
+    chosen: Chosen,
+    nominal: NominalPresses,
+    learner: Learner,
+    features: Features,
+    seconds: float,
 ) -> FittedPoint:
-    detector, parameters = detector_of(point)
-    taps = detector.taps(parameters)
-    grid = replace(taken.grid, taps={tap: taken.grid.taps[tap] for tap in taps})
-    learner = Learner(detector, grid, parameters, seed, threads)
+    """Fit one point. nominal: the presses of the largest fit. features: of these, then of the scored presses."""
+    taps = list(learner.grid.taps)
     start = time.perf_counter()
-    bank = learner.bank(Nominal({tap: taken.features[tap][: point.presses] for tap in taps}))
+    bank = learner.bank(Nominal({tap: features[tap][: point.presses] for tap in taps}))
     head = learner.head(bank)
     bank_s = time.perf_counter() - start
     trunk = trunk_of(point)
-    facts = _facts(point, chosen, seen.nominal, learner, bank, trunk, seed)
+    facts = _facts(point, chosen, nominal, learner, bank, trunk)
     graphs = Graphs(trunk=trunk.graph, head=head)
     manifest, files = bundle_files(facts, graphs, bank, backbone=trunk.id, with_trunk=False)
     loaded = Bundle.in_memory(manifest, files, loaded=(trunk.sha256,))
-    first_scored = len(seen.nominal)
-    maps = {tap: [one[None] for one in taken.features[tap][first_scored:]] for tap in taps}
-    session = open_session(loaded.graphs.head or b"", threads, f"head of {point.method}")
+    maps = {tap: [one[None] for one in features[tap][len(nominal) :]] for tap in taps}
+    session = open_session(loaded.graphs.head or b"", learner.threads, f"head of {point.method}")
     scored = run_head(session, loaded.bank, maps, point.method)
-    seconds = taken.seconds * point.presses
-    return FittedPoint(point, trunk, manifest, files, scored.maps, scored.scores, seconds, bank_s)
+    features_s = seconds * point.presses
+    return FittedPoint(point, trunk, manifest, files, scored.maps, scored.scores, features_s, bank_s)
 
 
 def _facts(
@@ -151,7 +137,6 @@ def _facts(
     learner: Learner,
     bank: Bank,
     trunk: Trunk,
-    seed: int,
 ) -> Facts:
     """The manifest's facts; with the placeholder threshold every press fails: this bundle is only measured."""
     threshold, tolerance = placeholders()
@@ -169,17 +154,7 @@ def _facts(
         grid=GridEntry.of(learner.grid),
         threshold=threshold,
         tolerance=tolerance,
-        provenance=provenance("measured", first(nominal, point.presses), seed, ()),
-    )
-
-
-def first(nominal: NominalPresses, presses: int) -> NominalPresses:
-    """The first presses of a fit's order."""
-    return replace(
-        nominal,
-        frames=nominal.frames[:presses],
-        names=nominal.names[:presses],
-        specimens=nominal.specimens[:presses],
+        provenance=provenance("measured", nominal.first(point.presses), learner.seed, ()),
     )
 
 
