@@ -11,13 +11,12 @@ from calibration.acquisition.folder import AcquisitionFolder, KeptPress, Pieces
 from calibration.acquisition.report import coverage_png
 from calibration.acquisition.sources import FreeGel, LeftOut, Press
 from calibration.dataset.files import read_rgb
-from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.presses.nominal_presses import lit, named_presses, touched_union
+from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import Trunk
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.model.session import open_session
 
 __all__ = ["Acquiring"]
 
@@ -45,8 +44,8 @@ class Acquiring:
         self.folder, self.pieces, self.goal = folder, pieces, goal
         self.left_out: list[str] = []
         self._profile, self._region, self._tap, self._resize = profile, region, tap, resize
-        self._session = open_session(trunk.graph, threads, f"trunk '{trunk.id}'")
-        self._grid = trunk_grid(self._session, (tap,), (region.height, region.width), profile.pixels_per_mm)
+        frame = region.height, region.width
+        self._reader = TapReader(trunk.graph, (tap,), frame, profile.pixels_per_mm, threads)
         self._distances = PlaceDistances()
         self._shown: NDArray[np.uint8] | None = None
         self._free = [lit(path, read_rgb(path, profile, resize=resize)) for path in folder.free]
@@ -93,8 +92,7 @@ class Acquiring:
     def _features(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The tap of one picture, float32 (c, rows, cols). Errors: FitError."""
         cut = np.ascontiguousarray(self._region.crop(rgb))
-        found = extract(self._session, cut[None], self._grid, lambda fraction: None)
-        return np.asarray(found[self._tap][0], np.float32)
+        return np.asarray(self._reader.take(cut[None])[self._tap][0], np.float32)
 
     def _compare(
         self,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from calibration.studies.options import StudyArguments
+from calibration.studies.options import StudyArguments, parse_counts, parse_fractions
 from edge.cli.arguments import flatten
 
 if TYPE_CHECKING:
@@ -37,12 +37,11 @@ def good_fraction(given: StudyArguments) -> None:
 
     The same command continues an interrupted study; finished cells are kept."""
     from calibration.studies.good_fraction_study import study_good_fraction
-    from calibration.studies.numbers import parsed_counts, parsed_fractions
 
     rows = study_good_fraction(
         given.options(),
-        fractions=parsed_fractions(given.fractions),
-        shots=parsed_counts(given.shots, "--shots"),
+        fractions=parse_fractions(given.fractions),
+        shots=parse_counts(given.shots, "--shots"),
     )
     _end(rows, "good-fraction")
 

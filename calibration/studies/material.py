@@ -19,7 +19,6 @@ from calibration.studies.presses import StudyPresses, opened, presses_of
 from calibration.studies.scoring import Scored, TestPresses, fit_and_score
 from edge import registry
 from edge.core.detector import Nominal, Progress
-from edge.core.errors import DatasetError
 
 __all__ = ["Drawn", "Material", "Place", "fit_cell", "material"]
 
@@ -73,27 +72,16 @@ class Material:
     def test(self, rows: NDArray[np.int64], taps: Sequence[str]) -> TestPresses:
         """Return some presses to be scored."""
         is_defective = rows >= self.presses.nominal
-        masks = np.zeros((len(rows), *self.masks.shape[1:]), np.bool_)
-        masks[is_defective] = self.masks[rows[is_defective] - self.presses.nominal]
+        masks = np.zeros((len(rows), *self.presses.masks.shape[1:]), np.bool_)
+        masks[is_defective] = self.presses.masks[rows[is_defective] - self.presses.nominal]
         return TestPresses(self.taken.each(rows, taps), masks, is_defective)
-
-    @cached_property
-    def masks(self) -> NDArray[np.bool_]:
-        """Of the defective presses, bool (n, h, w). Errors: DatasetError where all are empty."""
-        masks = self.presses.pictures.masks(self.presses.defective)
-        if not masks.any():
-            raise DatasetError(
-                f"the masks of all {len(masks)} defective presses of {self.presses.part}/{self.presses.position} are "
-                "empty in the inspected region: no damage can be found there; export masks that show it"
-            )
-        return masks
 
     @cached_property
     def remarks(self) -> list[str]:
         """Sentences on what may be a mistake: empty masks of some presses, and copies of pictures."""
         presses, where = self.presses.pictures.presses, f"{self.presses.part}/{self.presses.position}"
         return [
-            *empty_masks(where, presses[self.presses.nominal :], self.masks),
+            *empty_masks(where, presses[self.presses.nominal :], self.presses.masks),
             *repeated_pictures(where, presses, self.presses.pictures.digests),
         ]
 

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from edge.core.errors import ConfigError
+
 if TYPE_CHECKING:
     from calibration.studies.study import Options
 
-__all__ = ["StudyArguments"]
+__all__ = ["StudyArguments", "parse_counts", "parse_fractions"]
 
 
 def _hidden_default(text: str) -> Any:
@@ -94,7 +96,6 @@ class StudyArguments:
     def options(self) -> "Options":
         """Return what is asked of the study. Errors: ConfigError, as `Options`, and for an impossible fraction."""
         from calibration.studies.study import Options
-        from edge.core.errors import ConfigError
 
         if self.fraction is not None and not 0 < self.fraction <= 100:
             raise ConfigError(
@@ -106,3 +107,41 @@ class StudyArguments:
         given |= {name: getattr(self, name) for name in ("position", "seeds", "held_out", "jobs", "dask")}
         share = None if self.fraction is None else self.fraction / 100
         return Options(self.dataset, self.output, self.cache, fraction=share, **given)
+
+
+NONE = "none"
+
+
+def parse_fractions(text: str) -> tuple[float, ...]:
+    """Return shares in (0, 1] from percentages: `5:100:5`, `5,10,20`, or `none`. Errors: ConfigError."""
+    if text.strip() == NONE:
+        return ()
+    try:
+        percent = _range(text) if ":" in text else [float(word) for word in text.split(",")]
+    except ValueError:
+        percent = []
+    if not percent or not all(0 < value <= 100 for value in percent):
+        raise ConfigError(
+            f"--fractions are percentages above 0 up to 100, such as 5:100:5 or 5,10,20, found '{text}'"
+        )
+    return tuple(sorted({round(value / 100, 6) for value in percent}))
+
+
+def _range(text: str) -> list[float]:
+    first, last, step = (float(word) for word in text.split(":"))
+    if step <= 0 or first > last:
+        raise ValueError(text)
+    return [first + k * step for k in range(int((last - first) / step + 1e-9) + 1)]
+
+
+def parse_counts(text: str, option: str) -> tuple[int, ...]:
+    """Return whole numbers of at least 1: `1,2,4`, or `none`. Errors: ConfigError."""
+    if text.strip() == NONE:
+        return ()
+    try:
+        counts = sorted({int(word) for word in text.split(",")})
+    except ValueError:
+        counts = []
+    if not counts or counts[0] < 1:
+        raise ConfigError(f"{option} are whole numbers of at least 1, such as 1,2,4, found '{text}'")
+    return tuple(counts)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,17 @@ class StudyPresses:
     def defective(self) -> NDArray[np.int64]:
         """The rows of the defective presses."""
         return np.arange(self.nominal, len(self.pictures))
+
+    @cached_property
+    def masks(self) -> NDArray[np.bool_]:
+        """Of the defective presses, bool (n, h, w). Errors: DatasetError where all are empty."""
+        masks = self.pictures.masks(self.defective)
+        if not masks.any():
+            raise DatasetError(
+                f"the masks of all {len(masks)} defective presses of {self.part}/{self.position} are "
+                "empty in the inspected region: no damage can be found there; export masks that show it"
+            )
+        return masks
 
 
 @dataclass(frozen=True)

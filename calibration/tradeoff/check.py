@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from calibration.tradeoff.accuracy import MEASURES
-from calibration.tradeoff.front import same_share
 from calibration.tradeoff.machine import is_same_machine
 from calibration.tradeoff.rows import Row
 from edge.core.errors import ConfigError
@@ -42,9 +41,10 @@ def check(before: Sequence[Row], after: Sequence[Row]) -> tuple[list[str], list[
 
 
 def same_front(before: Sequence[Row], after: Sequence[Row]) -> float:
-    """The share of points on the front in both runs or in neither, 0 to 1."""
+    """Return the share of points on the front in both runs or in neither, 0 to 1; a point of one run alone differs."""
     first, second = ({row["key"]: bool(row["is_on_front"]) for row in rows} for rows in (before, after))
-    return same_share(first, second)
+    keys = first.keys() | second.keys()
+    return sum(first.get(key) == second.get(key) for key in keys) / len(keys)
 
 
 def _losses(before: Row, after: Row | None, is_same_machine: bool) -> Iterator[str]:

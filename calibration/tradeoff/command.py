@@ -26,9 +26,9 @@ def tradeoff(given: TradeoffArguments) -> None:
     that holds rows is not measured again; an interrupted run goes on.
     """
     from calibration.progress import progress
-    from calibration.tradeoff.measured import measured_rows
     from calibration.tradeoff.pick import pick
     from calibration.tradeoff.plan import Run
+    from calibration.tradeoff.run import measured_rows
     from edge.core.errors import ConfigError
     from edge.extras import needs
 

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MARGIN", "dominators", "same_share"]
+__all__ = ["MARGIN", "dominators"]
 
 MARGIN: Final = 0.02
 """A difference of 2 % of a press's time is no difference: runs on one machine differ by about that."""
@@ -44,13 +44,3 @@ def _surely_faster(ratios: Float) -> NDArray[np.bool_]:
             for q in range(ratios.shape[1])
         ]
     )
-
-
-def same_share(before: dict[str, bool], after: dict[str, bool]) -> float:
-    """The share of the points of two runs that are on the front in both or in neither, 0 to 1.
-
-    before, after: key to whether the point is on the front. A point of only one run counts as different.
-    """
-    keys = before.keys() | after.keys()
-    same = sum(before.get(key) == after.get(key) for key in keys)
-    return same / len(keys) if keys else 1.0

@@ -8,11 +8,11 @@ from calibration.progress import progress
 from calibration.studies.rows import ROWS_FILE
 from calibration.studies.runner import Show
 from calibration.tradeoff.figure import figure
-from calibration.tradeoff.measured import measured_rows
 from calibration.tradeoff.page import write_page
 from calibration.tradeoff.peers import require_models
 from calibration.tradeoff.plan import Run, RunSettings
 from calibration.tradeoff.rows import read_rows
+from calibration.tradeoff.run import measured_rows
 
 if TYPE_CHECKING:
     import pandas as pd

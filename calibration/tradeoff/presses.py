@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from calibration.dataset import LabelledPress, open_dataset, resolution_of, split_by_specimen
 from calibration.dataset.remarks import empty_masks, repeated_pictures
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
+from calibration.studies.pictures import LR_VIEW
+from calibration.studies.presses import presses_of
 from calibration.tradeoff.point import VIEWS, View
 from edge.core.errors import DatasetError
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -83,24 +85,21 @@ def choose_presses(
     low = VIEWS["lr"].profile.size
     dataset = open_dataset(root, resolution_of(low))
     part, position = _the_one(dataset.positions, root, part, position)
-    chosen = dataset.select(part, position)
-    if not chosen.defective:
+    every = presses_of(dataset, part, position)
+    if every.pictures.view != LR_VIEW:
+        found = "x".join(map(str, every.pictures.view.size))
         raise DatasetError(
-            f"dataset '{root}' has no defective press of {part}/{position}: good presses alone do not show what a "
-            "method finds; add defective ones with masks, or choose another --part"
+            f"the pictures of {part}/{position} are {found}, not {low[0]}x{low[1]}; a trade-off is measured on "
+            "pictures of the sensor in low resolution, with or without the high one"
         )
-    if not chosen.good:
-        raise DatasetError(
-            f"dataset '{root}' has no good press of {part}/{position}: there is nothing to fit; add good presses"
-        )
-    _require_size(chosen.presses, low)
-    _require_masks(chosen.defective)
-    split = split_by_specimen(chosen.good, HELD_OUT, seed)
+    assert every.masks.any()  # else refused before any work
+    good, defective = every.pictures.presses[: every.nominal], every.pictures.presses[every.nominal :]
+    split = split_by_specimen(good, HELD_OUT, seed)
     rng = np.random.default_rng(seed)
     fitted = _drawn(split.kept, most_fitted, rng)
-    good, bad = _drawn(split.held_out, most_scored, rng), _drawn(chosen.defective, most_scored, rng)
-    both = (*fitted, *good, *bad)
-    return Chosen(root, part, position, fitted, (*good, *bad), _high(root, both, part, position))
+    scored = (*_drawn(split.held_out, most_scored, rng), *_drawn(defective, most_scored, rng))
+    high = _high(root, (*fitted, *scored), part, position)
+    return Chosen(root, part, position, fitted, scored, high)
 
 
 def _the_one(
@@ -114,26 +113,6 @@ def _the_one(
             f"{part or '*'}/{position or '*'}; choose with --part and --position among {known}"
         )
     return found[0]
-
-
-def _require_size(presses: Sequence[LabelledPress], size: tuple[int, int]) -> None:
-    wrong = [press for press in presses if press.size != size]
-    if wrong:
-        found = "x".join(map(str, wrong[0].size))
-        raise DatasetError(
-            f"{len(wrong)} pictures are not {size[0]}x{size[1]}, such as '{wrong[0].path}' at {found}; a trade-off is "
-            "measured on pictures of the sensor in low resolution, with or without the high one"
-        )
-
-
-def _require_masks(defective: Sequence[LabelledPress]) -> None:
-    """Errors: DatasetError where no mask shows any defect in the inspected region."""
-    region = VIEWS["lr"].region
-    if not any(region.crop(press.mask()).any() for press in defective):
-        raise DatasetError(
-            f"the masks of all {len(defective)} defective presses are empty in the inspected region {region}: nothing "
-            "says where the defects are; draw masks, or check that they belong to these pictures"
-        )
 
 
 def _drawn(

@@ -3,7 +3,7 @@
 import json
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.studies.rows import ROW_FORMAT, Rows
+from calibration.studies.rows import ROW_FORMAT, ROWS_FILE, Rows
 from calibration.studies.runner import Show
 from calibration.threads import one_blas_thread
 from calibration.tradeoff.accuracy import Truth, measured
@@ -24,18 +24,41 @@ from calibration.tradeoff.memory import peak_bytes
 from calibration.tradeoff.plan import LEAST_ROUNDS, Run, RunSettings
 from calibration.tradeoff.point import VIEWS, OperatingPoint
 from calibration.tradeoff.presses import Chosen, on_common_grid, see
-from calibration.tradeoff.rows import Row
+from calibration.tradeoff.rows import Row, read_rows, write_rows
 from calibration.tradeoff.statistics import PressTimes, press_times
-from calibration.tradeoff.timing import STAGES, Lane, Timed, bundle_lanes, camera_frames, measure_rounds
+from calibration.tradeoff.timing import STAGES, Lane, bundle_lanes, camera_frames, measure_rounds
 from edge.core.errors import ConfigError
 from edge.core.gel import DEFAULT_LIMIT_PRESSES
 from edge.model.bundle import Bundle
 from edge.model.bundle_writer import write_bundle
 
-__all__ = ["clean", "measure", "require_same_run"]
+__all__ = ["measure", "measured_rows", "require_same_run"]
 
 CAMERA_FRAMES: Final = 3
 """Different presses that are decoded and scored while timing."""
+
+
+def measured_rows(
+    run: Run, output: Path, overwrite: bool, with_peers: bool, show: Show, say: Callable[[str], None]
+) -> list[Row]:
+    """Return the rows of the folder, measured where it has none.
+
+    Errors: as `measure`; ConfigError for rows of another run.
+    """
+    file = output / ROWS_FILE
+    for sentence in run.chosen.remarks():
+        say(sentence)
+    if file.is_file() and not overwrite:
+        rows = read_rows(file)
+        require_same_run(rows, run, file)
+        say(f"{file} holds {len(rows)} points; --overwrite measures them again")
+        return rows
+    if not run.chosen.high:
+        say("no high-resolution pictures of these presses: one resolution is measured")
+    rows = measure(run, output / "unfinished", show, with_peers=with_peers)
+    write_rows(file, rows)
+    shutil.rmtree(output / "unfinished", ignore_errors=True)  # the bundles and the journal
+    return rows
 
 
 @one_blas_thread()
@@ -58,7 +81,8 @@ def measure(run: Run, folder: Path, show: Show, *, with_peers: bool = False) -> 
     with show("peak memory", len(points)) as advance:
         memory = peak_bytes(bundles, settings.threads, advance)
     frames = _frames(points, chosen)
-    lanes = bundle_lanes(_timed(points, rows, bundles), frames, settings.threads)
+    trunks = [row["trunk_sha256"] for row in rows]
+    lanes = bundle_lanes(points, bundles, trunks, frames, settings.threads)
     for row, most, point in zip(rows, memory, points, strict=True):
         command = f"{run.command} --point {point.key} --bundle {point.method}"
         row |= {"peak_memory_bytes": most, "note": "", "command": command}
@@ -98,11 +122,6 @@ def require_same_run(rows: Sequence[Row], run: Run, file: Path) -> None:
             "another folder with --output, or draw these rows with `python -m calibration.tradeoff.figure "
             f"{file} FILE.svg`"
         )
-
-
-def clean(folder: Path) -> None:
-    """Remove the bundles and the journal of a finished run."""
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _claim(folder: Path, settings: RunSettings, dataset: str) -> None:
@@ -192,13 +211,6 @@ def _work(fitted: FittedPoint) -> Work:
         update={"backbone": fitted.manifest.backbone.model_copy(update={"in_bundle": True})}
     )
     return work_of(Bundle.in_memory(inside, files))
-
-
-def _timed(points: Sequence[OperatingPoint], rows: Sequence[Row], bundles: Sequence[Path]) -> list[Timed]:
-    return [
-        Timed(point, bundle, row["trunk_sha256"])
-        for point, bundle, row in zip(points, bundles, rows, strict=True)
-    ]
 
 
 def _times(lanes: Sequence[Lane], settings: RunSettings, begun: float, show: Show) -> PressTimes:

@@ -29,21 +29,12 @@ from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions, open_session
 from edge.pictures.press_picture import PressCaption, press_png
 
-__all__ = ["STAGES", "Drawing", "Lane", "Samples", "Timed", "bundle_lanes", "camera_frames", "measure_rounds"]
+__all__ = ["STAGES", "Drawing", "Lane", "Samples", "bundle_lanes", "camera_frames", "measure_rounds"]
 
 STAGES: Final = ("decode", "trunk", "head", "overlay")
 """From camera bytes to the published picture: decode and cut, features, score map, picture of the press."""
 
 Float = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Timed:
-    """A point that is ready to be timed. folder: its bundle. trunk_sha256: of its trunk."""
-
-    point: OperatingPoint
-    folder: Path
-    trunk_sha256: str
 
 
 @dataclass(frozen=True)
@@ -111,14 +102,21 @@ class Drawing:
 class _BundleLane:
     """A bundle in the gateway's own scorer."""
 
-    def __init__(self, timed: Timed, trunks: TrunkSessions, frames: Sequence[CameraFrame]) -> None:
-        view = VIEWS[timed.point.view]
-        bundle = Bundle.load(timed.folder, loaded=trunks)
+    def __init__(
+        self,
+        point: OperatingPoint,
+        folder: Path,
+        trunk_sha256: str,
+        trunks: TrunkSessions,
+        frames: Sequence[CameraFrame],
+    ) -> None:
+        view = VIEWS[point.view]
+        bundle = Bundle.load(folder, loaded=trunks)
         self._scorer = Scorer(bundle, trunks.threads, trunks)
         grey = np.full((*self._scorer.frame, 3), 128, np.uint8)
         part = f"{bundle.manifest.part}/{bundle.manifest.position}"
         self._drawing = Drawing(view, frames, part, self._scorer.score(grey).score_map)
-        self.shared = (view.profile_name, (timed.trunk_sha256, view.name), timed.point.key, view.profile_name)
+        self.shared = (view.profile_name, (trunk_sha256, view.name), point.key, view.profile_name)
 
     def press(self, number: int) -> tuple[float, float, float, float]:
         start = time.perf_counter()
@@ -132,11 +130,18 @@ class _BundleLane:
 
 
 def bundle_lanes(
-    timed: Sequence[Timed], frames: Mapping[str, Sequence[CameraFrame]], threads: int
+    points: Sequence[OperatingPoint],
+    bundles: Sequence[Path],
+    trunks_sha256: Sequence[str],
+    frames: Mapping[str, Sequence[CameraFrame]],
+    threads: int,
 ) -> list[Lane]:
-    """A lane for each point. frames: camera frames by the name of the profile."""
+    """Return a lane for each point with its bundle. frames: camera frames by the name of the profile."""
     trunks = TrunkSessions(threads)
-    return [_BundleLane(one, trunks, frames[VIEWS[one.point.view].profile_name]) for one in timed]
+    return [
+        _BundleLane(point, folder, sha256, trunks, frames[VIEWS[point.view].profile_name])
+        for point, folder, sha256 in zip(points, bundles, trunks_sha256, strict=True)
+    ]
 
 
 def measure_rounds(

@@ -79,5 +79,6 @@ def test_other_presses_or_another_seed_are_refused(name: str, value: object) -> 
 
 
 def test_the_share_of_points_with_the_same_place() -> None:
-    """One of two differs."""
-    assert same_front(BEFORE, after(is_on_front=False)) == 0.5
+    """One of two differs, or is in one run alone."""
+    assert same_front(BEFORE, after()) == 1.0
+    assert same_front(BEFORE, after(is_on_front=False)) == same_front(BEFORE, after()[1:]) == 0.5

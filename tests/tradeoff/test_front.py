@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.tradeoff.front import MARGIN, dominators, same_share
+from calibration.tradeoff.front import MARGIN, dominators
 
 
 def front(accuracy: list[float], times: list[float], noise: float = 0.001) -> list[int]:
@@ -49,11 +49,3 @@ def test_some_point_is_always_on_the_front(points: list[tuple[float, float]]) ->
     """Domination has no circles."""
     accuracy, times = zip(*points, strict=True)
     assert front(list(accuracy), list(times))
-
-
-def test_two_runs_agree_in_the_share_of_points_with_the_same_place() -> None:
-    """On the front in both or in neither; a point of one run alone differs."""
-    before = {"a": True, "b": False, "c": True}
-    assert same_share(before, before) == 1.0
-    assert same_share(before, {"a": True, "b": True, "c": True}) == 2 / 3
-    assert same_share(before, {"a": True, "b": False}) == 2 / 3

@@ -164,7 +164,10 @@ def test_an_unknown_point_is_refused_with_the_nearest(dataset: Path) -> None:
     ("changes", "sentence"),
     [
         ({"defective": 0}, "has no defective press of PZ9/pos1"),
-        ({"is_masked": False}, r"the masks of all 4 defective presses are empty in the inspected region"),
+        (
+            {"is_masked": False},
+            r"the masks of all 4 defective presses of PZ9/pos1 are empty in the inspected region",
+        ),
         ({"pieces": 1}, "^PZ9/pos1: a split by specimen needs two specimens, found 1"),
     ],
     ids=["no damage", "empty masks", "one piece"],
@@ -181,7 +184,7 @@ def test_presses_that_show_nothing_are_refused(
 def test_one_class_alone_is_refused(tmp_path: Path) -> None:
     """Only defective presses: nothing to fit."""
     root = make_dataset(tmp_path / "bad", pieces=0)
-    with pytest.raises(DatasetError, match=r"has no good press of PZ9/pos1: there is nothing to fit"):
+    with pytest.raises(DatasetError, match=r"has no nominal press of PZ9/pos1; add pictures of sound parts"):
         choose_presses(root, None, None, most_fitted=5, most_scored=5, seed=0)
 
 
