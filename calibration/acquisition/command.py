@@ -265,17 +265,11 @@ def fit_now(folder: Path, plan: AcquireArguments, standing: "Standing", output: 
     """Fit the acquired presses and print the summary. Errors: as `gelgate fit`."""
     from calibration.fitting.command import fit
 
+    named = ("part", "position", "method", "backbone", "profile", "region", "resize", "threads")
     fit(
-        [folder / "presses"],
-        output,
-        part=plan.part,
-        position=plan.position,
-        method=plan.method,
-        backbone=plan.backbone,
-        profile=plan.profile,
-        region=plan.region,
+        sources=[folder / "presses"],
+        output=output,
         alpha=alpha(standing),
         no_contact=[folder / "free"] if any((folder / "free").iterdir()) else None,
-        resize=plan.resize,
-        threads=plan.threads,
+        **{name: getattr(plan, name) for name in named},
     )
