@@ -1,6 +1,7 @@
 """Several parts at one station: selected between two presses, changed while it runs, the last good bundles kept."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,12 @@ def config(tmp_path: Path, recording: Path, folder: Path) -> Path:
     return station_config(tmp_path / "station", recording, f'bundle_folder = "{folder}"')
 
 
+@pytest.fixture
+def station(config: Path) -> Iterator[SteppedStation]:
+    with SteppedStation(config) as stepped:
+        yield stepped
+
+
 def reloaded(station: SteppedStation) -> None:
     """Ask for a reload, let the bundles' thread have a turn, and the loop one."""
     station.parts.selection.reload()
@@ -40,56 +47,52 @@ def reloaded(station: SteppedStation) -> None:
     station.loop.step(None)
 
 
-def test_all_bundles_share_one_trunk(config: Path) -> None:
+def test_all_bundles_share_one_trunk(station: SteppedStation) -> None:
     """The second bundle is opened without another copy of the backbone in memory."""
-    with SteppedStation(config) as station:
-        first, second = (one.inspector.scorer for one in station.parts.selection.bundles.bundles.values())
+    first, second = (one.inspector.scorer for one in station.parts.selection.bundles.bundles.values())
 
-        assert first._trunk is second._trunk
-        assert second.bundle.graphs.trunk is None
+    assert first._trunk is second._trunk
+    assert second.bundle.graphs.trunk is None
 
 
-def test_the_selected_part_is_inspected_from_the_next_press_on(config: Path) -> None:
+def test_the_selected_part_is_inspected_from_the_next_press_on(station: SteppedStation) -> None:
     """The dented press fails as PZ0; as PZ1, with its own threshold, it passes, and its result says so."""
-    with SteppedStation(config) as station:
-        station.play_until(lambda: len(station.reports) == 1)
-        station.ask("select_part", part="PZ1")
-        station.play()
+    station.play_until(lambda: len(station.reports) == 1)
+    station.ask("select_part", part="PZ1")
+    station.play()
 
-        results = station.results
-        assert [one.part for one in results] == ["PZ0", "PZ1", "PZ1"]
-        assert station.verdicts == ["pass"] * 3
-        info = station.said("info")
+    results = station.results
+    assert [one.part for one in results] == ["PZ0", "PZ1", "PZ1"]
+    assert station.verdicts == ["pass"] * 3
+    info = station.said("info")
     assert (info["part"], info["bundle_id"]) == ("PZ1", results[-1].bundle_id)
     assert info["parts"] == ["PZ0/pos1", "PZ1/pos1"]
     assert results[0].bundle_id != results[-1].bundle_id
 
 
-def test_a_part_selected_during_a_press_waits_for_its_end(config: Path) -> None:
+def test_a_part_selected_during_a_press_waits_for_its_end(station: SteppedStation) -> None:
     """The press is judged by the bundle with which it began."""
-    with SteppedStation(config) as station:
-        station.play_until(lambda: station.loop.session is not None and station.loop.session.has_contact)
-        station.ask("select_part", name="PZ1")
-        assert station.parts.selection.is_waiting
-        station.play_until(lambda: len(station.reports) == 1)
-        assert station.reports[0].result.part == "PZ0"
-        station.play_until(lambda: not station.loop.session.has_contact)
-        assert not station.parts.selection.is_waiting
-        station.play()
+    station.play_until(lambda: station.loop.session is not None and station.loop.session.has_contact)
+    station.ask("select_part", name="PZ1")
+    assert station.parts.selection.is_waiting
+    station.play_until(lambda: len(station.reports) == 1)
+    assert station.reports[0].result.part == "PZ0"
+    station.play_until(lambda: not station.loop.session.has_contact)
+    assert not station.parts.selection.is_waiting
+    station.play()
 
-        assert [result.part for result in station.results] == ["PZ0", "PZ1", "PZ1"]
+    assert [result.part for result in station.results] == ["PZ0", "PZ1", "PZ1"]
 
 
-def test_the_learnt_free_gel_stays_over_a_change_of_part(config: Path) -> None:
+def test_the_learnt_free_gel_stays_over_a_change_of_part(station: SteppedStation) -> None:
     """The station is ready for the next press at once."""
-    with SteppedStation(config) as station:
-        station.play_until(lambda: len(station.reports) == 1)
-        station.play_until(lambda: not station.loop.session.has_contact)
-        reference = station.loop.session._detector.tracker.reference
-        station.ask("select_part", part="PZ1")
+    station.play_until(lambda: len(station.reports) == 1)
+    station.play_until(lambda: not station.loop.session.has_contact)
+    reference = station.loop.session._detector.tracker.reference
+    station.ask("select_part", part="PZ1")
 
-        assert station.loop.session._detector.tracker.reference is reference
-        assert station.said("state")["state"] == "ready"
+    assert station.loop.session._detector.tracker.reference is reference
+    assert station.said("state")["state"] == "ready"
 
 
 def test_a_station_starts_with_the_part_that_was_selected_last(config: Path) -> None:
@@ -111,13 +114,12 @@ def test_a_new_station_starts_with_the_configured_part(tmp_path: Path, recording
         assert station.parts.selection.part == PZ1
 
 
-def test_an_unknown_name_is_refused_and_nothing_changes(config: Path) -> None:
+def test_an_unknown_name_is_refused_and_nothing_changes(station: SteppedStation) -> None:
     """With the nearest known name."""
-    with SteppedStation(config) as station:
-        words = r"no part of this station is named 'PZ2'; known: PZ0/pos1, PZ1/pos1"
-        with pytest.raises(ValueError, match=words):
-            station.ask("select_part", name="PZ2")
-        assert station.parts.selection.part == PZ0
+    words = r"no part of this station is named 'PZ2'; known: PZ0/pos1, PZ1/pos1"
+    with pytest.raises(ValueError, match=words):
+        station.ask("select_part", name="PZ2")
+    assert station.parts.selection.part == PZ0
 
 
 def test_a_part_with_several_positions_needs_one(tmp_path: Path, recording: Path, bundle: Path) -> None:
@@ -149,81 +151,80 @@ def test_a_bundle_for_another_reading_of_the_sensor_is_refused(
         SteppedStation(config)
 
 
-def test_a_new_bundle_takes_over_at_a_reload(config: Path, folder: Path, bundle: Path) -> None:
+def test_a_new_bundle_takes_over_at_a_reload(station: SteppedStation, folder: Path, bundle: Path) -> None:
     """The one in use is exchanged; the other one, which has not changed, is not opened again."""
-    with SteppedStation(config) as station:
-        selection = station.parts.selection
-        old, other = selection.inspector, selection.bundles[PZ1].inspector
-        variant(bundle, folder / "a", revision=2)
-        reloaded(station)
+    selection = station.parts.selection
+    old, other = selection.inspector, selection.bundles[PZ1].inspector
+    variant(bundle, folder / "a", revision=2)
+    reloaded(station)
 
-        assert selection.inspector is not old
-        assert selection.inspector.bundle.manifest.revision == 2
-        assert selection.bundles[PZ1].inspector is other
-        assert station.parts.store.newest_revision(PZ0) == 2
+    assert selection.inspector is not old
+    assert selection.inspector.bundle.manifest.revision == 2
+    assert selection.bundles[PZ1].inspector is other
+    assert station.parts.store.newest_revision(PZ0) == 2
 
 
-def test_the_last_good_bundle_stays_when_the_new_one_fails(config: Path, folder: Path, bundle: Path) -> None:
+def test_the_last_good_bundle_stays_when_the_new_one_fails(
+    station: SteppedStation, folder: Path, bundle: Path
+) -> None:
     """With the alarm `bundle`, which ends with a good one; the other new bundle of the same reload is used."""
-    with SteppedStation(config) as station:
-        selection = station.parts.selection
-        old = selection.inspector
-        (folder / "a" / "head.onnx").write_bytes(b"cut")
-        manifest = json.loads((folder / "a" / "manifest.json").read_text())
-        (folder / "a" / "manifest.json").write_text(json.dumps({**manifest, "revision": 5}))
-        variant(bundle, folder / "b", part="PZ1", revision=7)
-        reloaded(station)
+    selection = station.parts.selection
+    old = selection.inspector
+    (folder / "a" / "head.onnx").write_bytes(b"cut")
+    manifest = json.loads((folder / "a" / "manifest.json").read_text())
+    (folder / "a" / "manifest.json").write_text(json.dumps({**manifest, "revision": 5}))
+    variant(bundle, folder / "b", part="PZ1", revision=7)
+    reloaded(station)
 
-        assert selection.inspector is old
-        assert selection.bundles[PZ1].bundle.manifest.revision == 7
-        assert "head.onnx has SHA-256" in str(station.alarm("bundle"))
+    assert selection.inspector is old
+    assert selection.bundles[PZ1].bundle.manifest.revision == 7
+    assert "head.onnx has SHA-256" in str(station.alarm("bundle"))
 
-        variant(bundle, folder / "a", revision=5)
-        reloaded(station)
-        assert selection.inspector.bundle.manifest.revision == 5
-        assert station.alarm("bundle") is None
+    variant(bundle, folder / "a", revision=5)
+    reloaded(station)
+    assert selection.inspector.bundle.manifest.revision == 5
+    assert station.alarm("bundle") is None
 
 
 @pytest.mark.parametrize("name", ["head.onnx", "trunk.onnx", "bank"])
 def test_a_reload_notices_a_file_that_changed_under_its_manifest(
-    config: Path, folder: Path, name: str
+    station: SteppedStation, folder: Path, name: str
 ) -> None:
     """The next start would refuse it, so the reload does: alarm `bundle`, and the open one goes on."""
-    with SteppedStation(config) as station:
-        old = station.parts.selection.inspector
-        path = folder / "a" / name
-        file = next(path.iterdir()) if path.is_dir() else path
-        file.write_bytes(file.read_bytes()[:-1] + b"!")
-        reloaded(station)
+    old = station.parts.selection.inspector
+    path = folder / "a" / name
+    file = next(path.iterdir()) if path.is_dir() else path
+    file.write_bytes(file.read_bytes()[:-1] + b"!")
+    reloaded(station)
 
-        assert station.parts.selection.inspector is old
-        assert f"{file.name} has SHA-256" in str(station.alarm("bundle"))
+    assert station.parts.selection.inspector is old
+    assert f"{file.name} has SHA-256" in str(station.alarm("bundle"))
 
 
 def test_a_folder_in_the_place_of_a_manifest_spoils_its_own_bundle_alone(
-    config: Path, folder: Path, bundle: Path
+    station: SteppedStation, folder: Path, bundle: Path
 ) -> None:
     """The alarm names it, its earlier bundle goes on, and the other new bundle is used."""
-    with SteppedStation(config) as station:
-        old = station.parts.selection.inspector
-        (folder / "a" / "manifest.json").unlink()
-        (folder / "a" / "manifest.json").mkdir()
-        variant(bundle, folder / "b", part="PZ1", revision=7)
-        reloaded(station)
+    old = station.parts.selection.inspector
+    (folder / "a" / "manifest.json").unlink()
+    (folder / "a" / "manifest.json").mkdir()
+    variant(bundle, folder / "b", part="PZ1", revision=7)
+    reloaded(station)
 
-        assert station.parts.selection.inspector is old
-        assert station.parts.selection.bundles[PZ1].bundle.manifest.revision == 7
-        assert "manifest.json cannot be read (Is a directory)" in str(station.alarm("bundle"))
+    assert station.parts.selection.inspector is old
+    assert station.parts.selection.bundles[PZ1].bundle.manifest.revision == 7
+    assert "manifest.json cannot be read (Is a directory)" in str(station.alarm("bundle"))
 
 
-def test_info_names_the_parts_that_a_reload_brings(config: Path, folder: Path, bundle: Path) -> None:
+def test_info_names_the_parts_that_a_reload_brings(
+    station: SteppedStation, folder: Path, bundle: Path
+) -> None:
     """Also where the bundle in use stays as it is: a dashboard that selects has the list."""
-    with SteppedStation(config) as station:
-        station.play(3)
-        variant(bundle, folder / "c", part="PZ2")
-        reloaded(station)
+    station.play(3)
+    variant(bundle, folder / "c", part="PZ2")
+    reloaded(station)
 
-        info = station.said("info")
+    info = station.said("info")
     assert info["part"] == "PZ0"
     assert info["parts"] == ["PZ0/pos1", "PZ1/pos1", "PZ2/pos1"]
 
@@ -253,18 +254,17 @@ def test_an_older_bundle_is_refused_unless_allowed(config: Path, folder: Path, b
         assert station.parts.selection.inspector.bundle.manifest.revision == 2
 
 
-def test_the_selected_part_cannot_be_removed_by_a_reload(config: Path, folder: Path) -> None:
+def test_the_selected_part_cannot_be_removed_by_a_reload(station: SteppedStation, folder: Path) -> None:
     """It goes on being inspected, and the alarm says why nothing was taken."""
-    with SteppedStation(config) as station:
-        (folder / "a" / "manifest.json").unlink()
-        reloaded(station)
-        assert station.parts.selection.part == PZ0
-        assert "there is no bundle for the selected PZ0/pos1 any more" in str(station.alarm("bundle"))
+    (folder / "a" / "manifest.json").unlink()
+    reloaded(station)
+    assert station.parts.selection.part == PZ0
+    assert "there is no bundle for the selected PZ0/pos1 any more" in str(station.alarm("bundle"))
 
-        station.ask("select_part", part="PZ1")
-        reloaded(station)
-        assert list(station.parts.selection.bundles.bundles) == [PZ1]
-        assert station.alarm("bundle") is None
+    station.ask("select_part", part="PZ1")
+    reloaded(station)
+    assert list(station.parts.selection.bundles.bundles) == [PZ1]
+    assert station.alarm("bundle") is None
 
 
 def test_a_reload_reads_the_configuration_again(tmp_path: Path, config: Path, folder: Path) -> None:
@@ -296,54 +296,51 @@ def test_a_trunk_that_no_bundle_uses_any_more_is_forgotten(config: Path) -> None
     assert (digest in trunks, "another" in trunks) == (True, False)
 
 
-def test_an_unexpected_fault_while_bundles_are_opened_is_an_alarm(config: Path) -> None:
+def test_an_unexpected_fault_while_bundles_are_opened_is_an_alarm(station: SteppedStation) -> None:
     """The bundles' thread does not end by it: the next reload is served."""
-    with SteppedStation(config) as station:
-        outcomes: list[Opened | Exception] = [
-            RuntimeError("no such thing"),
-            Opened(station.parts.selection.bundles, {}),
-        ]
+    outcomes: list[Opened | Exception] = [
+        RuntimeError("no such thing"),
+        Opened(station.parts.selection.bundles, {}),
+    ]
 
-        def opened(in_use: BundleSet) -> Opened:
-            outcome = outcomes.pop(0)
-            if isinstance(outcome, Exception):
-                raise outcome
-            return outcome
+    def opened(in_use: BundleSet) -> Opened:
+        outcome = outcomes.pop(0)
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
 
-        stage = BundleStage(opened)
-        stage.request(BundleSet())
-        stage.step()
-        assert "no such thing" in str(stage.take())
-        stage.request(BundleSet())
-        stage.step()
-        assert isinstance(stage.take(), Opened)
-        assert stage.take() is None
+    stage = BundleStage(opened)
+    stage.request(BundleSet())
+    stage.step()
+    assert "no such thing" in str(stage.take())
+    stage.request(BundleSet())
+    stage.step()
+    assert isinstance(stage.take(), Opened)
+    assert stage.take() is None
 
 
-def test_every_reload_is_in_the_table_of_acts(config: Path) -> None:
+def test_every_reload_is_in_the_table_of_acts(station: SteppedStation) -> None:
     """With the bundles that are open after it."""
-    with SteppedStation(config) as station:
-        reloaded(station)
-        act = station.parts.store.acts()[0]
-        digest = station.parts.selection.inspector.bundle.digest
+    reloaded(station)
+    act = station.parts.store.acts()[0]
+    digest = station.parts.selection.inspector.bundle.digest
 
     assert (act.who, act.verb, act.outcome) == ("the gateway", "open_bundles", "done")
     assert act.after is not None
     assert act.after["bundles"]["PZ0/pos1"] == digest
 
 
-def test_the_outcome_of_a_reload_is_recorded_when_the_database_accepts_it(config: Path) -> None:
+def test_the_outcome_of_a_reload_is_recorded_when_the_database_accepts_it(station: SteppedStation) -> None:
     """The new bundles are used meanwhile; their row of the table of acts is not lost."""
-    with SteppedStation(config) as station:
-        station.loop.step(None)
-        with station.refusing("acts"):
-            reloaded(station)
-            assert station.loop.is_halted
-            assert station.parts.store.acts() == []
-        station.turn(3)
+    station.loop.step(None)
+    with station.refusing("acts"):
+        reloaded(station)
+        assert station.loop.is_halted
+        assert station.parts.store.acts() == []
+    station.turn(3)
 
-        assert not station.loop.is_halted
-        assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]
+    assert not station.loop.is_halted
+    assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]
 
 
 def test_a_selection_that_cannot_be_recorded_is_not_made(config: Path) -> None:

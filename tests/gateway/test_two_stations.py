@@ -24,12 +24,12 @@ LEFT, RIGHT = "LEFT0001", "RIGH0002"
 TURNS = 40
 
 
-def station(folder: Path, recording: Path, bundle: Path, serial: str | None, neighbour: str) -> Path:
+def configure(folder: Path, recording: Path, bundle: Path, serial: str | None, neighbour: str) -> Path:
     """The configuration of the station in this folder; the other sensor is on its bus too."""
-    config = station_config(folder, recording, bundle)
+    config = station_config(folder, recording, bundle, tables=f'[station]\nstation = "{folder.name}"')
     own = "" if serial is None else f'serial = "{serial}", '
     text = config.read_text().replace("recording =", f'{own}neighbours = ["{neighbour}"], recording =')
-    config.write_text(f'{text}[station]\nstation = "{folder.name}"\n')
+    config.write_text(text)
     return config
 
 
@@ -37,20 +37,17 @@ def test_each_station_inspects_and_counts_on_its_own_sensor(
     tmp_path: Path, recording: Path, bundle: Path
 ) -> None:
     """Turn by turn on one computer: presses, gels and messages of one are never those of the other."""
-    left = station(tmp_path / "left", recording, bundle, LEFT, RIGHT)
-    right = station(tmp_path / "right", recording, bundle, RIGHT, LEFT)
+    left = configure(tmp_path / "left", recording, bundle, LEFT, RIGHT)
+    right = configure(tmp_path / "right", recording, bundle, RIGHT, LEFT)
     with SteppedStation(left) as one, SteppedStation(right) as other:
         for _ in range(TURNS):
             one.play(5)
             other.play(5)
         assert (one.has_ended, other.has_ended) == (True, True)
 
-        for running, name, serial in ((one, "left", LEFT), (other, "right", RIGHT)):
-            results = [report.result for report in running.reports]
-            assert [(result.station, result.sensor_serial) for result in results] == [(name, serial)] * 3
-
-    for folder, serial in (("left", LEFT), ("right", RIGHT)):
-        with Store(tmp_path / folder / "gelgate.db") as store:
+    for running, name, serial in ((one, "left", LEFT), (other, "right", RIGHT)):
+        assert [(result.station, result.sensor_serial) for result in running.results] == [(name, serial)] * 3
+        with Store(tmp_path / name / "gelgate.db") as store:
             assert [(gel.serial, gel.presses) for gel in store.gels()] == [(serial, 3)]
 
 
@@ -58,7 +55,7 @@ def test_a_station_that_names_no_serial_refuses_to_choose(
     tmp_path: Path, recording: Path, bundle: Path
 ) -> None:
     """Both serials are in the sentence, so that one can be copied into the configuration."""
-    config = load_config(station(tmp_path / "left", recording, bundle, None, RIGHT))
+    config = load_config(configure(tmp_path / "left", recording, bundle, None, RIGHT))
     with preflight(config, ManualClock()) as checked:
         (fault,) = [finding for finding in checked.findings if isinstance(finding.error, DeviceNotFound)]
 
