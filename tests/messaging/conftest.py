@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
-from recorded_presses import make_press, messages_of, path, store
+from recorded_presses import path, store
 
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
@@ -16,7 +16,7 @@ from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt import MqttSink, plugin
 from plugins.sinks.mqtt_options import MqttOptions
 
-__all__ = ["make_press", "messages_of", "path", "store"]  # fixtures
+__all__ = ["path", "store"]  # fixtures
 
 ROOT = "gelgate/plant/line1/press2/gel/v1"
 

@@ -144,10 +144,7 @@ def test_two_processes_of_one_station_never_share_a_database_but_two_sinks_do(
 
 
 def test_a_state_change_and_a_command_pass_while_results_flow(
-    mosquitto: LocalBroker,
-    tmp_path: Path,
-    sink_to: Callable[..., MqttSink],
-    listen: Callable[..., Listener],
+    mosquitto: LocalBroker, tmp_path: Path, sink_to: Callable[..., MqttSink], listen: Callable[..., Listener]
 ) -> None:
     """The gateway's composition in small: retained state, outbox, commands on one connection."""
     listener = listen(mosquitto)

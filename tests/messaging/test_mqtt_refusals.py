@@ -165,13 +165,7 @@ def test_what_is_no_broker_or_refuses_is_said_in_a_sentence(answer: bytes | None
 
 @pytest.mark.parametrize(
     "options",
-    [
-        {"hosts": "x"},
-        {"port": 0},
-        {"protocol": "4"},
-        {"password_file": "p"},
-        {"tls": {"key": "k"}},
-    ],
+    [{"hosts": "x"}, {"port": 0}, {"protocol": "4"}, {"password_file": "p"}, {"tls": {"key": "k"}}],
     ids=lambda options: next(iter(options)),
 )
 def test_options_refuse_nonsense(options: dict[str, Any]) -> None:

@@ -2,11 +2,12 @@
 
 import random
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from scripted_sink import ScriptedSink, record
+from recorded_presses import make_press, record
+from scripted_sink import ScriptedSink
 
 import edge.messaging.publisher
 from edge.clock import ManualClock
@@ -17,10 +18,7 @@ from edge.messaging.publisher_lock import PublisherLock
 from edge.messaging.retained_state import RetainedState
 from edge.messaging.status_payloads import StatePayload, state_message
 from edge.store.outbox import Outbox
-from edge.store.press_store import MakeMessages, PressRecord, Store
-
-MakePress = Callable[..., PressRecord]
-MessagesOf = Callable[..., MakeMessages]
+from edge.store.press_store import Store
 
 
 @pytest.fixture
@@ -33,14 +31,12 @@ def publisher(path: Path, **sinks: ScriptedSink) -> Publisher:
     return Publisher(path, sinks, RetainedState(), ManualClock(), random.Random(1))
 
 
-def test_stopping_sends_what_is_there_and_closes_the_sinks(
-    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_stopping_sends_what_is_there_and_closes_the_sinks(store: Store, path: Path) -> None:
     """The threads send the outbox; after `stop` it is empty and both sinks are closed."""
     a, b = ScriptedSink(), ScriptedSink()
     running = publisher(path, a=a, b=b)
     running.start()
-    record(store, messages_of, *(make_press(n) for n in range(40)))
+    record(store, *(make_press(n) for n in range(40)))
     running.wake()
     running.stop(drain_s=60)
 
@@ -50,9 +46,7 @@ def test_stopping_sends_what_is_there_and_closes_the_sinks(
         assert outbox.status().rows == 0
 
 
-def test_what_is_announced_just_before_the_end_is_said(
-    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_what_is_announced_just_before_the_end_is_said(store: Store, path: Path) -> None:
     """The last state, `stopped`, arrives even when the worker is in the middle of a row."""
 
     class Slow(ScriptedSink):
@@ -68,7 +62,7 @@ def test_what_is_announced_just_before_the_end_is_said(
 
     sink = Slow()
     running = publisher(path, mqtt=sink)
-    record(store, messages_of, make_press(1))
+    record(store, make_press(1))
     running.start()
     assert sink.is_sending.wait(60)
     running.announce(state_message(StatePayload(time_ns=1, state="stopped")))
@@ -78,15 +72,13 @@ def test_what_is_announced_just_before_the_end_is_said(
     assert sink.topics()[-1] == "state"
 
 
-def test_stopping_while_a_sink_is_away_keeps_its_rows(
-    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_stopping_while_a_sink_is_away_keeps_its_rows(store: Store, path: Path) -> None:
     """The next process finds them."""
     sink = ScriptedSink()
     sink.is_away = True
     running = publisher(path, mqtt=sink)
     running.start()
-    record(store, messages_of, make_press(1))
+    record(store, make_press(1))
     running.stop(drain_s=1)
 
     sink.is_away = False
@@ -98,13 +90,7 @@ def test_stopping_while_a_sink_is_away_keeps_its_rows(
 
 @pytest.mark.parametrize("hangs_in", ["send", "close"])
 def test_a_sink_that_never_comes_back_does_not_hold_up_the_end(
-    store: Store,
-    path: Path,
-    make_press: MakePress,
-    messages_of: MessagesOf,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    hangs_in: str,
+    store: Store, path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, hangs_in: str
 ) -> None:
     """`stop` ends, logs the sink it waited for, and has closed the others; the rows wait for the next process."""
     monkeypatch.setattr(edge.messaging.publisher, "CLOSE_S", 0.5)
@@ -137,7 +123,7 @@ def test_a_sink_that_never_comes_back_does_not_hold_up_the_end(
 
     sound = Sound()
     running = publisher(path, hanging=Hanging(), sound=sound)
-    record(store, messages_of, make_press(1))
+    record(store, make_press(1))
     running.start()
     if hangs_in == "send":
         assert is_hanging.wait(60)
@@ -174,11 +160,7 @@ def test_a_second_publisher_of_the_same_database_is_refused(store: Store, path: 
 
 
 def test_a_fault_in_a_plugin_is_logged_and_retried(
-    store: Store,
-    path: Path,
-    make_press: MakePress,
-    messages_of: MessagesOf,
-    caplog: pytest.LogCaptureFixture,
+    store: Store, path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """An exception of no known kind ends neither the thread nor the other sink; its traceback is in the log."""
 
@@ -199,7 +181,7 @@ def test_a_fault_in_a_plugin_is_logged_and_retried(
     broken, sound = Broken(), ScriptedSink()
     running = publisher(path, broken=broken, sound=sound)
     running.start()
-    record(store, messages_of, make_press(1))
+    record(store, make_press(1))
     running.wake()
     assert broken.has_recovered.wait(60)
     running.stop(drain_s=60)

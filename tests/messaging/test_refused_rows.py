@@ -3,11 +3,11 @@
 import json
 import logging
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+from recorded_presses import make_press
 from scripted_sink import ScriptedSink, drain, worker
 
 from edge.clock import ManualClock
@@ -15,12 +15,10 @@ from edge.core.ports import Message
 from edge.logs import Text
 from edge.messaging.sink_worker import BROKEN_ATTEMPTS, OFFER_REFUSED_S, OFFERED_ROWS
 from edge.store.outbox import Outbox
-from edge.store.press_store import PressRecord, Store
-
-MakePress = Callable[..., PressRecord]
+from edge.store.press_store import Store
 
 
-def put(path: Path, make_press: MakePress, *messages: Message) -> None:
+def put(path: Path, *messages: Message) -> None:
     with Store(path) as store:
         store.record_press(make_press(1), lambda recorded: messages)
 
@@ -36,13 +34,11 @@ def test_within_a_minute_refused_rows_are_offered_again() -> None:
     assert OFFER_REFUSED_S < 60
 
 
-def test_many_refused_rows_are_offered_in_turn_and_all_at_once_when_one_is_accepted(
-    path: Path, make_press: MakePress
-) -> None:
+def test_many_refused_rows_are_offered_in_turn_and_all_at_once_when_one_is_accepted(path: Path) -> None:
     """A thousand refusals a minute would be work for nothing; a corrected rule needs one row to be seen."""
     sink, clock = ScriptedSink(), ManualClock()
     sink.refuses = {"result"}
-    put(path, make_press, *(Message("result", b"%d" % n) for n in range(3 * OFFERED_ROWS)))
+    put(path, *(Message("result", b"%d" % n) for n in range(3 * OFFERED_ROWS)))
     with Outbox(path) as outbox:
         outbox.register(["mqtt"])
         one = worker(outbox, sink, clock=clock)
@@ -60,13 +56,11 @@ def test_many_refused_rows_are_offered_in_turn_and_all_at_once_when_one_is_accep
     assert sorted(int(m.payload) for m in sink.taken if m.topic == "result") == list(range(3 * OFFERED_ROWS))
 
 
-def test_the_refusals_of_one_kind_are_one_log_line(
-    path: Path, make_press: MakePress, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_refusals_of_one_kind_are_one_log_line(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Until one of that kind is accepted; the sentence stays in the counters."""
     sink = ScriptedSink()
     sink.refuses = {"result"}
-    put(path, make_press, *(Message("result", b"{}") for _ in range(20)))
+    put(path, *(Message("result", b"{}") for _ in range(20)))
     with Outbox(path) as outbox, caplog.at_level(logging.WARNING):
         outbox.register(["mqtt"])
         one = worker(outbox, sink)
@@ -82,7 +76,7 @@ def test_the_refusals_of_one_kind_are_one_log_line(
     ids=["no JSON", "no text", "no topic"],
 )
 def test_a_damaged_row_is_set_aside_and_what_is_behind_it_is_sent(
-    path: Path, make_press: MakePress, column: str, value: bytes
+    path: Path, column: str, value: bytes
 ) -> None:
     """After some attempts, because a fault of the plugin looks the same; it is kept, and counted as refused."""
 
@@ -94,7 +88,7 @@ def test_a_damaged_row_is_set_aside_and_what_is_behind_it_is_sent(
             super().send(message)
 
     sink = Strict()
-    put(path, make_press, Message("result", b"{}"), Message("result", b'{"n":2}'))
+    put(path, Message("result", b"{}"), Message("result", b'{"n":2}'))
     damage(path, column, value, 1)
     with Outbox(path) as outbox:
         outbox.register(["mqtt"])
@@ -110,7 +104,7 @@ def test_a_damaged_row_is_set_aside_and_what_is_behind_it_is_sent(
     assert "it may be damaged" in one.counters.last_refusal
 
 
-def test_a_damaged_row_that_is_offered_again_stops_nothing(path: Path, make_press: MakePress) -> None:
+def test_a_damaged_row_that_is_offered_again_stops_nothing(path: Path) -> None:
     """The second time its first error sets it aside."""
 
     class Broken(ScriptedSink):
@@ -120,7 +114,7 @@ def test_a_damaged_row_that_is_offered_again_stops_nothing(path: Path, make_pres
             super().send(message)
 
     sink, clock = Broken(), ManualClock()
-    put(path, make_press, Message("result", b'{"n":1}'))
+    put(path, Message("result", b'{"n":1}'))
     with Outbox(path) as outbox:
         outbox.register(["mqtt"])
         one = worker(outbox, sink, clock=clock)
@@ -144,13 +138,13 @@ def test_a_damaged_row_that_is_offered_again_stops_nothing(path: Path, make_pres
     ],
 )
 def test_a_refusal_in_the_log_names_its_press(
-    path: Path, make_press: MakePress, caplog: pytest.LogCaptureFixture, message: Message, is_named: bool
+    path: Path, caplog: pytest.LogCaptureFixture, message: Message, is_named: bool
 ) -> None:
     """The log line has the press id; a message of no press, or a damaged one, has none."""
     caplog.handler.setFormatter(Text())
     sink = ScriptedSink()
     sink.refuses = {message.topic}
-    put(path, make_press, message)
+    put(path, message)
     with Outbox(path) as outbox:
         outbox.register(["mqtt"])
         drain(worker(outbox, sink))

@@ -2,11 +2,12 @@
 
 import json
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from scripted_sink import ScriptedSink, drain, record, worker
+from recorded_presses import make_press, record
+from scripted_sink import ScriptedSink, drain, worker
 
 from edge.clock import ManualClock
 from edge.core.backoff import Backoff
@@ -17,10 +18,7 @@ from edge.messaging.retained_state import RetainedState
 from edge.messaging.sink_worker import IDLE_S, OFFER_REFUSED_S
 from edge.messaging.status_payloads import StatePayload, state_message
 from edge.store.outbox import Outbox
-from edge.store.press_store import MakeMessages, PressRecord, Store
-
-MakePress = Callable[..., PressRecord]
-MessagesOf = Callable[..., MakeMessages]
+from edge.store.press_store import Store
 
 
 @pytest.fixture
@@ -29,14 +27,12 @@ def outbox(path: Path) -> Iterator[Outbox]:
         yield opened
 
 
-def test_rows_are_sent_in_order_and_leave(
-    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_rows_are_sent_in_order_and_leave(store: Store, outbox: Outbox) -> None:
     """Twenty presses, more than one batch: every result, in order, and then an empty outbox."""
     sink = ScriptedSink()
     outbox.register(["mqtt"])
     presses = [make_press(n) for n in range(20)]
-    record(store, messages_of, *presses)
+    record(store, *presses)
 
     drain(worker(outbox, sink))
 
@@ -44,21 +40,19 @@ def test_rows_are_sent_in_order_and_leave(
     assert outbox.status().rows == 0
 
 
-def test_a_sink_that_is_away_loses_nothing(
-    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_sink_that_is_away_loses_nothing(store: Store, outbox: Outbox) -> None:
     """Away at first, and again in between: each result arrives, in order, and each change is reported once."""
     sink, changes = ScriptedSink(), []
     outbox.register(["mqtt"])
     one = worker(outbox, sink, changes=changes)
     sink.is_away = True
-    record(store, messages_of, make_press(1))
+    record(store, make_press(1))
     for _ in range(5):
         assert one.step() > 0
     sink.is_away = False
     drain(one)
     sink.is_away = True
-    record(store, messages_of, make_press(2), make_press(3))
+    record(store, make_press(2), make_press(3))
     one.step()
     sink.is_away = False
     drain(one)
@@ -80,11 +74,7 @@ class FullOutbox(Outbox):
 
 
 def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
-    store: Store,
-    path: Path,
-    make_press: MakePress,
-    messages_of: MessagesOf,
-    caplog: pytest.LogCaptureFixture,
+    store: Store, path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Acknowledgements that find no room are stored later; the pauses grow, one log line, and the state is reported.
 
@@ -93,7 +83,7 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
     sink, changes, retained_state = ScriptedSink(), [], RetainedState()
     with FullOutbox(path) as outbox:
         outbox.register(["mqtt"])
-        record(store, messages_of, make_press(1), make_press(2))
+        record(store, make_press(1), make_press(2))
         one = worker(outbox, sink, retained_state=retained_state, changes=changes)
         outbox.is_full = True
         pauses = [one.step() for _ in range(8)]
@@ -113,38 +103,34 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
         assert one.counters.sent == len([m for m in sink.taken if m.topic != "state" and m.payload])
 
 
-def test_rows_that_waited_are_marked_as_replayed(
-    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_rows_that_waited_are_marked_as_replayed(store: Store, outbox: Outbox) -> None:
     """Recorded before the start or while the sink was away: late. Recorded while it accepts messages: not."""
     sink = ScriptedSink()
     outbox.register(["mqtt"])
-    record(store, messages_of, make_press(1))
+    record(store, make_press(1))
     one = worker(outbox, sink)
     drain(one)
-    record(store, messages_of, make_press(2))
+    record(store, make_press(2))
     drain(one)
     sink.is_away = True
-    record(store, messages_of, make_press(3))
+    record(store, make_press(3))
     one.step()
-    record(store, messages_of, make_press(4))
+    record(store, make_press(4))
     sink.is_away = False
     drain(one)
-    record(store, messages_of, make_press(5))
+    record(store, make_press(5))
     drain(one)
 
     assert [r["is_replayed"] for r in sink.results()] == [True, False, True, True, False]
 
 
-def test_a_lost_acknowledgement_means_the_same_press_twice(
-    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_lost_acknowledgement_means_the_same_press_twice(store: Store, outbox: Outbox) -> None:
     """At least once: the repetition has the same id and, except for its mark, the same content."""
     sink = ScriptedSink()
     outbox.register(["mqtt"])
     one = worker(outbox, sink)
     drain(one)
-    record(store, messages_of, make_press(1))
+    record(store, make_press(1))
     sink.loses_next_acknowledgement = True
     one.step()
     drain(one)
@@ -153,7 +139,7 @@ def test_a_lost_acknowledgement_means_the_same_press_twice(
     assert {**first, "is_replayed": True} == second
 
 
-def test_a_refused_row_does_not_block_the_queue(store: Store, outbox: Outbox, make_press: MakePress) -> None:
+def test_a_refused_row_does_not_block_the_queue(store: Store, outbox: Outbox) -> None:
     """It is counted and kept; within a minute it is offered again."""
     sink, clock = ScriptedSink(), ManualClock()
     outbox.register(["mqtt"])
@@ -174,15 +160,13 @@ def test_a_refused_row_does_not_block_the_queue(store: Store, outbox: Outbox, ma
     assert outbox.status().rows == 0
 
 
-def test_each_sink_goes_at_its_own_pace(
-    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_each_sink_goes_at_its_own_pace(store: Store, outbox: Outbox) -> None:
     """One sink away: the other has everything, and the rows stay for the first."""
     away, there = ScriptedSink(), ScriptedSink()
     outbox.register(["away", "there"])
     workers = worker(outbox, away, "away"), worker(outbox, there, "there")
     away.is_away = True
-    record(store, messages_of, make_press(1), make_press(2))
+    record(store, make_press(1), make_press(2))
     workers[0].step()
     drain(workers[1])
     assert (len(there.results()), len(away.results())) == (2, 0)
@@ -193,15 +177,13 @@ def test_each_sink_goes_at_its_own_pace(
     assert outbox.status().rows == 0
 
 
-def test_retained_topics_never_go_back_in_time(
-    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_retained_topics_never_go_back_in_time(store: Store, outbox: Outbox) -> None:
     """Through an outage in the middle of a batch, `last` and `gel` only become newer."""
     sink = ScriptedSink()
     outbox.register(["mqtt"])
     one = worker(outbox, sink)
     for n in range(0, 30, 3):
-        record(store, messages_of, *(make_press(n + k) for k in range(3)))
+        record(store, *(make_press(n + k) for k in range(3)))
         sink.loses_next_acknowledgement = n % 2 == 0
         one.step()
     drain(one)
@@ -213,15 +195,13 @@ def test_retained_topics_never_go_back_in_time(
     assert (lasts[-1], gels[-1]) == (make_press(29).time_ns, 30)
 
 
-def test_a_new_connection_hears_the_newest_retained_messages(
-    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_new_connection_hears_the_newest_retained_messages(store: Store, outbox: Outbox) -> None:
     """A broker that restarted without memory gets the delivered `gel`, not the one sent at the start."""
     retained_state, sink = RetainedState(), ScriptedSink()
     retained_state.announce(Message("gel", b'{"presses":0}', retain=True))
     outbox.register(["mqtt"])
     one = worker(outbox, sink, retained_state=retained_state)
-    record(store, messages_of, make_press(1), make_press(2))
+    record(store, make_press(1), make_press(2))
     drain(one)
 
     said = {m.topic: m.payload for m in retained_state.all() if m.payload}
@@ -264,16 +244,14 @@ def test_every_alarm_is_cleared_at_the_start(outbox: Outbox) -> None:
     assert {m.topic for m in sink.taken if m.retain and not m.payload} == {f"alarm/{name}" for name in ALARMS}
 
 
-def test_a_refused_announcement_does_not_block_the_rows(
-    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_refused_announcement_does_not_block_the_rows(store: Store, outbox: Outbox) -> None:
     """A broker that forbids the state topic still gets the results."""
     retained_state, sink = RetainedState(), ScriptedSink()
     retained_state.announce(state_message(StatePayload(time_ns=0, state="ready")))
     sink.refuses = {"state"}
     outbox.register(["mqtt"])
     one = worker(outbox, sink, retained_state=retained_state)
-    record(store, messages_of, make_press(1))
+    record(store, make_press(1))
 
     drain(one)
 

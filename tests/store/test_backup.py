@@ -1,23 +1,21 @@
 """A copy made while a gateway runs: complete, of one moment, and alone in its file."""
 
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from recorded_presses import count, make_press, record
 
 from edge.core.errors import StoreError
 from edge.store import backup, database
 from edge.store.backup import back_up, backups_in, migrate
 from edge.store.database import MIGRATIONS, SCHEMA_VERSION, open_read_only, schema_version
 from edge.store.integrity import check_database
-from edge.store.press_store import MakeMessages, PressRecord, Store
+from edge.store.press_store import Store
 
-MakePress = Callable[..., PressRecord]
-MessagesOf = Callable[..., MakeMessages]
 KEPT = Path(__file__).parents[1] / "compatibility" / "version_0_1_0" / "gelgate.db"
 
 
@@ -26,14 +24,12 @@ def presses(path: Path) -> int:
         return int(connection.execute("SELECT count(*) FROM presses").fetchone()[0])
 
 
-def test_a_copy_has_what_is_only_in_the_journal_yet(
-    store: Store, path: Path, tmp_path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_copy_has_what_is_only_in_the_journal_yet(store: Store, path: Path, tmp_path: Path) -> None:
     """The gateway has the file open, and its last presses are in the write-ahead log."""
     for n in (1, 2, 3):
-        store.record_press(make_press(n), messages_of(make_press(n)))
+        record(store, make_press(n))
     copy = back_up(path, tmp_path / "copy.db")
-    store.record_press(make_press(4), messages_of(make_press(4)))
+    record(store, make_press(4))
 
     assert (presses(copy), presses(path)) == (3, 4)
     assert check_database(copy) == []
@@ -41,14 +37,14 @@ def test_a_copy_has_what_is_only_in_the_journal_yet(
     assert copy.stat().st_mode & 0o777 == 0o640
 
 
-def test_a_copy_goes_on_as_a_database(path: Path, tmp_path: Path, make_press: MakePress) -> None:
+def test_a_copy_goes_on_as_a_database(path: Path, tmp_path: Path) -> None:
     """Put in the place of a lost one, without its second record."""
     with Store(path) as store:
-        store.record_press(make_press(1), lambda recorded: [])
+        count(store, make_press(1))
     copy = back_up(path, tmp_path / "copy.db")
 
     with Store(copy) as store:
-        assert store.record_press(make_press(2), lambda recorded: []).sequence == 2
+        assert count(store, make_press(2)).sequence == 2
 
 
 def test_an_existing_file_is_never_replaced(store: Store, path: Path, tmp_path: Path) -> None:
@@ -86,11 +82,11 @@ def test_a_disk_without_room_is_refused_before_the_copy(
     assert list(tmp_path.glob("copy*")) == []
 
 
-def test_a_damaged_database_leaves_no_copy(path: Path, tmp_path: Path, make_press: MakePress) -> None:
+def test_a_damaged_database_leaves_no_copy(path: Path, tmp_path: Path) -> None:
     """Nothing that looks like a backup is kept."""
     with Store(path) as store:
         for n in range(1, 200):
-            store.record_press(make_press(n), lambda recorded: [])
+            count(store, make_press(n))
     with path.open("r+b") as file:
         file.seek(4096 * 3)
         file.write(b"\xff" * 4096 * 4)

@@ -1,17 +1,16 @@
 """The age of waiting messages is running time: no step of the wall clock makes a message old."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from recorded_presses import make_press
 
 from edge.core.ports import Message
 from edge.store.outbox import Bounds, Outbox
 from edge.store.press_store import PressRecord, Store
 
 DAY_NS = 86400 * 10**9
-MakePress = Callable[..., PressRecord]
 
 
 class Uptime:
@@ -43,9 +42,7 @@ def topics(path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("step_days", [31, 365 * 50, -31, -365 * 50])
-def test_a_step_of_the_wall_clock_drops_nothing(
-    path: Path, make_press: MakePress, uptime: Uptime, step_days: int
-) -> None:
+def test_a_step_of_the_wall_clock_drops_nothing(path: Path, uptime: Uptime, step_days: int) -> None:
     """The clock of a gateway without a battery is months late until it finds a time server, or is set back."""
     early = make_press(1, "fail")
     late = make_press(2)
@@ -57,9 +54,7 @@ def test_a_step_of_the_wall_clock_drops_nothing(
     assert topics(path) == ["early", "heatmap/1", "now"]
 
 
-def test_a_message_older_than_the_limit_is_dropped_and_counted_as_aged(
-    path: Path, make_press: MakePress, uptime: Uptime
-) -> None:
+def test_a_message_older_than_the_limit_is_dropped_and_counted_as_aged(path: Path, uptime: Uptime) -> None:
     """By running time, with a wall clock that stood still; a retained message is kept."""
     with opened(path, uptime) as store, Outbox(path) as outbox:
         record(store, make_press(1), Message("old", b""), Message("last", b"", retain=True))
@@ -73,7 +68,7 @@ def test_a_message_older_than_the_limit_is_dropped_and_counted_as_aged(
 
 
 def test_running_time_goes_on_after_a_restart_and_does_not_count_while_nothing_runs(
-    path: Path, make_press: MakePress, uptime: Uptime
+    path: Path, uptime: Uptime
 ) -> None:
     """Two runs of 0.6 days are 1.2 days, whatever the uptime of the machine says in the second."""
     with opened(path, uptime) as store:
@@ -90,9 +85,7 @@ def test_running_time_goes_on_after_a_restart_and_does_not_count_while_nothing_r
     assert topics(path) == ["half", "restarted", "end"]
 
 
-def test_running_time_is_stored_without_presses_too(
-    path: Path, make_press: MakePress, uptime: Uptime
-) -> None:
+def test_running_time_is_stored_without_presses_too(path: Path, uptime: Uptime) -> None:
     """A station that waits for parts for a day ages its messages, although nothing is pressed and it is then killed."""
     with opened(path, uptime) as store:
         record(store, make_press(1), Message("old", b""))

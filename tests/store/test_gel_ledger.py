@@ -1,19 +1,13 @@
 """The gel ledger: which gel is mounted, how often it was pressed, and the gels before it."""
 
-from collections.abc import Callable
-
 import pytest
+from recorded_presses import count, make_press
 
 from edge.core.errors import StoreError
 from edge.core.gel import GelState
-from edge.store.press_store import MakeMessages, PressRecord, Store
+from edge.store.press_store import Store
 
 SERIAL = "2BNN4ZE7"
-
-
-def record(store: Store, *presses: PressRecord) -> None:
-    for press in presses:
-        store.record_press(press, lambda gel: [])
 
 
 def test_a_sensor_never_seen_gets_its_first_gel(store: Store) -> None:
@@ -24,21 +18,19 @@ def test_a_sensor_never_seen_gets_its_first_gel(store: Store) -> None:
     assert store.gel(SERIAL, time_ns=9) == gel
 
 
-def test_each_sensor_has_its_own_count(store: Store, make_press: Callable[..., PressRecord]) -> None:
+def test_each_sensor_has_its_own_count(store: Store) -> None:
     """Two sensors on one gateway have separate counts."""
-    record(store, make_press(1), make_press(2, serial="OTHER"), make_press(3))
+    count(store, make_press(1), make_press(2, serial="OTHER"), make_press(3))
 
     assert {gel.gel_id: gel.presses for gel in store.gels()} == {"2BNN4ZE7-1": 2, "OTHER-1": 1}
 
 
-def test_replacing_a_gel_starts_at_zero_and_keeps_the_old_one(
-    store: Store, make_press: Callable[..., PressRecord]
-) -> None:
+def test_replacing_a_gel_starts_at_zero_and_keeps_the_old_one(store: Store) -> None:
     """The act is recorded with its time, limit and note."""
-    record(store, make_press(1), make_press(2))
+    count(store, make_press(1), make_press(2))
 
     store.replace_gel(SERIAL, time_ns=50, limit_presses=300, note="torn by a thread")
-    record(store, make_press(3))
+    count(store, make_press(3))
 
     old, new = store.gels(SERIAL)
     assert (old.gel_id, old.presses, old.removed_ns) == ("2BNN4ZE7-1", 2, 50)
@@ -69,40 +61,34 @@ def test_numbering_steps_over_ids_that_people_chose(store: Store) -> None:
     assert [gel.gel_id for gel in store.gels()] == ["2BNN4ZE7-2", "2BNN4ZE7-1", "2BNN4ZE7-3"]
 
 
-def test_the_state_follows_the_limit(path: object, make_press: Callable[..., PressRecord]) -> None:
+def test_the_state_follows_the_limit(path: object) -> None:
     """With a limit of 5 and a warning at 80 %: good up to 3, due at 4, replace from 5 on."""
     with Store(path, limit_presses=5, warn_fraction=0.8) as store:  # type: ignore[arg-type]
-        states = [store.record_press(make_press(n), lambda recorded: []).gel.state for n in range(6)]
+        states = [count(store, make_press(n)).gel.state for n in range(6)]
 
     assert states == ["good", "good", "good", "due", "replace", "replace"]
 
 
-def test_an_optically_worn_gel_is_to_be_replaced_whatever_its_count(
-    store: Store, make_press: Callable[..., PressRecord]
-) -> None:
+def test_an_optically_worn_gel_is_to_be_replaced_whatever_its_count(store: Store) -> None:
     """Wear index 1 is the end; a later press without a measurement keeps the last known wear."""
-    record(store, make_press(1, wear_index=0.4))
+    count(store, make_press(1, wear_index=0.4))
     assert store.gel(SERIAL, 0).state is GelState.GOOD
 
-    record(store, make_press(2, wear_index=1.0), make_press(3))
+    count(store, make_press(2, wear_index=1.0), make_press(3))
 
     gel = store.gel(SERIAL, 0)
     assert (gel.wear_index, gel.state) == (1.0, GelState.REPLACE)
 
 
-def test_a_clock_set_back_does_not_make_the_last_use_earlier(
-    store: Store, make_press: Callable[..., PressRecord]
-) -> None:
+def test_a_clock_set_back_does_not_make_the_last_use_earlier(store: Store) -> None:
     """First use stays the first, last use the latest."""
-    record(store, make_press(10), make_press(20), make_press(5))
+    count(store, make_press(10), make_press(20), make_press(5))
 
     gel = store.gel(SERIAL, 0)
     assert (gel.first_use_ns, gel.last_use_ns) == (make_press(10).time_ns, make_press(20).time_ns)
 
 
-def test_a_gel_change_can_be_published_with_the_act(
-    store: Store, make_press: Callable[..., PressRecord], messages_of: Callable[..., MakeMessages]
-) -> None:
+def test_a_gel_change_can_be_published_with_the_act(store: Store) -> None:
     """The new record is handed to the messages, inside the same transaction."""
     seen = []
 

@@ -2,26 +2,24 @@
 
 import csv
 import sqlite3
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from pyarrow import parquet
-from recorded_presses import SERIAL, T0
+from recorded_presses import SERIAL, T0, count, make_press
 
 from edge.core.errors import StoreError
 from edge.store.backup import migrate
 from edge.store.database import APPLICATION_ID, MIGRATIONS, SCHEMA_VERSION, open_read_only
 from edge.store.history import COLUMNS, HistoryQuery, HistoryRow, read_history, write_history
-from edge.store.press_store import PressRecord, Store
+from edge.store.press_store import Store
 
-MakePress = Callable[..., PressRecord]
 VERDICTS = ("pass", "fail", "pass", "unsure", "rejected", "error")
 
 
 @pytest.fixture
-def six(store: Store, path: Path, make_press: MakePress) -> Path:
+def six(store: Store, path: Path) -> Path:
     """Presses 1 to 6, a second apart, one after another of VERDICTS; the last one of another part."""
     for number, verdict in enumerate(VERDICTS, 1):
         press = make_press(number, verdict)
@@ -63,11 +61,11 @@ def test_a_row_has_what_was_recorded(six: Path) -> None:
     )
 
 
-def test_reading_writes_nothing_and_needs_no_turn(six: Path, store: Store, make_press: MakePress) -> None:
+def test_reading_writes_nothing_and_needs_no_turn(six: Path, store: Store) -> None:
     """A press that is recorded while the history is read is recorded, and is not in what is read."""
     rows = read_history(six, HistoryQuery())
     first = next(rows).number
-    store.record_press(make_press(7), lambda recorded: [])
+    count(store, make_press(7))
 
     assert [first, *(row.number for row in rows)] == [1, 2, 3, 4, 5, 6]
     assert numbers(six, HistoryQuery(newest=1)) == [7]
@@ -75,10 +73,7 @@ def test_reading_writes_nothing_and_needs_no_turn(six: Path, store: Store, make_
 
 def test_a_reader_cannot_write(six: Path) -> None:
     """A mistake in a question changes no row."""
-    with (
-        pytest.raises(StoreError, match="readonly database"),
-        open_read_only(six, "asking") as connection,
-    ):
+    with pytest.raises(StoreError, match="readonly database"), open_read_only(six, "asking") as connection:
         connection.execute("DELETE FROM presses")
     assert len(numbers(six, HistoryQuery())) == 6
 
@@ -157,9 +152,7 @@ def test_an_unknown_ending_is_refused(tmp_path: Path) -> None:
         write_history(tmp_path / "presses.xlsx", [])
 
 
-def test_a_press_keeps_whether_gel_or_part_is_its_cause(
-    store: Store, path: Path, make_press: MakePress
-) -> None:
+def test_a_press_keeps_whether_gel_or_part_is_its_cause(store: Store, path: Path) -> None:
     """As it was published; a pass has none."""
     for number, (verdict, cause) in enumerate((("pass", None), ("fail", "gel"), ("unsure", "unsure")), 1):
         store.record_press(replace(make_press(number, verdict), cause=cause), lambda recorded: [])
@@ -167,7 +160,7 @@ def test_a_press_keeps_whether_gel_or_part_is_its_cause(
     assert [row.cause for row in read_history(path, HistoryQuery())] == [None, "gel", "unsure"]
 
 
-def test_presses_of_earlier_versions_have_no_cause(path: Path, make_press: MakePress) -> None:
+def test_presses_of_earlier_versions_have_no_cause(path: Path) -> None:
     """A database of version 4 is migrated, keeps its presses, and takes causes from then on."""
     connection = sqlite3.connect(path)
     for script in MIGRATIONS[:4]:

@@ -1,31 +1,27 @@
 """`check_database`: a sound database has no fault, and each kind of damage is named."""
 
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import pytest
-from recorded_presses import SERIAL
+from recorded_presses import SERIAL, count, make_press, record
 
 from edge.core.errors import StoreError
 from edge.store.database import quick_check
 from edge.store.integrity import Finding, check_database
 from edge.store.outbox import Outbox
 from edge.store.press_counts import Count, PressCounts
-from edge.store.press_store import MakeMessages, PressRecord, Store
-
-MakePress = Callable[..., PressRecord]
-MessagesOf = Callable[..., MakeMessages]
+from edge.store.press_store import Store
 
 
 @pytest.fixture
-def used(path: Path, make_press: MakePress, messages_of: MessagesOf) -> Path:
+def used(path: Path) -> Path:
     """A database after a shift: presses on two gels, one message acknowledged, one refused."""
     with Store(path) as store, Outbox(path) as outbox:
         outbox.register(["mqtt"])
         for n in range(1, 5):
-            store.record_press(make_press(n), messages_of(make_press(n)))
+            record(store, make_press(n))
             if n == 2:
                 store.replace_gel(SERIAL, 0)
         first, second = outbox.pending("mqtt", 2)
@@ -79,12 +75,12 @@ def test_a_sound_database_has_no_fault(used: Path) -> None:
     ]
 
 
-def test_it_may_be_checked_while_a_gateway_writes(used: Path, make_press: MakePress) -> None:
+def test_it_may_be_checked_while_a_gateway_writes(used: Path) -> None:
     """An open store keeps the file; the check takes one state of it and changes nothing."""
     with Store(used) as store:
-        store.record_press(make_press(9), lambda recorded: [])
+        count(store, make_press(9))
         assert faults(used) == []
-        store.record_press(make_press(10), lambda recorded: [])
+        count(store, make_press(10))
     assert faults(used) == []
 
 

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from recorded_presses import count, make_press
 
 from edge.core.errors import StoreError
 from edge.core.reference_press.charts import ReferencePress
@@ -18,7 +19,6 @@ from edge.store.reference_presses import PieceKey, ReferenceRequest, ReferenceTa
 from edge.store.study_presses import StudyTable
 
 KEY = PieceKey("2BNN4ZE7", "bolt", "crest", "M1")
-Make = Callable[..., PressRecord]
 
 
 def reference(press: PressRecord, **fields: object) -> ReferencePress:
@@ -37,14 +37,12 @@ def reference(press: PressRecord, **fields: object) -> ReferencePress:
     )
 
 
-def test_a_reference_press_counts_on_the_gel_and_not_in_the_history(
-    store: Store, path: Path, make_press: Make
-) -> None:
+def test_a_reference_press_counts_on_the_gel_and_not_in_the_history(store: Store, path: Path) -> None:
     """Its own number, the gel's next count, and the number of the next part press is not used up."""
-    store.record_press(make_press(1), lambda recorded: [])
+    count(store, make_press(1))
     table = ReferenceTable(KEY, reference(make_press(2)))
     recorded = store.record_press(make_press(2), lambda recorded: [], table)
-    part = store.record_press(make_press(3), lambda recorded: [])
+    part = count(store, make_press(3))
 
     assert (recorded.sequence, recorded.gel.presses) == (1, 2)
     assert (part.sequence, part.gel.presses) == (2, 3)
@@ -53,7 +51,7 @@ def test_a_reference_press_counts_on_the_gel_and_not_in_the_history(
     assert check_database(path) == []
 
 
-def test_the_same_press_again_is_one_press(store: Store, make_press: Make) -> None:
+def test_the_same_press_again_is_one_press(store: Store) -> None:
     """As every press: a caller may repeat after an error."""
     for _ in range(2):
         recorded = store.record_press(
@@ -63,9 +61,7 @@ def test_the_same_press_again_is_one_press(store: Store, make_press: Make) -> No
     assert (recorded.sequence, recorded.gel.presses) == (1, 1)
 
 
-def test_presses_of_another_piece_sensor_or_part_are_others(
-    store: Store, path: Path, make_press: Make
-) -> None:
+def test_presses_of_another_piece_sensor_or_part_are_others(store: Store, path: Path) -> None:
     """Each has its charts."""
     keys = [KEY, KEY._replace(piece="M2"), KEY._replace(part="nut"), KEY._replace(serial="OTHER")]
     for n, key in enumerate(keys):
@@ -76,16 +72,16 @@ def test_presses_of_another_piece_sensor_or_part_are_others(
     assert {str(key): len(presses) for key, presses in found.items()} == {str(key): 1 for key in keys}
 
 
-def test_a_count_that_was_lost_goes_on_after_a_reference_press(path: Path, make_press: Make) -> None:
+def test_a_count_that_was_lost_goes_on_after_a_reference_press(path: Path) -> None:
     """The second record of the counts has the number of the newest part press, not that of a reference press."""
     with Store(path) as store:
         for n in range(3):
-            store.record_press(make_press(n), lambda recorded: [])
+            count(store, make_press(n))
         press = make_press(3)
         store.record_press(press, lambda recorded: [], ReferenceTable(KEY, reference(press)))
     path.unlink()
     with Store(path) as store:
-        after = store.record_press(make_press(4), lambda recorded: [])
+        after = count(store, make_press(4))
 
     assert (after.sequence, after.gel.presses) == (4, 5)
 
@@ -104,7 +100,7 @@ def test_a_request_of_the_command_line_is_taken_once(store: Store) -> None:
     assert store.write("taking", reference_presses.take_request) is None
 
 
-def test_a_study_keeps_its_plan_and_its_presses(store: Store, path: Path, make_press: Make) -> None:
+def test_a_study_keeps_its_plan_and_its_presses(store: Store, path: Path) -> None:
     """In order; a press that is void stays as a row; a plan is not exchanged under its presses."""
     store.write("beginning", partial(study_presses.begin_study, study_id="s1", plan="first", time_ns=7))
     again = store.write(

@@ -5,14 +5,13 @@ import json
 import shutil
 import sqlite3
 import struct
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recorded_presses import SERIAL, T0
+from recorded_presses import SERIAL, T0, make_press, record
 
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.measures import Imprint
@@ -22,13 +21,10 @@ from edge.store.backup import migrate
 from edge.store.integrity import Finding, check_database
 from edge.store.ledger_chain import Head
 from edge.store.press_counts import Count
-from edge.store.press_store import MakeMessages, PressRecord, Store
+from edge.store.press_store import Store
 from edge.store.recovery import recover
 from edge.store.reference_presses import PieceKey, ReferenceTable
 from edge.store.study_presses import StudyTable
-
-MakePress = Callable[..., PressRecord]
-MessagesOf = Callable[..., MakeMessages]
 
 OLD = Path(__file__).parents[1] / "compatibility" / "version_0_1_0" / "gelgate.db"
 
@@ -49,11 +45,11 @@ def rows(path: Path, query: str) -> list[tuple[object, ...]]:
         return connection.execute(query).fetchall()
 
 
-def record(path: Path, make_press: MakePress, messages_of: MessagesOf) -> Head:
+def shift(path: Path) -> Head:
     """A shift: presses on two gels, one request that was done and one that was refused; returns the head."""
     with Store(path) as store:
         for n in range(1, 6):
-            store.record_press(make_press(n, serial="S-1"), messages_of(make_press(n, serial="S-1")))
+            record(store, make_press(n, serial="S-1"))
             if n == 3:
                 store.replace_gel(
                     "S-1", T0, note="batch 7", act=Act(T0, "a person", "replace_gel", outcome="done")
@@ -65,8 +61,8 @@ def record(path: Path, make_press: MakePress, messages_of: MessagesOf) -> Head:
 
 
 @pytest.fixture
-def used(path: Path, make_press: MakePress, messages_of: MessagesOf) -> Path:
-    record(path, make_press, messages_of)
+def used(path: Path) -> Path:
+    shift(path)
     return path
 
 
@@ -96,10 +92,10 @@ def test_an_act_is_known_by_the_number_of_its_row(used: Path, outcome: str | Non
     assert rows(used, "SELECT max(act_id) FROM acts") == [(number,)]
 
 
-def test_every_press_moves_the_head(path: Path, make_press: MakePress, messages_of: MessagesOf) -> None:
+def test_every_press_moves_the_head(path: Path) -> None:
     """And the head that a press returns is that of the database."""
     with Store(path) as store:
-        heads = [store.record_press(make_press(n), messages_of(make_press(n))).head for n in (1, 2)]
+        heads = [record(store, make_press(n)).head for n in (1, 2)]
 
         assert heads[0] != heads[1]
         assert store.ledger_head() == heads[1]
@@ -175,9 +171,7 @@ def test_the_first_of_several_changes_is_named(used: Path) -> None:
     assert ledger(used)[0].startswith("press 2 was changed")
 
 
-def test_a_ledger_written_again_is_found_by_the_head_that_somebody_kept(
-    used: Path, tmp_path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_ledger_written_again_is_found_by_the_head_that_somebody_kept(used: Path, tmp_path: Path) -> None:
     """Whoever computes every link again makes a sound chain; it has another head."""
     with Store(used) as store:
         held = store.ledger_head()
@@ -208,24 +202,20 @@ def forge(connection: sqlite3.Connection) -> None:
         )
 
 
-def test_a_head_of_another_database_is_named_as_such(
-    used: Path, tmp_path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_head_of_another_database_is_named_as_such(used: Path, tmp_path: Path) -> None:
     """The same presses in another file are another ledger."""
-    other = record(tmp_path / "other.db", make_press, messages_of)
+    other = shift(tmp_path / "other.db")
 
     (found,) = ledger(used, other)
     assert f"is of ledger {other.ledger_id}" in found
     assert "another station" in found
 
 
-def test_an_old_copy_in_the_place_of_the_database_lacks_the_head(
-    used: Path, tmp_path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_an_old_copy_in_the_place_of_the_database_lacks_the_head(used: Path, tmp_path: Path) -> None:
     """Its chain is sound, and shorter."""
     copy = shutil.copy(used, tmp_path / "copy.db")
     with Store(used) as store:
-        head = store.record_press(make_press(9), messages_of(make_press(9))).head
+        head = record(store, make_press(9)).head
 
     (found,) = ledger(Path(copy), head)
     assert "replaced by an old copy" in found
@@ -240,14 +230,13 @@ def test_a_head_that_is_none_is_refused(text: str) -> None:
         Head.parse(text)
 
 
-def test_a_database_that_was_migrated_says_where_its_chain_starts(tmp_path: Path, make_press: MakePress,
-                                                                  messages_of: MessagesOf) -> None:  # fmt: skip
+def test_a_database_that_was_migrated_says_where_its_chain_starts(tmp_path: Path) -> None:  # fmt: skip
     """Its old presses stay, outside the chain; its gels and all that follows are in it."""
     path = Path(shutil.copy(OLD, tmp_path / "gelgate.db"))
     migrate(path)
     with Store(path) as store:
         before = len(store.presses())
-        store.record_press(make_press(1, serial="NEW"), messages_of(make_press(1, serial="NEW")))
+        record(store, make_press(1, serial="NEW"))
 
     notes = [one for one in check_database(path) if one.part == "ledger"]
     (newest,) = rows(path, "SELECT max(number) FROM presses")[0:1]
@@ -264,14 +253,12 @@ def test_a_database_that_was_migrated_says_where_its_chain_starts(tmp_path: Path
     assert len(ledger(path)) == 1
 
 
-def test_the_chain_still_verifies_when_old_presses_go(
-    path: Path, make_press: MakePress, messages_of: MessagesOf, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_chain_still_verifies_when_old_presses_go(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The hash of the last link that went is the anchor, and a change of what remains is found as before."""
     monkeypatch.setattr(press_history, "KEPT_PRESSES", 4)
     with Store(path) as store:
         for n in range(1, 21):
-            store.record_press(make_press(n), messages_of(make_press(n)))
+            record(store, make_press(n))
             if n % 7 == 0:
                 store.replace_gel(SERIAL, T0, act=Act(T0, "x", "replace_gel", outcome="done"))
     kept = [row[0] for row in rows(path, "SELECT number FROM presses")]
@@ -309,7 +296,7 @@ def test_a_gel_restored_from_the_second_record_is_chained(used: Path) -> None:
 COLUMNS = ("press_id", "time_ns", "serial", "gel_id", "part", "verdict", "score", "threshold", "running_ns")
 
 
-def labelled(path: Path, make_press: MakePress) -> None:
+def labelled(path: Path) -> None:
     """Two presses of a master piece, and one of a study that was pressed again."""
     key, imprint = PieceKey(SERIAL, "bolt", "crest", "M1"), Imprint(2.0, 9.0, 7.0, None, 1.0)
     with Store(path) as store:
@@ -333,24 +320,20 @@ def labelled(path: Path, make_press: MakePress) -> None:
         ("UPDATE study_presses SET is_void = 0", "study press 1 was changed"),
     ],
 )
-def test_presses_of_master_pieces_and_studies_are_chained(
-    used: Path, make_press: MakePress, statement: str, expected: str
-) -> None:
+def test_presses_of_master_pieces_and_studies_are_chained(used: Path, statement: str, expected: str) -> None:
     """What an auditor is shown can be checked as the presses of parts can."""
-    labelled(used, make_press)
+    labelled(used)
     assert ledger(used) == []
     change(used, statement)
 
     assert ledger(used)[0].startswith(expected)
 
 
-def test_old_reference_presses_go_without_a_fault(
-    used: Path, make_press: MakePress, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_old_reference_presses_go_without_a_fault(used: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Only the newest are kept."""
     for module in (reference_presses, ledger_check):
         monkeypatch.setattr(module, "KEPT_REFERENCES", 1)
-    labelled(used, make_press)
+    labelled(used)
 
     assert rows(used, "SELECT number FROM reference_presses") == [(2,)]
     assert ledger(used) == []
@@ -382,10 +365,7 @@ def test_any_other_value_in_any_column_is_found(
 
 
 @settings(max_examples=30, deadline=None)
-@given(
-    removed=st.sets(st.integers(1, 12), min_size=1, max_size=4),
-    is_renumbered=st.booleans(),
-)
+@given(removed=st.sets(st.integers(1, 12), min_size=1, max_size=4), is_renumbered=st.booleans())
 def test_links_that_are_taken_out_are_missed(
     tmp_path_factory: pytest.TempPathFactory, removed: set[int], is_renumbered: bool
 ) -> None:
@@ -409,9 +389,7 @@ _MADE: dict[str, Path] = {}
 def sound_copy(factory: pytest.TempPathFactory) -> Path:
     """A database of five presses and 12 links, made once."""
     if "path" not in _MADE:
-        from recorded_presses import make_press, messages_of
-
         path = factory.mktemp("sound") / "gelgate.db"
-        record(path, make_press.__wrapped__(), messages_of.__wrapped__())
+        shift(path)
         _MADE["path"] = path
     return _MADE["path"]

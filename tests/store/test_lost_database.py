@@ -4,22 +4,21 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from recorded_presses import count, make_press
 
 from edge.store.press_counts import COPY_BYTES, Count, PressCounts
-from edge.store.press_store import PressRecord, Store
+from edge.store.press_store import Store
 
-MakePress = Callable[..., PressRecord]
 SERIAL = "2BNN4ZE7"
 
 
-def record(path: Path, make_press: MakePress, *numbers: int) -> Store:
+def record(path: Path, *numbers: int) -> Store:
     with Store(path) as store:
         for n in numbers:
-            store.record_press(make_press(n), lambda recorded: [])
+            count(store, make_press(n))
     return store
 
 
@@ -29,13 +28,11 @@ def remove(path: Path) -> None:
 
 
 @pytest.mark.parametrize("loss", ["removed", "emptied", "an older copy"])
-def test_a_gel_goes_on_counting_and_the_loss_is_reported(
-    path: Path, tmp_path: Path, make_press: MakePress, loss: str
-) -> None:
+def test_a_gel_goes_on_counting_and_the_loss_is_reported(path: Path, tmp_path: Path, loss: str) -> None:
     """The count, the gel's id and the numbers of presses go on; one sentence says what is missing."""
-    record(path, make_press, 1)
+    record(path, 1)
     shutil.copy(path, tmp_path / "old.db")
-    record(path, make_press, 2, 3)
+    record(path, 2, 3)
     if loss == "emptied":
         path.write_bytes(b"")
     else:
@@ -45,7 +42,7 @@ def test_a_gel_goes_on_counting_and_the_loss_is_reported(
 
     with Store(path) as store:
         gel = store.gel(SERIAL, 0)
-        recorded = store.record_press(make_press(9), lambda recorded: [])
+        recorded = count(store, make_press(9))
 
     assert (gel.gel_id, gel.presses) == (f"{SERIAL}-1", 3)
     assert (recorded.gel.presses, recorded.sequence) == (4, 4)
@@ -55,7 +52,7 @@ def test_a_gel_goes_on_counting_and_the_loss_is_reported(
     assert "goes on from 3 presses" in finding
 
 
-def test_a_lost_journal_is_found_at_the_next_start(path: Path, make_press: MakePress) -> None:
+def test_a_lost_journal_is_found_at_the_next_start(path: Path) -> None:
     """Presses that were only in the write-ahead log when the machine stopped and somebody removed the log."""
     program = f"""
 import os, sys
@@ -76,12 +73,12 @@ os._exit(0)
     assert len(store.findings) == 1
 
 
-def test_a_gel_that_was_replaced_stays_replaced(path: Path, make_press: MakePress) -> None:
+def test_a_gel_that_was_replaced_stays_replaced(path: Path) -> None:
     """The second record knows the new gel, with its limit; the worn one does not come back."""
-    record(path, make_press, 1, 2)
+    record(path, 1, 2)
     with Store(path) as store:
         store.replace_gel(SERIAL, 5, "new", 700)
-        store.record_press(make_press(3), lambda recorded: [])
+        count(store, make_press(3))
     remove(path)
 
     with Store(path) as store:
@@ -90,9 +87,9 @@ def test_a_gel_that_was_replaced_stays_replaced(path: Path, make_press: MakePres
     assert (gel.gel_id, gel.presses, gel.limit_presses) == ("new", 1, 700)
 
 
-def test_a_sound_database_is_believed(path: Path, make_press: MakePress) -> None:
+def test_a_sound_database_is_believed(path: Path) -> None:
     """No finding at an ordinary restart, nor when the second record is older, damaged or not there."""
-    record(path, make_press, 1)
+    record(path, 1)
     counts = PressCounts(path)
     for content in (None, b"", b"x" * 2 * COPY_BYTES, counts.path.read_bytes()):
         if content is None:
@@ -105,11 +102,9 @@ def test_a_sound_database_is_believed(path: Path, make_press: MakePress) -> None
         assert counts.read()[SERIAL].presses == 1  # it is written again
 
 
-def test_a_power_cut_while_the_second_record_is_written_leaves_the_one_before(
-    path: Path, make_press: MakePress
-) -> None:
+def test_a_power_cut_while_the_second_record_is_written_leaves_the_one_before(path: Path) -> None:
     """Cut at any byte of a copy, the other copy is read: at most one press older."""
-    record(path, make_press, 1, 2)
+    record(path, 1, 2)
     counts = PressCounts(path)
     whole = counts.path.read_bytes()
     for start in (0, COPY_BYTES):
@@ -118,24 +113,22 @@ def test_a_power_cut_while_the_second_record_is_written_leaves_the_one_before(
             assert counts.read()[SERIAL].presses in (1, 2)
 
 
-def test_the_second_record_is_written_in_place(path: Path, make_press: MakePress) -> None:
+def test_the_second_record_is_written_in_place(path: Path) -> None:
     """Its blocks are allocated once, so a full disk does not stop it."""
-    record(path, make_press, 1)
+    record(path, 1)
     counts = PressCounts(path)
     before = os.stat(counts.path)
-    record(path, make_press, *range(2, 20))
+    record(path, *range(2, 20))
     after = os.stat(counts.path)
 
     assert (after.st_size, after.st_ino) == (before.st_size, before.st_ino) == (2 * COPY_BYTES, before.st_ino)
     assert counts.read()[SERIAL].presses == 19
 
 
-def test_presses_that_a_database_refused_are_counted_at_the_next_start(
-    path: Path, make_press: MakePress
-) -> None:
+def test_presses_that_a_database_refused_are_counted_at_the_next_start(path: Path) -> None:
     """Made while the disk was full, and then the gateway ended: the gel has felt them."""
     with Store(path) as store:
-        store.record_press(make_press(1), lambda recorded: [])
+        count(store, make_press(1))
         store.note_uncounted(SERIAL, 20)
 
     with Store(path) as store:

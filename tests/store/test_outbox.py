@@ -1,17 +1,15 @@
 """The outbox: in order, until every sink has it, within bounds."""
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from recorded_presses import make_press, messages_of, record
 
 from edge.core.ports import Message
 from edge.store.outbox import ROW_OVERHEAD_BYTES, Bounds, DropPriority, Outbox, drop_priority_of
-from edge.store.press_store import MakeMessages, PressRecord, Store
-
-MakePress = Callable[..., PressRecord]
-MessagesOf = Callable[..., MakeMessages]
+from edge.store.press_store import PressRecord, Store
 
 
 @pytest.fixture
@@ -20,7 +18,7 @@ def outbox(path: Path) -> Iterator[Outbox]:
         yield opened
 
 
-def record(store: Store, press: PressRecord, *messages: Message) -> None:
+def put(store: Store, press: PressRecord, *messages: Message) -> None:
     store.record_press(press, lambda gel: messages)
 
 
@@ -28,20 +26,20 @@ def topics(outbox: Outbox, sink: str = "mqtt") -> list[str]:
     return [row.message.topic for row in outbox.pending(sink, 1000)]
 
 
-def test_a_message_comes_back_as_it_was_put_in(store: Store, outbox: Outbox, make_press: MakePress) -> None:
+def test_a_message_comes_back_as_it_was_put_in(store: Store, outbox: Outbox) -> None:
     """Every field of the message survives."""
     message = Message("x/y", b"\x00\xff", qos=0, content_type="image/png", expiry_s=9)
 
-    record(store, make_press(1), message)
+    put(store, make_press(1), message)
 
     (row,) = outbox.pending("mqtt")
     assert (row.message, row.created_ns) == (message, make_press(1).time_ns)
 
 
-def test_a_row_leaves_when_every_sink_has_it(store: Store, outbox: Outbox, make_press: MakePress) -> None:
+def test_a_row_leaves_when_every_sink_has_it(store: Store, outbox: Outbox) -> None:
     """One sink's acknowledgement moves that sink on, and the row stays for the other."""
     outbox.register(["mqtt", "jsonl"])
-    record(store, make_press(1), Message("result", b"1"))
+    put(store, make_press(1), Message("result", b"1"))
 
     outbox.acknowledge(1, "mqtt")
     assert (topics(outbox, "mqtt"), topics(outbox, "jsonl")) == ([], ["result"])
@@ -50,13 +48,11 @@ def test_a_row_leaves_when_every_sink_has_it(store: Store, outbox: Outbox, make_
     assert outbox.status().rows == 0
 
 
-def test_a_sink_taken_out_of_the_configuration_holds_nothing_back(
-    store: Store, outbox: Outbox, make_press: MakePress
-) -> None:
+def test_a_sink_taken_out_of_the_configuration_holds_nothing_back(store: Store, outbox: Outbox) -> None:
     """Rows that only the removed sink had not acknowledged leave when the others are registered."""
     outbox.register(["mqtt", "jsonl"])
-    record(store, make_press(1), Message("result", b"1"))
-    record(store, make_press(2), Message("result", b"2"))
+    put(store, make_press(1), Message("result", b"1"))
+    put(store, make_press(2), Message("result", b"2"))
     outbox.acknowledge(1, "mqtt")
 
     outbox.register(["mqtt"])
@@ -65,10 +61,10 @@ def test_a_sink_taken_out_of_the_configuration_holds_nothing_back(
     assert outbox.status().rows == 1
 
 
-def test_acknowledging_twice_or_late_is_harmless(store: Store, outbox: Outbox, make_press: MakePress) -> None:
+def test_acknowledging_twice_or_late_is_harmless(store: Store, outbox: Outbox) -> None:
     """A row that has left has no entry in the table `settled`."""
     outbox.register(["mqtt"])
-    record(store, make_press(1), Message("result", b"1"))
+    put(store, make_press(1), Message("result", b"1"))
 
     for _ in range(2):
         outbox.acknowledge(1, "mqtt")
@@ -78,13 +74,11 @@ def test_acknowledging_twice_or_late_is_harmless(store: Store, outbox: Outbox, m
         assert connection.execute("SELECT count(*) FROM settled").fetchone() == (0,)
 
 
-def test_a_refused_row_is_out_of_the_way_but_kept(
-    store: Store, outbox: Outbox, make_press: MakePress
-) -> None:
+def test_a_refused_row_is_out_of_the_way_but_kept(store: Store, outbox: Outbox) -> None:
     """The queue goes on behind it, and it can be offered again."""
     outbox.register(["mqtt"])
     for n in (1, 2):
-        record(store, make_press(n), Message("result", b"%d" % n))
+        put(store, make_press(n), Message("result", b"%d" % n))
 
     outbox.refuse(1, "mqtt", "too large")
     assert [row.row_id for row in outbox.pending("mqtt")] == [2]
@@ -94,12 +88,10 @@ def test_a_refused_row_is_out_of_the_way_but_kept(
     assert [row.row_id for row in outbox.pending("mqtt")] == [1, 2]
 
 
-def test_a_retained_topic_keeps_its_newest_message_alone(
-    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_retained_topic_keeps_its_newest_message_alone(store: Store, outbox: Outbox) -> None:
     """After an outage `last` and `gel` are sent once, after every result: they never show an older press."""
     for n in (1, 2, 3):
-        store.record_press(make_press(n), messages_of(make_press(n)))
+        record(store, make_press(n))
 
     rows = outbox.pending("mqtt", 100)
 
@@ -109,14 +101,12 @@ def test_a_retained_topic_keeps_its_newest_message_alone(
     assert rows[-2].row_id > max(row.row_id for row in rows if row.message.topic == "result")
 
 
-def test_a_refused_retained_message_never_overtakes_a_newer_one(
-    store: Store, outbox: Outbox, make_press: MakePress
-) -> None:
+def test_a_refused_retained_message_never_overtakes_a_newer_one(store: Store, outbox: Outbox) -> None:
     """A refused message is replaced by the next one of its topic, so the topic never shows an older one."""
     outbox.register(["mqtt"])
-    record(store, make_press(1), Message("last", b"1", retain=True))
+    put(store, make_press(1), Message("last", b"1", retain=True))
     outbox.refuse(1, "mqtt", "not authorized")
-    record(store, make_press(2), Message("last", b"2", retain=True))
+    put(store, make_press(2), Message("last", b"2", retain=True))
     outbox.acknowledge(2, "mqtt")
 
     outbox.offer_refused("mqtt")
@@ -124,12 +114,12 @@ def test_a_refused_retained_message_never_overtakes_a_newer_one(
     assert topics(outbox) == []
 
 
-def test_row_ids_are_never_used_again(store: Store, outbox: Outbox, make_press: MakePress) -> None:
+def test_row_ids_are_never_used_again(store: Store, outbox: Outbox) -> None:
     """An empty outbox goes on counting, so `after` and the late mark keep their meaning."""
     outbox.register(["mqtt"])
-    record(store, make_press(1), Message("result", b"1"))
+    put(store, make_press(1), Message("result", b"1"))
     outbox.acknowledge(1, "mqtt")
-    record(store, make_press(2), Message("result", b"2"))
+    put(store, make_press(2), Message("result", b"2"))
 
     assert [row.row_id for row in outbox.pending("mqtt", after=1)] == [2]
     assert outbox.newest() == 2
@@ -151,9 +141,7 @@ def test_which_message_is_dropped_first(message: Message, verdict: str, priority
     assert drop_priority_of(message, verdict) is priority
 
 
-def test_room_is_made_in_order_heatmaps_then_passes_then_fails(
-    path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_room_is_made_in_order_heatmaps_then_passes_then_fails(path: Path) -> None:
     """As room shrinks, first all heatmaps go, oldest first, then passes, then fails; each drop is counted."""
     verdicts = ["fail", "pass", "pass", "fail", "pass", "fail"]
     with Store(path) as store, Outbox(path) as outbox:
@@ -169,7 +157,7 @@ def test_room_is_made_in_order_heatmaps_then_passes_then_fails(
     for share in (0.95, 0.6, 0.3, 0.15, 0.05):
         with Store(path, Bounds(max_bytes=int(outbox_bytes * share))) as store, Outbox(path) as outbox:
             n = 100 + int(share * 100)
-            record(store, make_press(n))  # any press enforces the bounds
+            put(store, make_press(n))  # any press enforces the bounds
             status = outbox.status()
             dropped.append(tuple(status.dropped.values()))
             assert status.bytes <= outbox_bytes * share or not [
@@ -183,20 +171,18 @@ def test_room_is_made_in_order_heatmaps_then_passes_then_fails(
     assert dropped[-1] == (6, 3, 3)
 
 
-def test_of_equal_priority_the_oldest_goes_first(path: Path, make_press: MakePress) -> None:
+def test_of_equal_priority_the_oldest_goes_first(path: Path) -> None:
     """The newest results are the ones kept."""
     size = 1000 + ROW_OVERHEAD_BYTES
     with Store(path, Bounds(max_bytes=3 * size)) as store, Outbox(path) as outbox:
         for n in range(5):
-            record(store, make_press(n), Message(f"result{n}", bytes(1000)))
+            put(store, make_press(n), Message(f"result{n}", bytes(1000)))
 
         assert topics(outbox) == ["result2", "result3", "result4"]
         assert outbox.status().dropped == {"heatmap": 0, "pass": 2, "fail": 0}
 
 
-def test_the_counted_size_is_that_of_the_rows(
-    store: Store, outbox: Outbox, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_the_counted_size_is_that_of_the_rows(store: Store, outbox: Outbox) -> None:
     """The running total, kept by triggers, equals the sum after puts, replacements, acknowledgements and drops."""
     outbox.register(["mqtt"])
     for n in range(20):

@@ -3,21 +3,18 @@
 import os
 import sqlite3
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from full_disk import room_for
+from recorded_presses import make_press, messages_of, record
 
 from edge.core.errors import StoreError
 from edge.core.gel import GelState
 from edge.store.database import SCHEMA_VERSION, Database
 from edge.store.outbox import Outbox
 from edge.store.press_store import MakeMessages, PressRecord, Store
-
-MakePress = Callable[..., PressRecord]
-MessagesOf = Callable[..., MakeMessages]
 
 
 def contents(path: Path) -> tuple[int, int, int]:
@@ -30,13 +27,11 @@ def contents(path: Path) -> tuple[int, int, int]:
     return recorded, counted, waiting
 
 
-def test_a_press_is_counted_and_its_messages_wait(
-    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_press_is_counted_and_its_messages_wait(store: Store, path: Path) -> None:
     """One press: one row, one count, and result, heatmap, the retained picture, last and gel in this order."""
     press = make_press(1)
 
-    gel = store.record_press(press, messages_of(press)).gel
+    gel = record(store, press).gel
 
     assert (gel.presses, gel.gel_id, gel.state) == (1, "2BNN4ZE7-1", GelState.GOOD)
     with Outbox(path) as outbox:
@@ -50,45 +45,37 @@ def test_a_press_is_counted_and_its_messages_wait(
         ]
 
 
-def test_the_messages_carry_the_count_of_their_own_press(
-    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_the_messages_carry_the_count_of_their_own_press(store: Store, path: Path) -> None:
     """The gel's record given to `make_messages` includes the press."""
     for n in (1, 2, 3):
-        store.record_press(make_press(n), messages_of(make_press(n)))
+        record(store, make_press(n))
 
     with Outbox(path) as outbox:
         results = [row.message for row in outbox.pending("mqtt") if row.message.topic == "result"]
     assert [b'"gel_presses":%d,' % n in message.payload for n, message in enumerate(results, 1)] == [True] * 3
 
 
-def test_recording_a_press_again_changes_nothing(
-    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_recording_a_press_again_changes_nothing(store: Store, path: Path) -> None:
     """A caller who saw an error may repeat: same id, same press, no second count and no second message."""
     press = make_press(1)
-    first = store.record_press(press, messages_of(press))
+    first = record(store, press)
 
-    again = store.record_press(press, messages_of(press))
+    again = record(store, press)
 
     assert again == first
     assert contents(path) == (1, 1, 1)
 
 
-def test_an_id_is_never_given_to_another_press(
-    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_an_id_is_never_given_to_another_press(store: Store, path: Path) -> None:
     """The same id with another score is a fault in the caller, not a repetition."""
-    store.record_press(make_press(1), messages_of(make_press(1)))
+    record(store, make_press(1))
 
     with pytest.raises(StoreError, match="already given to another press"):
         store.record_press(make_press(1, score=0.75), messages_of(make_press(1)))
     assert contents(path) == (1, 1, 1)
 
 
-def test_nothing_is_recorded_when_the_messages_cannot_be_made(
-    store: Store, path: Path, make_press: MakePress
-) -> None:
+def test_nothing_is_recorded_when_the_messages_cannot_be_made(store: Store, path: Path) -> None:
     """Both or neither, also for a fault in gelgate."""
 
     def broken(gel: object) -> Any:
@@ -123,9 +110,7 @@ def killed_at(path: Path, press: PressRecord, messages: MakeMessages, statement:
 
 # Later versions of Python warn of a fork beside threads; here the child uses SQLite alone, and ends.
 @pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
-def test_dying_between_any_two_statements_leaves_all_or_nothing(
-    path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_dying_between_any_two_statements_leaves_all_or_nothing(path: Path) -> None:
     """Killed at every single statement of a press, then recorded again after the restart: one press, one count.
 
     Checked by taking BEGIN IMMEDIATE out of `Database.writing`: the count then differs from the presses.
@@ -140,15 +125,13 @@ def test_dying_between_any_two_statements_leaves_all_or_nothing(
     assert deaths >= 12, "the press has fewer statements than were ever seen: is it traced?"
     assert contents(path) == (1, 1, 1)
     with Store(path) as store:
-        store.record_press(press, messages_of(press))
+        record(store, press)
     assert contents(path) == (1, 1, 1)
 
 
-def test_a_full_database_refuses_the_press_and_keeps_what_it_has(
-    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_full_database_refuses_the_press_and_keeps_what_it_has(store: Store, path: Path) -> None:
     """No room: a sentence that says so, nothing half recorded, and recording goes on when there is room again."""
-    store.record_press(make_press(1), messages_of(make_press(1)))
+    record(store, make_press(1))
     connection = store._database._connection
     pages = connection.execute("PRAGMA page_count").fetchone()[0]
     connection.execute(f"PRAGMA max_page_count = {pages + 2}")
@@ -162,46 +145,40 @@ def test_a_full_database_refuses_the_press_and_keeps_what_it_has(
     assert contents(path) == (2, 2, 2)
 
 
-def test_a_disk_that_refuses_the_write_is_a_store_error(
-    path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_disk_that_refuses_the_write_is_a_store_error(path: Path) -> None:
     """With a file size limit set by the system, the press is refused and the earlier ones can still be read."""
     with Store(path) as store:
-        store.record_press(make_press(1), messages_of(make_press(1)))
+        record(store, make_press(1))
         with room_for(200_000), pytest.raises(StoreError, match="recording press"):
             store.record_press(make_press(2), messages_of(make_press(2), 1_000_000))
 
     assert contents(path) == (1, 1, 1)
     with Store(path) as store:
-        assert store.record_press(make_press(2), messages_of(make_press(2))).gel.presses == 2
+        assert record(store, make_press(2)).gel.presses == 2
 
 
-def test_a_database_held_by_another_program_is_a_store_error(
-    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_database_held_by_another_program_is_a_store_error(store: Store, path: Path) -> None:
     """A writer that never ends is waited for, then named; afterwards the press is recorded."""
     other = sqlite3.connect(path, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     store._database._connection.execute("PRAGMA busy_timeout = 20")
 
     with pytest.raises(StoreError, match="another program has locked it"):
-        store.record_press(make_press(1), messages_of(make_press(1)))
+        record(store, make_press(1))
 
     other.execute("ROLLBACK")
     other.close()
-    assert store.record_press(make_press(1), messages_of(make_press(1))).gel.presses == 1
+    assert record(store, make_press(1)).gel.presses == 1
 
 
-def test_two_threads_share_a_store(
-    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_two_threads_share_a_store(store: Store, path: Path) -> None:
     """The gateway's and the commands' threads take turns; no count is lost."""
 
-    def record(first: int) -> None:
+    def shift(first: int) -> None:
         for n in range(first, first + 20):
-            store.record_press(make_press(n), messages_of(make_press(n)))
+            record(store, make_press(n))
 
-    threads = [threading.Thread(target=record, args=(first,)) for first in (0, 100)]
+    threads = [threading.Thread(target=shift, args=(first,)) for first in (0, 100)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -210,9 +187,7 @@ def test_two_threads_share_a_store(
     assert contents(path) == (40, 40, 40)
 
 
-def test_a_writer_and_a_publisher_work_at_the_same_time(
-    store: Store, path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_writer_and_a_publisher_work_at_the_same_time(store: Store, path: Path) -> None:
     """Rows are read and acknowledged while presses are recorded: each row is seen once, in order, none is lost."""
     seen: list[int] = []
     done = threading.Event()
@@ -254,9 +229,7 @@ def test_a_file_that_is_no_database_is_refused(path: Path, content: bytes, advic
     assert path.read_bytes() == content
 
 
-def test_a_damaged_page_is_found_and_named(
-    path: Path, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_a_damaged_page_is_found_and_named(path: Path) -> None:
     """Garbage inside the file is an error, not a guess."""
     with Store(path) as store:
         for n in range(40):
@@ -310,13 +283,11 @@ def test_commits_survive_a_power_cut_and_acknowledgements_need_not(path: Path) -
     assert modes == [("wal", 2), ("wal", 1)]
 
 
-def test_the_press_history_is_read_newest_first(
-    store: Store, make_press: MakePress, messages_of: MessagesOf
-) -> None:
+def test_the_press_history_is_read_newest_first(store: Store) -> None:
     """Each press comes back as it was recorded, with its gel."""
     presses = [make_press(1), make_press(2, "fail", position="top"), make_press(3, "error")]
     for press in presses:
-        store.record_press(press, messages_of(press))
+        record(store, press)
 
     assert store.presses() == [(press, "2BNN4ZE7-1") for press in reversed(presses)]
 
@@ -326,7 +297,7 @@ def test_the_press_history_is_read_newest_first(
     [{"press_id": "7"}, {"verdict": "perhaps"}, {"serial": ""}, {"part": ""}],
     ids=lambda f: next(iter(f)),
 )
-def test_a_press_refuses_nonsense(make_press: MakePress, field: dict[str, str]) -> None:
+def test_a_press_refuses_nonsense(field: dict[str, str]) -> None:
     """Every field is checked at birth."""
     good = vars(make_press(1))
 

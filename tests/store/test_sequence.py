@@ -1,17 +1,14 @@
 """The number of a press: counted once, in the transaction that records it, whatever happens to gels and programs."""
 
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from recorded_presses import count, make_press
 
 from edge.core.errors import StoreError
 from edge.store.backup import migrate
-from edge.store.press_store import MakeMessages, PressRecord, Store
-
-MakePress = Callable[..., PressRecord]
-MessagesOf = Callable[..., MakeMessages]
+from edge.store.press_store import Store
 
 
 def no_messages(recorded: object) -> list[object]:
@@ -28,47 +25,47 @@ def old_database(path: Path) -> Path:
     return path
 
 
-def test_a_change_of_gel_or_sensor_and_a_restart_do_not_reset_it(path: Path, make_press: MakePress) -> None:
+def test_a_change_of_gel_or_sensor_and_a_restart_do_not_reset_it(path: Path) -> None:
     """1, 2, 3, 4 while the gel's own count begins again."""
     seen = []
     with Store(path) as store:
-        seen.append(store.record_press(make_press(1), no_messages))  # type: ignore[arg-type]
+        seen.append(count(store, make_press(1)))
         store.replace_gel("2BNN4ZE7", make_press(2).time_ns)
-        seen.append(store.record_press(make_press(2), no_messages))  # type: ignore[arg-type]
+        seen.append(count(store, make_press(2)))
     with Store(path) as store:
-        seen.append(store.record_press(make_press(3), no_messages))  # type: ignore[arg-type]
-        seen.append(store.record_press(make_press(4, serial="OTHER"), no_messages))  # type: ignore[arg-type]
+        seen.append(count(store, make_press(3)))
+        seen.append(count(store, make_press(4, serial="OTHER")))
 
     assert [one.sequence for one in seen] == [1, 2, 3, 4]
     assert [one.gel.presses for one in seen] == [1, 1, 2, 1]
 
 
-def test_a_repeated_press_keeps_its_number(store: Store, make_press: MakePress) -> None:
+def test_a_repeated_press_keeps_its_number(store: Store) -> None:
     """Whoever saw an error and repeats gets the number that was published."""
-    store.record_press(make_press(1), no_messages)  # type: ignore[arg-type]
-    store.record_press(make_press(2), no_messages)  # type: ignore[arg-type]
+    count(store, make_press(1))
+    count(store, make_press(2))
 
-    assert store.record_press(make_press(1), no_messages).sequence == 1  # type: ignore[arg-type]
+    assert count(store, make_press(1)).sequence == 1
 
 
-def test_a_press_that_was_not_recorded_takes_no_number(store: Store, make_press: MakePress) -> None:
+def test_a_press_that_was_not_recorded_takes_no_number(store: Store) -> None:
     """No gap appears for a press that was refused."""
 
     def broken(recorded: object) -> list[object]:
         raise StoreError("no room")
 
     with pytest.raises(StoreError):
-        store.record_press(make_press(1), broken)  # type: ignore[arg-type]
+        store.record_press(make_press(1), broken)
 
-    assert store.record_press(make_press(2), no_messages).sequence == 1  # type: ignore[arg-type]
+    assert count(store, make_press(2)).sequence == 1
 
 
-def test_a_database_of_the_version_before_goes_on_counting(old_database: Path, make_press: MakePress) -> None:
+def test_a_database_of_the_version_before_goes_on_counting(old_database: Path) -> None:
     """Its three presses are 1 to 3, so the next one is 4; its gels and waiting messages are still there."""
     migrate(old_database)
     with Store(old_database) as store:
         gels = [(gel.gel_id, gel.presses) for gel in store.gels()]
-        recorded = store.record_press(make_press(9), no_messages)  # type: ignore[arg-type]
+        recorded = count(store, make_press(9))
 
     connection = sqlite3.connect(old_database)
     waiting = connection.execute("SELECT count(*) FROM outbox WHERE topic = 'result'").fetchone()[0]

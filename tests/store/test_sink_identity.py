@@ -1,21 +1,20 @@
 """Receivers are known by name or address: their order in the configuration loses nothing and doubles nothing."""
 
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import pytest
+from recorded_presses import make_press
 
 from edge.core.ports import Message
 from edge.store.outbox import Outbox
-from edge.store.press_store import PressRecord, Store
+from edge.store.press_store import Store
 
-MakePress = Callable[..., PressRecord]
 A, B = "mqtt:a:1883", "mqtt:b:1883"
 
 
-def record(path: Path, make_press: MakePress, count: int) -> None:
+def record(path: Path, count: int) -> None:
     with Store(path) as store:
         for n in range(count):
             store.record_press(make_press(n), lambda recorded: [Message("result", b"{}")])
@@ -26,9 +25,9 @@ def waiting(path: Path, sink: str) -> int:
         return len(outbox.pending(sink, 1000))
 
 
-def test_the_order_of_two_receivers_may_change(path: Path, make_press: MakePress) -> None:
+def test_the_order_of_two_receivers_may_change(path: Path) -> None:
     """A has everything, B was away; swapped, B still gets everything, and A nothing twice."""
-    record(path, make_press, 7)
+    record(path, 7)
     with Outbox(path) as outbox:
         outbox.register([A, B])
         for row in outbox.pending(A):
@@ -38,9 +37,9 @@ def test_the_order_of_two_receivers_may_change(path: Path, make_press: MakePress
     assert (waiting(path, A), waiting(path, B)) == (0, 7)
 
 
-def test_a_receiver_that_is_absent_for_a_while_gets_nothing_twice(path: Path, make_press: MakePress) -> None:
+def test_a_receiver_that_is_absent_for_a_while_gets_nothing_twice(path: Path) -> None:
     """A row that still waits for another one remembers who had it."""
-    record(path, make_press, 3)
+    record(path, 3)
     with Outbox(path) as outbox:
         outbox.register([A, B])
         outbox.acknowledge(1, A)
@@ -56,10 +55,10 @@ def test_a_receiver_that_is_absent_for_a_while_gets_nothing_twice(path: Path, ma
     ids=["one", "several: which was which is not known"],
 )
 def test_names_by_position_are_taken_over_where_they_are_clear(
-    path: Path, make_press: MakePress, names: list[str], at_a: int
+    path: Path, names: list[str], at_a: int
 ) -> None:
     """Of three rows the sink `mqtt` had one. Doubled is allowed, lost is not."""
-    record(path, make_press, 3)
+    record(path, 3)
     with Outbox(path) as outbox:
         outbox.register([*names, B])
         outbox.acknowledge(1, "mqtt")
@@ -68,11 +67,9 @@ def test_names_by_position_are_taken_over_where_they_are_clear(
     assert (waiting(path, A), waiting(path, B)) == (at_a, 3)
 
 
-def test_a_topic_with_damaged_text_is_read_and_not_a_fault_of_the_outbox(
-    path: Path, make_press: MakePress
-) -> None:
+def test_a_topic_with_damaged_text_is_read_and_not_a_fault_of_the_outbox(path: Path) -> None:
     """A flipped bit in one row would otherwise keep every row from being read."""
-    record(path, make_press, 2)
+    record(path, 2)
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute("UPDATE outbox SET topic = CAST(x'726573756cff' AS TEXT) WHERE row_id = 1")
 

@@ -1,10 +1,11 @@
 """Presses and their messages, as the gateway records them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
+from edge.core.ports import Message
 from edge.core.verdict import Kind
 from edge.messaging.result_payload import ResultPayload, press_messages
 from edge.store.press_store import MakeMessages, PressRecord, Recorded, Store
@@ -14,45 +15,46 @@ SERIAL = "2BNN4ZE7"
 T0 = 1_780_000_000 * 10**9  # 2026, a plausible clock
 
 
-@pytest.fixture
-def make_press() -> Callable[..., PressRecord]:
-    """The n-th press, one second apart; the id is a function of n."""
+def make_press(n: int, verdict: str = "pass", serial: str = SERIAL, **fields: object) -> PressRecord:
+    """Make the n-th press, one second after the one before; its id is a function of n."""
+    time_ns = T0 + n * 10**9
+    press_id = new_ulid(time_ns, lambda k: n.to_bytes(k, "big"))
+    numbers = {"score": 0.5, "threshold": 1.0} if verdict in ("pass", "fail", "unsure") else {}
+    return PressRecord(press_id, time_ns, serial, "bolt", verdict, **{**numbers, **fields})  # type: ignore[arg-type]
 
-    def make(n: int, verdict: str = "pass", serial: str = SERIAL, **fields: object) -> PressRecord:
-        time_ns = T0 + n * 10**9
-        press_id = new_ulid(time_ns, lambda k: n.to_bytes(k, "big"))
-        numbers = {"score": 0.5, "threshold": 1.0} if verdict in ("pass", "fail", "unsure") else {}
-        return PressRecord(press_id, time_ns, serial, "bolt", verdict, **{**numbers, **fields})  # type: ignore[arg-type]
+
+def messages_of(press: PressRecord, heatmap_bytes: int = 100) -> MakeMessages:
+    """Return what makes the messages that the gateway publishes for a press, with a heatmap of that size."""
+
+    def make(recorded: Recorded) -> Iterable[Message]:
+        gel = recorded.gel
+        is_error = press.verdict == "error"
+        result = ResultPayload(
+            time_ns=press.time_ns,
+            press_id=press.press_id,
+            part=press.part,
+            verdict=None if is_error else Kind(press.verdict),
+            error="broken" if is_error else None,
+            score=press.score,
+            threshold=press.threshold,
+            sensor_serial=gel.serial,
+            gel_id=gel.gel_id,
+            gel_presses=gel.presses,
+            gel_limit_presses=gel.limit_presses,
+        )
+        return press_messages(result, gel, bytes(heatmap_bytes))
 
     return make
 
 
-@pytest.fixture
-def messages_of() -> Callable[..., MakeMessages]:
-    """What the gateway publishes for a press, with a heatmap of the given size."""
+def record(store: Store, *presses: PressRecord) -> Recorded:
+    """Record presses with their messages; return what is known of the last one."""
+    return [store.record_press(press, messages_of(press)) for press in presses][-1]
 
-    def of(press: PressRecord, heatmap_bytes: int = 100) -> MakeMessages:
-        def make(recorded: Recorded) -> object:
-            gel = recorded.gel
-            is_error = press.verdict == "error"
-            result = ResultPayload(
-                time_ns=press.time_ns,
-                press_id=press.press_id,
-                part=press.part,
-                verdict=None if is_error else Kind(press.verdict),
-                error="broken" if is_error else None,
-                score=press.score,
-                threshold=press.threshold,
-                sensor_serial=gel.serial,
-                gel_id=gel.gel_id,
-                gel_presses=gel.presses,
-                gel_limit_presses=gel.limit_presses,
-            )
-            return press_messages(result, gel, bytes(heatmap_bytes))
 
-        return make  # type: ignore[return-value]
-
-    return of
+def count(store: Store, *presses: PressRecord) -> Recorded:
+    """Record presses without messages; return what is known of the last one."""
+    return [store.record_press(press, lambda recorded: []) for press in presses][-1]
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import json
 import random
-from collections.abc import Callable
 
 from edge.clock import ManualClock
 from edge.core.backoff import Backoff
@@ -11,9 +10,8 @@ from edge.core.ports import Message
 from edge.messaging.retained_state import RetainedState
 from edge.messaging.sink_worker import SinkWorker
 from edge.store.outbox import Outbox
-from edge.store.press_store import MakeMessages, PressRecord, Store
 
-__all__ = ["ScriptedSink", "drain", "record", "worker"]
+__all__ = ["ScriptedSink", "drain", "worker"]
 
 
 class ScriptedSink:
@@ -62,11 +60,6 @@ def worker(
     return SinkWorker(
         name, sink, outbox, retained_state or RetainedState(), clock or ManualClock(), backoff, note
     )
-
-
-def record(store: Store, messages_of: Callable[..., MakeMessages], *presses: PressRecord) -> None:
-    for press in presses:
-        store.record_press(press, messages_of(press))
 
 
 def drain(worker: SinkWorker) -> None:
