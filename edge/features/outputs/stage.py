@@ -121,7 +121,7 @@ class Outputs(PressStage):
         if press.label is None and press.word == "pass":
             self._awaited_ns = press.judged_ns
         elif press.label is None:
-            self._verdict = press.word
+            self._verdict, self._awaited_ns = press.word, None
             self._pulse(press)
         return press
 
