@@ -1,6 +1,6 @@
 """A bundle carried over to another gel: what stays, what is found again, what is promised, and what is refused."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,14 +11,12 @@ import pytest
 from command_line import Outcome, gelgate
 from numpy.typing import NDArray
 from station import gel
-from tiny import TINY, tiny_trunk
 from tiny_fit import config as tiny_config
 from tiny_fit import presses as tiny_presses
 
 from calibration.fitting.carry import CarryConfig, carry_bundle
-from calibration.fitting.fit import FitConfig, Fitted, fit_files
+from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
-from calibration.fitting.trunks import Trunk
 from edge.core.errors import FitError
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
@@ -58,18 +56,8 @@ def pressed(
 @cache
 def old_fit() -> Fitted:
     """Fitted on twelve presses on the old gel."""
-    config = FitConfig(
-        "bolt",
-        "crest",
-        SENSOR,
-        REGION,
-        TINY,
-        Trunk("tiny", tiny_trunk()),
-        threads=1,
-        limit="plain",
-        revision=4,
-    )
-    return fit_files(pressed(12, 1, OLD), config, created="2026-01-01")
+    changes = {"profile": SENSOR, "region": REGION, "threads": 1, "limit": "plain", "revision": 4}
+    return fit_files(pressed(12, 1, OLD), tiny_config(**changes), created="2026-01-01")
 
 
 @cache
@@ -135,62 +123,55 @@ def test_the_limit_is_that_of_the_new_scores_alone() -> None:
     assert limit.value == pytest.approx(highest + (highest - middle) / 4, rel=2e-3)
 
 
-@pytest.mark.parametrize("count", [3, 9])
-def test_another_number_of_presses_is_refused(count: int) -> None:
-    """Few are no measure; more are worth a fit."""
-    with pytest.raises(FitError, match=f"found {count} presses on the new gel, expected 4 to 8"):
-        carry_bundle(old(), pressed(count), CONFIG)
-
-
-def test_presses_without_a_free_gel_are_refused() -> None:
-    """The sentence says how to give one."""
-    with pytest.raises(
-        FitError, match="the free new gel is not known; give a picture of it with --no-contact"
-    ):
-        carry_bundle(old(), replace(pressed(8), no_contact=None, free_view=None), CONFIG)
-
-
-def test_presses_of_the_old_gel_are_refused() -> None:
-    """Other frames of it by its free gel, and a learnt frame by its bytes."""
-    with pytest.raises(FitError, match="from that of the bundle: it is the old gel"):
-        carry_bundle(old(), pressed(8, 5, OLD), CONFIG)
-
+def learnt() -> NominalPresses:
+    """Eight presses, the third of them a press that the bundle was learnt from."""
     frames = pressed(8).frames.copy()
     frames[2] = old().golden[0].rgb
-    with pytest.raises(FitError, match="press s002_p0 was learnt for this bundle, so it is of the old gel"):
-        carry_bundle(old(), replace(pressed(8), frames=frames), CONFIG)
+    return replace(pressed(8), frames=frames)
 
 
-def test_presses_of_something_else_are_refused() -> None:
-    """Their median score says it: dents on every one."""
-    with pytest.raises(
-        FitError, match=r"times as high as the learnt ones in the median, expected 0\.40 to 2\.5 times"
-    ):
-        carry_bundle(old(), pressed(8, dent=True, tint=(1.3, 0.7, 1.0)), CONFIG)
+def elsewhere() -> NominalPresses:
+    return replace(pressed(8), touches=tuple(replace(touch, x=0.9) for touch in pressed(8).touches))
 
 
-def test_presses_elsewhere_are_refused() -> None:
-    """By the range of contacts that a station refuses outside of."""
-    touches = tuple(replace(touch, x=0.9) for touch in pressed(8).touches)
-    with pytest.raises(FitError, match="presses lie where no learnt press does: s000_p0, s001_p0"):
-        carry_bundle(old(), replace(pressed(8), touches=touches), CONFIG)
+def turned() -> NominalPresses:
+    """By half: the colours run over the gel otherwise."""
+    return replace(pressed(8), frames=np.ascontiguousarray(pressed(8).frames[:, ::-1]))
 
 
-def test_presses_of_another_kind_of_sensor_are_refused() -> None:
-    """The colours run over the gel otherwise: turned by half."""
-    other = replace(pressed(8), frames=np.ascontiguousarray(pressed(8).frames[:, ::-1]))
-    with pytest.raises(FitError, match="the colours over the gel run otherwise than in the learnt presses"):
-        carry_bundle(old(), other, CONFIG)
+@pytest.mark.parametrize(
+    ("presses", "sentence"),
+    [
+        (lambda: pressed(3), "found 3 presses on the new gel, expected 4 to 8"),
+        (lambda: pressed(9), "found 9 presses on the new gel, expected 4 to 8"),
+        (
+            lambda: replace(pressed(8), no_contact=None, free_view=None),
+            "the free new gel is not known; give a picture of it with --no-contact",
+        ),
+        (lambda: pressed(8, 5, OLD), "from that of the bundle: it is the old gel"),
+        (learnt, "press s002_p0 was learnt for this bundle, so it is of the old gel"),
+        (
+            lambda: pressed(8, dent=True, tint=(1.3, 0.7, 1.0)),
+            r"times as high as the learnt ones in the median, expected 0\.40 to 2\.5 times",
+        ),
+        (elsewhere, "presses lie where no learnt press does: s000_p0, s001_p0"),
+        (turned, "the colours over the gel run otherwise than in the learnt presses"),
+    ],
+)
+def test_presses_that_cannot_carry_a_bundle_are_refused(
+    presses: Callable[[], NominalPresses], sentence: str
+) -> None:
+    """Too few or too many, of the old gel, of another part, place or kind of sensor."""
+    with pytest.raises(FitError, match=sentence):
+        carry_bundle(old(), presses(), CONFIG)
 
 
 def test_a_bundle_with_a_threshold_given_by_hand_is_refused() -> None:
     """There are no scores to compare with."""
-    config = FitConfig(
-        "bolt", "crest", SENSOR, REGION, TINY, Trunk("tiny", tiny_trunk()), threads=1, threshold=0.1
-    )
-    given = fit_files(pressed(12, 1, OLD), config, created="2026-01-01").bundle()
+    given = old().manifest.threshold.model_copy(update={"nominal_scores": (), "method": "given by hand"})
+    bundle = replace(old(), manifest=old().manifest.model_copy(update={"threshold": given}))
     with pytest.raises(FitError, match=r"no scores of presses, so its threshold \(given by hand\) cannot be"):
-        carry_bundle(given, pressed(8), CONFIG)
+        carry_bundle(bundle, pressed(8), CONFIG)
 
 
 def test_a_fit_may_name_its_gel() -> None:

@@ -9,19 +9,26 @@ from registered_bundle import fitted, nominal
 from calibration.fitting.self_check import apart_warnings, standing_apart, unproven_warnings
 
 
-@pytest.mark.parametrize("n", [8, 19, 24, 60])
-def test_a_press_far_above_all_others_stands_apart(n: int) -> None:
-    """One of n scores lies twenty times as far above the median as the others do."""
-    scores = np.random.default_rng(n).uniform(9, 11, n)
-    scores[3] = 30
-    assert standing_apart(scores) == [3]
+def scores(n: int, *high: tuple[int, float]) -> np.ndarray:
+    """n scores between 9 and 11, but for those that are given."""
+    found = np.random.default_rng(n).uniform(9, 11, n)
+    for number, score in high:
+        found[number] = score
+    return found
 
 
-def test_two_presses_do_not_hide_each_other() -> None:
-    """Two of 24; each is compared with the other 22."""
-    scores = np.random.default_rng(0).uniform(9, 11, 24)
-    scores[[5, 7]] = 28, 30
-    assert standing_apart(scores) == [7, 5]
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        *((scores(n, (3, 30)), [3]) for n in (8, 19, 24, 60)),
+        (scores(24, (5, 28), (7, 30)), [7, 5]),
+        (scores(24, *((k, 30) for k in range(4))), []),
+        (np.full(12, 3.0), []),
+    ],
+)
+def test_a_press_far_above_all_others_stands_apart(given: np.ndarray, expected: list[int]) -> None:
+    """Two do not hide each other; a group of four is another way to look; copies of one press are all alike."""
+    assert standing_apart(given) == expected
 
 
 @pytest.mark.parametrize("draw", ["normal", "exponential", "lognormal"])
@@ -33,26 +40,14 @@ def test_sound_presses_seldom_stand_apart(draw: str) -> None:
         "exponential": rng.exponential,
         "lognormal": lambda size: rng.lognormal(0, 0.5, size),
     }
-    assert np.mean([bool(standing_apart(scores)) for scores in sets[draw](size=(1000, 24))]) < 0.1
-
-
-def test_a_group_that_is_another_way_to_look_does_not_stand_apart() -> None:
-    """Four of 24 score high: too many to be called strays."""
-    scores = np.random.default_rng(0).uniform(9, 11, 24)
-    scores[:4] = 30
-    assert standing_apart(scores) == []
-
-
-def test_equal_scores_do_not_stand_apart() -> None:
-    """Copies of one press."""
-    assert standing_apart(np.full(12, 3.0)) == []
+    assert np.mean([bool(standing_apart(drawn)) for drawn in sets[draw](size=(1000, 24))]) < 0.1
 
 
 def test_the_warning_names_the_press_and_the_way_out() -> None:
     """With its score and the highest of the others."""
-    scores = np.linspace(9, 11, 20)
-    scores[4] = 90
-    (said,) = apart_warnings(scores, [f"good/{k}.png" for k in range(20)])
+    high = np.linspace(9, 11, 20)
+    high[4] = 90
+    (said,) = apart_warnings(high, [f"good/{k}.png" for k in range(20)])
     assert "press 'good/4.png' stands apart" in said
     assert "90 where they reach 11" in said
     assert "--leave-out 'good/4.png'" in said
