@@ -40,10 +40,7 @@ def test_who_is_named_sees_the_page(client: str, reached: str, host: str) -> Non
 def test_other_machines_do_not(client: str) -> None:
     """With their address, and where to allow it."""
     said = sentence(PLANT, client, "192.168.1.5", "192.168.1.5")
-    assert (
-        said
-        == f"this page is not shown to {client}; name its address in allow_from of the page on the gateway"
-    )
+    assert f"is not shown to {client}; name its address in allow_from" in str(said)
 
 
 @pytest.mark.parametrize(
@@ -56,94 +53,68 @@ def test_other_machines_do_not(client: str) -> None:
         ("192.168.1.5", "192.168.1.6"),
         ("127.0.0.1", ""),
         ("::1", "[::2]:8080"),
-        ("::1", "[::1"),
+        ("127.0.0.1", "a\x1b[2J" + "b" * 5000),
     ],
 )
 def test_a_name_that_is_not_ours_is_refused(reached: str, host: str) -> None:
-    """A name server of others may answer with our address: then a page of theirs would have our origin."""
-    said = sentence(PLANT, "127.0.0.1", reached, host) if host != "[::1" else "this page is not known as"
-    assert said is not None
+    """A name server of others may answer with our address: then a page of theirs would have our origin. The name came
+    from outside, so what is said of it is short and printable."""
+    said = str(sentence(PLANT, "127.0.0.1", reached, host))
     assert said.startswith("this page is not known as")
-
-
-def test_a_name_in_a_refusal_is_short_and_printable() -> None:
-    """It came from outside."""
-    said = sentence(Access(), "127.0.0.1", "127.0.0.1", "a\x1b[2J" + "b" * 5000)
-    assert said is not None
     assert len(said) < 400
     assert "\x1b" not in said
 
 
 @pytest.mark.parametrize(
-    "more",
-    [
-        {},
-        {"origin": "http://gateway:8080", "sec-fetch-site": "same-origin"},
-        {"origin": "https://GATEWAY:8080"},
-        {"content-type": "application/json; charset=utf-8"},
-    ],
-)
-def test_the_page_itself_may_ask_for_a_change(more: dict[str, str]) -> None:
-    """So may a program, which sends no origin."""
-    assert change_refusal({**OWN, **more}) is None
-
-
-@pytest.mark.parametrize(
     ("more", "status"),
     [
+        ({}, None),  # a program sends no origin
+        ({"origin": "http://gateway:8080", "sec-fetch-site": "same-origin"}, None),
+        ({"origin": "https://GATEWAY:8080"}, None),
+        ({"content-type": "application/json; charset=utf-8"}, None),
         ({"origin": "http://attacker.example"}, 403),
         ({"origin": "http://gateway:9000"}, 403),
         ({"origin": "null"}, 403),
         ({"origin": "ftp://gateway:8080"}, 403),
         ({"sec-fetch-site": "cross-site"}, 403),
         ({"sec-fetch-site": "same-site"}, 403),
-        ({"content-type": "text/plain"}, 415),
+        ({"content-type": "text/plain"}, 415),  # a form of another page can send text
         ({"content-type": "application/x-www-form-urlencoded"}, 415),
         ({"content-type": ""}, 415),
     ],
 )
-def test_another_page_may_not(more: dict[str, str], status: int) -> None:
-    """A form of another page can send text, and its origin is in the request."""
+def test_the_page_itself_may_ask_for_a_change_and_another_may_not(
+    more: dict[str, str], status: int | None
+) -> None:
     refused = change_refusal({**OWN, **more})
-    assert refused is not None
-    assert refused.status == status
+    assert (refused and refused.status) == status
 
 
 def gate(**options: Any) -> TokenGate:
     return TokenGate(options.get("token", b"correct-horse"), options.get("clock", ManualClock()))
 
 
-def test_who_has_the_token_is_admitted() -> None:
-    """As a bearer, however the word is written."""
-    assert gate().refusal("10.0.0.1", "Bearer correct-horse") is None
-    assert gate().refusal("10.0.0.1", "bearer  correct-horse ") is None
-
-
 @pytest.mark.parametrize(
-    ("authorization", "status", "words"),
+    ("token", "authorization", "status", "words"),
     [
-        ("", 401, "needs the token"),
-        ("Bearer", 401, "needs the token"),
-        ("Basic correct-horse", 401, "needs the token"),
-        ("Bearer correct-hors", 401, "not the token"),
-        ("Bearer correct-horse2", 401, "not the token"),
-        ("Bearer \xfc", 401, "not the token"),
+        (b"correct-horse", "Bearer correct-horse", None, ""),
+        (b"correct-horse", "bearer  correct-horse ", None, ""),
+        (b"correct-horse", "", 401, "needs the token"),
+        (b"correct-horse", "Bearer", 401, "needs the token"),
+        (b"correct-horse", "Basic correct-horse", 401, "needs the token"),
+        (b"correct-horse", "Bearer correct-hors", 401, "not the token"),
+        (b"correct-horse", "Bearer correct-horse2", 401, "not the token"),
+        (b"correct-horse", "Bearer \xfc", 401, "not the token"),
+        (None, "Bearer ", 403, "only shows"),
     ],
 )
-def test_who_has_it_not_is_refused_and_recorded(authorization: str, status: int, words: str) -> None:
-    """The sentence holds neither token."""
-    refused = gate().refusal("10.0.0.1", authorization)
-    assert refused is not None
-    assert (refused.status, refused.is_recorded) == (status, True)
-    assert words in refused.sentence
-    assert "horse" not in refused.sentence
-
-
-def test_without_a_token_nobody_is_admitted() -> None:
-    """An empty one least of all."""
-    refused = gate(token=None).refusal("10.0.0.1", "Bearer ")
-    assert refused is not None
-    assert (refused.status, refused.is_recorded) == (403, True)
+def test_who_has_the_token_is_admitted_and_others_are_recorded(
+    token: bytes | None, authorization: str, status: int | None, words: str
+) -> None:
+    """The sentence holds neither token; where none is configured, nobody is admitted."""
+    refused = gate(token=token).refusal("10.0.0.1", authorization)
+    assert (refused and (refused.status, refused.is_recorded)) == (status and (status, True))
+    assert refused is None or (words in refused.sentence and "horse" not in refused.sentence)
 
 
 def test_guessing_is_limited_and_does_not_fill_the_table() -> None:

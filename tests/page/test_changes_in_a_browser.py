@@ -7,21 +7,13 @@ from typing import Any
 
 import pytest
 from chromium import BROWSER_MS, wait_until
-from page_messages import TOKEN, press, state
+from page_messages import TOKEN
 from ports import free_port
 from station import MQTT, Motion, press_recording, station_config, two_parts
 
 from edge.clock import SystemClock
 from edge.config import load_config
-from edge.core.ports import Message
 from edge.gateway.gateway import Gateway
-from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_broker import Broker, Outgoing
-from edge.messaging.mqtt_connection import Connection
-from edge.page.access import Access, TokenGate
-from edge.page.changes import Changes
-from edge.page.from_broker import BrokerStation
-from edge.page.server import PageServer
 
 # What Chromium itself writes about an answer of status 401.
 OF_THE_BROWSER = "Failed to load resource: the server responded with a status of 401 (Unauthorized)"
@@ -119,44 +111,3 @@ def test_a_shift_at_the_page(tab: Any, running: tuple[Gateway, int]) -> None:
         ("page", "unlock", "refused"),
     ]
     assert acts[0].arguments == {"limit_presses": 700, "note": "batch 7"}
-
-
-def test_a_broker_that_is_away_is_seen_and_the_page_goes_on(browser: Any) -> None:
-    """What was shown stays, in grey; then it is as before."""
-    if "mosquitto" not in available_brokers():
-        pytest.skip("SKIPPED, NOT TESTED: the broker mosquitto is not installed")
-    clock, root = SystemClock(), "gelgate/plant/line1/press2/gel/v1"
-    with LocalBroker("mosquitto") as broker:
-        station = BrokerStation(Broker(broker.host, broker.port, "page"), f"{root}/#")
-        changes = Changes(None, TokenGate(None, clock), clock, "this page only shows")
-        server = PageServer(station.shown, changes, Access(), "127.0.0.1", 0, clock)
-        station.start()
-
-        def says(*messages: Message) -> None:
-            connection = Connection.open(Broker(broker.host, broker.port, "says", level="5", timeout_s=60.0))
-            for one in messages:
-                connection.publish(Outgoing(f"{root}/{one.topic}", one.payload, 1, one.retain))
-            connection.close()
-
-        one = browser.new_page()
-        one.set_default_timeout(BROWSER_MS)
-        one.goto(f"http://127.0.0.1:{server.port}/")
-        wait_until(one, "document.getElementById('away').textContent.includes('has no message')")
-        says(state("ready"), *press(1))
-        one.wait_for_selector("#verdict.pass")
-        assert one.inner_text("#why-not") == "this page only shows"
-        assert not one.locator("#unlock").is_visible()
-
-        broker.stop()
-        wait_until(one, "document.getElementById('away').textContent.includes('trying again')")
-        assert one.inner_text("#state") == "last known: ready"
-        assert one.evaluate("getComputedStyle(document.querySelector('main')).opacity") == "0.35"
-
-        broker.start()
-        wait_until(one, "document.getElementById('away').textContent.includes('has no message')")
-        says(state("ready"), *press(2))
-        one.wait_for_selector("#away", state="hidden")
-        wait_until(one, "document.querySelectorAll('#presses tr').length === 2")
-        one.close()
-        server.close()
-        station.close()

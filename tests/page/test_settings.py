@@ -34,13 +34,16 @@ def test_options_that_cannot_work_are_refused(options: dict[str, object], words:
 def test_the_token_is_in_a_file_or_in_the_environment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Blanks around it do not count; without both there is none."""
+    """Blanks around it do not count; without both there is none, and a variable that is not set is named."""
     (tmp_path / "token").write_bytes(b" correct-horse\n")
     (tmp_path / "token").chmod(0o640)
-    monkeypatch.setenv("PAGE_TOKEN", "battery-staple")
+    monkeypatch.delenv("PAGE_TOKEN", raising=False)
 
     assert PageSettings().token() is None
     assert PageSettings(token_file=tmp_path / "token").token() == b"correct-horse"
+    with pytest.raises(ConfigError, match="the environment variable PAGE_TOKEN holds 0 bytes"):
+        PageSettings(token_variable="PAGE_TOKEN").token()
+    monkeypatch.setenv("PAGE_TOKEN", "battery-staple")
     assert PageSettings(token_variable="PAGE_TOKEN").token() == b"battery-staple"
 
 
@@ -67,13 +70,6 @@ def test_a_token_that_cannot_be_used_stops_the_start(
     assert "horse" not in str(caught.value)
     with pytest.raises(ConfigError, match=words):
         plugin.open(options, Station(ROOT, "press2"))
-
-
-def test_a_variable_without_a_token_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not set, or too short."""
-    monkeypatch.delenv("PAGE_TOKEN", raising=False)
-    with pytest.raises(ConfigError, match="the environment variable PAGE_TOKEN holds 0 bytes"):
-        PageSettings(token_variable="PAGE_TOKEN").token()
 
 
 def test_a_check_says_that_nothing_is_encrypted(monkeypatch: pytest.MonkeyPatch) -> None:
