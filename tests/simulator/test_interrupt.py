@@ -1,4 +1,4 @@
-"""Ctrl-C while a dataset is made: only complete files, and the same bytes in the end."""
+"""A dataset whose making was ended: only complete files, and the same bytes in the end."""
 
 import signal
 import subprocess
@@ -7,55 +7,48 @@ import time
 from pathlib import Path
 
 import cv2
+import pytest
 from digests import digests
 
 from calibration.simulator.scene import load_scene
 from calibration.simulator.simulate import simulate_dataset
 
 COMMAND = Path(sys.executable).with_name("gelgate")
+PRESSES = 12
 PATIENCE_S = 300.0  # only what hangs takes so long
 
 
-def test_an_interrupted_dataset_has_complete_files_and_continues(tmp_path: Path) -> None:
-    """After SIGINT: exit code 130, every picture readable, no partial files; the same command then gives the bytes of
-    an uninterrupted run."""
-    scene = load_scene("small")
-    whole = digests(simulate_dataset(scene, tmp_path / "whole", presses=12))
-    cut, pictures = interrupted(tmp_path, sum(name.endswith(".png") for name in whole))
-    assert all(cv2.imread(str(path)) is not None for path in pictures)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    return digests(simulate_dataset(load_scene("small"), tmp_path_factory.mktemp("whole"), presses=PRESSES))
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_a_dataset_that_was_ended_continues(
+    how: signal.Signals, whole: dict[str, str], tmp_path: Path
+) -> None:
+    """After SIGINT the exit code is 130, every picture is readable, and no file is partial; after SIGKILL the workers
+    end too (they hold its standard error open). The same command then gives the bytes of an uninterrupted run."""
+    cut = ended(how, tmp_path, sum(name.endswith(".png") for name in whole))
+    if how is signal.SIGINT:
+        assert all(cv2.imread(str(path)) is not None for path in cut.rglob("*.png"))
+        assert [path.name for path in cut.rglob(".*")] == []
+    assert digests(simulate_dataset(load_scene("small"), cut, presses=PRESSES)) == whole
     assert [path.name for path in cut.rglob(".*")] == []
-    assert digests(simulate_dataset(scene, cut, presses=12)) == whole
 
 
-def interrupted(folder: Path, complete: int) -> tuple[Path, list[Path]]:
-    """A dataset that Ctrl-C ended before it was complete, and its pictures; a busy machine needs several attempts."""
+def ended(how: signal.Signals, folder: Path, complete: int) -> Path:
+    """A dataset whose command was ended before it was complete; a busy machine needs several attempts."""
     for attempt in range(10):
         cut = folder / f"cut{attempt}"
-        process = begun(cut)
-        process.send_signal(signal.SIGINT)
+        arguments = ["lab", "simulate", "small", "-o", str(cut), "--presses", str(PRESSES), "--workers", "2"]
+        process = subprocess.Popen([COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
+        deadline = time.monotonic() + PATIENCE_S
+        while process.poll() is None and time.monotonic() < deadline and len(list(cut.rglob("*.png"))) < 6:
+            time.sleep(0.02)
+        process.send_signal(how)
         _, errors = process.communicate(timeout=PATIENCE_S)
-        pictures = list(cut.rglob("*.png"))
-        if len(pictures) < complete:
-            assert process.returncode == 130, errors
-            return cut, pictures
-    raise AssertionError("it was complete each time, before it could be interrupted")
-
-
-def begun(cut: Path) -> "subprocess.Popen[str]":
-    """The command that makes a dataset of twelve presses there, with its first pictures."""
-    arguments = ["lab", "simulate", "small", "-o", str(cut), "--presses", "12", "--workers", "2"]
-    process = subprocess.Popen([COMMAND, *arguments], stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + PATIENCE_S
-    while process.poll() is None and time.monotonic() < deadline and len(list(cut.rglob("*.png"))) < 6:
-        time.sleep(0.02)
-    return process
-
-
-def test_a_killed_command_leaves_no_workers_and_no_half_files(tmp_path: Path) -> None:
-    """After SIGKILL its workers end too (they hold its standard error open), and a second run removes partial files."""
-    cut = tmp_path / "cut"
-    process = begun(cut)
-    process.kill()
-    process.communicate(timeout=PATIENCE_S)
-    simulate_dataset(load_scene("small"), cut, presses=12)
-    assert [path.name for path in cut.rglob(".*")] == []
+        if len(list(cut.rglob("*.png"))) < complete:
+            assert process.returncode == (130 if how is signal.SIGINT else -how), errors
+            return cut
+    raise AssertionError("it was complete each time, before it could be ended")
