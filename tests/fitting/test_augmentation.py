@@ -149,8 +149,13 @@ def test_a_press_that_is_held_out_takes_its_copies_along() -> None:
 
 
 def test_one_press_makes_a_bundle_that_promises_nothing() -> None:
-    """The manifest says how the bank was made, where the threshold is from, and that no rate is promised."""
-    manifest = fitted(few(1)).manifest
+    """The manifest says how the bank was made, where the threshold is from, and that no rate is promised. Another press
+    of the part passes, and the same with a dark square fails."""
+    found = fitted(few(1))
+    manifest, scorer = found.manifest, Scorer(found.bundle())
+    sound = parts.anywhere(parts.BLOCK, 1, 77, shift_px=2.0, turn_rad=0.01)[1][0]
+    damaged = sound.copy()
+    damaged[40:64, 40:64] = 20
 
     assert "the bank is of 1 press and 32 rendered copies of it" in manifest.facts["augmentation"]["why"]
     assert manifest.threshold.nominal_scores == ()
@@ -158,18 +163,8 @@ def test_one_press_makes_a_bundle_that_promises_nothing() -> None:
     assert promise(manifest.threshold).startswith("no rate is promised: the threshold is 1.")
     assert "1 press promises no false-alarm rate; 19 presses" in " ".join(manifest.provenance.warnings)
     assert manifest.facts["limit"]["why"].startswith("of fewer than 4 presses nothing can be held out")
-
-
-def test_one_press_separates_sound_from_damaged() -> None:
-    """Another press of the part passes, and the same with a dark square fails."""
-    found = fitted(few(1))
-    scorer = Scorer(found.bundle())
-    sound = parts.anywhere(parts.BLOCK, 1, 77, shift_px=2.0, turn_rad=0.01)[1][0]
-    damaged = sound.copy()
-    damaged[40:64, 40:64] = 20
-
-    assert found.manifest.decide(scorer.score(sound).anomaly_score).kind == "pass"
-    assert found.manifest.decide(scorer.score(damaged).anomaly_score).kind == "fail"
+    kinds = [manifest.decide(scorer.score(rgb).anomaly_score).kind for rgb in (sound, damaged)]
+    assert kinds == ["pass", "fail"]
 
 
 @pytest.mark.parametrize(("count", "floor"), [(2, 1 / 3), (3, 1 / 4)])
@@ -184,42 +179,30 @@ def test_two_or_three_presses_promise_what_their_number_allows(count: int, floor
     assert promise(limit).startswith(f"{count} presses: at best {100 * floor:.2g} % (1 in {count + 1})")
 
 
-def test_without_copies_few_presses_have_no_threshold() -> None:
-    """As it was: a fold would have too few presses to learn from."""
-    with pytest.raises(FitError, match="3 nominal presses give no threshold"):
-        fitted(few(3), "never")
-    with pytest.raises(FitError, match=r"1 nominal press gives no threshold.*need a picture of the free gel"):
-        fitted(few(1, no_contact=None))
-
-
-def test_one_press_twice_is_one_picture() -> None:
-    """It shows nothing of how presses differ, with or without copies."""
-    presses = few(1)
-    frames = np.concatenate([presses.frames] * 2)
-    twice = dataclasses.replace(presses, frames=frames, names=("a", "b"), specimens=())
-
-    with pytest.raises(FitError, match="all 2 presses are one picture"):
-        fitted(twice)
-
-
-def test_no_press_makes_no_bundle() -> None:
-    """The sentence says how few are enough."""
-    with pytest.raises(FitError, match="give at least 4, or 1 with a picture of the free gel"):
-        fitted(nominal(np.empty((0, parts.SIDE, parts.SIDE, 3), np.uint8)))
-
-
-def test_registered_presses_are_not_copied() -> None:
-    """They lie in one pose already: an error where copies are asked for."""
-    presses = nominal(parts.anywhere(parts.BLOCK, 6)[1])
-
-    with pytest.raises(FitError, match="the presses are registered"):
-        fitted(presses, "always", register="always")
+@pytest.mark.parametrize(
+    ("presses", "changes", "sentence"),
+    [
+        (few(3), {"augment": "never"}, "3 nominal presses give no threshold"),
+        (few(1, no_contact=None), {}, "1 nominal press gives no threshold.*need a picture of the free gel"),
+        (nominal(np.repeat(few(1).frames, 2, axis=0)), {}, "all 2 presses are one picture"),
+        (nominal(few(1).frames[:0]), {}, "give at least 4, or 1 with a picture of the free gel"),
+        (
+            nominal(parts.anywhere(parts.BLOCK, 6)[1]),
+            {"augment": "always", "register": "always"},
+            "the presses are registered",
+        ),
+    ],
+)
+def test_what_copies_cannot_help_is_refused(
+    presses: NominalPresses, changes: dict[str, object], sentence: str
+) -> None:
+    """Few presses without copies, one press twice, none at all, and copies of presses that lie in one pose already."""
+    with pytest.raises(FitError, match=sentence):
+        fitted(presses, **changes)
 
 
 def test_many_presses_fit_as_they_always_did() -> None:
     """With more than eight presses `auto` changes no byte of bank, graphs and golden frames."""
     presses = few(9)
     with_auto, without = fitted(presses, "auto").files, fitted(presses, "never").files
-    assert {name: data for name, data in with_auto.items() if name != "manifest.json"} == {
-        name: data for name, data in without.items() if name != "manifest.json"
-    }
+    assert {**with_auto, "manifest.json": b""} == {**without, "manifest.json": b""}

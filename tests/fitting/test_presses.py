@@ -1,5 +1,6 @@
 """Nominal presses from recordings and pictures: frames as in the gateway, and a sentence for the rest."""
 
+import shutil
 from pathlib import Path
 
 import cv2
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.fitting.bundle_measurements import free_gel_warnings
-from calibration.fitting.presses.nominal_presses import MAX_NO_CONTACT, read_presses
+from calibration.fitting.presses.nominal_presses import MAX_NO_CONTACT, NominalPresses, read_presses
 from edge.core.errors import DatasetError, FitError, RecordingError
 from edge.core.imaging.image_bytes import with_comment
 from edge.core.imaging.region import Region
@@ -48,25 +49,37 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_recording_gives_one_frame_per_press(recording: Path) -> None:
-    """Three presses, three settled frames with their places and specimens, and the free gel before them."""
-    presses = read_presses([recording], PROFILE, REGION)
-    assert presses.frames.shape == (3, 96, 96, 3)
-    assert presses.specimens == ("0", "0", "1")
-    assert [round(t.x * 160) for t in presses.touches] == pytest.approx([70, 80, 90], abs=2)
-    assert presses.no_contact is not None
-    assert 1 <= len(presses.no_contact) <= MAX_NO_CONTACT
-    assert presses.names[0].startswith("three#")
+@pytest.fixture(scope="module")
+def recorded(recording: Path) -> NominalPresses:
+    return read_presses([recording], PROFILE, REGION)
 
 
-def test_touched_is_the_union_of_the_presses_with_a_margin(recording: Path) -> None:
+def test_a_recording_gives_one_frame_per_press(recorded: NominalPresses) -> None:
+    """Three presses, three settled frames with their places and specimens, and the free gel before them, whose mean is
+    kept for the start of the gateway."""
+    assert recorded.frames.shape == (3, 96, 96, 3)
+    assert recorded.specimens == ("0", "0", "1")
+    assert recorded.faults == ()
+    assert [round(t.x * 160) for t in recorded.touches] == pytest.approx([70, 80, 90], abs=2)
+    assert recorded.no_contact is not None
+    assert 1 <= len(recorded.no_contact) <= MAX_NO_CONTACT
+    assert recorded.names[0].startswith("three#")
+    assert recorded.free_view is not None
+    assert recorded.free_view.shape == (120, 160, 3)
+    assert np.abs(recorded.free_view.mean() - 110 - 10 - 10) < 3
+    assert all(0.01 < relief < 0.3 for relief in recorded.reliefs)
+
+
+def test_touched_is_the_union_of_the_presses_with_a_margin(recorded: NominalPresses) -> None:
     """All three balls are inside, the region's corner is not, and the margin is a millimetre (4 pixels here)."""
-    presses = read_presses([recording], PROFILE, REGION)
-    assert presses.touched is not None
-    for x in (70, 80, 90):
-        assert presses.touched[60 - 12, x - 24]
-    assert not presses.touched[0, 0]
-    assert presses.touched[48, 90 + 18 + 2 - 24]
+    assert recorded.touched is not None
+    assert recorded.touched[60 - 12, [70 - 24, 80 - 24, 90 - 24]].all()
+    assert not recorded.touched[0, 0]
+    assert recorded.touched[48, 90 + 18 + 2 - 24]
+
+
+def png(rgb: np.ndarray) -> bytes:
+    return bytes(cv2.imencode(".png", rgb)[1])
 
 
 def write(folder: Path, name: str, payload: bytes) -> Path:
@@ -97,50 +110,52 @@ def test_with_a_picture_of_the_free_gel_the_touch_is_known(tmp_path: Path) -> No
 
 
 def test_every_picture_at_fault_is_named_at_once(tmp_path: Path) -> None:
-    """Wrong size, cut short, not a picture: one report."""
+    """Wrong size, cut short, not a picture, black: one report."""
     folder = write(tmp_path / "good", "sound.png", gel(1))
-    write(folder, "small.png", bytes(cv2.imencode(".png", np.zeros((10, 20, 3), np.uint8))[1]))
+    write(folder, "small.png", png(np.zeros((10, 20, 3), np.uint8)))
     write(folder, "cut.png", gel(1)[:-40])
     write(folder, "text.png", b"not a picture")
-    with pytest.raises(DatasetError, match="3 of 4 pictures") as caught:
+    write(folder, "black.png", png(np.zeros((120, 160, 3), np.uint8)))
+    with pytest.raises(DatasetError, match="4 of 5 pictures") as caught:
         read_presses([folder], PROFILE, REGION)
-    for said in ("small.png: is 20x10", "cut.png", "text.png: is not a picture"):
-        assert said in str(caught.value)
+    said = (
+        "small.png: is 20x10",
+        "cut.png",
+        "text.png: is not a picture",
+        "black.png: is black: its mean level is 0",
+    )
+    assert all(words in str(caught.value) for words in said)
 
 
 def test_other_sizes_are_scaled_only_when_asked(tmp_path: Path) -> None:
-    """A picture of another tool can be used with an option."""
-    big = np.full((240, 320, 3), 77, np.uint8)
-    folder = write(tmp_path / "good", "big.png", bytes(cv2.imencode(".png", big)[1]))
+    """A picture of another tool can be used with an option; a portrait loses its upper and lower quarter."""
+    tall = np.zeros((160, 120, 3), np.uint8)
+    tall[35:125] = 77
+    folder = write(tmp_path / "good", "big.png", png(np.full((240, 320, 3), 77, np.uint8)))
+    write(folder, "tall.png", png(tall))
     with pytest.raises(DatasetError, match="allow resizing"):
         read_presses([folder], PROFILE, REGION)
     assert (read_presses([folder], PROFILE, REGION, resize=True).frames == 77).all()
 
 
 def test_no_source_with_a_press_is_a_sentence(tmp_path: Path) -> None:
-    """An empty folder, a missing path and no source have different sentences."""
+    """An empty folder, a missing path, no source, and a recording of the free gel alone."""
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FitError, match="neither a recording nor a folder with pictures"):
-        read_presses([tmp_path / "empty"], PROFILE, REGION)
-    with pytest.raises(FitError, match="nothing at"):
-        read_presses([tmp_path / "missing"], PROFILE, REGION)
-    with pytest.raises(FitError, match="no press was found"):
-        read_presses([], PROFILE, REGION)
-
-
-def test_a_recording_without_a_press_is_a_sentence(tmp_path: Path) -> None:
-    """Thirty frames of the free gel hold no press."""
     with RecordingWriter(tmp_path / "free", RecordingHeader("mock", "T", (160, 120), 20.0)) as writer:
         for k in range(30):
             writer.add(gel(k), k * FRAME_NS)
-    with pytest.raises(FitError, match="no press was found"):
-        read_presses([tmp_path / "free"], PROFILE, REGION)
+    for sources, sentence in (
+        (["empty"], "neither a recording nor a folder with pictures"),
+        (["missing"], "nothing at"),
+        ([], "no press was found"),
+        (["free"], "no press was found"),
+    ):
+        with pytest.raises(FitError, match=sentence):
+            read_presses([tmp_path / name for name in sources], PROFILE, REGION)
 
 
 def test_a_recording_with_a_lost_frame_is_refused(recording: Path, tmp_path: Path) -> None:
     """The recording's own check refuses it."""
-    import shutil
-
     copy = Path(shutil.copytree(recording, tmp_path / "copy"))
     next((copy / "frames").iterdir()).unlink()
     with pytest.raises(RecordingError, match="lacks 1 of its"):
@@ -149,15 +164,12 @@ def test_a_recording_with_a_lost_frame_is_refused(recording: Path, tmp_path: Pat
 
 def test_what_is_missing_of_a_recording_is_said(recording: Path, tmp_path: Path) -> None:
     """A frame that cannot be read, an index that ends within a line, and labels of another number of presses."""
-    import shutil
-
     copy = Path(shutil.copytree(recording, tmp_path / "copy"))
     (copy / "frames" / "000005.png").write_bytes(b"")
     index = (copy / "index.jsonl").read_text()
     (copy / "index.jsonl").write_text(index.replace('{"specimen": ', '{"press": ')[:-9])
     presses = read_presses([copy], PROFILE, REGION)
 
-    assert read_presses([recording], PROFILE, REGION).faults == ()
     cut, unread, labels = presses.faults
     assert cut == "recording copy ends within a line of its index: what came later is not learnt"
     assert unread.startswith("1 of 275 frames of recording copy cannot be read; the first: frame 5 ")
@@ -181,58 +193,22 @@ def test_a_pattern_chooses_files_in_folders_below(tmp_path: Path) -> None:
         write(tmp_path / "set" / str(k), "plot.png", gel(k))
     with pytest.raises(FitError, match=r"one picture directly inside, background\.png, and 6 in"):
         read_presses([tmp_path / "set"], PROFILE, REGION)
-    presses = read_presses(
-        [tmp_path / "set"],
-        PROFILE,
-        REGION,
-        pattern="*/press.png",
-        no_contact=[tmp_path / "set/background.png"],
+    free = [tmp_path / "set/background.png"]
+    presses, everything = (
+        read_presses([tmp_path / "set"], PROFILE, REGION, pattern=pattern, no_contact=free)
+        for pattern in ("*/press.png", "**/*")
     )
     assert presses.names == ("0/press.png", "1/press.png", "2/press.png")
-    everything = read_presses(
-        [tmp_path / "set"], PROFILE, REGION, pattern="**/*", no_contact=[tmp_path / "set/background.png"]
-    )
     assert len(everything) == 6
-
-
-def test_a_black_picture_is_no_press(tmp_path: Path) -> None:
-    """It is named among the faults."""
-    folder = write(tmp_path / "good", "sound.png", gel(1))
-    write(folder, "black.png", bytes(cv2.imencode(".png", np.zeros((120, 160, 3), np.uint8))[1]))
-    with pytest.raises(DatasetError, match=r"black\.png: is black: its mean level is 0\.0"):
-        read_presses([folder], PROFILE, REGION)
-
-
-def test_resizing_cuts_to_the_aspect(tmp_path: Path) -> None:
-    """A portrait picture loses its upper and lower quarter; its middle is not squashed."""
-    tall = np.zeros((160, 120, 3), np.uint8)
-    tall[35:125] = 200
-    folder = write(tmp_path / "good", "tall.png", bytes(cv2.imencode(".png", tall)[1]))
-    assert (read_presses([folder], PROFILE, REGION, resize=True).frames == 200).all()
-
-
-def test_the_free_gel_of_a_fit_is_kept_for_the_start(recording: Path) -> None:
-    """As in contact detection: the mean of the free gel before the presses."""
-    presses = read_presses([recording], PROFILE, REGION)
-    assert presses.free_view is not None
-    assert presses.free_view.shape == (120, 160, 3)
-    assert np.abs(presses.free_view.mean() - 110 - 10 - 10) < 3
-    assert all(0.01 < relief < 0.3 for relief in presses.reliefs)
 
 
 def test_a_free_gel_of_another_light_is_a_warning(tmp_path: Path) -> None:
     """The touched area is the light's, the same for each press; with the right picture there is no warning."""
     for k in range(4):
         write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60)))
-    bgr = cv2.imdecode(np.frombuffer(gel(9), np.uint8), cv2.IMREAD_COLOR)
-    assert bgr is not None
-    lit = bgr.astype(np.float64) + 50 * np.clip(np.linspace(-1, 1, 160), 0, 1)[None, :, None] * [
-        1.0,
-        0.2,
-        -0.8,
-    ]
-    other = bytes(cv2.imencode(".png", np.clip(lit, 0, 255).astype(np.uint8))[1])
-    write(tmp_path / "other", "free.png", other)
+    across = 50 * np.clip(np.linspace(-1, 1, 160), 0, 1)[None, :, None]
+    lit = cv2.imdecode(np.frombuffer(gel(9), np.uint8), cv2.IMREAD_COLOR) + across * [1.0, 0.2, -0.8]
+    write(tmp_path / "other", "free.png", png(np.clip(lit, 0, 255).astype(np.uint8)))
     write(tmp_path / "own", "free.png", gel(9))
     wrong, right = (
         read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / name])
@@ -248,8 +224,7 @@ def test_a_part_that_fills_the_view_is_no_other_light(tmp_path: Path) -> None:
     assert free is not None
     for k in range(4):
         grooves = 40 * np.sin((np.arange(160) + 3 * k) / 2)[None, :, None] + free
-        png = bytes(cv2.imencode(".png", np.clip(grooves, 0, 255).astype(np.uint8))[1])
-        write(tmp_path / "good", f"{k}.png", png)
+        write(tmp_path / "good", f"{k}.png", png(np.clip(grooves, 0, 255).astype(np.uint8)))
     write(tmp_path / "own", "free.png", gel(8))
     presses = read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / "own"])
     assert min(presses.reliefs) > 0.8

@@ -108,51 +108,34 @@ def test_an_object_without_the_grooves_lacks_relief(
     assert (missing(choice, take, presses.smooth) > 1).all()
 
 
-def test_sound_presses_lack_nothing(choice: ReliefChoice, presses: Presses, take: Taken) -> None:
-    """Learnt ones are far below the limit, and so are others."""
-    assert (missing(choice, take, presses.learnt.frames) < 0.9).all()
-    assert (missing(choice, take, presses.sound) < 0.9).all()
-
-
-def test_a_lighter_press_lacks_nothing(choice: ReliefChoice, presses: Presses, take: Taken) -> None:
-    """Three quarters of the depth show less of the part; its relief is there."""
-    assert (missing(choice, take, presses.lighter) < 1).all()
-
-
-def test_another_light_lacks_nothing(choice: ReliefChoice, presses: Presses, take: Taken) -> None:
-    """Other colours and four fifths of the exposure are no other object."""
+def test_what_shows_the_grooves_lacks_nothing(choice: ReliefChoice, presses: Presses, take: Taken) -> None:
+    """Learnt presses are far below the limit, and so are others; three quarters of the depth, other colours and four
+    fifths of the exposure are no other object. The free gel lacks everything."""
     rng = np.random.default_rng(3)
-    assert (missing(choice, take, np.stack([relit(rgb, rng) for rgb in presses.sound])) < 1).all()
-    assert (missing(choice, take, np.stack([dimmed(rgb, 0.8) for rgb in presses.sound])) < 1).all()
-
-
-def test_the_free_gel_lacks_everything(choice: ReliefChoice, presses: Presses, take: Taken) -> None:
-    """Nothing touches."""
     assert presses.learnt.no_contact is not None
+    for limit, frames in (
+        (0.9, presses.learnt.frames),
+        (0.9, presses.sound),
+        (1, presses.lighter),
+        (1, np.stack([relit(rgb, rng) for rgb in presses.sound])),
+        (1, np.stack([dimmed(rgb, 0.8) for rgb in presses.sound])),
+    ):
+        assert (missing(choice, take, frames) < limit).all()
     assert (missing(choice, take, presses.learnt.no_contact) > 2).all()
 
 
-def test_a_smooth_part_can_lack_little(presses: Presses, take: Taken) -> None:
-    """Where few smoother presses are found nothing is checked, and the choice says so."""
+def test_where_nothing_can_be_learnt_nothing_is_checked(presses: Presses, take: Taken) -> None:
+    """Of a smooth part little can be missing; where a learnt press shows the free gel no contact is too weak; without
+    the free gel no object can be made smoother."""
     with reproducible_opencv():
-        frames = np.stack([presses.of(smooth_dome, k) for k in range(LEARNT)])
-    found = chosen(replace(presses.learnt, frames=frames), take)
-    assert found.relief is None
-    assert "little can be missing" in found.why
-
-
-def test_nothing_is_checked_where_a_learnt_press_hardly_touches(presses: Presses, take: Taken) -> None:
-    """One of them shows the free gel: then no contact is too weak."""
+        smooth = np.stack([presses.of(smooth_dome, k) for k in range(LEARNT)])
     assert presses.learnt.no_contact is not None
-    frames = presses.learnt.frames.copy()
-    frames[0] = presses.learnt.no_contact[0]
-    found = chosen(replace(presses.learnt, frames=frames), take)
-    assert found.relief is None
-    assert found.why == "a learnt press hardly touches"
-
-
-def test_nothing_is_learnt_without_the_free_gel(presses: Presses) -> None:
-    """Without it no object can be made smoother."""
+    hardly = presses.learnt.frames.copy()
+    hardly[0] = presses.learnt.no_contact[0]
+    for frames, why in ((smooth, "little can be missing"), (hardly, "a learnt press hardly touches")):
+        found = chosen(replace(presses.learnt, frames=frames), take)
+        assert found.relief is None
+        assert why in found.why
     without = replace(presses.learnt, no_contact=None)
     assert change_presses(without, PROFILE, REGION, np.random.default_rng(0)) is None
 
