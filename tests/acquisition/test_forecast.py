@@ -19,13 +19,10 @@ def test_a_power_law_is_forecast_exactly(seen: int) -> None:
 
 
 def test_the_fall_of_the_next_round() -> None:
-    """0.5/8 to 0.5/12; of one piece, to 0.5/9."""
+    """0.5/8 to 0.5/12; of one piece, to 0.5/9. Where presses pay no more the number seen is the answer; a curve that
+    has reached nothing, too."""
     assert fall(hyperbola(8)) == pytest.approx(0.5 / 8 - 0.5 / 12)
     assert fall(hyperbola(8), step=1) == pytest.approx(0.5 / 8 - 0.5 / 9)
-
-
-def test_presses_that_already_pay_no_more_need_no_other() -> None:
-    """The number seen is the answer; a curve that has reached nothing, too."""
     assert fall(hyperbola(20)) <= PAYS
     assert pays_until(hyperbola(20)) == 20
     assert pays_until(np.array([1.0, 0.2, 0.0, 0.0])) == 4

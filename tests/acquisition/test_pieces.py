@@ -8,9 +8,10 @@ from calibration.acquisition.folder import KeptPress, Keys, Pieces
 
 
 def test_names_of_the_source_are_numbered_as_they_come() -> None:
-    """A name keeps its number."""
+    """A name keeps its number; without one the piece is unknown."""
     pieces = Pieces(())
     assert [pieces.of(name) for name in ("s7", "s7", "s3", "s7")] == [1, 1, 2, 1]
+    assert Pieces(()).of(None) is None
 
 
 def test_counted_presses_change_the_piece() -> None:
@@ -31,11 +32,6 @@ def test_an_earlier_run_is_continued() -> None:
     named = Pieces(kept)
     named.see_again("s9", 2)
     assert [named.of("s9"), named.of("new")] == [2, 3]
-
-
-def test_unknown_pieces_stay_unknown() -> None:
-    """What is pressed is not said."""
-    assert Pieces(()).of(None) is None
 
 
 class _Lines:

@@ -24,11 +24,28 @@ def test_what_a_goal_needs(rate: float, confidence: float, presses: int) -> None
     assert Goal(rate, confidence).presses == presses
 
 
-def test_enough_is_promise_and_coverage() -> None:
-    """21 presses promise too little; 22 that show nothing new are enough; without a coverage nothing is."""
-    assert not Standing(21, None, coverage(21, 0)).is_enough
-    assert Standing(22, None, coverage(22, 0)).is_enough
-    assert not Standing(22, None, None).is_enough
+@pytest.mark.parametrize(
+    ("presses", "unseen", "is_covered", "is_enough", "needed"),
+    [
+        (7, 0, False, False, None),  # seven presses alike may be luck
+        (8, 0, True, False, 14),
+        (10, 0, True, False, 12),
+        (21, 0, True, False, 1),
+        (22, 0, True, True, 0),
+        (30, 0, True, True, 0),
+        (22, 10, True, True, 0),  # what differs on every press is not pressed for ever
+        (10, None, False, False, None),
+        (22, None, False, False, None),
+    ],
+)
+def test_enough_is_promise_and_coverage(
+    presses: int, unseen: int | None, is_covered: bool, is_enough: bool, needed: int | None
+) -> None:
+    """21 presses promise too little; 22 that show nothing new are enough; without a coverage nothing is known."""
+    standing = Standing(presses, None, None if unseen is None else coverage(presses, unseen))
+    assert (standing.is_covered, standing.is_enough) == (is_covered, is_enough)
+    assert needed is None or standing.still_needed == needed
+    assert unseen is not None or standing.still_needed is None
 
 
 def test_presses_that_show_something_new_are_not_enough() -> None:
@@ -40,27 +57,6 @@ def test_presses_that_show_something_new_are_not_enough() -> None:
     assert standing.fall > 0.01
     assert not standing.is_enough
     assert standing.still_needed
-
-
-def test_what_differs_on_every_press_is_not_pressed_for_ever() -> None:
-    """Ten cells that differ on every press: more presses do not lower their share, so they are not asked for."""
-    standing = Standing(22, None, coverage(22, 10))
-    assert standing.coverage is not None
-    assert standing.coverage.unseen == pytest.approx(0.1)
-    assert standing.is_enough
-
-
-def test_coverage_is_not_trusted_before_eight_presses() -> None:
-    """Seven presses alike may be luck."""
-    assert not Standing(7, None, coverage(7, 0)).is_covered
-    assert Standing(8, None, coverage(8, 0)).is_covered
-
-
-def test_the_forecast_is_the_larger_of_both() -> None:
-    """Covered already: the promise decides, 12 more of 10. It is unknown without a coverage."""
-    assert Standing(10, None, coverage(10, 0)).still_needed == 12
-    assert Standing(10, None, None).still_needed is None
-    assert Standing(30, None, coverage(30, 0)).still_needed == 0
 
 
 def test_the_promise_in_words() -> None:

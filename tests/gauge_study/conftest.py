@@ -34,27 +34,13 @@ def rows_of() -> Rows:
             score = float(1 + int(step.piece[1:]) * 0.25 - 0.6 + noise * rng.standard_normal())
             if number in skip:
                 continue
-            fields = {
-                "press_id": f"{number:026d}",
-                "time_ns": T0 + number * 10**9,
-                "serial": "S1",
-                "gel_id": "g1",
-                "part": "bolt",
-                "position": "crest",
-                "bundle_id": "b1",
-                "verdict": known[step.piece] or "pass",
-                "score": score,
-                "threshold": 1.0,
-            }
+            fields = {"verdict": known[step.piece] or "pass", "score": score, **changes}
             rows.append(
                 StudyPress(
-                    step=number,
-                    piece=step.piece,
-                    operator=step.operator,
-                    repeat=step.repeat,
-                    **{**fields, **changes},  # type: ignore[arg-type]
-                )
-            )
+                    f"{number:026d}", T0 + number * 10**9, "S1", "g1", "bolt", "crest", "b1", threshold=1.0,
+                    step=number, piece=step.piece, operator=step.operator, repeat=step.repeat, **fields,
+                )  # type: ignore[arg-type]
+            )  # fmt: skip
         return rows
 
     return made

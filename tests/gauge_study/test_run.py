@@ -109,6 +109,10 @@ def test_a_press_is_repeated_and_one_is_skipped(config: Path, small: StudyPlan) 
     """The first row stays and does not count; what was skipped is asked for at the next run."""
     said: list[str] = []
     with running(config, small, said) as (station, labels, _):
+        labels.keys.put("r")
+        station.play_until(lambda: station.loop.session is not None)
+        station.loop.step(None)
+        nothing_yet = "there is no press of this run to repeat" in said
         until(station, 1)
         labels.keys.put("r")
         until(station, 2)
@@ -121,6 +125,7 @@ def test_a_press_is_repeated_and_one_is_skipped(config: Path, small: StudyPlan) 
     with running(config, small, again) as (station, _, _):
         station.play_until(lambda: station.loop.session is not None)
 
+    assert nothing_yet
     assert [(one.step, one.is_void) for one in found] == [(0, True), (0, False), (2, False)]
     assert left == 6
     assert any("'x' is no key" in line for line in said)
@@ -173,57 +178,35 @@ def test_a_plan_that_was_changed_since_its_beginning_is_refused(config: Path, sm
             prepared(other, store, print, print)
 
 
-def test_nothing_to_repeat_is_said(config: Path, small: StudyPlan) -> None:
-    """Before the first press."""
-    said: list[str] = []
-    with running(config, small, said) as (station, labels, _):
-        labels.keys.put("r")
-        station.play_until(lambda: station.loop.session is not None)
-        station.loop.step(None)
-
-    assert "there is no press of this run to repeat" in said
-
-
 def test_the_command_line_from_plan_to_report(config: Path, tmp_path: Path) -> None:
     """Planned, run twice on a recording of five presses until the eight are there, and reported in every form."""
-    study, words = (
-        tmp_path / "study.json",
-        ("--pieces", "2", "--operators", "2", "--repeats", "2", "--seed", "1"),
-    )
-    planned = gelgate("lab", "msa", "plan", "-o", study, *words, "--bad", "P2")
-    again = gelgate("lab", "msa", "plan", "-o", study, *words)
-    early = gelgate("lab", "msa", "report", "-c", config)
-    first = gelgate("lab", "msa", "run", study, "-c", config)
-    too_few = gelgate("lab", "msa", "report", study, "-c", config)
-    second = gelgate("lab", "msa", "run", study, "-c", config)
-    printed = gelgate("lab", "msa", "report", "-c", config)
-    unknown = gelgate("lab", "msa", "report", "other", "-c", config)
-    files = [
-        gelgate("lab", "msa", "report", study, "-c", config, "-o", tmp_path / f"a{end}")
-        for end in (".md", ".csv")
-    ]
-    odd = gelgate("lab", "msa", "report", study, "-c", config, "-o", tmp_path / "a.pdf")
-
-    assert (planned.code, planned.out.startswith("8 presses in ")) == (0, True)
-    assert (again.code, "name another file" in again.err) == (3, True)
-    assert (early.code, "does not exist" in early.err) == (3, True)
-    assert (first.code, "3 presses are left" in first.out) == (0, True)
-    assert (too_few.code, "`gelgate lab msa run` goes on" in too_few.err) == (3, True)
-    assert (second.code, "the study is complete" in second.out) == (0, True)
-    assert (printed.code, "Gauge R&R of the score" in printed.out) == (0, True)
-    assert (unknown.code, "has no study 'other'" in unknown.err) == (3, True)
-    assert [done.code for done in files] == [0, 0]
-    assert (odd.code, "known are .md, .csv" in odd.err) == (3, True)
+    study, words = tmp_path / "study.json", ("--pieces", 2, "--operators", 2, "--repeats", 2, "--seed", 1)
+    for code, said, arguments in (
+        (0, "8 presses in ", ("plan", "-o", study, *words, "--bad", "P2")),
+        (3, "name another file", ("plan", "-o", study, *words)),
+        (3, "does not exist", ("report", "-c", config)),
+        (0, "3 presses are left", ("run", study, "-c", config)),
+        (3, "`gelgate lab msa run` goes on", ("report", study, "-c", config)),
+        (0, "the study is complete", ("run", study, "-c", config)),
+        (0, "Gauge R&R of the score", ("report", "-c", config)),
+        (3, "has no study 'other'", ("report", "other", "-c", config)),
+        (0, "", ("report", study, "-c", config, "-o", tmp_path / "a.md")),
+        (0, "", ("report", study, "-c", config, "-o", tmp_path / "a.csv")),
+        (3, "known are .md, .csv", ("report", study, "-c", config, "-o", tmp_path / "a.pdf")),
+    ):
+        done = gelgate("lab", "msa", *arguments)
+        assert done.code == code, arguments
+        assert said in (done.err if code else done.out)
 
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("lab", "msa", "plan", "--pieces", "1"), "at least 2 pieces, found 1"),
-        (("lab", "msa", "plan", "--operators", "1"), "at least 2 operators, found 1"),
-        (("lab", "msa", "plan", "--repeats", "1"), "at least 2 repeats, found 1"),
-        (("lab", "msa", "plan", "--bad", "P11"), "no piece is named 'P11'"),
-        (("lab", "msa", "run", "none.json"), "plan none.json cannot be read"),
+        (("plan", "--pieces", "1"), "at least 2 pieces, found 1"),
+        (("plan", "--operators", "1"), "at least 2 operators, found 1"),
+        (("plan", "--repeats", "1"), "at least 2 repeats, found 1"),
+        (("plan", "--bad", "P11"), "no piece is named 'P11'"),
+        (("run", "none.json"), "plan none.json cannot be read"),
     ],
 )
 def test_what_cannot_be_done_is_one_sentence(
@@ -231,6 +214,6 @@ def test_what_cannot_be_done_is_one_sentence(
 ) -> None:
     """Exit code 3."""
     monkeypatch.chdir(tmp_path)
-    done = gelgate(*words)
+    done = gelgate("lab", "msa", *words)
 
     assert (done.code, sentence in done.sentence()) == (3, True)

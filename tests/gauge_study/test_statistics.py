@@ -1,5 +1,7 @@
 """Gauge R&R, agreement and drift: known variances are found, and what has no meaning is said."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from calibration.gauge_study.agreement import agreement, cohen_kappa, fleiss_kappa
+from calibration.gauge_study.agreement import Share, agreement, cohen_kappa, fleiss_kappa
 from calibration.gauge_study.gauge import by_average_and_range, drift, gauge_by_anova
 
 
@@ -82,17 +84,31 @@ def test_the_variance_table_adds_up_and_its_p_is_that_of_f() -> None:
     assert rows["interaction"].p == pytest.approx(float(stats.f.sf(rows["interaction"].f, 8, 15)), rel=1e-7)
 
 
-@pytest.mark.parametrize("shape", [(1, 2, 2), (2, 1, 2), (2, 2, 1)])
-def test_fewer_than_two_of_anything_is_refused(shape: tuple[int, int, int]) -> None:
-    """One sentence with what was found."""
-    with pytest.raises(ValueError, match=f"found {' x '.join(map(str, shape))}"):
-        gauge_by_anova(np.random.default_rng(0).standard_normal(shape))
+NOISE = np.random.default_rng(0).standard_normal((2, 2, 2))
 
 
-def test_scores_that_do_not_vary_are_refused() -> None:
-    """The same piece was pressed all the time."""
-    with pytest.raises(ValueError, match=r"all scores are 0.5, so nothing varies; check that the pieces"):
-        gauge_by_anova(np.full((3, 2, 2), 0.5))
+@pytest.mark.parametrize(
+    ("work", "sentence"),
+    [
+        (lambda: gauge_by_anova(NOISE[:1]), "found 1 x 2 x 2"),
+        (lambda: gauge_by_anova(NOISE[:, :1]), "found 2 x 1 x 2"),
+        (lambda: gauge_by_anova(NOISE[..., :1]), "found 2 x 2 x 1"),
+        (
+            lambda: gauge_by_anova(np.full((3, 2, 2), 0.5)),
+            r"all scores are 0.5, so nothing varies; check that the pieces",
+        ),
+        (lambda: cohen_kappa([], []), "two series of one length"),
+        (lambda: cohen_kappa(["a"], ["a", "b"]), "two series of one length"),
+        (
+            lambda: fleiss_kappa([["a", "b"], ["a"]]),
+            r"as many decisions about each piece, at least 2, found \[1, 2\]",
+        ),
+    ],
+)
+def test_what_has_no_statistic_is_refused(work: Callable[[], object], sentence: str) -> None:
+    """Fewer than two of anything, scores that do not vary, decisions that cannot be paired: one sentence."""
+    with pytest.raises(ValueError, match=sentence):
+        work()
 
 
 def test_pieces_that_repeat_exactly_have_no_gauge_error() -> None:
@@ -118,16 +134,10 @@ def test_agreement_is_counted_by_piece_and_errors_by_decision() -> None:
     a, b = found.appraisers
 
     assert (a.within.found, b.within.found, found.between.found) == (3, 2, 1)
-    assert found.with_known is not None
-    assert found.with_known.found == 1
-    assert a.effectiveness is not None
-    assert b.effectiveness is not None
-    assert (a.effectiveness.found, b.effectiveness.found) == (3, 2)
-    assert a.misses is not None
-    assert b.misses is not None
-    assert (a.misses.found, a.misses.of, b.misses.found) == (0, 4, 1)
-    assert a.false_alarms is not None
-    assert (a.false_alarms.found, a.false_alarms.of) == (1, 4)
+    assert found.with_known == Share(1, 4)
+    assert (a.effectiveness, b.effectiveness) == (Share(3, 4), Share(2, 4))
+    assert (a.misses, b.misses) == (Share(0, 4), Share(1, 4))
+    assert a.false_alarms == Share(1, 4)
     assert found.verdicts == {"pass": 8, "fail": 7, "unsure": 1}
 
 
@@ -142,41 +152,19 @@ def test_one_verdict_alone_has_no_kappa() -> None:
 
 
 def test_kappa_is_one_for_agreement_and_near_zero_by_chance() -> None:
-    """And its standard error is that of many series by chance."""
+    """And its standard error is that of many series by chance, for Cohen's and for Fleiss' kappa."""
     rng = np.random.default_rng(6)
-    values = [
+    cohen = [
         cohen_kappa(list(rng.choice(["a", "b"], 60, p=[0.3, 0.7])), list(rng.choice(["a", "b"], 60)))
         for _ in range(400)
     ]
+    fleiss = [fleiss_kappa(rng.choice(["a", "b"], (20, 5), p=[0.25, 0.75]).tolist()) for _ in range(400)]
 
     assert cohen_kappa(["a", "b", "a"], ["a", "b", "a"]).value == 1.0
-    assert np.mean([one.value for one in values]) == pytest.approx(0, abs=0.02)
-    assert np.std([one.value for one in values]) == pytest.approx(
-        float(np.mean([one.standard_error for one in values])), rel=0.15
-    )
-
-
-def test_the_standard_error_of_fleiss_kappa_is_that_of_many_studies_by_chance() -> None:
-    """Twenty things, five decisions each, one verdict three times as frequent as the other."""
-    rng = np.random.default_rng(9)
-    found = [fleiss_kappa(rng.choice(["a", "b"], (20, 5), p=[0.25, 0.75]).tolist()) for _ in range(400)]
-
-    assert np.std([one.value for one in found]) == pytest.approx(
-        float(np.mean([one.standard_error for one in found])), rel=0.12
-    )
-
-
-@pytest.mark.parametrize(("one", "other"), [([], []), (["a"], ["a", "b"])])
-def test_kappa_of_two_lengths_is_refused(one: list[str], other: list[str]) -> None:
-    """Nothing can be paired."""
-    with pytest.raises(ValueError, match="two series of one length"):
-        cohen_kappa(one, other)
-
-
-def test_kappa_of_another_number_of_decisions_is_refused() -> None:
-    """Fleiss' kappa is of equal numbers."""
-    with pytest.raises(ValueError, match=r"as many decisions about each piece, at least 2, found \[1, 2\]"):
-        fleiss_kappa([["a", "b"], ["a"]])
+    for found in (cohen, fleiss):
+        values, errors = np.array([(one.value, one.standard_error) for one in found]).T
+        assert values.mean() == pytest.approx(0, abs=0.02)
+        assert values.std() == pytest.approx(errors.mean(), rel=0.15)
 
 
 def cells(presses: int) -> list[int]:
