@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff test test-lab test-train golden test-fuzz test-plain lint docs measure bench soak acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
+.PHONY: demo readme-picture page-pictures tradeoff test test-lab test-train golden test-fuzz test-plain lint docs bench soak acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -88,10 +88,6 @@ lint: $(VENV)/.test
 # Pages that are printed from the program; the tests compare them.
 docs: $(VENV)/.test
 	$(BIN)/python docs/generate.py
-
-# The shape of the source: rooms, circles, lengths. tests/project/test_shape.py holds the limits.
-measure: $(VENV)/.test
-	$(BIN)/python tests/project/measure.py
 
 # Predicted against measured a90 on simulated parts, and a90 on real presses; the table of docs/limits.md.
 detectability: $(VENV)/.test

@@ -9,7 +9,7 @@ import os
 import re
 import sqlite3
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
@@ -40,7 +40,6 @@ from edge.core.ports import Message
 from edge.features.outputs.stage import Outputs
 from edge.features.overview import Overview
 from edge.features.snapshots import Snapshots
-from edge.gateway.command_table import station_handlers
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.pictures.png import texts
@@ -191,9 +190,9 @@ DAMAGED = {"dent of 0.1 mm": [0.05 * n for n in range(1, 400)]}
 
 
 class GoldenStation(SteppedStation):
-    """Every thread of a station takes its turn after each frame; a request is served at once."""
+    """Every thread of a station takes its turn after each frame."""
 
-    def turn(self) -> None:
+    def turn_all(self) -> None:
         self.find(Overview).camera.step()
         self.play(1)
         for driver in self.find(Outputs).drivers:
@@ -204,30 +203,13 @@ class GoldenStation(SteppedStation):
     def turn_until(self, presses: int) -> None:
         """Until this number of presses is recorded, and the gel is free again."""
         while len(self.reports) < presses or self.loop.session.has_contact:
-            self.turn()
-
-    def publish(self) -> None:
-        for worker in self.parts.publisher._workers.values():
-            worker.step()
-
-    def request(self, verb: str, **arguments: object) -> dict[str, Any]:
-        return dict(station_handlers(_AtOnce(self))[verb](arguments).data)  # type: ignore[arg-type]
+            self.turn_all()
 
     @property
     def messages(self) -> list[Message]:
         sink = self.parts.publisher._sinks["memory"]
         assert isinstance(sink, MemorySink)
         return sink.messages
-
-
-class _AtOnce:
-    """The loop does the calls of other threads at once."""
-
-    def __init__(self, station: SteppedStation) -> None:
-        self._station = station
-
-    def ask(self, do: Callable[[Any], Any]) -> Any:
-        return do(self._station.loop)
 
 
 @dataclass(frozen=True)
@@ -259,14 +241,14 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
     answers = {}
     with GoldenStation(folder / "gelgate.toml") as station:
         station.turn_until(2)
-        answers["snapshot"] = station.request("snapshot", before_s=0.5, after_s=0.3)
+        answers["snapshot"] = station.ask("snapshot", before_s=0.5, after_s=0.3)
         station.turn_until(4)
-        answers["replace_gel"] = station.request("replace_gel", gel_id="G2")
+        answers["replace_gel"] = station.ask("replace_gel", gel_id="G2")
         station.turn_until(5)
-        answers["reference_press"] = station.request("reference_press")
+        answers["reference_press"] = station.ask("reference_press")
         while not station.has_ended:
-            station.turn()
-        station.loop.step(None)
+            station.turn_all()
+        station.turn()
         station.loop.publish_stats()
         station.publish()
         messages = station.messages

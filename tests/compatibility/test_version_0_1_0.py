@@ -47,22 +47,15 @@ def test_the_recording_gives_its_presses() -> None:
     assert len(presses) == 2
 
 
-def test_the_database_keeps_its_history(database: Path) -> None:
-    """Presses, the count of the gel, and the order of the presses are unchanged."""
-    with Store(database) as store:
+def test_the_database_keeps_its_history_and_what_waits_in_it(database: Path) -> None:
+    """Presses, the count of the gel, and the order of the presses; unsent messages wait for the sink of the same
+    name."""
+    with Store(database) as store, Outbox(database) as outbox:
         (gel,) = store.gels()
-        presses = store.presses()
+        verdicts = [press.verdict for press, _ in store.presses()]
+        outbox.register(["mqtt", "jsonl"])
+        waiting = [row.message.topic for row in outbox.pending("mqtt", limit=100)]
 
     assert (gel.gel_id, gel.presses, gel.limit_presses) == ("SIM00001-1", 12, 1000)
-    assert [press.verdict for press, _ in presses].count("fail") == 5
-    assert len(presses) == 12
-
-
-def test_what_waits_in_the_database_is_still_offered(database: Path) -> None:
-    """Unsent messages wait for the sink of the same name."""
-    with Store(database), Outbox(database) as outbox:
-        outbox.register(["mqtt", "jsonl"])
-        waiting = outbox.pending("mqtt", limit=100)
-
-    assert len(waiting) == 19
-    assert sum(row.message.topic.endswith("result") for row in waiting) == 12
+    assert (len(verdicts), verdicts.count("fail")) == (12, 5)
+    assert (len(waiting), sum(topic.endswith("result") for topic in waiting)) == (19, 12)

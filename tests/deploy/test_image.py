@@ -32,15 +32,6 @@ def test_the_stations_configuration_is_sound() -> None:
     assert config.sinks[0].options["tls"]["cert"].endswith(f"certificates/{station.station}.crt")
 
 
-def test_the_readme_names_every_file() -> None:
-    """And no other."""
-    readme = (DEPLOY / "README.md").read_text(encoding="utf-8")
-    files = [str(path.relative_to(DEPLOY)) for path in DEPLOY.rglob("*") if path.is_file()]
-    kept = [name for name in files if not name.startswith(("certificates/", "bundles/"))]
-
-    assert [name for name in kept if name != "README.md" and f"`{name}`" not in readme] == []
-
-
 @pytest.mark.plain
 def test_the_image_is_built_and_its_program_answers() -> None:
     """It says its version, and refuses a start without a configuration in one sentence."""

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from overview_benches import FILM_SIZE, film
+from benches import FILM_SIZE, film
 
 from edge.clock import ManualClock, SystemClock
 from edge.core.errors import (

@@ -9,7 +9,6 @@ from typing import Any
 
 import benches
 import numpy as np
-import overview_benches
 import pytest
 
 from edge import registry
@@ -265,7 +264,7 @@ class ChangedOverview:
     """The drawn overview camera, changed after it was opened."""
 
     def __init__(self, change: Callable[[Any], Any]) -> None:
-        self._bench = overview_benches.VirtualBench()
+        self._bench = benches.VirtualBench()
         self.clock, self._change = self._bench.clock, change
 
     def open(self) -> Any:

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import benches
-import overview_benches
 import pytest
 
 from calibration.benchmark.evaluation import default_detectors
@@ -58,9 +57,7 @@ def test_a_built_in_device_conforms(
 
 
 @pytest.mark.parametrize("check", OVERVIEW_CHECKS, ids=named)
-@pytest.mark.parametrize(
-    "make_bench", overview_benches.OVERVIEWS.values(), ids=list(overview_benches.OVERVIEWS)
-)
+@pytest.mark.parametrize("make_bench", benches.OVERVIEWS.values(), ids=list(benches.OVERVIEWS))
 def test_a_built_in_overview_camera_conforms(
     make_bench: benches.Make[OverviewBench], check: Callable[[OverviewBench], None]
 ) -> None:
@@ -94,7 +91,7 @@ def test_a_built_in_sink_conforms(
 def test_every_built_in_device_overview_camera_and_sink_has_a_bench() -> None:
     """A new plugin cannot be forgotten here. The real sensor is read by the driver that usb_mock drives, or by V4L2; a
     Sparkplug node and the page make something else of messages, where the checks expect the same bytes."""
-    assert {*registry.names("overviews")} == {*overview_benches.OVERVIEWS}
+    assert {*registry.names("overviews")} == {*benches.OVERVIEWS}
     assert {*registry.names("devices")} == {*benches.DEVICES, "gelsight_mini"}
     assert {*registry.names("sinks")} == {
         *(name.partition(" ")[0] for name in benches.SINKS),

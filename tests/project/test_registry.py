@@ -60,25 +60,25 @@ def test_an_object_of_another_shape_is_refused_with_what_it_lacks(
         get("odd")
 
 
-def test_a_verb_is_something_that_can_be_called(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A value is refused by its name."""
-    install(monkeypatch, "commands", "odd", "math:pi")
-
-    with pytest.raises(ConfigError, match=r"'odd' of gelgate.commands is not a function"):
-        registry.command("odd")
-
-
-def test_a_name_that_two_packages_claim_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """None of the two is loaded."""
-    install(monkeypatch, "sinks", "lamp", "plugins.sinks.memory:plugin", "plugins.sinks.jsonl:plugin")
-
-    with pytest.raises(
-        ConfigError, match=r"'lamp' is claimed by plugins.sinks.memory:plugin .* uninstall one"
-    ):
-        registry.sink("lamp")
-
-
-def test_an_unknown_name_is_refused_with_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One sentence."""
-    with pytest.raises(ConfigError, match=r"no detectors plugin is named 'padmi'; did you mean 'padim'"):
-        registry.detector("padmi")
+@pytest.mark.parametrize(
+    ("group", "name", "values", "words"),
+    [
+        ("commands", "odd", ["math:pi"], r"'odd' of gelgate.commands is not a function"),
+        # None of the two is loaded.
+        (
+            "sinks",
+            "lamp",
+            ["plugins.sinks.memory:plugin", "plugins.sinks.jsonl:plugin"],
+            r"'lamp' is claimed by plugins.sinks.memory:plugin .* uninstall one",
+        ),
+        ("detectors", "padmi", [], r"no detectors plugin is named 'padmi'; did you mean 'padim'"),
+    ],
+)
+def test_a_name_that_cannot_be_used_is_refused(
+    monkeypatch: pytest.MonkeyPatch, group: str, name: str, values: list[str], words: str
+) -> None:
+    if values:
+        install(monkeypatch, group, name, *values)
+    get = registry.command if group == "commands" else PROTOCOLS[group][0]
+    with pytest.raises(ConfigError, match=words):
+        get(name)

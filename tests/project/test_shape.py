@@ -1,69 +1,67 @@
 """The limits of the source's shape: no circle of imports, no function of more than 59 lines, no file above 400."""
 
-import importlib.util
-import sys
+import ast
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
-from textwrap import dedent
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-_spec = importlib.util.spec_from_file_location("measure", Path(__file__).with_name("measure.py"))
-assert _spec is not None
-assert _spec.loader is not None
-measure = importlib.util.module_from_spec(_spec)
-sys.modules["measure"] = measure
-_spec.loader.exec_module(measure)
-
+PACKAGES = ("edge", "plugins", "calibration", "export")
 MAX_FUNCTION_LINES = 59
 MAX_FILE_LINES = 400
 
 
 @pytest.fixture(scope="module")
-def shape() -> "measure.Shape":
-    return measure.measure(ROOT)
+def trees() -> dict[str, ast.Module]:
+    """Every Python file of the packages, by its path."""
+    paths = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+    return {path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8")) for path in paths}
 
 
-def test_no_module_imports_itself_through_others(shape: "measure.Shape") -> None:
-    """Imports inside functions count: a module can be read without reading those that need it."""
-    assert measure.circle(shape.imports) == ()
+def imports(file: str, trees: dict[str, ast.Module]) -> Iterator[str]:
+    """Yield the files that a file imports, at its top or inside a function; a package counts as its `__init__.py`."""
+    for node in ast.walk(trees[file]):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for name in names:
+            # The module or package `a.b.c`, else the name `c` of `a.b`.
+            path, parent = name.replace(".", "/"), name.rpartition(".")[0].replace(".", "/")
+            meanings = (f"{path}.py", f"{path}/__init__.py", f"{parent}.py", f"{parent}/__init__.py")
+            yield from [meaning for meaning in meanings if meaning in trees and meaning != file][:1]
 
 
-def test_no_room_imports_itself_through_others(shape: "measure.Shape") -> None:
-    """Rooms can be put in an order in which each needs only earlier ones."""
-    assert measure.circle(shape.rooms) == ()
+def room(file: str) -> str:
+    """Name the folder or file directly in a package that a file is, or is in."""
+    return "/".join(file.split("/")[:2])
 
 
-def test_functions_fit_in_the_eye(shape: "measure.Shape") -> None:
-    """None has 60 lines."""
-    assert [one for one in shape.functions if one.lines > MAX_FUNCTION_LINES] == []
+def test_nothing_imports_itself_through_others(trees: dict[str, ast.Module]) -> None:
+    """Neither modules nor rooms: a module can be read without reading those that need it, and rooms have an order."""
+    modules = {file: set(imports(file, trees)) for file in trees}
+    rooms: dict[str, set[str]] = {}
+    for file, others in modules.items():
+        rooms.setdefault(room(file), set()).update({room(other) for other in others} - {room(file)})
+
+    assert "edge/core/press.py" in modules["edge/gateway/recorder.py"]
+    TopologicalSorter(modules).prepare()
+    TopologicalSorter(rooms).prepare()
 
 
-def test_files_have_one_subject(shape: "measure.Shape") -> None:
-    """A file above 400 lines has two."""
-    assert {file: lines for file, lines in shape.files.items() if lines > MAX_FILE_LINES} == {}
+def test_functions_fit_in_the_eye_and_files_have_one_subject(trees: dict[str, ast.Module]) -> None:
+    """From `def` to the end without the docstring, and all lines of a file."""
+    long = {file for file in trees if len((ROOT / file).read_bytes().splitlines()) > MAX_FILE_LINES}
+    for file, tree in trees.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef):
+                body = node.body[1:] if ast.get_docstring(node, clean=False) is not None else node.body
+                heading = node.body[0].lineno - node.lineno
+                lines = heading + (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else heading
+                long |= {f"{file}:{node.name}"} if lines > MAX_FUNCTION_LINES else set()
 
-
-def test_the_measure_sees_circles_and_lengths(tmp_path: Path) -> None:
-    """On a small tree: an import in a function closes a circle, a docstring is not counted, a decorator neither."""
-    for name, text in {
-        "edge/a/one.py": "from edge.b import two\n",
-        "edge/b/two.py": "def f() -> None:\n    from edge.a.one import x\n",
-        "edge/c.py": '''
-            import edge.b.two
-
-            @property
-            def f() -> int:
-                """Two
-                lines."""
-                return 1
-            ''',
-    }.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(dedent(text).lstrip())
-    shape = measure.measure(tmp_path)
-
-    assert set(measure.circle(shape.imports)) == {"edge/a/one.py", "edge/b/two.py"}
-    assert set(measure.circle(shape.rooms)) == {"edge/a", "edge/b"}
-    assert shape.rooms["edge/c.py"] == {"edge/b"}
-    assert {one.name: one.lines for one in shape.functions} == {"edge/b/two.py:f": 2, "edge/c.py:f": 2}
+    assert long == set()

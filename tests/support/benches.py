@@ -1,4 +1,4 @@
-"""Benches of the built-in devices and sinks, for the checks of `plugins.conformance`."""
+"""Benches of the built-in devices, overview cameras and sinks, for the checks of `plugins.conformance`."""
 
 import contextlib
 import json
@@ -11,22 +11,26 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+import cv2
 import numpy as np
 import pytest
 
-from edge.clock import ManualClock
+from edge.clock import ManualClock, SystemClock
 from edge.core.ports import Device, DeviceIdentity, Message, Sink
 from edge.core.sink_context import Station
+from edge.extras import is_installed
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.recording.format import RecordingHeader, RecordingWriter
-from plugins.conformance.device import PERIOD_S, SIZE
+from plugins.conformance import OverviewBench
+from plugins.conformance.device import PERIOD_S, SIZE, picture
 from plugins.devices import recorded, usb_mock
 from plugins.devices.v4l2.sensor import V4l2Sensor
+from plugins.overviews import oak, virtual_overview
 from plugins.sinks import jsonl, memory, mqtt
 
-__all__ = ["DEVICES", "SINKS", "Make"]
+__all__ = ["DEVICES", "FILM_SIZE", "OVERVIEWS", "SINKS", "Make", "film"]
 
 BenchT = TypeVar("BenchT")
 Make = Callable[[], AbstractContextManager[BenchT]]
@@ -90,6 +94,50 @@ class V4l2Bench:
         return True, np.frombuffer(self._payloads.pop(0), np.uint8)[None]
 
     def release(self) -> None: ...
+
+
+FILM_SIZE = (320, 240)
+
+
+def film(path: Path, pictures: int = 4) -> Path:
+    """An mp4 whose n-th picture is grey of level 40 n."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10, FILM_SIZE)
+    for number in range(pictures):
+        writer.write(np.full((*FILM_SIZE[::-1], 3), 40 * number, np.uint8))
+    writer.release()
+    return path
+
+
+class VirtualBench:
+    """It draws for ever."""
+
+    def __init__(self) -> None:
+        self.clock = ManualClock()
+
+    def open(self) -> Device:
+        return virtual_overview.plugin.open(virtual_overview.VirtualOverviewOptions(), self.clock)
+
+
+class SensorBench:
+    """The device of another bench, which serves as an overview camera."""
+
+    def __init__(self, device: "RecordedBench | V4l2Bench") -> None:
+        self._device, self.clock = device, device.clock
+
+    def open(self) -> Device:
+        return self._device.open([picture(seed) for seed in range(4)])
+
+
+class OakBench:
+    """A pipeline on the host that replays a film: depthai's own nodes and queues, without a device."""
+
+    def __init__(self, folder: Path) -> None:
+        self.clock = SystemClock()
+        self._film = film(folder / "film.mp4")
+
+    def open(self) -> Device:
+        w, h = FILM_SIZE
+        return oak.plugin.open(oak.OakOptions(film=self._film, width=w, height=h, fps=30), self.clock)
 
 
 class MemoryBench:
@@ -214,10 +262,24 @@ def with_mosquitto(level: str) -> Iterator[MqttBench]:
         yield bench
 
 
+@contextmanager
+def with_oak() -> Iterator[OverviewBench]:
+    if not is_installed("depthai"):
+        pytest.skip("SKIPPED, NOT TESTED: the package depthai is not installed")
+    with in_a_folder(OakBench) as bench:
+        yield bench
+
+
 DEVICES = {"recorded": lambda: in_a_folder(RecordedBench), "usb_mock": lambda: in_a_folder(UsbMockBench)}
 SINKS = {
     "memory": lambda: contextlib.nullcontext(MemoryBench()),
     "jsonl": lambda: in_a_folder(JsonlBench),
     "mqtt 5": lambda: with_mosquitto("5"),
     "mqtt 3.1.1": lambda: with_mosquitto("3.1.1"),
+}
+OVERVIEWS: dict[str, Make[OverviewBench]] = {
+    "oak": with_oak,
+    "recorded": lambda: in_a_folder(lambda folder: SensorBench(RecordedBench(folder))),
+    "usb_camera": lambda: contextlib.nullcontext(SensorBench(V4l2Bench())),
+    "virtual_overview": lambda: contextlib.nullcontext(VirtualBench()),
 }

@@ -8,7 +8,6 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 import torch
-from trunk_state import state_arrays
 
 from calibration.quantise import quantise_graph
 from calibration.training import package as packaging
@@ -16,6 +15,15 @@ from calibration.training.network import TrunkNetwork
 from calibration.training.train_config import STAGES
 from edge import cli
 from plugins.backbones.resnet import build_trunk
+
+
+def state_arrays(trunk: TrunkNetwork) -> dict[str, np.ndarray]:
+    """Return the weights under torchvision's names, float32, without batch counters."""
+    return {
+        name: value.detach().float().cpu().numpy().copy()
+        for name, value in trunk.state_dict().items()
+        if not name.endswith("num_batches_tracked")
+    }
 
 
 def run(graph: bytes, frames: np.ndarray) -> list[np.ndarray]:
