@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
+from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.coreset import k_centre
-from plugins.detectors.common.descriptor import Descriptor, Kind
-from plugins.detectors.common.parameters import Parameters, Unit, choose, repaired
+from plugins.detectors.common.descriptor import Descriptor
+from plugins.detectors.common.parameters import Parameters, choose, list_repairs
 from plugins.detectors.common.patchbank import PatchBank, draw_rows
 from plugins.detectors.common.smoothing import (
     PAPER_SIGMA_MM,
     PAPER_SIGMA_PX,
     Smoothing,
     Upsampling,
-    blur_px,
     emit_scores,
 )
 from plugins.detectors.common.validation import require_fittable, require_scorable
@@ -40,23 +40,11 @@ STARTING_POINTS = 10
 class PatchcoreParameters(Parameters):
     """The parameters of PatchCore. docs/detectors.md has the measured results of each."""
 
-    layers: tuple[str, ...] = Field(
-        default=("layer1",), description="the taps that make a descriptor, in this order"
-    )
-    grid_tap: str = Field(default="layer1", description="the tap on whose grid descriptors live")
-    descriptor: Kind = Field(
-        default="cells",
-        description="each cell's channels, the published 3x3 windows averaged to bins, or the windows' means",
-    )
-    dims: int | None = Field(
-        default=64,
-        ge=1,
-        description="leading directions kept, in addition to the length of the rest; null: all",
-    )
-    is_balanced: bool = Field(
-        default=True,
-        description="divide each tap by its nominal deviation, so that no tap dominates by its scale",
-    )
+    layers: shared.Taps = ("layer1",)
+    grid_tap: shared.GridTap = "layer1"
+    descriptor: shared.DescriptorKind = "cells"
+    dims: shared.Dims = 64
+    is_balanced: shared.Balanced = True
     is_touched_only: bool = Field(
         default=True,
         description="rows are chosen from cells that a nominal press touches and from some free gel",
@@ -75,19 +63,14 @@ class PatchcoreParameters(Parameters):
         description="k-centre over the descriptors from one start; false: over a random projection with ten random "
         "points as the first bounds, as published",
     )
-    is_squared: bool = Field(default=False, description="squared distances, as published")
+    is_squared: shared.Squared = False
     image_score: Literal["map", "patches"] = Field(
         default="map",
         description="the maximum of the score map, or the largest distance before upsampling and blur",
     )
-    sigma: float = Field(default=PAPER_SIGMA_MM, ge=0, description="the blur, in `sigma_unit`")
-    sigma_unit: Unit = Field(
-        default="mm", description="whether the blur is the same on the part or in the picture"
-    )
-    is_sampled: bool = Field(
-        default=True,
-        description="draw a cell at its top left pixel, where its convolution looks, not as a square",
-    )
+    sigma: shared.Sigma = PAPER_SIGMA_MM
+    sigma_unit: shared.SigmaUnit = "mm"
+    is_sampled: shared.Sampled = True
     packing: Packing = Field(default="float16", description="how the bank is stored")
 
     @model_validator(mode="after")
@@ -101,10 +84,8 @@ class PatchcoreParameters(Parameters):
         return PatchBank(descriptor, self.dims, self.is_balanced)
 
     def smoothing(self, grid: Grid) -> Smoothing:
-        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
-        cells = grid.taps[self.grid_tap][1:]
         kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
-        return Smoothing(cells, grid.frame, sigma_px, kind, grid.tiles)
+        return Smoothing.of(grid, grid.taps[self.grid_tap][1:], self.sigma, kind, self.sigma_unit)
 
 
 PAPER = PatchcoreParameters(
@@ -176,7 +157,7 @@ class Patchcore:
             "patches": patches,
             "rows": len(chosen),
             "rows_of_free_gel": int((chosen >= len(pressed)).sum()),
-            "repairs": repaired(p, PAPER, REPAIRS),
+            "repairs": list_repairs(p, PAPER, REPAIRS),
             "warnings": [],
         }
         return Bank(arrays, {"bank": p.packing}, facts)

@@ -16,17 +16,23 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, ScoreMaps
+from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.embedding import (
     Embedded,
     Embedding,
     EmbeddingChoice,
-    Projection,
     blocks,
     learn_embedding,
 )
 from plugins.detectors.common.lowrank import RELATIVE_CUT
-from plugins.detectors.common.parameters import Parameters, Unit, choose
-from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, PAPER_SIGMA_PX, Smoothing, blur_px, emit_scores
+from plugins.detectors.common.parameters import Parameters, choose
+from plugins.detectors.common.smoothing import (
+    PAPER_SIGMA_MM,
+    PAPER_SIGMA_PX,
+    Smoothing,
+    Upsampling,
+    emit_scores,
+)
 from plugins.detectors.common.validation import require_fittable, require_scorable
 from plugins.onnx_builder import Graph
 
@@ -36,33 +42,20 @@ __all__ = ["SubspaceParameters", "subspace"]
 class SubspaceParameters(Parameters):
     """The parameters of the PCA subspace. docs/detectors.md has the measured results."""
 
-    taps: tuple[str, ...] = Field(
-        default=("layer1", "layer2"), description="the taps that make a descriptor, in this order"
-    )
-    grid_tap: str = Field(default="layer2", description="the tap on whose grid descriptors live")
-    projection: Projection = Field(
-        default="semi_orthogonal",
-        description="how channels become fewer: all stay, a random choice of some, or a random orthonormal frame",
-    )
-    channels: int | None = Field(default=256, ge=1, description="channels that remain; null: all")
-    is_balanced: bool = Field(
-        default=True,
-        description="divide each tap by its nominal deviation, so that no tap dominates by its scale",
-    )
-    is_sampled: bool = Field(
-        default=True,
-        description="draw a cell at its top left pixel, where its convolution looks, not as a square",
-    )
+    taps: shared.Taps = ("layer1", "layer2")
+    grid_tap: shared.GridTap = "layer2"
+    projection: shared.ChannelProjection = "semi_orthogonal"
+    channels: shared.Channels = 256
+    is_balanced: shared.Balanced = True
+    is_sampled: shared.Sampled = True
     variance: float = Field(
         default=0.99, gt=0, le=1, description="part of the pooled nominal variance that the span explains"
     )
     most_rank: int = Field(
         default=192, ge=1, description="directions of the span at most, which bounds the cost"
     )
-    sigma: float = Field(default=PAPER_SIGMA_MM, ge=0, description="the blur, in `sigma_unit`")
-    sigma_unit: Unit = Field(
-        default="mm", description="whether the blur is the same on the part or in the picture"
-    )
+    sigma: shared.Sigma = PAPER_SIGMA_MM
+    sigma_unit: shared.SigmaUnit = "mm"
 
     @model_validator(mode="after")
     def _makes_an_embedding(self) -> Self:
@@ -76,10 +69,8 @@ class SubspaceParameters(Parameters):
         )
 
     def smoothing(self, grid: Grid, cells: tuple[int, int]) -> Smoothing:
-        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
-        return Smoothing(
-            cells, grid.frame, sigma_px, "sampled" if self.is_sampled else "bilinear", grid.tiles
-        )
+        kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
+        return Smoothing.of(grid, cells, self.sigma, kind, self.sigma_unit)
 
 
 # Descriptors are made in float32: a variance below this part of their power is rounding, (6e-8)^2 and a margin.

@@ -1,17 +1,54 @@
 """The common base of all methods' parameters: plain values, validated when they are made."""
 
 from collections.abc import Mapping
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from edge.core.detector import Mode
 from edge.core.errors import FitError
 from edge.validation_messages import sentences
+from plugins.detectors.common.descriptor import Kind
+from plugins.detectors.common.embedding import Projection
 
-__all__ = ["Parameters", "Unit", "choose", "repaired"]
+__all__ = [
+    "Balanced", "ChannelProjection", "Channels", "DescriptorKind", "Dims", "GridTap", "MarginMm", "Parameters",
+    "Sampled", "Sigma", "SigmaUnit", "Squared", "Taps", "choose", "list_repairs",
+]  # fmt: skip
 
-Unit = Literal["mm", "px"]
+# What several methods have a parameter for.
+Taps = Annotated[tuple[str, ...], Field(description="the taps that make a descriptor, in this order")]
+GridTap = Annotated[str, Field(description="the tap on whose grid descriptors live")]
+ChannelProjection = Annotated[
+    Projection,
+    Field(
+        description="how channels become fewer: all stay, a random choice of some, or a random orthonormal frame"
+    ),
+]
+Channels = Annotated[int | None, Field(ge=1, description="channels that remain; null: all")]
+DescriptorKind = Annotated[
+    Kind,
+    Field(
+        description="each cell's channels, the published 3x3 windows averaged to bins, or the windows' means"
+    ),
+]
+Dims = Annotated[
+    int | None,
+    Field(ge=1, description="leading directions kept, in addition to the length of the rest; null: all"),
+]
+Balanced = Annotated[
+    bool,
+    Field(description="divide each tap by its nominal deviation, so that no tap dominates by its scale"),
+]
+Sampled = Annotated[
+    bool, Field(description="draw a cell at its top left pixel, where its convolution looks, not as a square")
+]
+MarginMm = Annotated[float, Field(ge=0, description="places this near to a touched pixel count as touched")]
+Sigma = Annotated[float, Field(ge=0, description="the blur, in `sigma_unit`")]
+SigmaUnit = Annotated[
+    Literal["mm", "px"], Field(description="whether the blur is the same on the part or in the picture")
+]
+Squared = Annotated[bool, Field(description="squared distances, as published")]
 
 
 class Parameters(BaseModel):
@@ -26,7 +63,7 @@ P = TypeVar("P", bound=Parameters)
 
 
 def choose(detector: str, defaults: P, published: P, overrides: Mapping[str, Any]) -> P:
-    """The defaults with named fields replaced; a list is taken as a tuple.
+    """Replace named fields of the defaults; a list is taken as a tuple.
 
     published: the published variant, whose class also has the switches of published defects. They are accepted in both
     modes. Errors: FitError for an unknown name, with the nearest known one, or a value that a field refuses.
@@ -40,8 +77,8 @@ def choose(detector: str, defaults: P, published: P, overrides: Mapping[str, Any
         raise FitError(f"{detector}: {'; '.join(sentences(full, error))}") from None
 
 
-def repaired(parameters: Parameters, published: Parameters, switches: tuple[str, ...]) -> list[str]:
-    """The named switches whose value is not the published one, as `name=value`: the repairs of a manifest."""
+def list_repairs(parameters: Parameters, published: Parameters, switches: tuple[str, ...]) -> list[str]:
+    """List the switches whose value is not the published one, as `name=value`: the repairs of a manifest."""
     values = {
         **{name: field.default for name, field in type(published).model_fields.items()},
         **dict(parameters),

@@ -25,7 +25,6 @@ __all__ = [
     "Border",
     "Smoothing",
     "Upsampling",
-    "blur_px",
     "emit_scores",
     "gaussian_matrix",
     "smoothing_matrix",
@@ -46,11 +45,6 @@ PAPER_SIGMA_PX = 4.0
 PAPER_SIGMA_MM = PAPER_SIGMA_PX / 15.77
 # scipy.ndimage.gaussian_filter cuts its kernel at four sigma.
 TRUNCATE = 4.0
-
-
-def blur_px(sigma: float, unit: Literal["mm", "px"], grid: Grid) -> float:
-    """A blur in pixels of the frame."""
-    return sigma * (grid.pixels_per_mm if unit == "mm" else 1.0)
 
 
 @cache
@@ -130,10 +124,16 @@ class Smoothing:
 
     @classmethod
     def of(
-        cls, grid: Grid, cells: tuple[int, int], sigma_mm: float, upsampling: Upsampling = "bilinear"
+        cls,
+        grid: Grid,
+        cells: tuple[int, int],
+        sigma: float,
+        upsampling: Upsampling = "bilinear",
+        unit: Literal["mm", "px"] = "mm",
     ) -> "Smoothing":
-        """The blur as a physical size, the same on the part at every resolution."""
-        return cls(cells, grid.frame, sigma_mm * grid.pixels_per_mm, upsampling, grid.tiles)
+        """Blur by a physical size, the same on the part at every resolution, or by pixels of the frame."""
+        sigma_px = sigma * (grid.pixels_per_mm if unit == "mm" else 1.0)
+        return cls(cells, grid.frame, sigma_px, upsampling, grid.tiles)
 
     @property
     def rows(self) -> NDArray[np.float64]:

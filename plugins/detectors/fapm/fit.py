@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
 from plugins.detectors.common.free_gel import gel_mean, gel_weight, touched_places
-from plugins.detectors.common.parameters import choose, repaired
+from plugins.detectors.common.parameters import choose, list_repairs
 from plugins.detectors.common.tile_layout import join, split, tile_grid
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
 from plugins.detectors.fapm.head import coarse_of_fine, fapm_head, fewest, is_unweighted, shape_of
@@ -88,7 +88,7 @@ class Fapm:
         fraction = _affordable(nominal, kept, grid, p)
         arrays: dict[str, NDArray[Any]] = {}
         facts: dict[str, Any] = {"start": start, "near_fraction": fraction}
-        facts |= {"repairs": repaired(p, PAPER, REPAIRS), "warnings": []}
+        facts |= {"repairs": list_repairs(p, PAPER, REPAIRS), "warnings": []}
         if fraction < p.near_fraction:
             facts["warnings"].append(
                 f"near_fraction {fraction:.3f} instead of {p.near_fraction} keeps the bank within "

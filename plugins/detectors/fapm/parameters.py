@@ -5,8 +5,9 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from edge.core.detector import Grid
-from plugins.detectors.common.parameters import Parameters, Unit
-from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling, blur_px
+from plugins.detectors.common import parameters as shared
+from plugins.detectors.common.parameters import Parameters
+from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling
 from plugins.detectors.fapm.weighting import Weighting
 
 __all__ = ["FapmParameters"]
@@ -56,17 +57,10 @@ class FapmParameters(Parameters):
         default=True,
         description="cells that no nominal press touches keep no prototypes and are compared with the free gel's mean",
     )
-    margin_mm: float = Field(
-        default=1.0, ge=0, description="places this near to a touched pixel count as touched"
-    )
-    sigma: float = Field(default=PAPER_SIGMA_MM, ge=0, description="the blur, in `sigma_unit`")
-    sigma_unit: Unit = Field(
-        default="mm", description="whether the blur is the same on the part or in the picture"
-    )
-    is_sampled: bool = Field(
-        default=True,
-        description="draw a cell at its top left pixel, where its convolution looks, not as a square",
-    )
+    margin_mm: shared.MarginMm = 1.0
+    sigma: shared.Sigma = PAPER_SIGMA_MM
+    sigma_unit: shared.SigmaUnit = "mm"
+    is_sampled: shared.Sampled = True
     packing: Literal["auto", "none", "float16", "int8"] = Field(
         default="auto",
         description="how the prototypes are stored; auto: the finest that stays within `bank_mb`",
@@ -92,7 +86,5 @@ class FapmParameters(Parameters):
         return 1 if self.weighting == "none" else self.neighbours
 
     def smoothing(self, grid: Grid) -> Smoothing:
-        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
-        cells = grid.taps[self.layers[0]][1:]
         kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
-        return Smoothing(cells, grid.frame, sigma_px, kind, grid.tiles)
+        return Smoothing.of(grid, grid.taps[self.layers[0]][1:], self.sigma, kind, self.sigma_unit)

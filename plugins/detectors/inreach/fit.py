@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, ScoreMaps
 from edge.core.errors import FitError
 from plugins.detectors.common.coreset import k_centre
-from plugins.detectors.common.parameters import choose, repaired
+from plugins.detectors.common.parameters import choose, list_repairs
+from plugins.detectors.common.smoothing import emit_scores
 from plugins.detectors.common.tile_layout import layout
 from plugins.detectors.common.validation import require_fittable, require_scorable
 from plugins.detectors.inreach.channels import Channels, associate, prune
-from plugins.detectors.inreach.head import inreach_head
 from plugins.detectors.inreach.paper import PAPER, REPAIRS, steps_of
 from plugins.detectors.inreach.parameters import InreachParameters
+from plugins.onnx_builder import Graph
 
 __all__ = ["InreachParameters", "inreach"]
 
@@ -75,7 +76,7 @@ class Inreach:
             "channels_kept": len(np.unique(kept.key)),
             "shortest_channel": p.shortest(nominal.presses),
             "patches_kept": len(members),
-            "repairs": repaired(p, PAPER, REPAIRS),
+            "repairs": list_repairs(p, PAPER, REPAIRS),
             "warnings": [],
         }
         if not len(members):
@@ -116,7 +117,9 @@ class Inreach:
 
     def head(self, grid: Grid, bank: Bank, parameters: InreachParameters) -> bytes:
         """The graph; the number of rows in the bank is free."""
-        return inreach_head(self.name, grid, bank, parameters)
+        p, graph = parameters, Graph(self.name)
+        emit_scores(graph, p.rows.emit(graph, grid, bank, p.is_squared), p.smoothing(grid))
+        return graph.serialise()
 
 
 inreach = Inreach()

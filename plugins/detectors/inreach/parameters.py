@@ -6,10 +6,11 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from edge.core.detector import Grid, Packing
-from plugins.detectors.common.descriptor import Descriptor, Kind
-from plugins.detectors.common.parameters import Parameters, Unit
+from plugins.detectors.common import parameters as shared
+from plugins.detectors.common.descriptor import Descriptor
+from plugins.detectors.common.parameters import Parameters
 from plugins.detectors.common.patchbank import PatchBank
-from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling, blur_px
+from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling
 
 __all__ = ["InreachParameters"]
 
@@ -17,23 +18,11 @@ __all__ = ["InreachParameters"]
 class InreachParameters(Parameters):
     """The parameters of InReaCh. docs/detectors.md has the measured results of each."""
 
-    taps: tuple[str, ...] = Field(
-        default=("layer1",), description="the taps that make a descriptor, in this order"
-    )
-    grid_tap: str = Field(default="layer1", description="the tap on whose grid descriptors live")
-    descriptor: Kind = Field(
-        default="cells",
-        description="each cell's channels, the published 3x3 windows averaged to bins, or the windows' means",
-    )
-    dims: int | None = Field(
-        default=64,
-        ge=1,
-        description="leading directions kept, in addition to the length of the rest; null: all",
-    )
-    is_balanced: bool = Field(
-        default=True,
-        description="divide each tap by its nominal deviation, so that no tap dominates by its scale",
-    )
+    taps: shared.Taps = ("layer1",)
+    grid_tap: shared.GridTap = "layer1"
+    descriptor: shared.DescriptorKind = "cells"
+    dims: shared.Dims = 64
+    is_balanced: shared.Balanced = True
     position_weight: float = Field(
         default=0.0,
         ge=0,
@@ -67,12 +56,10 @@ class InreachParameters(Parameters):
     most_rows: int | None = Field(
         default=1024, ge=1, description="rows of the bank at most, chosen by k-centre; null: no limit"
     )
-    is_squared: bool = Field(default=False, description="squared distances, as published")
+    is_squared: shared.Squared = False
     upsampling: Upsampling = Field(default="sampled", description="how the grid is drawn in pixels")
-    sigma: float = Field(default=PAPER_SIGMA_MM, ge=0, description="the blur, in `sigma_unit`")
-    sigma_unit: Unit = Field(
-        default="mm", description="whether the blur is the same on the part or in the picture"
-    )
+    sigma: shared.Sigma = PAPER_SIGMA_MM
+    sigma_unit: shared.SigmaUnit = "mm"
     packing: Packing = Field(default="float16", description="how the bank is stored")
 
     @model_validator(mode="after")
@@ -86,9 +73,7 @@ class InreachParameters(Parameters):
         return PatchBank(descriptor, self.dims, self.is_balanced, self.position_weight)
 
     def smoothing(self, grid: Grid) -> Smoothing:
-        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
-        cells = grid.taps[self.grid_tap][1:]
-        return Smoothing(cells, grid.frame, sigma_px, self.upsampling, grid.tiles)
+        return Smoothing.of(grid, grid.taps[self.grid_tap][1:], self.sigma, self.upsampling, self.sigma_unit)
 
     def shortest(self, presses: int) -> int:
         """The number of elements that a channel needs."""

@@ -29,7 +29,7 @@ from plugins.detectors.common.embedding import (
     touched_cells,
 )
 from plugins.detectors.common.lowrank import Spectrum, covariance_spectrum, mahalanobis_squared, spectrum
-from plugins.detectors.common.parameters import choose, repaired
+from plugins.detectors.common.parameters import choose, list_repairs
 from plugins.detectors.common.tile_layout import cell_blocks, layout, neighbourhood
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
 from plugins.detectors.padim.head import padim_head
@@ -301,6 +301,6 @@ def _facts(
         "covariances": len(arrays["basis"]),
         "locations": embedding.count - len(arrays.get("elsewhere", ())),
         "locations_shared": len(arrays.get("elsewhere", ())),
-        "repairs": repaired(parameters, PAPER, REPAIRS),
+        "repairs": list_repairs(parameters, PAPER, REPAIRS),
         "warnings": warnings,
     }

@@ -5,9 +5,10 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from edge.core.detector import Grid, Packing
-from plugins.detectors.common.embedding import EmbeddingChoice, Projection
-from plugins.detectors.common.parameters import Parameters, Unit
-from plugins.detectors.common.smoothing import Smoothing, blur_px
+from plugins.detectors.common import parameters as shared
+from plugins.detectors.common.embedding import EmbeddingChoice
+from plugins.detectors.common.parameters import Parameters
+from plugins.detectors.common.smoothing import Smoothing, Upsampling
 
 __all__ = ["PadimParameters"]
 
@@ -15,26 +16,15 @@ __all__ = ["PadimParameters"]
 class PadimParameters(Parameters):
     """The parameters of PaDiM. docs/detectors.md has the measured results of each."""
 
-    taps: tuple[str, ...] = Field(
-        default=("layer1",), description="the taps that make a descriptor, in this order"
-    )
-    grid_tap: str = Field(default="layer1", description="the tap on whose grid descriptors live")
-    projection: Projection = Field(
-        default="semi_orthogonal",
-        description="how channels become fewer: all stay, a random choice of some, or a random orthonormal frame",
-    )
-    channels: int | None = Field(default=64, ge=1, description="channels that remain; null: all")
+    taps: shared.Taps = ("layer1",)
+    grid_tap: shared.GridTap = "layer1"
+    projection: shared.ChannelProjection = "semi_orthogonal"
+    channels: shared.Channels = 64
     channel_list: tuple[int, ...] = Field(
         default=(), description="these channels, counted through all taps, instead of a random choice"
     )
-    is_balanced: bool = Field(
-        default=True,
-        description="divide each tap by its nominal deviation, so that no tap dominates by its scale",
-    )
-    is_sampled: bool = Field(
-        default=True,
-        description="draw a cell at its top left pixel, where its convolution looks, not as a square",
-    )
+    is_balanced: shared.Balanced = True
+    is_sampled: shared.Sampled = True
     ridge: float = Field(
         default=0.1,
         gt=0,
@@ -53,13 +43,9 @@ class PadimParameters(Parameters):
     is_touched_only: bool = Field(
         default=True, description="cells that no nominal press touches share one Gaussian"
     )
-    margin_mm: float = Field(
-        default=1.0, ge=0, description="places this near to a touched pixel count as touched"
-    )
-    sigma: float = Field(default=0.19, ge=0, description="the blur, in `sigma_unit`")
-    sigma_unit: Unit = Field(
-        default="mm", description="whether the blur is the same on the part or in the picture"
-    )
+    margin_mm: shared.MarginMm = 1.0
+    sigma: shared.Sigma = 0.19
+    sigma_unit: shared.SigmaUnit = "mm"
     packing: Packing = Field(default="int8", description="how the eigenvectors are stored")
     bank_mb: float | None = Field(
         default=16.0,
@@ -91,7 +77,5 @@ class PadimParameters(Parameters):
         return self.ridge
 
     def smoothing(self, grid: Grid, cells: tuple[int, int]) -> Smoothing:
-        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
-        return Smoothing(
-            cells, grid.frame, sigma_px, "sampled" if self.is_sampled else "bilinear", grid.tiles
-        )
+        kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
+        return Smoothing.of(grid, cells, self.sigma, kind, self.sigma_unit)

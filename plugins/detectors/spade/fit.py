@@ -26,7 +26,7 @@ from plugins.detectors.common.free_gel import (
     gel_weight,
     touched_places,
 )
-from plugins.detectors.common.parameters import choose, repaired
+from plugins.detectors.common.parameters import choose, list_repairs
 from plugins.detectors.common.pca import Rotation, fit_rotation
 from plugins.detectors.common.tile_layout import join, layout, split, stacked
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
@@ -164,7 +164,7 @@ def _facts(kept: NDArray[np.intp], presses: int, start: int, p: SpadeParameters)
     return {
         "presses": kept.tolist(),
         "start": start,
-        "repairs": repaired(p, PAPER, REPAIRS),
+        "repairs": list_repairs(p, PAPER, REPAIRS),
         "warnings": [left_out] if len(kept) < presses else [],
     }
 

@@ -1,16 +1,17 @@
 """SPADE's graph: the nearest presses, then each layer's search among them, then one map."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Grid
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, emit_group_nearest, emit_ranked
 from plugins.detectors.common.free_gel import emit_gel_distances
 from plugins.detectors.common.pca import emit_rotation
+from plugins.detectors.common.smoothing import Smoothing, upsampling_matrix
 from plugins.detectors.common.tile_layout import emit_join, emit_split, layout
-from plugins.detectors.spade.multi_scale import emit_layered_scores
 from plugins.detectors.spade.paper import steps_of
 from plugins.detectors.spade.parameters import SpadeParameters
 from plugins.detectors.spade.window import Tables, emit_window_nearest
@@ -33,7 +34,7 @@ def spade_head(name: str, grid: Grid, bank: Bank, p: SpadeParameters) -> bytes:
         best = best if p.is_squared else graph.op("Sqrt", best)
         score = graph.op("ReduceMean", best, graph.ints(1), keepdims=0)
     smoothings = [p.smoothing(grid, tap) for tap in p.layers]
-    emit_layered_scores(graph, maps, smoothings, score)
+    _emit_layered_scores(graph, maps, smoothings, score)
     return graph.serialise()
 
 
@@ -158,3 +159,43 @@ def _emit_whole_search(
         for first in range(0, cells, step)
     ]
     return graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+
+
+def _emit_layered_scores(
+    graph: Graph, maps: Sequence[Value], smoothings: Sequence[Smoothing], score: Value | None
+) -> None:
+    """Finish a head from distances at several grids (n, rows, columns), each smoothed alone and added in pixels.
+
+    Adding after upsampling is the published order; adding on the finest grid would interpolate twice. `raw_map` is the
+    sum on the finest grid.
+    """
+    finest = smoothings[0].cells
+    smooth = _emit_sum(graph, maps, [(s.rows, s.columns) for s in smoothings])
+    raw = _emit_sum(graph, maps, [_onto(s, finest) for s in smoothings])
+    if score is None:
+        score = graph.op("ReduceMax", smooth, graph.ints(1, 2), keepdims=0)
+    graph.output("score_map", smooth, ("n", *smoothings[0].frame))
+    graph.output("score", score, ("n",))
+    graph.output("raw_map", raw, ("n", *finest))
+
+
+def _onto(s: Smoothing, finest: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the matrices that resample one grid to the finest, tile by tile."""
+    tiles = (1, 1) if s.tiles is None else (len(s.tiles.rows), len(s.tiles.columns))
+    rows, columns = (
+        np.kron(np.eye(count), upsampling_matrix(n // count, to // count, s.upsampling)).astype(np.float64)
+        for n, to, count in zip(s.cells, finest, tiles, strict=True)
+    )
+    return rows, columns
+
+
+def _emit_sum(
+    graph: Graph, maps: Sequence[Value], sides: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]
+) -> Value:
+    """Emit the sum of rows @ map @ columns.T over the maps."""
+    total = ""
+    for value, (rows, columns) in zip(maps, sides, strict=True):
+        right = graph.constant(np.ascontiguousarray(columns.T, np.float32))
+        part = graph.op("MatMul", graph.constant(rows.astype(np.float32)), graph.op("MatMul", value, right))
+        total = graph.op("Add", total, part) if total else part
+    return total

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from edge.core.detector import Grid, Packing
+from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.descriptor import resampling_matrix
-from plugins.detectors.common.parameters import Parameters, Unit
-from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling, blur_px
+from plugins.detectors.common.parameters import Parameters
+from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling
 from plugins.detectors.common.tile_layout import layout, tile_grid
 from plugins.detectors.spade.window import Blocks
 
@@ -57,17 +58,10 @@ class SpadeParameters(Parameters):
         default=True,
         description="cells that no nominal press touches keep no rows and are compared with the free gel's mean",
     )
-    margin_mm: float = Field(
-        default=1.0, ge=0, description="places this near to a touched pixel count as touched"
-    )
-    sigma: float = Field(default=PAPER_SIGMA_MM, ge=0, description="the blur, in `sigma_unit`")
-    sigma_unit: Unit = Field(
-        default="mm", description="whether the blur is the same on the part or in the picture"
-    )
-    is_sampled: bool = Field(
-        default=True,
-        description="draw a cell at its top left pixel, where its convolution looks, not as a square",
-    )
+    margin_mm: shared.MarginMm = 1.0
+    sigma: shared.Sigma = PAPER_SIGMA_MM
+    sigma_unit: shared.SigmaUnit = "mm"
+    is_sampled: shared.Sampled = True
     packing: Packing = Field(default="int8", description="how the bank is stored")
     bank_mb: float | None = Field(
         default=16.0,
@@ -139,7 +133,6 @@ class SpadeParameters(Parameters):
         return Blocks(self.cells(grid, tap), window, math.prod(layout(grid)))
 
     def smoothing(self, grid: Grid, tap: str) -> Smoothing:
-        sigma_px = blur_px(self.sigma, self.sigma_unit, grid)
         kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
         (h, w), (down, across) = self.cells(grid, tap), layout(grid)
-        return Smoothing((down * h, across * w), grid.frame, sigma_px, kind, grid.tiles)
+        return Smoothing.of(grid, (down * h, across * w), self.sigma, kind, self.sigma_unit)
