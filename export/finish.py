@@ -14,11 +14,11 @@ from calibration.fitting.bundle_measurements import (
     check_given,
     contact_range,
     cost_card,
-    given_threshold,
     golden_frames,
-    measured_tolerance,
+    measure_tolerance,
     placeholders,
     provenance,
+    state_threshold,
     warnings,
 )
 from calibration.fitting.fit import Fitted
@@ -143,12 +143,12 @@ def finish_bundle(
     doubts, found = measure(scorer, scores)
     said += doubts
     golden = golden_frames(scorer, presses.frames)
-    tolerance = measured_tolerance(scorer, golden, config.threads)
+    tolerance = measure_tolerance(scorer, golden, config.threads)
     if config.threshold is None:
         slack = tolerance.around(float(scores.max()))
         threshold = conformal_threshold(scores, config.alpha, slack, "split-conformal", presses.specimens)
     else:
-        threshold = given_threshold(config.threshold, config.alpha)
+        threshold = state_threshold(config.threshold, config.alpha)
     apart = [] if alpha is None else apart_warnings(scores, presses.names)
     said += apart
     black = np.zeros_like(presses.frames[0])

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.bundle_measurements import cost_card, measured_tolerance
+from calibration.fitting.bundle_measurements import cost_card, measure_tolerance
 from calibration.metrics.aupro import aupro
 from calibration.quantise import halved, layers, quantise_graph
 from edge.core.detector import Bank
@@ -171,7 +171,7 @@ def in_precision(
     scorer = Scorer(_files(bundle, facts, graphs, ()), threads)
     golden = [_again(scorer, one) for one in bundle.golden]
     measured_facts = {
-        "tolerance": measured_tolerance(scorer, golden, threads) if golden else facts.tolerance,
+        "tolerance": measure_tolerance(scorer, golden, threads) if golden else facts.tolerance,
         "cost": cost_card(scorer, frames, threads, {}),
     }
     return _bundle_files(bundle, facts.model_copy(update=measured_facts), graphs, golden)

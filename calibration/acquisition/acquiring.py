@@ -11,7 +11,7 @@ from calibration.acquisition.folder import AcquisitionFolder, KeptPress, Pieces
 from calibration.acquisition.report import coverage_png
 from calibration.acquisition.sources import FreeGel, LeftOut, Press
 from calibration.dataset.files import read_rgb
-from calibration.fitting.presses.nominal_presses import lit, named_presses, touched_union
+from calibration.fitting.presses.nominal_presses import gather_presses, require_light, touched_union
 from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import Trunk
 from edge.core.errors import FitError
@@ -48,9 +48,9 @@ class Acquiring:
         self._reader = TapReader(trunk.graph, (tap,), frame, profile.pixels_per_mm, threads)
         self._distances = PlaceDistances()
         self._shown: NDArray[np.uint8] | None = None
-        self._free = [lit(path, read_rgb(path, profile, resize=resize)) for path in folder.free]
+        self._free = [require_light(path, read_rgb(path, profile, resize=resize)) for path in folder.free]
         for kept in folder.presses:
-            rgb = lit(kept.path, read_rgb(kept.path, profile, resize=resize))
+            rgb = require_light(kept.path, read_rgb(kept.path, profile, resize=resize))
             self._compare(self._features(rgb), rgb, None, kept)
 
     @property
@@ -113,4 +113,4 @@ class Acquiring:
             return touched_union(masks, self._profile, self._region)
         if not self._free:
             return None
-        return named_presses({"press": rgb}, self._profile, self._region, no_contact=self._free[:1]).touched
+        return gather_presses({"press": rgb}, self._profile, self._region, no_contact=self._free[:1]).touched

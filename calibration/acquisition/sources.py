@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from calibration.dataset.files import read_rgb
 from calibration.fitting.presses.nominal_presses import (
     is_recording,
-    listed_pictures,
-    lit,
+    list_pictures,
+    require_light,
     specimen_of,
     why_unread,
 )
@@ -94,21 +94,21 @@ def from_sources(
     specimens: of pictures, where their names do not have it. Errors: RecordingError, FitError, DatasetError for the
     free gel.
     """
-    free = listed_pictures(no_contact)
+    free = list_pictures(no_contact)
     for path in free:
-        yield FreeGel(path.read_bytes(), lit(path, read_rgb(path, profile, resize=resize)))
+        yield FreeGel(path.read_bytes(), require_light(path, read_rgb(path, profile, resize=resize)))
     for source in sources:
         if is_recording(source):
             yield from _of_recording(source, profile)
     pictures = [source for source in sources if not is_recording(source)]
-    for path in listed_pictures(pictures, pattern):
+    for path in list_pictures(pictures, pattern):
         if not any(path.samefile(one) for one in free):
             yield _of_picture(path, specimens.get(path) or specimen_of(path), profile, resize)
 
 
 def _of_picture(path: Path, piece: str | None, profile: SensorProfile, resize: bool) -> Found:
     try:
-        rgb = lit(path, read_rgb(path, profile, resize=resize))
+        rgb = require_light(path, read_rgb(path, profile, resize=resize))
     except DatasetError as error:
         return LeftOut(str(error))
     return Press(f"{path.parent.name}/{path.name}", path.read_bytes(), piece, rgb)

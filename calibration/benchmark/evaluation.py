@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calibration.benchmark.sets import EvaluationSet
 from calibration.benchmark.trial import FORMAT, PROFILE, Trial
 from calibration.fitting.fit_config import FitConfig
-from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.limits.limit_choice import Choice, prepare_trial
 from calibration.fitting.limits.threshold import conformal_threshold
@@ -277,7 +277,7 @@ def fit_limits(
     if trial.alpha is None:
         raise ValueError(f"the trial '{trial.name}' states no false-alarm rate")
     specimens = trial.nominal.specimens or (None,) * len(trial.nominal)
-    folds, _ = held_out_folds(specimens, _FOLDS, np.random.default_rng(_SEED))
+    folds, _ = divide_presses(specimens, _FOLDS, np.random.default_rng(_SEED))
     height, width = trial.frames.shape[1:3]
     region = Region((PROFILE.size[0] - width) // 2, (PROFILE.size[1] - height) // 2, width, height)
     limits = prepare_trial(learner, trial.nominal, (PROFILE, region), take, folds, trial.alpha)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.benchmark.trial import PROFILE, REGION, Trial
-from calibration.fitting.presses.nominal_presses import named_presses
+from calibration.fitting.presses.nominal_presses import gather_presses
 from calibration.simulator import parts as analogues
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.plan import PressPlan, dataset_plan, place_damage
@@ -166,7 +166,7 @@ class _Rendered:
         )
         return Trial(
             self.scene.part,
-            named_presses(learnt, PROFILE, REGION, no_contact=free),
+            gather_presses(learnt, PROFILE, REGION, no_contact=free),
             np.stack([REGION.crop(p.rgb) for p in scored]),
             np.stack([REGION.crop(p.mask) for p in scored]),
         )

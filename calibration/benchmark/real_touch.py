@@ -17,8 +17,8 @@ from calibration.benchmark import touch_edits
 from calibration.benchmark.pictures import contact_square, read_picture, specks, together
 from calibration.benchmark.touch_edits import Edited
 from calibration.benchmark.trial import PROFILE, REGION, Trial
-from calibration.fitting.damage.conditions import relit
-from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.damage.conditions import relight
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.simulator.field_of_view import F32
 from edge.core.errors import DatasetError
 from edge.core.imaging.region import Region
@@ -238,7 +238,7 @@ def real_touch_trial(data: Path, name: str, edits: int = EDITS) -> Trial:
         )
     rng = np.random.default_rng([_SEED, *name.encode()])
     damaged = _edits(held, edits, presses, rng)
-    relighted = [cut.region.crop(relit(cut.rgb, rng)) for cut in held]
+    relighted = [cut.region.crop(relight(cut.rgb, rng)) for cut in held]
     counts = len(held) + len(damaged), len(others), len(relighted)
     frames = (
         [cut.frame for cut in held] + [rgb for rgb, _ in damaged] + [cut.frame for cut in others] + relighted
@@ -270,11 +270,11 @@ def _nominal(learnt: Sequence[_Cut], free: U8, is_registered: bool) -> NominalPr
     if is_registered:
         return together(
             [
-                named_presses({f"{k}": cut.rgb}, PROFILE, cut.region, no_contact=[free])
+                gather_presses({f"{k}": cut.rgb}, PROFILE, cut.region, no_contact=[free])
                 for k, cut in enumerate(learnt)
             ]
         )
-    return named_presses(
+    return gather_presses(
         {f"{k}": cut.rgb for k, cut in enumerate(learnt)}, PROFILE, REGION, no_contact=[free]
     )
 
@@ -286,7 +286,7 @@ def _cuts(pictures: Sequence[U8], free: U8, is_registered: bool) -> list[_Cut]:
     regions: list[Region | None] = [REGION] * len(pictures)
     if is_registered:
         named = {f"{k}": rgb for k, rgb in enumerate(pictures)}
-        whole = named_presses(named, PROFILE, Region.full(PROFILE.size), no_contact=[free])
+        whole = gather_presses(named, PROFILE, Region.full(PROFILE.size), no_contact=[free])
         dirt = specks(free)
         squares = [contact_square(touch) for touch in whole.touches]
         regions = [None if one is None or one.crop(dirt).any() else one for one in squares]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from calibration.fitting.damage.damage import KINDS, Damage, Spot, surroundings
 from calibration.fitting.damage.imprint import Station
 from calibration.fitting.features import extract
-from calibration.fitting.limits.folds import held_out_folds
-from calibration.fitting.limits.head_limit import limited_like
-from calibration.fitting.limits.head_relief import relieved_like
+from calibration.fitting.limits.folds import divide_presses
+from calibration.fitting.limits.head_limit import limit_like
+from calibration.fitting.limits.head_relief import relieve_like
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.pose.registration import in_pose_of
 from calibration.fitting.presses.augmentation import Copies
@@ -63,7 +63,7 @@ class Press(Protocol):
     @property
     def station(self) -> Station: ...
 
-    def damaged(self, damage: Damage) -> NDArray[np.uint8]: ...
+    def render(self, damage: Damage) -> NDArray[np.uint8]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class Judge:
         A press whose part is not recognised any more is rejected, which finds no damage.
         """
         try:
-            scored = self.scorer.score(press.damaged(damage))
+            scored = self.scorer.score(press.render(damage))
         except PoseNotFound:
             return False
         if self._result(scored) is not Result.FAIL:
@@ -188,7 +188,7 @@ def _by_folds(
     specimens = learnt.specimens or (None,) * len(learnt)
     rng = np.random.default_rng(bundle.manifest.provenance.seed or 0)
     judges: dict[int, Judge] = {}
-    found, _ = held_out_folds(specimens, _FOLDS, rng)
+    found, _ = divide_presses(specimens, _FOLDS, rng)
     for number, held in enumerate(found):
         judges |= dict.fromkeys((indices[k] for k in held.tolist()), folds.judge(held))
         progress((number + 1) / len(found))
@@ -223,8 +223,8 @@ class _Folds:
     def judge(self, held: NDArray[np.int64]) -> Judge:
         """The judge of the presses held out. Errors: FitError."""
         whole, bank = self.bundle, self.learner.bank_without(self.nominal, held)
-        head, bank = limited_like(whole.bank, self.learner.head(bank), bank)
-        head, bank = relieved_like(whole.bank, whole.manifest.facts, head, bank)
+        head, bank = limit_like(whole.bank, self.learner.head(bank), bank)
+        head, bank = relieve_like(whole.bank, whole.manifest.facts, head, bank)
         graphs = Graphs(trunk=whole.graphs.trunk, head=head)
         assert whole.manifest.backbone is not None
         manifest, files = bundle_files(

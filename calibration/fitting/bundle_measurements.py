@@ -10,7 +10,7 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from calibration.fitting.limits.threshold import needed, pieces_of
+from calibration.fitting.limits.threshold import count_needed, pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from edge.core.contact.light import foreign_free_gel
 from edge.core.errors import FitError, NotScorable
@@ -23,11 +23,11 @@ __all__ = [
     "check_given",
     "contact_range",
     "cost_card",
-    "given_threshold",
     "golden_frames",
-    "measured_tolerance",
+    "measure_tolerance",
     "placeholders",
     "provenance",
+    "state_threshold",
     "warnings",
 ]
 
@@ -57,7 +57,7 @@ def golden_frames(scorer: Scorer, frames: NDArray[np.uint8]) -> list[GoldenFrame
     chosen = {
         "middle nominal score": middle,
         "highest nominal score": frames[order[-1]],
-        "middle nominal press with a painted square": _painted(middle),
+        "middle nominal press with a painted square": _paint(middle),
     }
     scored = {what: scorer.score_in_pose(rgb) for what, rgb in chosen.items()}
     return [
@@ -66,7 +66,7 @@ def golden_frames(scorer: Scorer, frames: NDArray[np.uint8]) -> list[GoldenFrame
     ]
 
 
-def _painted(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _paint(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The frame with a dark square of an eighth of its side in the middle."""
     h, w = rgb.shape[:2]
     painted, half = rgb.copy(), max(1, min(h, w) // 16)
@@ -74,7 +74,7 @@ def _painted(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return painted
 
 
-def measured_tolerance(scorer: Scorer, golden: Sequence[GoldenFrame], threads: int) -> ToleranceEntry:
+def measure_tolerance(scorer: Scorer, golden: Sequence[GoldenFrame], threads: int) -> ToleranceEntry:
     """The change of the golden frames' scores between runs, one or two threads, and another batch size."""
     frames = np.stack([frame.rgb for frame in golden])
     runs = [[scorer.score_in_pose(frame) for frame in frames] for _ in range(2)]
@@ -162,44 +162,44 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
     pieces = len(set(pieces_of(presses.specimens)))
     if alpha is not None and n == 1:
         found.append(
-            f"1 press promises no false-alarm rate; {needed(alpha)} presses are needed for {alpha:g}"
+            f"1 press promises no false-alarm rate; {count_needed(alpha)} presses are needed for {alpha:g}"
         )
-    elif alpha is not None and pieces < needed(alpha):
+    elif alpha is not None and pieces < count_needed(alpha):
         counted = (
             f"{n} presses" if pieces == n else f"{n} presses of {pieces} piece{'' if pieces == 1 else 's'}"
         )
         what = "presses" if pieces == n else "pieces"
         found.append(
-            f"{counted} promise a false-alarm rate of 1/{pieces + 1} at best; {needed(alpha)} {what} are needed for "
-            f"{alpha:g}"
+            f"{counted} promise a false-alarm rate of 1/{pieces + 1} at best; {count_needed(alpha)} {what} are "
+            f"needed for {alpha:g}"
         )
     return found
 
 
 def free_gel_warnings(presses: NominalPresses) -> list[str]:
-    """Whether the picture of the free gel belongs to the presses: where it does not, no place is known."""
+    """Warn where the picture of the free gel does not belong to the presses: then no place is known."""
     said = foreign_free_gel(presses.touches, presses.reliefs) if presses.reliefs else None
     return [] if said is None else [said]
 
 
 def check_given(threshold: float | None) -> None:
-    """Errors: FitError for a given threshold that is not finite."""
+    """Check a threshold that was given. Errors: FitError for one that is not finite."""
     if threshold is not None and not math.isfinite(threshold):
         raise FitError(f"a threshold is a finite number, found {threshold}")
 
 
-def given_threshold(value: float, alpha: float) -> ThresholdEntry:
+def state_threshold(value: float, alpha: float) -> ThresholdEntry:
     """A threshold given by the user; it promises no rate."""
     return ThresholdEntry(value=value, method=GIVEN, alpha=alpha, alpha_floor=1.0, nominal_scores=())
 
 
 def placeholders() -> tuple[ThresholdEntry, ToleranceEntry]:
-    """For a bundle that is only measured: with this threshold every press fails."""
-    return given_threshold(0.0, 0.5), ToleranceEntry(score=0.0, score_map=0.0, relative=0.0, measured=0.0)
+    """Return what a bundle has that is only measured: with this threshold every press fails."""
+    return state_threshold(0.0, 0.5), ToleranceEntry(score=0.0, score_map=0.0, relative=0.0, measured=0.0)
 
 
 def provenance(created: str, presses: NominalPresses, seed: int | None, said: Sequence[str]) -> Provenance:
-    """Where the bundle comes from. said: the warnings."""
+    """Record where the bundle comes from. said: the warnings."""
     return Provenance(
         created=created,
         presses=presses.names,

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.bundle_measurements import golden_frames, measured_tolerance, provenance
+from calibration.fitting.bundle_measurements import golden_frames, measure_tolerance, provenance
 from calibration.fitting.fit import Fitted
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.colours import nominal_colours
@@ -61,7 +61,7 @@ def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -
     scores = _scores(scorer, presses)
     _check_change(np.array(bundle.manifest.threshold.nominal_scores), scores)
     golden = golden_frames(scorer, presses.frames) if bundle.registration is None else list(bundle.golden)
-    tolerance = measured_tolerance(scorer, golden, config.threads)
+    tolerance = measure_tolerance(scorer, golden, config.threads)
     threshold = _threshold(bundle.manifest.threshold, presses, scores, tolerance)
     facts = _facts(bundle, presses, config, threshold, tolerance)
     fitted = Fitted(*_files(bundle, presses, facts, golden))
@@ -81,7 +81,10 @@ def _check_bundle(bundle: Bundle) -> None:
 
 
 def _check_presses(bundle: Bundle, presses: NominalPresses) -> None:
-    """Errors: FitError for a wrong number, no free gel, the old gel, presses elsewhere, or another kind of sensor."""
+    """Check the presses.
+
+    Errors: FitError for a wrong number, no free gel, the old gel, presses elsewhere, or another kind of sensor.
+    """
     if not FEWEST <= len(presses) <= MOST:
         raise FitError(
             f"found {len(presses)} presses on the new gel, expected {FEWEST} to {MOST}; with more, fit a bundle on it"
@@ -168,7 +171,7 @@ def _check_change(before: NDArray[np.float64], now: NDArray[np.float64]) -> None
 def _threshold(
     old: ThresholdEntry, presses: NominalPresses, scores: NDArray[np.float64], tolerance: ToleranceEntry
 ) -> ThresholdEntry:
-    """It promises what the new presses alone show: the bank has not seen them."""
+    """Find the threshold, which promises what the new presses alone show: the bank has not seen them."""
     slack = tolerance.around(float(scores.max()))
     found = conformal_threshold(scores, old.alpha, slack, "split-conformal", presses.specimens)
     method = (

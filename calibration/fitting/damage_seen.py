@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from calibration.fitting.damage.damaged_presses import damage_presses
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit_config import FitConfig
-from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.held_out import Learner, ScoredPresses, score_held_out
-from calibration.fitting.pose.pose_decision import PoseChoice, chosen_pose
-from calibration.fitting.presses.augmentation import Copies, Take, augmentation_of
+from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose
+from calibration.fitting.presses.augmentation import Copies, Take, plan_copies
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.scatter import scatter_warnings
 from calibration.fitting.trunks import Trunk
@@ -28,7 +28,7 @@ from edge.core.detector import Detector, Features, Nominal
 from edge.core.registration.registrar import Registered, Registrar
 from edge.model.session import open_session
 
-__all__ = ["MOST_PRESSES", "Brought", "DamageJudge", "Seen", "TrunkBench", "separated"]
+__all__ = ["MOST_PRESSES", "DamageJudge", "PosedPresses", "Separation", "TrunkBench", "measure_separation"]
 
 T = TypeVar("T")
 U8 = NDArray[np.uint8]
@@ -41,21 +41,22 @@ _TIMED = 9
 
 
 @dataclass(frozen=True)
-class Seen:
-    """found: what the banks see of the damage, 0 to 1, by its kind. press_ms: of one press on this machine, from its
-    frame to its score. is_registered: whether presses are brought to one pose."""
+class Separation:
+    """How well the banks of a method on a trunk tell damaged presses from sound ones."""
 
-    found: Mapping[str, float]
+    by_kind: Mapping[str, float]
+    """0 to 1, by the kind of damage."""
     press_ms: float = 0.0
+    """Of one press on this machine, from its frame to its score."""
     is_registered: bool = False
 
     @property
     def mean(self) -> float:
-        return float(np.mean(list(self.found.values())))
+        return float(np.mean(list(self.by_kind.values())))
 
 
-def separated(sound: ScoredPresses, damaged: ScoredPresses, masks: NDArray[np.bool_]) -> float:
-    """The mean of image AUROC and AU-PRO up to 1 % false positives. masks: of the damage, bool (m, h, w)."""
+def measure_separation(sound: ScoredPresses, damaged: ScoredPresses, masks: NDArray[np.bool_]) -> float:
+    """Return the mean of image AUROC and AU-PRO up to 1 % false positives. masks: of the damage, bool (m, h, w)."""
     scores = np.concatenate([sound.scores, damaged.scores])
     is_damaged = np.arange(len(scores)) >= len(sound.scores)
     none = np.zeros(sound.maps.shape, np.bool_)
@@ -64,17 +65,19 @@ def separated(sound: ScoredPresses, damaged: ScoredPresses, masks: NDArray[np.bo
 
 
 @dataclass(frozen=True, eq=False)
-class Brought:
-    """learnt: the presses as a bank learns them. frames: sound and damaged ones as they come to the trunk, uint8
-    (n + m, h, w, 3). registered: each of these; None where presses are scored as they lie. registration_ms: of each."""
+class PosedPresses:
+    """Presses as they come to a method: as they lie, or in one pose."""
 
     learnt: NominalPresses
+    """As a bank learns them."""
     frames: U8
+    """Sound and damaged ones as they come to the trunk, uint8 (n + m, h, w, 3)."""
     registered: Sequence[Registered] | None = None
+    """Each of these; None where presses are scored as they lie."""
     registration_ms: float = 0.0
 
-    def in_press(self, scored: ScoredPresses) -> ScoredPresses:
-        """Maps and scores of the presses as they lie; a press whose pose is refused shows nothing."""
+    def bring_back(self, scored: ScoredPresses) -> ScoredPresses:
+        """Bring maps and scores to the presses as they lie; a press whose pose is refused shows nothing."""
         if self.registered is None:
             return scored
         maps, scores = np.zeros_like(scored.maps), np.zeros_like(scored.scores)
@@ -91,66 +94,61 @@ class DamageJudge:
         self._config, self._all, self._few = config, presses, presses.spread(MOST_PRESSES)
         self.damaged = damage_presses(self._few, *config.view, config.seed)
         rng = np.random.default_rng(config.seed)
-        self._folds = held_out_folds(self._few.specimens, config.folds, rng)[0]
+        self._folds = divide_presses(self._few.specimens, config.folds, rng)[0]
         press = [np.arange(len(self._few)), *(one.press for one in self.damaged.values())]
         self._press = np.concatenate(press)
+        frames = [self._few.frames, *(one.frames for one in self.damaged.values())]
+        self._still = PosedPresses(self._few, np.concatenate(frames))
+        self._registered: PosedPresses | None = None
         self._poses: dict[str, PoseChoice] = {}
-        self._brought: dict[bool, Brought] = {}
 
-    def seen(self, detector: Detector, bench: "TrunkBench") -> Seen:
-        """What banks of this method see on the trunk. Errors: FitError where it does not take the presses or the
-        trunk."""
-        learner = bench.learner(detector)
-        brought = self._brought_to(learner, bench.take)
-        nominal, features = bench.features(brought)
-        learner = replace(learner, copies=self._copies(learner, brought, bench.take))
+    def judge(self, detector: Detector, bench: "TrunkBench") -> Separation:
+        """Measure what banks of this method see on the trunk. Errors: FitError where it does not take the presses or
+        the trunk."""
+        config, learner = self._config, bench.make_learner(detector)
+        posed = self._pose(learner, bench.take)
+        is_registered = posed.registered is not None
+        nominal, features = bench.take_features(posed)
+        each = plan_copies(config.augment, self._few, detector.name, config.mode, is_registered).each
+        copies = Copies.of(self._few, each, config.profile.pixels_per_mm, config.seed, bench.take)
+        learner = replace(learner, copies=copies)
         shown = score_held_out(learner, nominal, self._folds, (features, self._press)).edited
-        press_ms = brought.registration_ms + bench.trunk_ms + float(np.median(shown.head_ms))
-        return Seen(self._by_kind(brought.in_press(shown)), press_ms, brought.registered is not None)
+        press_ms = posed.registration_ms + bench.trunk_ms + float(np.median(shown.head_ms))
+        return Separation(self._by_kind(posed.bring_back(shown)), press_ms, is_registered)
 
     def _by_kind(self, scored: ScoredPresses) -> dict[str, float]:
         first = len(self._few)
-        sound, found = _part(scored, 0, first), {}
+        sound, by_kind = _part(scored, 0, first), {}
         for kind, one in self.damaged.items():
-            found[kind] = separated(sound, _part(scored, first, len(one)), one.masks)
+            by_kind[kind] = measure_separation(sound, _part(scored, first, len(one)), one.masks)
             first += len(one)
-        return found
+        return by_kind
 
-    def _brought_to(self, learner: Learner, take: Take) -> Brought:
-        """How presses come to the method, decided on the first trunk. Errors: FitError where it does not take them."""
+    def _pose(self, learner: Learner, take: Take) -> PosedPresses:
+        """Bring the presses to the method, in the pose that is decided on the first trunk. Errors: FitError where the
+        method does not take them."""
         config, name = self._config, learner.detector.name
         if name not in self._poses:
-            self._poses[name] = chosen_pose(config.register, self._few, learner, take, config.view)
+            self._poses[name] = choose_pose(config.register, self._few, learner, take, config.view)
         pose = self._poses[name]
         if pose.learnt is None:
             scatter_warnings(self._all, config.profile, learner.detector, config.is_scattered, pose.why)
-        is_registered = pose.learnt is not None
-        if is_registered not in self._brought:
-            self._brought[is_registered] = self._by(pose)
-        return self._brought[is_registered]
-
-    def _by(self, pose: PoseChoice) -> Brought:
-        frames = np.concatenate([self._few.frames, *(one.frames for one in self.damaged.values())])
-        if pose.learnt is None:
-            return Brought(self._few, frames)
-        found, ms = _timed(Registrar(pose.learnt.part).register, frames)
-        return Brought(pose.posed(self._few), np.stack([one.rgb for one in found]), found, ms)
-
-    def _copies(self, learner: Learner, brought: Brought, take: Take) -> Copies | None:
-        config, is_registered = self._config, brought.registered is not None
-        name = learner.detector.name
-        each = augmentation_of(config.augment, self._few, name, config.mode, is_registered).each
-        return Copies.of(self._few, each, config.profile.pixels_per_mm, config.seed, take)
+            return self._still
+        if self._registered is None:
+            found, ms = _time(Registrar(pose.learnt.part).register, self._still.frames)
+            frames = np.stack([one.rgb for one in found])
+            self._registered = PosedPresses(pose.apply(self._few), frames, found, ms)
+        return self._registered
 
 
-def _timed(work: Callable[[U8], T], frames: U8) -> tuple[list[T], float]:
-    """The work on each frame, and its median time in ms."""
-    found, ms = [], []
+def _time(work: Callable[[U8], T], frames: U8) -> tuple[list[T], float]:
+    """Do the work on each frame, and measure its median time in ms."""
+    done, ms = [], []
     for rgb in frames:
         start = time.perf_counter()
-        found.append(work(rgb))
+        done.append(work(rgb))
         ms.append((time.perf_counter() - start) * 1e3)
-    return found, float(np.median(ms))
+    return done, float(np.median(ms))
 
 
 def _part(scored: ScoredPresses, first: int, count: int) -> ScoredPresses:
@@ -170,8 +168,8 @@ class TrunkBench:
         self._features: dict[bool, tuple[Nominal, Features]] = {}
         self.trunk_ms = 0.0
 
-    def learner(self, detector: Detector) -> Learner:
-        """Errors: FitError for settings that the method refuses."""
+    def make_learner(self, detector: Detector) -> Learner:
+        """Prepare the method on this trunk. Errors: FitError for settings that the method refuses."""
         config = self._config
         parameters = detector.parameters(config.mode, **config.overrides)
         grid = replace(self._grid, taps={tap: self._grid.taps[tap] for tap in detector.taps(parameters)})
@@ -180,12 +178,12 @@ class TrunkBench:
     def take(self, frames: U8) -> Features:
         return extract(self._session, frames, self._grid, lambda fraction: None)
 
-    def features(self, brought: Brought) -> tuple[Nominal, Features]:
-        """Of the presses to learn and of those to score, taken once for all methods."""
-        learnt, key = brought.learnt, brought.registered is not None
+    def take_features(self, posed: PosedPresses) -> tuple[Nominal, Features]:
+        """Take the features of the presses to learn and of those to score, once for all methods."""
+        learnt, key = posed.learnt, posed.registered is not None
         if key not in self._features:
             free = None if learnt.no_contact is None else self.take(learnt.no_contact)
             nominal = Nominal(self.take(learnt.frames), learnt.touched, free)
-            self._features[key] = nominal, self.take(brought.frames)
-            _, self.trunk_ms = _timed(lambda rgb: self.take(rgb[None]), learnt.frames[:_TIMED])
+            self._features[key] = nominal, self.take(posed.frames)
+            _, self.trunk_ms = _time(lambda rgb: self.take(rgb[None]), learnt.frames[:_TIMED])
         return self._features[key]

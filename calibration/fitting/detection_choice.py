@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.fitting.candidates import Candidates
-from calibration.fitting.damage_seen import DamageJudge, Seen, TrunkBench
+from calibration.fitting.damage_seen import DamageJudge, Separation, TrunkBench
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from calibration.fitting.trunks import open_trunk
@@ -33,23 +33,23 @@ def choose_detection(
     candidates: Candidates,
     report: Report = lambda stage, fraction: None,
 ) -> FitConfig:
-    """The configuration with the method and the trunk that separate most, and why.
+    """Choose the method and the trunk that separate most, and say why.
 
     config: with the usual ones, which stay where nothing can be compared. Errors: FitError where nothing can be
     compared and several methods are candidates, or where none takes the presses.
     """
-    if why := _hindrance(presses, config):
-        return _usual(config, candidates, why)
+    if why := _find_hindrance(presses, config):
+        return _keep_usual(config, candidates, why)
     judge = DamageJudge(presses, config)
     if not judge.damaged:
-        return _usual(config, candidates, "no damage shows in the presses")
+        return _keep_usual(config, candidates, "no damage shows in the presses")
     compared = Comparison(config, candidates)
     compared.run(judge, report)
-    return compared.chosen()
+    return compared.choose()
 
 
-def _hindrance(presses: NominalPresses, config: FitConfig) -> str:
-    """Why nothing can be compared; empty where it can."""
+def _find_hindrance(presses: NominalPresses, config: FitConfig) -> str:
+    """Say why nothing can be compared; empty where it can."""
     if config.mode == "paper":
         return "the published methods have no choice"
     if presses.no_contact is None:
@@ -59,8 +59,8 @@ def _hindrance(presses: NominalPresses, config: FitConfig) -> str:
     return ""
 
 
-def _usual(config: FitConfig, candidates: Candidates, why: str) -> FitConfig:
-    """Errors: FitError where several methods are candidates."""
+def _keep_usual(config: FitConfig, candidates: Candidates, why: str) -> FitConfig:
+    """Keep the usual trunk, and say why. Errors: FitError where several methods are candidates."""
     if len(candidates.methods) > 1:
         raise FitError(
             f"no method can be chosen: {why}; name one with --method, such as {candidates.methods[0]}"
@@ -71,35 +71,41 @@ def _usual(config: FitConfig, candidates: Candidates, why: str) -> FitConfig:
 
 
 class Comparison:
-    """What every pair sees of the damage. seen: of those that could be tried."""
+    """What every pair sees of the damage; of those that cannot be tried, why."""
 
     def __init__(self, config: FitConfig, candidates: Candidates) -> None:
         self._config, self._candidates = config, candidates
         self._detectors = {name: registry.detector(name) for name in candidates.methods}
         # Each tap once, of all methods.
-        self._taps = tuple(dict.fromkeys(tap for name in self._detectors for tap in self._read_by(name)))
-        self.seen: dict[Pair, Seen] = {}
+        self._taps = tuple(dict.fromkeys(tap for name in self._detectors for tap in self._taps_of(name)))
+        self.separations: dict[Pair, Separation] = {}
         self._errors: dict[Pair, ConfigError | FitError] = {}
 
-    def _read_by(self, method: str) -> tuple[str, ...]:
+    def _taps_of(self, method: str) -> tuple[str, ...]:
         detector, config = self._detectors[method], self._config
         return detector.taps(detector.parameters(config.mode, **config.overrides))
 
     def run(self, judge: DamageJudge, report: Report) -> None:
-        """On one trunk after the other, all methods on the same features. Errors: FitError where no pair can be
+        """Judge on one trunk after the other, all methods on the same features. Errors: FitError where no pair can be
         tried."""
-        benches = self._benches()
+        benches = self._open_benches()
         for number, (trunk, bench) in enumerate(benches.items()):
             report("choice", number / len(benches))
-            self._run_on(judge, bench, trunk)
+            for method, detector in self._detectors.items():
+                if (method, trunk) in self._errors:
+                    continue
+                try:
+                    self.separations[method, trunk] = judge.judge(detector, bench)
+                except FitError as error:
+                    self._errors[method, trunk] = error
         if benches:
             report("choice", 1.0)
-        if not self.seen:
+        if not self.separations:
             raise next(iter(self._errors.values()))
 
-    def _benches(self) -> dict[str, TrunkBench]:
-        """The trunks on which some method can be tried; what cannot is known before the work."""
-        found: dict[str, TrunkBench] = {}
+    def _open_benches(self) -> dict[str, TrunkBench]:
+        """Open the trunks on which some method can be tried; what cannot is known before the work."""
+        benches: dict[str, TrunkBench] = {}
         for trunk in self._candidates.trunks:
             try:
                 bench = TrunkBench(open_trunk(trunk, self._taps), self._taps, self._config)
@@ -108,63 +114,53 @@ class Comparison:
                 continue
             for method, detector in self._detectors.items():
                 try:
-                    bench.learner(detector)
+                    bench.make_learner(detector)
+                    benches[trunk] = bench
                 except FitError as error:
                     self._errors[method, trunk] = error
-                else:
-                    found[trunk] = bench
-        return found
+        return benches
 
-    def _run_on(self, judge: DamageJudge, bench: TrunkBench, trunk: str) -> None:
-        for method, detector in self._detectors.items():
-            if (method, trunk) in self._errors:
-                continue
-            try:
-                self.seen[method, trunk] = judge.seen(detector, bench)
-            except FitError as error:
-                self._errors[method, trunk] = error
-
-    def chosen(self) -> FitConfig:
-        """The configuration with the pair that sees most, and why for the manifest."""
-        method, trunk = max(self.seen, key=lambda pair: self.seen[pair].mean)
-        detector, facts = self._detectors[method], {}
-        opened = open_trunk(trunk, self._read_by(method))
+    def choose(self) -> FitConfig:
+        """Return the configuration with the pair that sees most, and why for the manifest."""
+        method, trunk = max(self.separations, key=lambda pair: self.separations[pair].mean)
+        facts, shares = {}, self._shares()
         if len(self._candidates.methods) > 1:
-            facts[METHOD_CHOICE] = {"chosen": method, "why": self._why_method(method), "found": self._found()}
+            facts[METHOD_CHOICE] = {"chosen": method, "why": self._say_why_method(method), "found": shares}
         if len(self._candidates.trunks) > 1:
-            found = {name: dict(kinds) for name, kinds in self._found()[method].items()}
-            facts[BACKBONE_CHOICE] = {"chosen": trunk, "why": self._why_trunk(method, trunk), "found": found}
-        return replace(self._config, detector=detector, trunk=opened, choice_facts=facts)
+            why = self._say_why_trunk(method, trunk)
+            facts[BACKBONE_CHOICE] = {"chosen": trunk, "why": why, "found": shares[method]}
+        opened = open_trunk(trunk, self._taps_of(method))
+        return replace(self._config, detector=self._detectors[method], trunk=opened, choice_facts=facts)
 
-    def _found(self) -> dict[str, dict[str, dict[str, float]]]:
-        """By method, trunk and kind of damage. A trunk that is a file is its name alone."""
-        found: dict[str, dict[str, dict[str, float]]] = {}
-        for (method, trunk), seen in self.seen.items():
-            of = {kind: round(one, 4) for kind, one in seen.found.items()}
-            found.setdefault(method, {})[Path(trunk).name] = of
-        return found
+    def _shares(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Return what is seen by method, trunk and kind of damage. A trunk that is a file is its name alone."""
+        shares: dict[str, dict[str, dict[str, float]]] = {}
+        for (method, trunk), one in self.separations.items():
+            of = {kind: round(share, 4) for kind, share in one.by_kind.items()}
+            shares.setdefault(method, {})[Path(trunk).name] = of
+        return shares
 
-    def _why_method(self, chosen: str) -> str:
-        """Each method on the trunk on which it sees most."""
-        best: dict[str, Seen] = {}
-        for (method, _), seen in self.seen.items():
-            best[method] = max(best.get(method, seen), seen, key=lambda one: one.mean)
+    def _say_why_method(self, method: str) -> str:
+        """Compare the methods, each on the trunk on which it sees most."""
+        best: dict[str, Separation] = {}
+        for (name, _), one in self.separations.items():
+            best[name] = max(best.get(name, one), one, key=lambda each: each.mean)
         said = (
-            f"{name} {seen.mean:.3f}, {seen.press_ms:.1f} ms a press{' with registration' * seen.is_registered}"
-            for name, seen in best.items()
+            f"{name} {one.mean:.3f}, {one.press_ms:.1f} ms a press{' with registration' * one.is_registered}"
+            for name, one in best.items()
         )
-        left_out = {method: error for (method, _), error in self._errors.items() if method not in best}
-        return self._sentence(chosen, "; ".join(said), left_out)
+        left_out = {name: error for (name, _), error in self._errors.items() if name not in best}
+        return self._say_why(method, "; ".join(said), left_out)
 
-    def _why_trunk(self, method: str, chosen: str) -> str:
-        on = (f"{trunk} {seen.mean:.3f}" for (of, trunk), seen in self.seen.items() if of == method)
-        left_out = {trunk: error for (of, trunk), error in self._errors.items() if of == method}
-        return self._sentence(chosen, ", ".join(on), left_out)
+    def _say_why_trunk(self, method: str, trunk: str) -> str:
+        on = (f"{name} {one.mean:.3f}" for (of, name), one in self.separations.items() if of == method)
+        left_out = {name: error for (of, name), error in self._errors.items() if of == method}
+        return self._say_why(trunk, ", ".join(on), left_out)
 
-    def _sentence(self, chosen: str, said: str, left_out: Mapping[str, Exception]) -> str:
-        kinds = " and ".join(next(iter(self.seen.values())).found)
+    def _say_why(self, name: str, said: str, left_out: Mapping[str, Exception]) -> str:
+        kinds = " and ".join(next(iter(self.separations.values())).by_kind)
         why = (
-            f"{chosen}: of {kinds} in the nominal presses its banks see most ({said}; mean of image AUROC and AU-PRO "
+            f"{name}: of {kinds} in the nominal presses its banks see most ({said}; mean of image AUROC and AU-PRO "
             "up to 1 %, out of fold)"
         )
-        return "; ".join([why, *(f"{name} was not tried: {error}" for name, error in left_out.items())])
+        return "; ".join([why, *(f"{other} was not tried: {error}" for other, error in left_out.items())])

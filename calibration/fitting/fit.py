@@ -18,35 +18,35 @@ from calibration.fitting.bundle_measurements import (
     contact_range,
     cost_card,
     free_gel_warnings,
-    given_threshold,
     golden_frames,
-    measured_tolerance,
+    measure_tolerance,
     placeholders,
     provenance,
+    state_threshold,
     warnings,
 )
 from calibration.fitting.features import extract, feature_warnings, trunk_grid
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.covering import covering_bank
-from calibration.fitting.limits.folds import Folds, held_out_folds
+from calibration.fitting.limits.folds import Folds, divide_presses
 from calibration.fitting.limits.head_limit import bank_with, head_with_limit, limit_arrays
 from calibration.fitting.limits.held_out import HeldOut, Learner
 from calibration.fitting.limits.limit_choice import Choice, LimitTrial, prepare_trial
 from calibration.fitting.limits.map_limit import PLAIN
-from calibration.fitting.limits.relief_step import ReliefChoice, relief_of, with_relief
+from calibration.fitting.limits.relief_step import ReliefChoice, try_relief, with_relief
 from calibration.fitting.limits.threshold import (
     conformal_threshold,
     of_copies,
     require_enough,
 )
-from calibration.fitting.pose.pose_decision import PoseChoice, chosen_pose
+from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose
 from calibration.fitting.presses.augmentation import (
     EACH,
     Augmentation,
     Copies,
     Take,
-    augmentation_of,
-    rendered_copies,
+    plan_copies,
+    render_copies,
 )
 from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
@@ -85,7 +85,7 @@ class Fitted:
     files: dict[str, bytes]
 
     def bundle(self, loaded: Container[str] = ()) -> Bundle:
-        """The same, loaded through the same checks as from disk. loaded: see `Bundle.load`."""
+        """Load it through the same checks as from disk. loaded: see `Bundle.load`."""
         return Bundle.in_memory(self.manifest, self.files, loaded=loaded)
 
 
@@ -153,14 +153,14 @@ class _Plan:
 
     @property
     def why_plain(self) -> str:
-        """Why nothing is learnt from held-out presses but a threshold; empty where it is."""
+        """The reason why nothing is learnt from held-out presses but a threshold; empty where it is."""
         few = f"of fewer than {MIN_PRESSES} presses nothing can be held out to choose by"
         return self.config.why_plain or (few if len(self.presses) < MIN_PRESSES else "")
 
     def augment(self, is_registered: bool = False) -> Augmentation:
         """Decide on copies of the presses. Errors: FitError where they are asked for in vain."""
         config = self.config
-        return augmentation_of(config.augment, self.presses, config.detector.name, config.mode, is_registered)
+        return plan_copies(config.augment, self.presses, config.detector.name, config.mode, is_registered)
 
     def find_threshold(self, scores: Float, slack: float = 0.0) -> ThresholdEntry:
         return conformal_threshold(
@@ -180,7 +180,7 @@ def _plan_fit(presses: NominalPresses, config: FitConfig) -> _Plan:
     if config.threshold is None and not (augmentation.each and len(presses) == 1):
         require_enough(len(presses), config.alpha, fewest, augmentation.why)
         rng = np.random.default_rng(config.seed)
-        folds, few_pieces = held_out_folds(presses.specimens, config.folds, rng, fewest)
+        folds, few_pieces = divide_presses(presses.specimens, config.folds, rng, fewest)
         said += few_pieces
     said += [*colour_warnings(colours), *free_gel_warnings(presses)]
     return replace(plan, folds=folds, fewest=fewest, warnings=said)
@@ -210,7 +210,7 @@ class _Features:
         plan, config = self.plan, self.plan.config
         if plan.folds is None or plan.why_plain:
             return ReliefChoice(plan.why_plain)
-        return relief_of(self.presses, config.view, self.nominal, self.take, plan.folds, self.learner, head)
+        return try_relief(self.presses, config.view, self.nominal, self.take, plan.folds, self.learner, head)
 
     @property
     def skipped_tiles(self) -> tuple[int, ...]:
@@ -233,11 +233,11 @@ def _take_features(plan: _Plan, progress: Progress) -> _Features:
         return extract(session, frames, grid, lambda fraction: None)
 
     learner = Learner(detector, grid, plan.parameters, config.seed, config.threads)
-    pose = chosen_pose(config.register, presses, learner, take, config.view)
+    pose = choose_pose(config.register, presses, learner, take, config.view)
     said: list[str] = []
     if pose.learnt is None:  # a method that compares places needs the presses at one place
         said = scatter_warnings(presses, config.profile, detector, config.is_scattered, pose.why)
-    posed = pose.posed(presses)
+    posed = pose.apply(presses)
     augmentation = plan.augment(pose.learnt is not None)
     copies = Copies.of(presses, augmentation.each, config.profile.pixels_per_mm, config.seed, take)
     features = extract(session, posed.frames, grid, progress)
@@ -267,12 +267,12 @@ class _Learnt:
     def find_threshold(self, tolerance: ToleranceEntry, scorer: Scorer) -> ThresholdEntry:
         plan, config = self.features.plan, self.features.plan.config
         if config.threshold is not None:
-            return given_threshold(config.threshold, config.alpha)
+            return state_threshold(config.threshold, config.alpha)
         if self.choice.other is not None:
             return self.choice.other.threshold
         if self.scores is None:  # one press: copies that the bank has not learnt
             rng = np.random.default_rng(config.seed + 1)
-            fresh, _ = rendered_copies(plan.presses, EACH, config.profile.pixels_per_mm, rng)
+            fresh, _ = render_copies(plan.presses, EACH, config.profile.pixels_per_mm, rng)
             return of_copies([scorer.score_in_pose(rgb).anomaly_score for rgb in fresh], config.alpha)
         return plan.find_threshold(self.scores, tolerance.around(float(self.scores.max())))
 
@@ -329,7 +329,7 @@ def _measure(learnt: _Learnt, created: str, watch: _Watch) -> Fitted:
     provisional = _pack(learnt, facts, ())
     scorer = Scorer(provisional.bundle(), threads, trunks)
     golden = golden_frames(scorer, features.presses.frames)
-    tolerance = measured_tolerance(scorer, golden, threads)
+    tolerance = measure_tolerance(scorer, golden, threads)
     cost = cost_card(scorer, features.presses.frames, threads, watch.seconds)
     threshold = learnt.find_threshold(tolerance, scorer)
     black = np.zeros_like(plan.presses.frames[0])

@@ -62,12 +62,12 @@ class FitConfig:
 
     @property
     def view(self) -> tuple[SensorProfile, Region]:
-        """What the pictures show, and the part of them that is inspected."""
+        """The sensor of the pictures, and the part of them that is inspected."""
         return self.profile, self.region
 
     @property
     def why_plain(self) -> str:
-        """Why there is one limit for all places whatever it finds; empty where a limit is chosen."""
+        """The reason why there is one limit for all places whatever it finds; empty where a limit is chosen."""
         if self.threshold is not None:
             return "the threshold was given"
         if self.mode == "paper":

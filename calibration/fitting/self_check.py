@@ -32,7 +32,7 @@ APART_SHARE = 0.1
 
 
 def unproven_warnings(separated: float | None, found: tuple[int, int] | None) -> list[str]:
-    """What the fit's own evidence does not show, the worst first.
+    """Say what the fit's own evidence does not show, the worst first.
 
     separated: image AUROC of rendered damage, where it decided on registration. found: how many presses with rendered
     damage the bundle finds, and their number. Each is None where it was not measured.
@@ -91,7 +91,7 @@ def room_warnings(room: float) -> list[str]:
 def black_warnings(
     score: float, limit: ThresholdEntry, is_refused: bool, apart: Sequence[str] = ()
 ) -> list[str]:
-    """Whether a black frame, which shows no press, scores like a sound press.
+    """Warn where a black frame, which shows no press, scores like a sound press.
 
     score: its anomaly score. is_refused: whether the gateway refuses it for its colours. apart: the sentences on
     outliers, which may be the reason. Errors: FitError where it would pass.

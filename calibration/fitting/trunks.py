@@ -74,12 +74,12 @@ def _whole(name: str, taps: Sequence[str]) -> Trunk:
         except OSError as error:
             raise FitError(
                 f"the trunk {name} cannot be read: {error.strerror}; make it with `gelgate export backbone`, or name "
-                f"an installed backbone ({_known()})"
+                f"an installed backbone ({_list_known()})"
             ) from error
         return Trunk(Path(name).stem, graph, {**_metadata(graph), "file": Path(name).name})
     if name not in registry.names("backbones"):
         raise ConfigError(
-            f"no backbone is named '{name}'; known: {_known()}, or a path to a trunk .onnx file"
+            f"no backbone is named '{name}'; known: {_list_known()}, or a path to a trunk .onnx file"
         )
     backbone = registry.backbone(name)
     facts = dict(backbone.facts()) if isinstance(backbone, HasFacts) else {}
@@ -90,12 +90,12 @@ def _whole(name: str, taps: Sequence[str]) -> Trunk:
 
 
 def _metadata(graph: bytes) -> dict[str, str]:
-    """What the file says of itself, such as its weights and their licence; nothing where it is not a graph."""
+    """Read what the file says of itself, such as its weights and their licence; nothing where it is not a graph."""
     try:
         return {key: value for key, value in metadata(graph).items() if len(value) <= MOST_METADATA}
     except GraphRefused:  # refused where it is opened, with the sentence for that
         return {}
 
 
-def _known() -> str:
+def _list_known() -> str:
     return ", ".join(registry.names("backbones")) or "none installed"

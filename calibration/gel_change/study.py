@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.held_out import Learner, ScoredPresses, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
-from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.metrics import aupro, auroc
@@ -145,7 +145,7 @@ class _GelPresses:
             self.renderer.free_gel(("free", k), _AGE, Exposure(k, _POWERED_S)) for k in range(_FREE_FRAMES)
         ]
         pictures = {f"s{piece:05d}_p0": self.press(piece)[0] for piece in pieces}
-        return named_presses(pictures, PROFILE, REGION, no_contact=free)
+        return gather_presses(pictures, PROFILE, REGION, no_contact=free)
 
     def press(self, piece: int, damage: tuple[str, float] | None = None) -> tuple[U8, NDArray[np.bool_]]:
         """A picture (240, 320, 3) and where damage shows, bool (240, 320). damage: its kind and severity."""
@@ -247,7 +247,7 @@ def _measure(
 def _learn(learner: Learner, nominal: Nominal) -> tuple[Bank, float]:
     """A bank and its limit, from the scores of held-out presses."""
     bank = learner.bank(nominal)
-    folds, _ = held_out_folds((None,) * nominal.presses, 5, np.random.default_rng(0))
+    folds, _ = divide_presses((None,) * nominal.presses, 5, np.random.default_rng(0))
     own = learner.score(bank, nominal.features, range(nominal.presses)).scores
     scores = np.maximum(score_held_out(learner, nominal, folds).sound.scores, own)
     return bank, conformal_threshold(scores, ALPHA).value

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.presses.nominal_presses import named_presses
+from calibration.fitting.presses.nominal_presses import gather_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.gel_scars.worn_gel import SCARS, Line, Placing, Scar, as_view, random_scar
 from calibration.simulator.defects import DEFECTS, Defect
@@ -84,7 +84,7 @@ class Station:
             f"s{piece:03d}_p0": line.press(line.imprint(piece), piece, piece) for piece in range(NOMINAL)
         }
         region = Region.centre(sensor.size)
-        presses = named_presses(
+        presses = gather_presses(
             pictures, sensor, region, no_contact=[line.free_picture(k) for k in range(_FREE)]
         )
         detector = registry.detector(_METHOD)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from calibration.acquisition.coverage import ROUND, PlaceDistances, Standing
 from calibration.fitting.limits.covering import covering_bank
-from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.held_out import Learner, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.metrics import aupro
@@ -91,7 +91,7 @@ class Part:
     def fitted(self, taken: NDArray[np.int64]) -> dict[str, Any]:
         """What a bundle of these presses promises and does."""
         specimens = [self.pool.presses.specimens[k] for k in taken]
-        folds, _ = held_out_folds(specimens, FOLDS, np.random.default_rng(0))
+        folds, _ = divide_presses(specimens, FOLDS, np.random.default_rng(0))
         covered = covering_bank(
             self._learner,
             self._nominal(taken),

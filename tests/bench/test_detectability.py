@@ -25,7 +25,7 @@ from calibration.detectability.study import Plan, Settings, plan, run
 from calibration.fitting.damage.damage import KINDS
 from calibration.fitting.damage.rendering import EditedPress
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
 from edge import registry
 from edge.core.errors import DatasetError, FitError
@@ -115,7 +115,7 @@ def nominal_presses(presses: DamagedPartPresses) -> NominalPresses:
         for piece in range(PIECES)
         for press in range(PRESSES)
     }
-    return named_presses(pictures, PROFILE, REGION, no_contact=[presses.free_gel(k) for k in range(4)])
+    return gather_presses(pictures, PROFILE, REGION, no_contact=[presses.free_gel(k) for k in range(4)])
 
 
 def planned_study(nominal: NominalPresses, region: Region) -> tuple[Bundle, Plan]:
@@ -164,7 +164,7 @@ def ball_rows(data: Path, ball: str) -> list[Row]:
     free = read((data / ball).parent / "background.png")
     moved = {f"{path.parent.name}.png": centred(read(path), free) for path in files}
     pictures = {name: rgb for name, rgb in moved.items() if rgb is not None}
-    _, planned = planned_study(named_presses(pictures, PROFILE, BALL_REGION, no_contact=[free]), BALL_REGION)
+    _, planned = planned_study(gather_presses(pictures, PROFILE, BALL_REGION, no_contact=[free]), BALL_REGION)
     return predicted(planned)
 
 

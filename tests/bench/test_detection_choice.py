@@ -87,9 +87,9 @@ def measured(trial: Trial, pairs: Sequence[Pair]) -> Iterator[dict[str, Any]]:
         chosen = replace(config, overrides=parse_values("--set", settings))
         comparison = Comparison(chosen, Candidates((name,), (trunk,)))
         comparison.run(judge, lambda stage, fraction: None)
-        (seen,) = comparison.seen.values()
-        truth = _truth(trial, replace(comparison.chosen(), threshold=1.0))
-        row = {"found": seen.found, "truth": truth, "registered": seen.is_registered}
+        (seen,) = comparison.separations.values()
+        truth = _truth(trial, replace(comparison.choose(), threshold=1.0))
+        row = {"found": seen.by_kind, "truth": truth, "registered": seen.is_registered}
         yield {"method": method, "trunk": trunk, **row}
 
 

@@ -20,10 +20,10 @@ from random_part_presses import RandomPartPresses
 
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.limits.covering import covering_bank
-from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.held_out import Learner, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
-from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
 from edge import registry
 from edge.core.detector import Features, Grid, Nominal
@@ -75,7 +75,7 @@ class Part:
                 )
                 for k in range(NOMINAL)
             }
-            presses = named_presses(
+            presses = gather_presses(
                 {f"part_pos_{name}": f for name, f in frames.items()}, PROFILE, REGION, no_contact=free
             )
             found[design] = presses, self.features(presses.frames)
@@ -93,7 +93,7 @@ def measured(part: Part, design: str, method: str) -> dict[str, Any]:
     assert presses.no_contact is not None
     free = part.features(presses.no_contact)
     nominal = Nominal({tap: features[tap] for tap in taps}, presses.touched, {tap: free[tap] for tap in taps})
-    folds, said = held_out_folds(presses.specimens, FOLDS, np.random.default_rng(0))
+    folds, said = divide_presses(presses.specimens, FOLDS, np.random.default_rng(0))
     assert not said
     covered = covering_bank(
         learner,

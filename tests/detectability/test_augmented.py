@@ -12,7 +12,7 @@ from registered_bundle import PROFILE, nominal
 
 from calibration.detectability.judges import panel
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.presses.augmentation import rendered_copies
+from calibration.fitting.presses.augmentation import render_copies
 from calibration.fitting.trunks import Trunk
 from edge import registry
 from edge.core.imaging.region import Region
@@ -39,7 +39,7 @@ def test_a_bank_without_a_press_learns_the_copies_of_the_others() -> None:
     config = FitConfig("block", "top", PROFILE, region, tiny.TINY, trunk, augment="auto")
     found = fit_files(presses, config, created="2026-01-01")
     each = copies_of_each(found.manifest.facts)
-    copies, of = rendered_copies(presses, each, PROFILE.pixels_per_mm, np.random.default_rng(config.seed))
+    copies, of = render_copies(presses, each, PROFILE.pixels_per_mm, np.random.default_rng(config.seed))
 
     assert each > 0
     for press, judge in panel(found.bundle(), presses, 0, 1, lambda done: None).judges.items():

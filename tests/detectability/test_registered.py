@@ -16,7 +16,7 @@ from edge.model.scorer import Scorer
 class UnrecognisedPress:
     """Damage so large that the part is not recognised any more."""
 
-    def damaged(self, damage: Damage) -> NDArray[np.uint8]:
+    def render(self, damage: Damage) -> NDArray[np.uint8]:
         return parts.press(parts.OTHER, Pose(2.0, 3.0, 0.2))
 
 

@@ -15,8 +15,8 @@ from calibration.fitting.presses.augmentation import (
     MOST,
     Augment,
     Copies,
-    augmentation_of,
-    rendered_copies,
+    plan_copies,
+    render_copies,
 )
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
@@ -49,13 +49,13 @@ def fitted(presses: NominalPresses, augment: Augment = "auto", **changes: object
 
 
 def copies(presses: NominalPresses, each: int = 4, seed: int = 0) -> U8:
-    return rendered_copies(presses, each, PROFILE.pixels_per_mm, np.random.default_rng(seed))[0]
+    return render_copies(presses, each, PROFILE.pixels_per_mm, np.random.default_rng(seed))[0]
 
 
 def test_a_copy_shows_the_part_elsewhere() -> None:
     """Every copy differs from its press and from the other copies, and the same seed gives the same copies."""
     presses = few(2)
-    found, of = rendered_copies(presses, 4, PROFILE.pixels_per_mm, np.random.default_rng(0))
+    found, of = render_copies(presses, 4, PROFILE.pixels_per_mm, np.random.default_rng(0))
 
     assert found.shape == (8, parts.SIDE, parts.SIDE, 3)
     assert of.tolist() == [0] * 4 + [1] * 4
@@ -109,7 +109,7 @@ def test_how_many_copies_a_bank_learns(
     presses = NominalPresses(
         np.zeros((count, 4, 4, 3), np.uint8), ("",) * count, no_contact=np.zeros((1, 4, 4, 3), np.uint8)
     )
-    assert augmentation_of(augment, presses, method, mode).each == each
+    assert plan_copies(augment, presses, method, mode).each == each
 
 
 @pytest.mark.parametrize(
@@ -123,11 +123,11 @@ def test_copies_that_cannot_be_had(changes: dict[str, object], is_registered: bo
     """A sentence for the manifest where they are optional, an error where they are asked for."""
     presses = few(2, **changes)
 
-    found = augmentation_of("auto", presses, "padim", "corrected", is_registered)
+    found = plan_copies("auto", presses, "padim", "corrected", is_registered)
     assert found.each == 0
     assert found.facts["augmentation"]["why"].startswith(f"no copies are added: {reason}")
     with pytest.raises(FitError, match="no copies of the presses can be added"):
-        augmentation_of("always", presses, "padim", "corrected", is_registered)
+        plan_copies("always", presses, "padim", "corrected", is_registered)
 
 
 def test_a_press_that_is_held_out_takes_its_copies_along() -> None:

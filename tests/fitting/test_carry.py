@@ -16,7 +16,7 @@ from tiny_fit import presses as tiny_presses
 
 from calibration.fitting.carry import CarryConfig, carry_bundle
 from calibration.fitting.fit import Fitted, fit_files
-from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from edge.core.errors import FitError
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
@@ -50,7 +50,7 @@ def pressed(
     rng = np.random.default_rng(seed)
     free = [picture(rng, 0.0, tint) for _ in range(4)]
     names = {f"s{k:03d}_p0": picture(rng, depth, tint, dent=dent) for k in range(count)}
-    return named_presses(names, SENSOR, REGION, no_contact=free)
+    return gather_presses(names, SENSOR, REGION, no_contact=free)
 
 
 @cache

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from pressed_dome import PROFILE, REGION, Bench
 
-from calibration.fitting.damage_seen import Brought, DamageJudge, TrunkBench, separated
+from calibration.fitting.damage_seen import DamageJudge, PosedPresses, TrunkBench, measure_separation
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.held_out import ScoredPresses
-from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.simulator.pose import Jitter
 from calibration.simulator.renderer import Renderer
@@ -37,7 +37,7 @@ def test_what_is_seen_is_half_the_press_and_half_the_place(at: tuple[str, ...], 
         maps[masks] = 1.0
     if "off" in at:
         maps[0, 7, 7] = 2.0
-    found = separated(scored(np.zeros((2, 8, 8))), scored(maps), masks)
+    found = measure_separation(scored(np.zeros((2, 8, 8))), scored(maps), masks)
     assert found == pytest.approx(expected, abs=0.01)
 
 
@@ -53,13 +53,13 @@ def test_a_registered_press_is_judged_as_it_lies() -> None:
     nothing."""
     maps = np.zeros((2, 8, 8))
     maps[:, 3, 2], maps[:, 3, 6] = 5.0, 9.0
-    presses = named_presses({"a": np.zeros((240, 320, 3), np.uint8)}, PROFILE, REGION)
-    brought = Brought(presses, presses.frames, [registered(3.0), registered(0.0, "no such part")], 4.0)
-    found = brought.in_press(scored(maps))
+    presses = gather_presses({"a": np.zeros((240, 320, 3), np.uint8)}, PROFILE, REGION)
+    brought = PosedPresses(presses, presses.frames, [registered(3.0), registered(0.0, "no such part")], 4.0)
+    found = brought.bring_back(scored(maps))
     assert np.argwhere(found.maps[0] == found.maps[0].max()).tolist() == [[3, 5]]
     assert found.scores.tolist() == [5.0, 0.0]
     assert not found.maps[1].any()
-    assert Brought(presses, presses.frames).in_press(scored(maps)).scores.tolist() == [9.0, 9.0]
+    assert PosedPresses(presses, presses.frames).bring_back(scored(maps)).scores.tolist() == [9.0, 9.0]
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def presses() -> NominalPresses:
     with reproducible_opencv():
         bench = Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
         pictures = {f"p{k}": bench.press(k) for k in range(4)}
-        return named_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+        return gather_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
 
 
 def test_a_method_that_would_be_refused_is_not_judged(presses: NominalPresses) -> None:
@@ -79,7 +79,7 @@ def test_a_method_that_would_be_refused_is_not_judged(presses: NominalPresses) -
     apart = tuple(replace(touch, x=0.3 * (k % 4), y=0.2) for k, touch in enumerate(presses.touches))
     judge = DamageJudge(replace(presses, touches=apart), config)
     with pytest.raises(FitError, match=r"half of the contacts lie more than .* padim compares place with"):
-        judge.seen(padim, TrunkBench(trunk, ("layer1",), config))
+        judge.judge(padim, TrunkBench(trunk, ("layer1",), config))
 
 
 def test_many_presses_are_judged_by_some_of_them(presses: NominalPresses) -> None:

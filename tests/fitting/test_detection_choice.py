@@ -8,10 +8,10 @@ import pytest
 from pressed_dome import PROFILE, REGION, Bench
 
 from calibration.fitting.candidates import Candidates
-from calibration.fitting.damage_seen import DamageJudge, Seen, TrunkBench
+from calibration.fitting.damage_seen import DamageJudge, Separation, TrunkBench
 from calibration.fitting.detection_choice import Comparison, choose_detection
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.simulator.pose import Jitter
 from calibration.simulator.renderer import Renderer
@@ -34,7 +34,7 @@ def presses() -> NominalPresses:
     with reproducible_opencv():
         bench = Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
         pictures = {f"p{k}": bench.press(k) for k in range(6)}
-        return named_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+        return gather_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
 
 
 @pytest.fixture(scope="module")
@@ -90,27 +90,27 @@ def test_the_method_that_sees_more_is_chosen(presses: NominalPresses, config: Fi
 class SaidSeen(DamageJudge):
     """What was said that each pair sees, in place of a judgement; an error is raised."""
 
-    def __init__(self, said: dict[tuple[str, str], Seen | FitError]) -> None:
+    def __init__(self, said: dict[tuple[str, str], Separation | FitError]) -> None:
         self.said = said
 
-    def seen(self, detector: Detector, bench: TrunkBench) -> Seen:
+    def judge(self, detector: Detector, bench: TrunkBench) -> Separation:
         found = self.said[detector.name, bench.trunk.id]
         if isinstance(found, FitError):
             raise found
         return found
 
 
-def seen(mean: float, press_ms: float = 5.0, is_registered: bool = False) -> Seen:
-    return Seen(dict.fromkeys(KINDS, mean), press_ms, is_registered)
+def seen(mean: float, press_ms: float = 5.0, is_registered: bool = False) -> Separation:
+    return Separation(dict.fromkeys(KINDS, mean), press_ms, is_registered)
 
 
 PAIRS = Candidates(("padim", "patchcore"), (TACTILE, LITE))
 
 
-def compared(config: FitConfig, said: dict[tuple[str, str], Seen | FitError]) -> FitConfig:
+def compared(config: FitConfig, said: dict[tuple[str, str], Separation | FitError]) -> FitConfig:
     comparison = Comparison(config, PAIRS)
     comparison.run(SaidSeen(said), lambda stage, fraction: None)
-    return comparison.chosen()
+    return comparison.choose()
 
 
 def test_method_and_trunk_are_chosen_together(config: FitConfig) -> None:
@@ -139,7 +139,7 @@ def test_method_and_trunk_are_chosen_together(config: FitConfig) -> None:
 def test_what_cannot_be_tried_is_left_out_and_said(config: FitConfig) -> None:
     """A method that refuses the presses, a trunk without its tap; with nothing left the refusal is the fit's."""
     refused = FitError("half of the contacts lie more than 4.0 mm from their middle")
-    said: dict[tuple[str, str], Seen | FitError] = {
+    said: dict[tuple[str, str], Separation | FitError] = {
         ("padim", TACTILE): refused,
         ("padim", LITE): refused,
         ("patchcore", TACTILE): FitError("the trunk has no such tap"),

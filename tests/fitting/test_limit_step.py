@@ -10,7 +10,7 @@ from calibration.fitting.damage.damaged_presses import SIZE_SHARES, SPOTS, rende
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.limits.head_limit import ARRAYS
 from calibration.fitting.limits.head_relief import ARRAYS as RELIEF_ARRAYS
-from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.simulator.pose import Jitter
 from calibration.simulator.renderer import Renderer
@@ -27,7 +27,7 @@ def presses() -> NominalPresses:
     with reproducible_opencv():
         bench = Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
         pictures = {f"p{k}": bench.press(k) for k in range(8)}
-        return named_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+        return gather_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from pressed_dome import DEPTH_MM, PROFILE, REGION, Bench, pillow
 
-from calibration.fitting.damage.conditions import change_presses, dimmed, relit
+from calibration.fitting.damage.conditions import change_presses, dim, relight
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
-from calibration.fitting.limits.folds import held_out_folds
+from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.head_relief import ARRAYS
 from calibration.fitting.limits.relief_step import USEFUL, ReliefChoice, choose_relief, finest_tap
-from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.pose import HeightField, Jitter, sample
@@ -43,7 +43,7 @@ class Presses:
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         pictures = {f"p{k}": bench.press(k) for k in range(LEARNT)}
-        self.learnt = named_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+        self.learnt = gather_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
         numbers = range(LEARNT, LEARNT + 4)
         self.sound = np.stack([self.of(pillow, k) for k in numbers])
         self.smooth = np.stack([self.of(smooth_dome, k) for k in numbers])
@@ -87,7 +87,7 @@ def chosen(learnt: NominalPresses, take: Taken) -> ReliefChoice:
     nominal = Nominal(take(learnt.frames), learnt.touched, take(learnt.no_contact))
     changed = change_presses(learnt, PROFILE, REGION, np.random.default_rng(0))
     assert changed is not None
-    folds, _ = held_out_folds((None,) * len(learnt), 5, np.random.default_rng(0))
+    folds, _ = divide_presses((None,) * len(learnt), 5, np.random.default_rng(0))
     return choose_relief(nominal, changed, take, folds, take.grid, "layer1")
 
 
@@ -117,8 +117,8 @@ def test_what_shows_the_grooves_lacks_nothing(choice: ReliefChoice, presses: Pre
         (0.9, presses.learnt.frames),
         (0.9, presses.sound),
         (1, presses.lighter),
-        (1, np.stack([relit(rgb, rng) for rgb in presses.sound])),
-        (1, np.stack([dimmed(rgb, 0.8) for rgb in presses.sound])),
+        (1, np.stack([relight(rgb, rng) for rgb in presses.sound])),
+        (1, np.stack([dim(rgb, 0.8) for rgb in presses.sound])),
     ):
         assert (missing(choice, take, frames) < limit).all()
     assert (missing(choice, take, presses.learnt.no_contact) > 2).all()
@@ -180,7 +180,7 @@ def answers(bundle: Bundle, free: np.ndarray, pictures: list[np.ndarray]) -> set
     """What the gateway says of these presses."""
     inspector = Inspector(Scorer(bundle, 1), SystemClock())
     named = {f"{k}": rgb for k, rgb in enumerate(pictures)}
-    touches = named_presses(named, bundle.profile, bundle.region, no_contact=[free]).touches
+    touches = gather_presses(named, bundle.profile, bundle.region, no_contact=[free]).touches
     frames = [cv2.imencode(".png", np.ascontiguousarray(rgb[..., ::-1]))[1].tobytes() for rgb in pictures]
     return {
         inspector.inspect(CameraFrame(png, 0, number, is_on_demand=True), touch).word

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calibration.fitting.limits.threshold import FLOOR_MARGIN, conformal_threshold, needed, rate_range
+from calibration.fitting.limits.threshold import FLOOR_MARGIN, conformal_threshold, count_needed, rate_range
 from edge.core.errors import FitError
 
 
@@ -120,7 +120,7 @@ def test_bundles_keep_the_promise_on_average_and_each_lies_in_its_range() -> Non
 @pytest.mark.parametrize(("alpha", "count"), [(0.05, 19), (0.1, 9), (0.01, 99), (0.3, 3)])
 def test_how_many_pieces_a_rate_needs(alpha: float, count: int) -> None:
     """The least n with 1 / (n + 1) at most the rate."""
-    assert needed(alpha) == count
+    assert count_needed(alpha) == count
     assert not conformal_threshold(np.arange(max(4.0, count)), alpha).is_floored
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from random_part_presses import RandomPartPresses
 
 from calibration.fitting.features import extract, trunk_grid
-from calibration.fitting.presses.nominal_presses import NominalPresses, named_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.imaging.known_profiles import profile
@@ -70,8 +70,8 @@ def pool(shapes: int, number: int, sizes: Sizes, cache: Path | None = None) -> P
     frames = _kept(shapes, number, sizes, cache)
     names = [f"part_pos_s{k // sizes.each:03d}_p{1 + k % sizes.each:02d}.png" for k in range(sizes.nominal)]
     pictures, free = dict(zip(names, frames["nominal"], strict=True)), list(frames["free"])
-    region = _around(named_presses(pictures, PROFILE, Region.full(PROFILE.size), no_contact=free))
-    presses = named_presses(pictures, PROFILE, region, no_contact=free)
+    region = _around(gather_presses(pictures, PROFILE, Region.full(PROFILE.size), no_contact=free))
+    presses = gather_presses(pictures, PROFILE, region, no_contact=free)
     session = open_session(open_trunk("tactile_resnet18", TAPS).graph, 1, "trunk")
     grid = trunk_grid(session, TAPS, (SIDE, SIDE), PROFILE.pixels_per_mm)
 

@@ -59,6 +59,6 @@ class DamagedPress:
     piece: int
     order: int
 
-    def damaged(self, damage: Damage) -> NDArray[np.uint8]:
+    def render(self, damage: Damage) -> NDArray[np.uint8]:
         rgb = self.presses.damaged_press(self.piece, 0, self.order, damage)
         return np.ascontiguousarray(self.station.region.crop(rgb))

@@ -13,7 +13,7 @@ from calibration.simulator.constants import NOISE_SD
 from calibration.simulator.field_of_view import F32
 from edge.core.imaging.region import Region
 
-__all__ = ["compressed", "is_compressed", "uncompressed"]
+__all__ = ["compress", "is_compressed", "undo_compression"]
 
 U8 = NDArray[np.uint8]
 
@@ -25,12 +25,12 @@ _REPEATED = 0.8
 
 
 def is_compressed(rgb: U8, region: Region) -> bool:
-    """Whether a region of a picture, uint8 (h, w, 3), shows the blocks of JPEG at the picture's size."""
-    again, apart = (_change(rgb, compressed(rgb, region, shift)) for shift in (0, 4))
+    """Tell whether a region of a picture, uint8 (h, w, 3), shows the blocks of JPEG at the picture's size."""
+    again, apart = (_change(rgb, compress(rgb, region, shift)) for shift in (0, 4))
     return again < _REPEATED * apart
 
 
-def compressed(rgb: U8, region: Region, shift: int = 0) -> U8:
+def compress(rgb: U8, region: Region, shift: int = 0) -> U8:
     """The region as it comes back from JPEG of the picture. shift: pixels by which the blocks are displaced."""
     top, left = region.y % _BLOCK + shift, region.x % _BLOCK + shift
     picture = cv2.copyMakeBorder(rgb, top, _BLOCK, left, _BLOCK, cv2.BORDER_REPLICATE)
@@ -38,7 +38,7 @@ def compressed(rgb: U8, region: Region, shift: int = 0) -> U8:
     return np.ascontiguousarray(back[top : top + rgb.shape[0], left : left + rgb.shape[1]])
 
 
-def uncompressed(rgb: U8, region: Region) -> F32:
+def undo_compression(rgb: U8, region: Region) -> F32:
     """A picture that gives this one when it is compressed, float32 (h, w, 3): with the noise that compression took.
 
     Without that noise a change of less than half a step of the compression would vanish, and with it faint damage; in
@@ -47,7 +47,7 @@ def uncompressed(rgb: U8, region: Region) -> F32:
     """
     noise = np.random.default_rng(0).normal(0, NOISE_SD, rgb.shape)
     noisy = np.clip(np.rint(rgb + noise), 0, 255).astype(np.uint8)
-    taken = noisy.astype(np.float32) - compressed(noisy, region)
+    taken = noisy.astype(np.float32) - compress(noisy, region)
     return np.asarray(rgb + taken, np.float32)
 
 

@@ -15,7 +15,7 @@ from calibration.simulator.field_of_view import F32
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["SMOOTHED_MM", "ChangedPresses", "change_presses", "dimmed", "fainter", "relit"]
+__all__ = ["SMOOTHED_MM", "ChangedPresses", "change_presses", "dim", "relight", "weaken"]
 
 U8 = NDArray[np.uint8]
 
@@ -61,15 +61,15 @@ def change_presses(
     return ChangedPresses(
         np.array(list(shown)),
         (
-            change_each(lambda one: relit(one.rgb, rng)),
-            change_each(lambda one: dimmed(one.rgb, DIMMED)),
-            change_each(lambda one: fainter(one.rgb, one.station.free, FAINTER)),
+            change_each(lambda one: relight(one.rgb, rng)),
+            change_each(lambda one: dim(one.rgb, DIMMED)),
+            change_each(lambda one: weaken(one.rgb, one.station.free, FAINTER)),
         ),
-        tuple(change_each(lambda one, mm=mm: one.smoothed(mm)) for mm in SMOOTHED_MM),  # type: ignore[misc]
+        tuple(change_each(lambda one, mm=mm: one.smooth(mm)) for mm in SMOOTHED_MM),  # type: ignore[misc]
     )
 
 
-def relit(rgb: U8, rng: np.random.Generator) -> U8:
+def relight(rgb: U8, rng: np.random.Generator) -> U8:
     """The press under another light: each colour brighter or darker, by a share that changes over the picture."""
     height, width = rgb.shape[:2]
     v, u = np.linspace(-1, 1, height)[:, None, None], np.linspace(-1, 1, width)[None, :, None]
@@ -77,12 +77,12 @@ def relit(rgb: U8, rng: np.random.Generator) -> U8:
     return _levels(rgb * (1 + gain + across * u + down * v))
 
 
-def dimmed(rgb: U8, share: float) -> U8:
+def dim(rgb: U8, share: float) -> U8:
     """The press at this share of the exposure."""
     return _levels(rgb * np.float32(share))
 
 
-def fainter(rgb: U8, free: F32, share: float) -> U8:
+def weaken(rgb: U8, free: F32, share: float) -> U8:
     """The press with this share of its difference to the free gel, float32 (h, w, 3)."""
     return _levels(free + np.float32(share) * (rgb - free))
 

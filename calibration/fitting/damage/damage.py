@@ -54,7 +54,7 @@ class Damage:
     spot: Spot
 
     def defect(self) -> Defect:
-        """The same for the simulator. Errors: ValueError for a size beyond the kind's largest."""
+        """Return the damage for the simulator. Errors: ValueError for a size beyond the kind's largest."""
         kind, spot = KINDS[self.kind], self.spot
         return Defect(kind.shape, self.size_mm / kind.largest_mm, (spot.x_mm, spot.y_mm), spot.turn_rad)
 

@@ -82,7 +82,7 @@ def render_damage(
         spot, kind = _draw_spot(shown[k], rng), list(KINDS)[number % len(KINDS)]
         for share in SIZE_SHARES:
             damage = Damage(kind, share * KINDS[kind].largest_mm, spot)
-            frames.append(shown[k].damaged(damage))
+            frames.append(shown[k].render(damage))
             press.append(k)
             near.append(surroundings(damage, shown[k].station.field))
             names.append(f"{kind} of {share * KINDS[kind].largest_mm:.3g} mm")
@@ -103,7 +103,11 @@ def damage_presses(
     if presses.no_contact is None:
         return {}
     rendered = render_damage(presses, profile, region, np.random.default_rng(seed))
-    found = {} if rendered is None else {"rendered damage": _shown(presses, rendered.frames, rendered.press)}
+    found = (
+        {}
+        if rendered is None
+        else {"rendered damage": _keep_visible(presses, rendered.frames, rendered.press)}
+    )
     # Fewer where frames are large, as of rendered damage.
     count = PIECES if rendered is None else min(PIECES, 2 * len(rendered))
     rng = np.random.default_rng(seed)
@@ -131,10 +135,10 @@ def add_pieces(
             piece = _piece(reliefs[donor], places[donor], half, pixels_per_mm, rng)
             if piece is None or not len(places[k]):
                 continue
-            frames.append(_added(presses.frames[k], piece, places[k][rng.integers(len(places[k]))]))
+            frames.append(_add(presses.frames[k], piece, places[k][rng.integers(len(places[k]))]))
             of.append(k)
             break
-    return _shown(presses, np.stack(frames) if frames else presses.frames[:0], np.array(of, np.int64))
+    return _keep_visible(presses, np.stack(frames) if frames else presses.frames[:0], np.array(of, np.int64))
 
 
 def _relief(rgb: U8, free: F32) -> F32:
@@ -144,7 +148,7 @@ def _relief(rgb: U8, free: F32) -> F32:
 
 
 def _touched(relief: F32, margin: int) -> Mask:
-    """Where there is relief, bool (h, w), away from the border."""
+    """Find where there is relief, bool (h, w), away from the border."""
     levels = cv2.blur(np.abs(relief).sum(axis=2), (_AVERAGED_PX, _AVERAGED_PX))
     found = np.zeros(levels.shape, np.bool_)
     inner = (slice(margin, -margin), slice(margin, -margin))
@@ -178,27 +182,29 @@ def _window(half: int, pixels_per_mm: float, rng: np.random.Generator) -> F32:
     return np.asarray(np.exp(-0.5 * ((u / along) ** 2 + (v / across) ** 2)), np.float32)
 
 
-def _added(rgb: U8, piece: F32, centre: NDArray[np.int64]) -> U8:
+def _add(rgb: U8, piece: F32, centre: NDArray[np.int64]) -> U8:
     half, (row, column) = len(piece) // 2, centre.tolist()
     changed = rgb.astype(np.float32)
     changed[row - half : row + half + 1, column - half : column + half + 1] += piece
     return np.asarray(np.clip(np.rint(changed), 0, 255), np.uint8)
 
 
-def _shown(presses: NominalPresses, frames: U8, of: Sequence[int] | NDArray[np.int64]) -> DamagedPresses:
-    """Those whose damage shows, and where."""
+def _keep_visible(
+    presses: NominalPresses, frames: U8, of: Sequence[int] | NDArray[np.int64]
+) -> DamagedPresses:
+    """Keep those whose damage shows, and find where."""
     press = np.asarray(of, np.int64)
     masks = np.zeros(frames.shape[:3], np.bool_)
     for mask, rgb, k in zip(masks, frames, press, strict=True):
         change = cv2.absdiff(rgb, presses.frames[k]).max(axis=2)
         if change.max() >= _LEAST_LEVELS:
-            mask[:] = _closed(change > _VISIBLE * change.max())
+            mask[:] = _close_gaps(change > _VISIBLE * change.max())
     kept = masks.any(axis=(1, 2))
     return DamagedPresses(frames[kept], press[kept], masks[kept])
 
 
-def _closed(changed: Mask) -> Mask:
-    """Without single pixels, which compression changes anywhere, and with the gaps between bright and dark sides."""
+def _close_gaps(changed: Mask) -> Mask:
+    """Drop single pixels, which compression changes anywhere, and close the gaps between bright and dark sides."""
     grown = (cv2.blur(changed.astype(np.float32), (3, 3)) > 0.4).astype(np.uint8)
     gap = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_CLOSED_PX, _CLOSED_PX))
     return np.asarray(cv2.morphologyEx(grown, cv2.MORPH_CLOSE, gap) > 0, np.bool_)

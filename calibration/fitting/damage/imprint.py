@@ -54,10 +54,10 @@ class Station:
 
         rgb: uint8 (h, w, 3) of the region.
         """
-        press = self._levelled(rgb)
+        press = self._level(rgb)
         nx, ny = self._normals(press.transpose(2, 0, 1) - self._planes)
         upright = np.asarray(np.sqrt(1 - nx * nx - ny * ny), np.float32)
-        surface = _integrated(-nx / upright, -ny / upright, self.field)
+        surface = _integrate(-nx / upright, -ny / upright, self.field)
         difference = cv2.blur(np.abs(press - self.free).sum(axis=2), (9, 9))
         untouched = difference < _UNTOUCHED_LEVELS
         known = surface[untouched] if untouched.mean() > _LEAST_UNTOUCHED else surface
@@ -65,7 +65,7 @@ class Station:
         return np.asarray(np.maximum(surface - lowest, 0), np.float32)
 
     def pressure(self, surface_mm: F32) -> F32:
-        """How hard each point of the gel is pushed, in mm: z - L^2 laplacian(z), 0 where nothing holds it up.
+        """Return how hard each point of the gel is pushed, in mm: z - L^2 laplacian(z), 0 where nothing holds it up.
 
         Source: the bed of springs of `calibration.simulator.gel`, with the mean of its two lengths.
         """
@@ -111,7 +111,7 @@ class Station:
         """Free gel, response and curvature before the lens, as `optics.illumination` takes them."""
         return self._planes / self._falloff, self._response / self._falloff, _CURVATURE
 
-    def _levelled(self, rgb: U8) -> F32:
+    def _level(self, rgb: U8) -> F32:
         """The press at the free gel's brightness: lamps drift, and untouched gel shows by how much."""
         press = rgb.astype(np.float32)
         gain = np.median(press / np.maximum(self.free, 1), axis=(0, 1))
@@ -141,7 +141,7 @@ _UNIT = sensor_appearance.SENSORS["unit_b"]
 _CURVATURE = _UNIT.slope_response[:, 12:].astype(np.float32)
 
 
-def _integrated(slope_x: F32, slope_y: F32, field: Field) -> F32:
+def _integrate(slope_x: F32, slope_y: F32, field: Field) -> F32:
     """The surface with these slopes, least squares, by the cosine transform; its mean is 0.
 
     Source: Frankot and Chellappa (1988) with Neumann borders. An odd number of pixels is extended by one.

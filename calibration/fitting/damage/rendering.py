@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.damage.compression import compressed, is_compressed, uncompressed
+from calibration.fitting.damage.compression import compress, is_compressed, undo_compression
 from calibration.fitting.damage.damage import Damage
 from calibration.fitting.damage.imprint import Station
 from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -41,13 +41,13 @@ class EditedPress:
 
     @cached_property
     def contact(self) -> NDArray[np.bool_]:
-        """Where the part touches the gel, bool (h, w): damage elsewhere does not show. None for noise alone."""
+        """The places where the part touches the gel, bool (h, w): damage shows nowhere else. None for noise alone."""
         height = float(np.percentile(self.surface, _HIGHEST_PERCENT))
         if height < MASK_DEPTH_MM:
             return np.zeros(self.surface.shape, np.bool_)
         return np.asarray(self.station.pressure(self.surface) > _PUSHED_SHARE * height)
 
-    def damaged(self, damage: Damage) -> U8:
+    def render(self, damage: Damage) -> U8:
         """The press with the damage, uint8 (h, w, 3).
 
         The part's height is known where it touches; there the damage is added, and the gel is pressed on it again. The
@@ -58,30 +58,28 @@ class EditedPress:
 
     def with_relief(self, relief_mm: F32) -> U8:
         """The press of an object with this much more height where it touches, mm, float32 (h, w)."""
-        return self._shown(self.surface + self._pressed_with(relief_mm) - self._sound)
+        return self._show(self.surface + self._press_on(relief_mm) - self._sound)
 
-    def smoothed(self, sigma_mm: float) -> U8:
+    def smooth(self, sigma_mm: float) -> U8:
         """The press of an object that is smoother by this much, uint8 (h, w, 3): relief finer than that is missing.
 
         The standard deviation of a Gaussian window over the gel's surface. The picture changes as in `damaged`.
         """
         across, down = (sigma_mm / m for m in self.station.field.mm_per_px)
-        return self._shown(
-            np.asarray(cv2.GaussianBlur(self.surface, (0, 0), across, sigmaY=down), np.float32)
-        )
+        return self._show(np.asarray(cv2.GaussianBlur(self.surface, (0, 0), across, sigmaY=down), np.float32))
 
-    def _shown(self, surface: F32) -> U8:
+    def _show(self, surface: F32) -> U8:
         """The press with this surface instead of its own."""
         rgb = np.clip(np.rint(self._seen + self.station.light(surface) - self._lit), 0, 255).astype(np.uint8)
-        return rgb if self._seen is self.rgb else compressed(rgb, self.station.region)
+        return rgb if self._seen is self.rgb else compress(rgb, self.station.region)
 
     @cached_property
     def _seen(self) -> U8 | F32:
         """The press before its compression, as far as that can be known; itself where it was not compressed."""
         region = self.station.region
-        return uncompressed(self.rgb, region) if is_compressed(self.rgb, region) else self.rgb
+        return undo_compression(self.rgb, region) if is_compressed(self.rgb, region) else self.rgb
 
-    def _pressed_with(self, relief_mm: F32) -> F32:
+    def _press_on(self, relief_mm: F32) -> F32:
         part = self._part + np.where(self.contact, relief_mm, np.float32(0))
         return gel.deformation(np.asarray(np.maximum(part, 0), np.float32), self.station.field)
 

@@ -72,7 +72,7 @@ def covering_bank(
 
 
 def is_covered(known: NDArray[np.float64], held_out: NDArray[np.float64], threshold: float) -> bool:
-    """Whether few nominal presses fail with the final bank, and in the median they do not score higher with it.
+    """Tell whether few nominal presses fail with the final bank, and in the median they do not score higher with it.
 
     known, held_out: their scores with the final bank and with banks without them, (n,) each. threshold: from the
     latter.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from calibration.fitting.limits.threshold import pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES
 
-__all__ = ["LEAVE_ONE_OUT_BELOW", "MIN_PIECES", "Folds", "folds", "held_out_folds"]
+__all__ = ["LEAVE_ONE_OUT_BELOW", "MIN_PIECES", "Folds", "divide_presses", "folds"]
 
 LEAVE_ONE_OUT_BELOW = 10
 """With fewer presses each is held out alone: a fold of two would make the bank clearly smaller."""
@@ -19,10 +19,10 @@ MIN_PIECES = 3
 Folds = list[NDArray[np.int64]]
 
 
-def held_out_folds(
+def divide_presses(
     specimens: Sequence[str | None], count: int, rng: np.random.Generator, fewest: int = MIN_PRESSES
 ) -> tuple[Folds, list[str]]:
-    """The folds, and a warning where pieces are too few to hold out all presses of one.
+    """Divide presses into folds, and warn where pieces are too few to hold out all presses of one.
 
     Each fold leaves one press less than `fewest` at least, of as many presses or more.
     """

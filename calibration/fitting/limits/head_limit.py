@@ -18,7 +18,7 @@ from edge.core.errors import FitError
 
 __all__ = [
     "ARRAYS", "Operation", "bank_with", "can_extend", "extend_head", "head_inputs", "head_with_limit", "limit_arrays",
-    "limited_like",
+    "limit_like",
 ]  # fmt: skip
 
 _MAP, _SCORE = "score_map", "score"
@@ -109,7 +109,7 @@ def _load(head: bytes) -> Any:
 
 
 def can_extend(head: bytes) -> bool:
-    """Whether a limit can be appended to this head."""
+    """Tell whether a limit can be appended to this head."""
     try:
         _extended(head, {"limit_grid": np.ones((1, 1)), "limit_guard": np.ones((1, 1))})
     except FitError:
@@ -119,7 +119,7 @@ def can_extend(head: bytes) -> bool:
 
 
 def limit_arrays(limit: MapLimit) -> dict[str, NDArray[np.float32]]:
-    """The limit as arrays of a bank."""
+    """Return the limit as arrays of a bank."""
     arrays = {"limit_grid": limit.grid, "limit_guard": np.full((1, 1), limit.guard)}
     if limit.of.places is not None:
         rows, columns = limit.of.places.up
@@ -132,7 +132,7 @@ def limit_arrays(limit: MapLimit) -> dict[str, NDArray[np.float32]]:
 
 
 def bank_with(bank: Bank, arrays: Mapping[str, NDArray[Any]]) -> Bank:
-    """The bank with more arrays. Errors: FitError for a detector with an array of such a name."""
+    """Add arrays to a bank. Errors: FitError for a detector with an array of such a name."""
     taken = sorted(bank.arrays.keys() & set(arrays))
     if taken:
         raise FitError(f"the detector's bank has an array '{taken[0]}', a name that limits use; rename it")
@@ -140,15 +140,15 @@ def bank_with(bank: Bank, arrays: Mapping[str, NDArray[Any]]) -> Bank:
 
 
 def head_with_limit(head: bytes, arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """The head with the arrays' limit appended. Errors: FitError for a head that cannot be extended."""
+    """Append the arrays' limit to a head. Errors: FitError for a head that cannot be extended."""
     try:
         return _extended(head, arrays)
     except FitError as error:
         raise FitError(f"no limit can be appended to the head: {error}") from error
 
 
-def limited_like(whole: Mapping[str, NDArray[Any]], head: bytes, bank: Bank) -> tuple[bytes, Bank]:
-    """A head and its bank with the limit that another bank's arrays hold; unchanged where it has none."""
+def limit_like(whole: Mapping[str, NDArray[Any]], head: bytes, bank: Bank) -> tuple[bytes, Bank]:
+    """Give a head and its bank the limit that another bank's arrays hold; unchanged where it has none."""
     arrays = {name: whole[name] for name in ARRAYS if name in whole}
     return (head_with_limit(head, arrays), bank_with(bank, arrays)) if arrays else (head, bank)
 
@@ -159,7 +159,7 @@ def _extended(head: bytes, arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def _operations(arrays: Mapping[str, NDArray[Any]]) -> Iterator[Operation]:
-    """As `MapLimit.relate`."""
+    """List the operations of `MapLimit.relate`."""
     contrast, limit = _RAW_MAP, "limit_grid"
     if "limit_window_down_rows" in arrays:
         yield Operation("MatMul", ("limit_window_down_rows", _RAW_MAP), "limit_rows_averaged")

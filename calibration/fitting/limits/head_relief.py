@@ -16,7 +16,7 @@ from edge.core.detector import Bank
 from edge.core.errors import FitError
 from edge.model.manifest_facts import MISSING
 
-__all__ = ["ARRAYS", "head_with_relief", "relief_arrays", "relieved_like"]
+__all__ = ["ARRAYS", "head_with_relief", "relief_arrays", "relieve_like"]
 
 _MAP, _SCORE = "score_map", "score"
 _OWN_MAP, _OWN_SCORE = "relief_own_map", "relief_own_score"
@@ -69,10 +69,10 @@ def head_with_relief(head: bytes, tap: str, arrays: Mapping[str, NDArray[Any]]) 
         raise FitError(f"missing relief cannot be appended to the head: {error}") from error
 
 
-def relieved_like(
+def relieve_like(
     whole: Mapping[str, NDArray[Any]], facts: Mapping[str, Any], head: bytes, bank: Bank
 ) -> tuple[bytes, Bank]:
-    """A head and its bank with the missing relief that another bank's arrays hold; unchanged where it has none.
+    """Give a head and its bank the missing relief that another bank's arrays hold; unchanged where it has none.
 
     facts: of the other bundle. Errors: FitError.
     """
@@ -83,12 +83,12 @@ def relieved_like(
 
 
 def _operations(tap: str) -> list[Operation]:
-    """As `MissingRelief.score_map`."""
+    """List the operations of `MissingRelief.score_map`."""
     return [*_cells(tap), *_press(), *_map()]
 
 
 def _cells(tap: str) -> list[Operation]:
-    """How much each cell touches, and what it lacks, (n, rows, columns) each."""
+    """Compute how much each cell touches, and what it lacks, (n, rows, columns) each."""
     return [
         Operation("Sub", (tap, "relief_free"), "relief_added"),
         Operation("ReduceL2", ("relief_added",), "relief_distance", axes=(1,)),
@@ -103,7 +103,7 @@ def _cells(tap: str) -> list[Operation]:
 
 
 def _press() -> list[Operation]:
-    """How much is missing in all, `relief_missing` (n, 1, 1)."""
+    """Compute how much is missing in all, `relief_missing` (n, 1, 1)."""
     return [
         Operation("ReduceSum", ("relief_contact",), "relief_cells", axes=(1, 2), is_kept=True),
         Operation("ReduceSum", ("relief_lacking",), "relief_lacked", axes=(1, 2), is_kept=True),

@@ -63,7 +63,7 @@ class Learner:
         """Learn a bank. presses: which of the fit's presses these are, (n,); None for all. Errors: FitError."""
         rng = np.random.default_rng(self.seed)
         if self.copies is not None:
-            nominal = self.copies.added(nominal, np.arange(nominal.presses) if presses is None else presses)
+            nominal = self.copies.add_to(nominal, np.arange(nominal.presses) if presses is None else presses)
         return self.detector.fit(nominal, self.grid, self.parameters, rng, progress)
 
     def head(self, bank: Bank) -> bytes:

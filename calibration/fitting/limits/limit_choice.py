@@ -237,7 +237,7 @@ class _Candidate:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the limit is positive, and a black frame fails by it if it fails by the plain one."""
+        """The limit is positive, and a black frame fails by it if it fails by the plain one."""
         plain, black = self.evidence.plain.value, self.evidence.black
         if not (self.threshold.value > 0 and plain > 0):
             return False
@@ -247,7 +247,7 @@ class _Candidate:
 
     @cached_property
     def damaged(self) -> tuple[NDArray[np.bool_], Float]:
-        """Whether each damage is found by the limit without its press, and the score in units of that, (m,) each."""
+        """The damage that is found by the limit without its press, bool (m,), and the scores in units of that, (m,)."""
         damage, maps = self.evidence.damage, self.evidence.held_out.edited.maps
         is_found, scores = np.zeros(len(damage), np.bool_), np.empty(len(damage))
         for held, spread in self.folds:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FAINT", "START", "STEEPNESS", "MissingRelief", "Pooled", "contact_of", "pooled"]
+__all__ = ["FAINT", "START", "STEEPNESS", "MissingRelief", "Pooled", "contact_of", "pool"]
 
 Float = NDArray[np.float64]
 Floating = NDArray[np.floating]
@@ -51,7 +51,7 @@ class Pooled:
 
 
 def contact_of(features: Floating, free: Float, level: float) -> Float:
-    """How much each cell touches, 0 to 1, float64 (n, h, w).
+    """Return how much each cell touches, 0 to 1, float64 (n, h, w).
 
     features: (n, channels, h, w). free: those of the free gel, (channels, 1, 1).
     """
@@ -59,8 +59,8 @@ def contact_of(features: Floating, free: Float, level: float) -> Float:
     return np.asarray(np.clip(distance / level - 0.5, 0, 1))
 
 
-def pooled(features: Floating, free: Float, level: float) -> Pooled:
-    """The presses' features (n, channels, h, w), averaged over what touches; press by press, for their size."""
+def pool(features: Floating, free: Float, level: float) -> Pooled:
+    """Pool the presses' features (n, channels, h, w), averaged over what touches; press by press, for their size."""
     means, contact = np.zeros(features.shape[:2]), np.zeros(len(features))
     for k, one in enumerate(features):
         touch = contact_of(one[None], free, level)[0]
@@ -97,18 +97,18 @@ class MissingRelief:
             )
 
     def missing_of(self, presses: Pooled) -> Float:
-        """How much relief is missing, float64 (n,), 1 at the limit."""
+        """Return how much relief is missing, float64 (n,), 1 at the limit."""
         lack = presses.means @ self.weights - self.middle
         smooth = lack * presses.contact / (presses.contact + self.weakest)
         faint = (FAINT + 1) * self.weakest / (FAINT * presses.contact + self.weakest)
         return np.maximum(smooth, faint)
 
     def missing(self, features: Floating) -> Float:
-        """The same of features (n, channels, h, w)."""
-        return self.missing_of(pooled(features, self.free, self.level))
+        """Return how much relief is missing from features (n, channels, h, w)."""
+        return self.missing_of(pool(features, self.free, self.level))
 
     def score_map(self, features: Floating) -> Float:
-        """Where relief is missing, in units of the bundle's scores, float64 (n, h, w); 0 where little is missing."""
+        """Map where relief is missing, in units of the bundle's scores, float64 (n, h, w); 0 where little is."""
         touch = contact_of(features, self.free, self.level)
         lack = np.einsum("nchw,c->nhw", features.astype(np.float64), self.weights) - self.middle
         places = np.maximum(touch * lack, 0) + np.maximum(self.expected - touch, 0)

@@ -19,7 +19,7 @@ from calibration.fitting.limits.folds import Folds
 from calibration.fitting.limits.head_limit import bank_with, can_extend, head_inputs
 from calibration.fitting.limits.head_relief import head_with_relief, relief_arrays
 from calibration.fitting.limits.held_out import Learner
-from calibration.fitting.limits.missing_relief import MissingRelief, Pooled, contact_of, pooled
+from calibration.fitting.limits.missing_relief import MissingRelief, Pooled, contact_of, pool
 from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.detector import Bank, Grid, Nominal
@@ -27,7 +27,7 @@ from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from plugins.detectors.common.smoothing import Smoothing
 
-__all__ = ["USEFUL", "ReliefChoice", "choose_relief", "relief_of", "with_relief"]
+__all__ = ["USEFUL", "ReliefChoice", "choose_relief", "try_relief", "with_relief"]
 
 Float = NDArray[np.float64]
 Floating = NDArray[np.floating]
@@ -57,20 +57,22 @@ _BLUR_MM = 0.38
 
 @dataclass(frozen=True, eq=False)
 class ReliefChoice:
-    """relief: None where nothing is checked. found: the share of smoother presses found, None where none was tried."""
+    """Whether missing relief is checked, and why."""
 
     why: str
     relief: MissingRelief | None = None
+    """None where nothing is checked."""
     found: float | None = None
+    """The share of smoother presses that are found; None where none was tried."""
 
     def facts(self) -> dict[str, Any]:
-        """For the manifest."""
+        """Return the choice for the manifest."""
         known = {} if self.found is None else {"found": round(self.found, 4)}
         tap = {} if self.relief is None else {"tap": self.relief.tap}
         return {"is_checked": self.relief is not None, "why": self.why, **known, **tap}
 
 
-def relief_of(
+def try_relief(
     presses: NominalPresses,
     view: tuple[SensorProfile, Region],
     nominal: Nominal,
@@ -79,7 +81,7 @@ def relief_of(
     learner: Learner,
     head: bytes,
 ) -> ReliefChoice:
-    """What the station's presses allow. take: the features of frames. head: the graph that is to be extended."""
+    """Learn what the station's presses allow. take: the features of frames. head: the graph that is to be extended."""
     tap = finest_tap(learner.grid, head_inputs(head))
     if tap is None or not can_extend(head):
         return ReliefChoice("it cannot be appended to the method's graph")
@@ -90,7 +92,7 @@ def relief_of(
 
 
 def with_relief(head: bytes, bank: Bank, choice: ReliefChoice, unit: float) -> tuple[bytes, Bank]:
-    """Head and bank with what is missing, where it is checked. unit: the score at the limit. Errors: FitError."""
+    """Append what is missing to head and bank, where it is checked. unit: the score at the limit. Errors: FitError."""
     if choice.relief is None or unit <= 0:
         return head, bank
     arrays = relief_arrays(replace(choice.relief, unit=unit))
@@ -106,12 +108,12 @@ def finest_tap(grid: Grid, read: Sequence[str]) -> str | None:
 def choose_relief(
     nominal: Nominal, changed: ChangedPresses, take: Take, folds: Folds, grid: Grid, tap: str
 ) -> ReliefChoice:
-    """What tells a smoother press, from nominal presses (with features of the free gel) and changed ones."""
+    """Learn what tells a smoother press, from nominal presses (with features of the free gel) and changed ones."""
     evidence = _Evidence.of(nominal, changed, take, tap)
     contact = evidence.nominal.contact
     if contact.min() <= _LEAST_SHARE * np.median(contact):
         return ReliefChoice("a learnt press hardly touches")
-    held_out = evidence.held_out(folds)
+    held_out = evidence.score_folds(folds)
     if held_out.limit >= 0:
         return ReliefChoice("the nominal presses differ more than smoother ones do from them")
     found = float(np.mean([values < held_out.limit for values in held_out.smoother]))
@@ -122,16 +124,22 @@ def choose_relief(
             f"of the part's relief little can be missing: only {words} are found", None, found
         )
     weights, middle = evidence.direction(np.arange(nominal.presses))
-    limit = held_out.limit
-    relief = replace(
-        evidence.blank(tap, grid), weights=weights / limit, middle=middle / limit, weakest=evidence.weakest
+    _, rows, columns = grid.taps[tap]
+    raised = Smoothing.of(grid, (rows, columns), _BLUR_MM, "sampled")
+    relief = MissingRelief(
+        tap,
+        evidence.free,
+        evidence.level,
+        weights / held_out.limit,
+        middle / held_out.limit,
+        evidence.weakest,
+        evidence.expected,
+        raised.rows,
+        raised.columns,
     )
-    return ReliefChoice(f"{words} are found, {_of_conditions(held_out)}", relief, found)
-
-
-def _of_conditions(held_out: "_HeldOut") -> str:
     is_alarm = held_out.same < held_out.limit
-    return f"and {int(is_alarm.sum())} of {is_alarm.size} nominal ones under another light or contrast"
+    alarms = f"{int(is_alarm.sum())} of {is_alarm.size} nominal ones under another light or contrast"
+    return ReliefChoice(f"{words} are found, and {alarms}", relief, found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,43 +181,19 @@ class _Evidence:
         level = _LEVEL_SHARE * float(np.median([np.quantile(one, _HIGHEST) for one in distances]))
         expected = np.mean([contact_of(one[None], free, level)[0] for one in maps], axis=0)
         same, smoother = (
-            tuple(pooled(take(frames)[tap], free, level) for frames in kinds)
+            tuple(pool(take(frames)[tap], free, level) for frames in kinds)
             for kinds in (changed.same, changed.smoother)
         )
         cells = _touched_cells(maps[changed.press], free, level)
-        return cls(
-            free,
-            level,
-            expected,
-            pooled(maps, free, level),
-            changed.press,
-            same,
-            smoother,
-            np.cov(cells.T),
-        )
+        nominal_presses = pool(maps, free, level)
+        return cls(free, level, expected, nominal_presses, changed.press, same, smoother, np.cov(cells.T))
 
     @property
     def weakest(self) -> float:
         return _WEAKEST_SHARE * float(self.nominal.contact.min())
 
-    def blank(self, tap: str, grid: Grid) -> MissingRelief:
-        """With everything but a direction and its limit."""
-        channels, *cells = grid.taps[tap]
-        raised = Smoothing.of(grid, (cells[0], cells[1]), _BLUR_MM, "sampled")
-        return MissingRelief(
-            tap,
-            self.free,
-            self.level,
-            np.zeros(channels),
-            0.0,
-            self.weakest,
-            self.expected,
-            raised.rows,
-            raised.columns,
-        )
-
-    def held_out(self, folds: Folds) -> _HeldOut:
-        """Every press by the direction of the other folds."""
+    def score_folds(self, folds: Folds) -> _HeldOut:
+        """Score every press by the direction of the other folds."""
         nominal = np.zeros(len(self.nominal.contact))
         same, smoother = (np.zeros((len(kinds), len(self.press))) for kinds in (self.same, self.smoother))
         for held in folds:

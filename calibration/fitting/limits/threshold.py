@@ -35,7 +35,7 @@ __all__ = [
     "FLOOR_MARGIN",
     "check_alpha",
     "conformal_threshold",
-    "needed",
+    "count_needed",
     "of_copies",
     "pieces_of",
     "rate_range",
@@ -108,7 +108,7 @@ def _promised(is_alarm: NDArray[np.bool_]) -> RatePromise:
 
 
 def _of_pieces(is_alarm: NDArray[np.bool_], keys: Sequence[str]) -> NDArray[np.bool_]:
-    """Whether any press of a piece is above the threshold, (pieces,)."""
+    """Tell whether any press of a piece is above the threshold, (pieces,)."""
     high = {key for key, alarm in zip(keys, is_alarm, strict=True) if alarm}
     return np.array([key in high for key in dict.fromkeys(keys)])
 
@@ -124,13 +124,13 @@ def _rank(pieces: Sequence[str], alpha: float) -> int | None:
     return next((rank for rank, weight in enumerate(below, 1) if weight >= wanted), None)
 
 
-def needed(alpha: float) -> int:
-    """How many pieces promise this rate."""
+def count_needed(alpha: float) -> int:
+    """Count the pieces that promise this rate."""
     return math.ceil(1 / alpha - ROUNDING) - 1
 
 
 def require_enough(presses: int, alpha: float, fewest: int = MIN_PRESSES, why: str = "") -> None:
-    """Errors: FitError where a fold would keep too few presses.
+    """Check that a fold keeps enough presses. Errors: FitError for too few.
 
     fewest: with copies of them, fewer are enough. why: why there are no copies.
     """
@@ -138,7 +138,7 @@ def require_enough(presses: int, alpha: float, fewest: int = MIN_PRESSES, why: s
         raise FitError(
             f"{presses} nominal press{'' if presses == 1 else 'es'} give{'s' if presses == 1 else ''} no threshold: "
             f"with one held out fewer than {MIN_PRESSES - 1} are left to learn from; give at least {MIN_PRESSES} "
-            f"({needed(alpha)} for a false-alarm rate of {alpha:g}), or state a threshold yourself"
+            f"({count_needed(alpha)} for a false-alarm rate of {alpha:g}), or state a threshold yourself"
             f"{why and f'; {why}'}"
         )
 
@@ -174,7 +174,7 @@ def rate_range(pieces: int, alpha: float) -> tuple[float, float]:
 
 
 def check_alpha(alpha: float) -> None:
-    """Errors: FitError for an invalid false-alarm rate."""
+    """Check a false-alarm rate. Errors: FitError for an invalid one."""
     if not 0 < alpha < 1:
         raise FitError(f"the false-alarm rate lies between 0 and 1, found {alpha}; 0.05 is one in twenty")
 

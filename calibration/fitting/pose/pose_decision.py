@@ -23,7 +23,7 @@ from edge.core.registration.light import FreeLight
 from edge.core.registration.registrar import Registrar, find_relief
 from edge.model.tile_runner import most_typical
 
-__all__ = ["PoseChoice", "Register", "chosen_pose", "pose_spread_mm"]
+__all__ = ["PoseChoice", "Register", "choose_pose", "pose_spread_mm"]
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
@@ -54,25 +54,28 @@ class PoseChoice:
 
     @property
     def facts(self) -> dict[str, str]:
-        """For the manifest."""
+        """The sentence for the manifest."""
         return {"registration": self.why} if self.why else {}
 
-    def posed(self, presses: NominalPresses) -> NominalPresses:
-        """The presses as the bank learns them; registered ones lie at one place, and what they touch is not known."""
+    def apply(self, presses: NominalPresses) -> NominalPresses:
+        """Bring the presses to the pose of the bank; registered ones lie at one place, their touch is unknown."""
         if self.learnt is None:
             return presses
         touches = tuple(replace(touch, x=0.5, y=0.5) for touch in presses.touches)
         return replace(presses, frames=self.learnt.frames, touches=touches, touched=None)
 
 
-def chosen_pose(
+def choose_pose(
     register: Register, presses: NominalPresses, learner: Learner, take: Take, view: View
 ) -> PoseChoice:
-    """take: the features of frames. Errors: FitError where registration is asked for and cannot be had."""
+    """Decide whether presses are registered. take: the features of frames.
+
+    Errors: FitError where registration is asked for and cannot be had.
+    """
     if register == "never" or (register == "auto" and not learner.detector.compares_places):
         return PoseChoice(None)
     try:
-        learnt = _learnt(presses)
+        learnt = _learn(presses)
     except FitError as error:
         if register == "always":
             raise
@@ -96,7 +99,7 @@ def chosen_pose(
     return PoseChoice(None, f"presses are compared as they lie: {apart}, but {proof}", still)
 
 
-def _learnt(presses: NominalPresses) -> LearntPose:
+def _learn(presses: NominalPresses) -> LearntPose:
     if presses.no_contact is None:
         raise FitError(
             "registration needs a picture of the free gel; give one with --no-contact, or a recording that shows it"
@@ -139,12 +142,12 @@ def _proof(
     damaged = edited.frames[len(SIZE_SHARES) - 1 :: len(SIZE_SHARES)]
     registrar = Registrar(learnt.part)
 
-    def registered(frames: U8) -> U8:
+    def register_all(frames: U8) -> U8:
         return np.stack([registrar.register(rgb).rgb for rgb in frames])
 
     posed = completed([learnt.registered[k] for k in kept])
     return (
-        _auroc(learner, take, posed, registered(sound), registered(damaged)),
+        _auroc(learner, take, posed, register_all(sound), register_all(damaged)),
         _auroc(learner, take, presses.frames[kept], sound, damaged),
     )
 

@@ -52,7 +52,7 @@ class LearntPose:
 
 
 def learn_pose(frames: U8, free: U8) -> LearntPose:
-    """From nominal presses and the free gel, uint8 (n, h, w, 3) and (h, w, 3). Errors: FitError, no common relief."""
+    """Learn the pose from nominal presses and the free gel, uint8 (n, h, w, 3) and (h, w, 3). Errors: FitError."""
     light = FreeLight(free)
     added = [light.find_change(rgb) for rgb in frames]
     first = _first(added)
@@ -115,13 +115,13 @@ def _aligned(
 
 
 def _roundness(light: FreeLight, part: PartInPose) -> float:
-    """How well the part agrees with itself at any turn, by these colours of slopes."""
+    """Measure how well the part agrees with itself at any turn, by these colours of slopes."""
     slopes = shrunk(part.colours.slopes(shrunk(light.find_change(part.template))), SIDE_PX // 2)
     return CoarseSearch(slopes, _ROUND_TURNS).roundness(slopes)
 
 
 def _in_the_middle(poses: Sequence[Pose]) -> list[Pose]:
-    """The same poses from another pose of the bank, in which the presses' fields lie about its middle."""
+    """Move the poses to another pose of the bank, in which the presses' fields lie about its middle."""
     middles = np.array([(back.x_px, back.y_px) for back in (pose.inverse() for pose in poses)])
     x, y = np.median(middles, axis=0).tolist()
     return [pose.after(Pose(x, y)) for pose in poses]

@@ -23,7 +23,7 @@ from edge.core.registration.light import FreeLight
 from edge.core.registration.pose import Pose
 from edge.model.manifest_facts import AUGMENTATION
 
-__all__ = ["FEW", "Augment", "Augmentation", "Copies", "Take", "augmentation_of", "rendered_copies"]
+__all__ = ["FEW", "Augment", "Augmentation", "Copies", "Take", "plan_copies", "render_copies"]
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
@@ -56,7 +56,7 @@ class Augmentation:
 
     @property
     def facts(self) -> dict[str, dict[str, Any]]:
-        """For the manifest."""
+        """The plan for the manifest."""
         return {AUGMENTATION: {"each": self.each, "why": self.why}} if self.why else {}
 
 
@@ -71,23 +71,23 @@ class Copies:
     def of(
         cls, presses: NominalPresses, each: int, pixels_per_mm: float, seed: int, take: Take
     ) -> "Copies | None":
-        """None for no copies. take: the features of frames."""
+        """Render copies and take their features; None for no copies. take: the features of frames."""
         if not each:
             return None
-        frames, press = rendered_copies(presses, each, pixels_per_mm, np.random.default_rng(seed))
+        frames, press = render_copies(presses, each, pixels_per_mm, np.random.default_rng(seed))
         return cls(take(frames), press)
 
-    def added(self, nominal: Nominal, presses: NDArray[np.int64]) -> Nominal:
-        """The nominal presses and the copies of them alone. presses: which of the fit's presses those are, (n,)."""
+    def add_to(self, nominal: Nominal, presses: NDArray[np.int64]) -> Nominal:
+        """Add the copies of these nominal presses alone. presses: which of the fit's presses those are, (n,)."""
         of = np.isin(self.press, presses)
         both = {tap: np.concatenate([maps, self.features[tap][of]]) for tap, maps in nominal.features.items()}
         return replace(nominal, features=both)
 
 
-def augmentation_of(
+def plan_copies(
     augment: Augment, presses: NominalPresses, method: str, mode: Mode, is_registered: bool = False
 ) -> Augmentation:
-    """How many copies of each press a bank is learnt from. Errors: FitError where copies are asked for in vain."""
+    """Plan how many copies of each press a bank is learnt from. Errors: FitError where copies are asked for in vain."""
     n = len(presses)
     is_useful = mode != "paper" and n <= FEW and (n < MIN_PRESSES or method not in _NO_GAIN)
     if augment == "never" or not n or (augment == "auto" and not is_useful):
@@ -113,10 +113,10 @@ def _hindrance(presses: NominalPresses, is_registered: bool) -> str:
     return "the presses are registered, and lie in one pose already" if is_registered else ""
 
 
-def rendered_copies(
+def render_copies(
     presses: NominalPresses, each: int, pixels_per_mm: float, rng: np.random.Generator
 ) -> tuple[U8, NDArray[np.int64]]:
-    """Copies, uint8 (n * each, h, w, 3), and which press each is of, (n * each,). presses: with the free gel."""
+    """Render copies, uint8 (n * each, h, w, 3), and which press each is of, (n * each,). presses: with the free gel."""
     assert presses.no_contact is not None
     free = np.rint(presses.no_contact.mean(axis=0, dtype=np.float64)).astype(np.uint8)
     light = FreeLight(free)

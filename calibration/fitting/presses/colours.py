@@ -83,5 +83,5 @@ def colour_warnings(colours: ColourEntry | None) -> list[str]:
 
 
 def refuses(colours: ColourEntry | None, rgb: NDArray[np.uint8]) -> bool:
-    """Whether the gateway refuses a frame, uint8 (h, w, 3), for its colours; never where no colours are known."""
+    """Tell whether the gateway refuses a frame, uint8 (h, w, 3), for its colours; never where no colours are known."""
     return colours is not None and check_sensor(rgb, colours.nominal()) is not None

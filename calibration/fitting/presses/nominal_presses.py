@@ -34,11 +34,11 @@ from edge.recording.from_images import images_in
 __all__ = [
     "MIN_PRESSES",
     "NominalPresses",
+    "gather_presses",
     "is_recording",
-    "listed_pictures",
-    "lit",
-    "named_presses",
+    "list_pictures",
     "read_presses",
+    "require_light",
     "specimen_of",
     "touched_union",
     "why_unread",
@@ -55,6 +55,9 @@ MAX_NO_CONTACT = 16
 # A new press is slightly off the old ones: one tenth of a gel's useful width (18.6 mm, datasheet) is 1.9 mm.
 TOUCHED_MARGIN_MM = 1.0
 
+
+_Contact = tuple[NDArray[np.bool_] | None, float]
+"""Where a press touches, and how much fine structure it shows, as in `_Press`."""
 
 # The fields with one entry per press.
 _EACH = ("names", "specimens", "touches", "reliefs")
@@ -98,7 +101,7 @@ class NominalPresses:
         return len(self.frames)
 
     def spread(self, most: int) -> "NominalPresses":
-        """At most this many of them, evenly spread."""
+        """Select at most this many of them, evenly spread."""
         if len(self) <= most:
             return self
         return self._choose(np.linspace(0, len(self) - 1, most).round().astype(int).tolist())
@@ -113,71 +116,61 @@ class NominalPresses:
 
 
 @dataclass(frozen=True, eq=False)
-class _Contact:
-    """Where a press touches, bool (120, 160), and the share of the view in which it shows fine structure."""
+class _Press:
+    """A press found in the sources."""
 
-    mask: NDArray[np.bool_]
+    rgb: NDArray[np.uint8]
+    """The inspected region."""
+    name: str
+    specimen: str | None
+    mask: NDArray[np.bool_] | None
+    """Where it touches in the view, bool (120, 160); None where the free gel is not known."""
     relief: float
+    """The share of the view in which it shows fine structure."""
 
 
 @dataclass
 class _Gathered:
-    """The presses found while sources are read, one entry each."""
+    """What is found while sources are read."""
 
     profile: SensorProfile
     region: Region
-    frames: list[NDArray[np.uint8]] = field(default_factory=list)
-    names: list[str] = field(default_factory=list)
-    specimens: list[str | None] = field(default_factory=list)
-    contacts: list[_Contact | None] = field(default_factory=list)
-    free: list[NDArray[np.uint8]] = field(default_factory=list)
     unwanted: frozenset[str] = frozenset()
+    presses: list[_Press] = field(default_factory=list)
+    free: list[NDArray[np.uint8]] = field(default_factory=list)
+    """Whole pictures of the free gel."""
     left_out: list[str] = field(default_factory=list)
-    free_views: list[View] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
 
-    def add(
-        self, picture: NDArray[np.uint8], name: str, specimen: str | None, contact: _Contact | None
-    ) -> None:
+    def add(self, picture: NDArray[np.uint8], name: str, specimen: str | None, contact: _Contact) -> None:
         if name in self.unwanted:
             self.left_out.append(name)
-            return
-        self.frames.append(self.region.crop(picture).copy())
-        self.names.append(name)
-        self.specimens.append(specimen)
-        self.contacts.append(contact)
+        else:
+            self.presses.append(_Press(self.region.crop(picture).copy(), name, specimen, *contact))
 
-    def add_free(self, picture: NDArray[np.uint8]) -> None:
-        self.free.append(self.region.crop(picture))
-        self.free_views.append(_view(picture))
-
-    def presses(self) -> NominalPresses:
-        contacts = [contact for contact in self.contacts if contact is not None]
-        is_known = len(contacts) == len(self.frames)
-        masks = [contact.mask for contact in contacts]
+    def finish(self) -> NominalPresses:
+        """Return all presses; their contacts count where every one is known."""
+        presses, free = self.presses, self.free[:MAX_NO_CONTACT]
+        masks = [press.mask for press in presses if press.mask is not None]
+        is_known = len(masks) == len(presses)
+        views = [_view(picture) for picture in free]
         return NominalPresses(
-            frames=np.stack(self.frames),
-            names=tuple(self.names),
-            specimens=tuple(self.specimens),
+            frames=np.stack([press.rgb for press in presses]),
+            names=tuple(press.name for press in presses),
+            specimens=tuple(press.specimen for press in presses),
             touches=tuple(touched(mask) for mask in masks) if is_known else (),
             touched=touched_union(masks, self.profile, self.region) if is_known else None,
-            no_contact=np.stack(self.free[:MAX_NO_CONTACT]) if self.free else None,
+            no_contact=np.stack([self.region.crop(picture) for picture in free]) if free else None,
             left_out=tuple(self.left_out),
-            free_view=self._free_view(),
-            reliefs=tuple(contact.relief for contact in contacts) if is_known else (),
+            free_view=np.rint(np.mean(views, axis=0, dtype=np.float64)).astype(np.uint8) if free else None,
+            reliefs=tuple(press.relief for press in presses) if is_known else (),
             faults=tuple(self.faults),
         )
 
-    def _free_view(self) -> NDArray[np.uint8] | None:
-        if not self.free_views:
-            return None
-        mean = np.mean(self.free_views[:MAX_NO_CONTACT], axis=0, dtype=np.float64)
-        return np.asarray(np.rint(mean), np.uint8)
-
 
 def is_recording(source: Path) -> bool:
-    """Whether a folder is a recording rather than a folder of pictures."""
+    """Tell whether a folder is a recording rather than a folder of pictures."""
     return (source / "recording.toml").is_file()
 
 
@@ -192,7 +185,7 @@ def read_presses(
     specimens: Mapping[Path, str | None] = MappingProxyType({}),
     leave_out: Sequence[str] | None = None,
 ) -> NominalPresses:
-    """The nominal presses of all sources together: recordings, folders of pictures, or pictures.
+    """Read the nominal presses of all sources together: recordings, folders of pictures, or pictures.
 
     A picture has the camera's size (it is cut and scaled as the profile says) or the profile's own; resize allows any
     other, cut to the profile's aspect. pattern: which files of a folder, those below it too; None: those directly
@@ -201,50 +194,49 @@ def read_presses(
     listing every faulty picture, FitError when there is no press, or no press of a name to leave out.
     """
     gathered = _Gathered(profile, region, unwanted=frozenset(leave_out or ()))
-    free_files = listed_pictures(no_contact or ())
+    free_files = list_pictures(no_contact or ())
     free = _pictures(free_files, profile, resize)
-    for _, picture in free:
-        gathered.add_free(picture)
-    contact = _contacts([picture for _, picture in free])
+    gathered.free += [picture for _, picture in free]
+    contact = _contacts(gathered.free)
     for source in sources:
         if is_recording(source):
             _read_recording(source, gathered)
-    files = listed_pictures([source for source in sources if not is_recording(source)], pattern)
+    files = list_pictures([source for source in sources if not is_recording(source)], pattern)
     files = [path for path in files if not any(path.samefile(one) for one in free_files)]
     for path, picture in _pictures(files, profile, resize):
         gathered.add(picture, _name(path), specimens.get(path) or specimen_of(path), contact(picture))
     _require_left_out(gathered)
-    if not gathered.frames and gathered.refused:
+    if not gathered.presses and gathered.refused:
         raise FitError("no press was found: " + "; ".join(gathered.refused))
-    if not gathered.frames:
+    if not gathered.presses:
         raise FitError(
             f"no press was found in {', '.join(map(str, sources)) or 'no source'}; give a recording with presses or a "
             "folder of pictures"
         )
-    return gathered.presses()
+    return gathered.finish()
 
 
 def _require_left_out(gathered: _Gathered) -> None:
-    """Errors: FitError with the nearest name for an unknown one."""
+    """Check the names to leave out. Errors: FitError with the nearest name for an unknown one."""
     for name in sorted(gathered.unwanted - set(gathered.left_out)):
-        raise FitError(f"no press is named '{name}' to be left out; {suggestion(name, gathered.names)}")
+        known = [press.name for press in gathered.presses]
+        raise FitError(f"no press is named '{name}' to be left out; {suggestion(name, known)}")
 
 
-def named_presses(
+def gather_presses(
     pictures: Mapping[str, NDArray[np.uint8]],
     profile: SensorProfile,
     region: Region,
     *,
     no_contact: Sequence[NDArray[np.uint8]] = (),
 ) -> NominalPresses:
-    """The same from at least one picture in memory, uint8 (h, w, 3) RGB in the profile's size, by their names."""
+    """Gather presses from one picture or more in memory, uint8 (h, w, 3) RGB in the profile's size, by their names."""
     gathered = _Gathered(profile, region)
-    for picture in no_contact:
-        gathered.add_free(picture)
+    gathered.free += no_contact
     contact = _contacts(no_contact)
     for name, picture in pictures.items():
         gathered.add(picture, name, specimen_of(Path(name)), contact(picture))
-    return gathered.presses()
+    return gathered.finish()
 
 
 def specimen_of(path: Path) -> str | None:
@@ -261,9 +253,11 @@ def _read_recording(folder: Path, gathered: _Gathered) -> None:
         specimens[recorded.frame.sequence] = (recorded.label or {}).get("specimen")
         for found in finder.feed(recorded.frame):
             if isinstance(found, FoundPress):
-                _add_settled(folder, found, specimens[found.frame.sequence], gathered)
-            else:
-                gathered.add_free(decode(found.frame, gathered.profile).rgb)
+                number, rgb = found.frame.sequence, decode(found.frame, gathered.profile).rgb
+                piece = None if specimens[number] is None else str(specimens[number])
+                gathered.add(rgb, f"{folder.name}#{number}", piece, (found.mask, found.relief or 0.0))
+            elif len(gathered.free) < MAX_NO_CONTACT:
+                gathered.free.append(decode(found.frame, gathered.profile).rgb)
     if finder.detector.newest is None:
         gathered.refused.append(why_unread(folder, recording, finder.detector))
     gathered.faults += _incomplete(recording, finder.settled, finder.detector)
@@ -285,24 +279,14 @@ def _incomplete(recording: Recording, settled: int, detector: PressDetector) -> 
 
 
 def why_unread(folder: Path, recording: Recording, detector: PressDetector) -> str:
-    """Why no frame of a recording was looked at."""
+    """Say why no frame of a recording was looked at."""
     if detector.first_fault is None:
         return f"{folder} has no frames"
     return f"all {detector.corrupt} frames of {folder} were refused; the first: {detector.first_fault}"
 
 
-def _add_settled(folder: Path, found: FoundPress, specimen: object, gathered: _Gathered) -> None:
-    contact = None if found.mask is None or found.relief is None else _Contact(found.mask, found.relief)
-    gathered.add(
-        decode(found.frame, gathered.profile).rgb,
-        f"{folder.name}#{found.frame.sequence}",
-        None if specimen is None else str(specimen),
-        contact,
-    )
-
-
-def listed_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[Path]:
-    """Picture files, and those directly inside folders (or that match the pattern), in the order of their names."""
+def list_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[Path]:
+    """List picture files, and those directly inside folders (or that match the pattern), in order of their names."""
     check_present(sources)
     files: list[Path] = []
     for source in sources:
@@ -323,7 +307,7 @@ def listed_pictures(sources: Sequence[Path], pattern: str | None = None) -> list
 
 
 def _refuse_strays(folder: Path, found: Sequence[Path]) -> None:
-    """One picture next to folders of pictures is a free gel or a plot, not the presses. Errors: FitError."""
+    """Refuse one picture next to folders of pictures: it is a free gel or a plot. Errors: FitError."""
     below = (
         sum(1 for path in folder.rglob("*/*") if path.suffix.lower() in SUFFIXES) if len(found) == 1 else 0
     )
@@ -341,7 +325,7 @@ def _pictures(
     found: list[tuple[Path, NDArray[np.uint8]]] = []
     for path in files:
         try:
-            found.append((path, lit(path, read_rgb(path, profile, resize=resize))))
+            found.append((path, require_light(path, read_rgb(path, profile, resize=resize))))
         except DatasetError as error:
             faults.append(str(error))
     if faults:
@@ -352,8 +336,8 @@ def _pictures(
     return found
 
 
-def lit(path: Path, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The same picture. Errors: DatasetError for a black picture."""
+def require_light(path: Path, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the picture. Errors: DatasetError for a black one."""
     level = float(picture.mean(dtype=np.float64))
     if level < BLACK_LEVEL:
         raise DatasetError(
@@ -366,10 +350,10 @@ def _view(picture: NDArray[np.uint8]) -> View:
     return np.asarray(cv2.resize(picture, VIEW_SIZE, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _contacts(free: Sequence[NDArray[np.uint8]]) -> Callable[[NDArray[np.uint8]], _Contact | None]:
-    """How a picture's contact is found, as the gateway finds it; none is known without the free gel."""
+def _contacts(free: Sequence[NDArray[np.uint8]]) -> Callable[[NDArray[np.uint8]], _Contact]:
+    """Return the function that finds a picture's contact as the gateway does; none is known without the free gel."""
     if not free:
-        return lambda picture: None
+        return lambda picture: (None, 0.0)
     mean = np.stack([_view(picture) for picture in free]).mean(axis=0, dtype=np.float64)
     reference = Reference(np.asarray(mean, np.float32), len(free), 0)
     structure = ReliefOfReference(reference.view)
@@ -378,7 +362,7 @@ def _contacts(free: Sequence[NDArray[np.uint8]]) -> Callable[[NDArray[np.uint8]]
         difference = reference.difference(_view(picture))
         relief = structure.of(difference, ContactSettings.light_levels)
         mask = with_relief(touched_mask(difference), relief, ContactSettings.on_area)
-        return _Contact(mask, relief.area)
+        return mask, relief.area
 
     for picture in free:  # from these it learns the noise: a part that fills the view has structure all over
         contact(picture)
@@ -388,7 +372,7 @@ def _contacts(free: Sequence[NDArray[np.uint8]]) -> Callable[[NDArray[np.uint8]]
 def touched_union(
     masks: Sequence[NDArray[np.bool_]], profile: SensorProfile, region: Region
 ) -> NDArray[np.bool_]:
-    """What presses touch in the region, bool (h, w), with a margin. masks: of the view, bool (120, 160) each."""
+    """Unite what presses touch in the region, bool (h, w), with a margin. masks: of the view, bool (120, 160) each."""
     union = np.logical_or.reduce(masks)
     seen = touched_in(union, profile.size, region).astype(np.uint8)
     side = 2 * round(TOUCHED_MARGIN_MM * profile.pixels_per_mm) + 1

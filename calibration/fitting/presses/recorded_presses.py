@@ -45,13 +45,13 @@ class PressFinder:
         self._last_free: CameraFrame | None = None
 
     def feed(self, frame: CameraFrame) -> Iterator[FoundPress | FoundFreeGel]:
-        """What this frame completes."""
+        """Yield what this frame completes."""
         for event in self.detector.feed(frame).events:
-            yield from self._found(event)
+            yield from self._find(event)
         if self.detector.tracker.state in (State.BASELINE, State.NO_CONTACT):
             self._last_free = self.detector.newest
 
-    def _found(self, event: Event) -> Iterator[FoundPress | FoundFreeGel]:
+    def _find(self, event: Event) -> Iterator[FoundPress | FoundFreeGel]:
         if isinstance(event, PressSettled) and event.frame is not None:
             self.settled += 1
             found = event.findings

@@ -27,7 +27,7 @@ VIEW_WIDTH = 160
 
 
 def scatter_mm(presses: NominalPresses, profile: SensorProfile) -> float | None:
-    """How far half of the contacts lie from their common middle; None where no touch is known."""
+    """Measure how far half of the contacts lie from their common middle; None where no touch is known."""
     return _scatter_mm(presses.touches, profile.size, profile) if presses.touches else None
 
 
@@ -38,7 +38,7 @@ def _scatter_mm(touches: Sequence[Touch], size: tuple[int, int], profile: Sensor
 
 
 def _scatter_without_free_gel(presses: NominalPresses, profile: SensorProfile) -> float:
-    """The same as `scatter_mm`, from where each press differs from the median press.
+    """Measure it without the free gel, from where each press differs from the median press.
 
     That is the free gel where parts lie apart, and the part where they lie at one place. Measured: 3.9 to 5.0 mm on
     real balls pressed anywhere, 0.4 to 0.9 on simulated parts in a fixture or held by hand.
@@ -81,7 +81,7 @@ def scatter_warnings(
 
 
 def _unregistered_warnings(presses: NominalPresses, profile: SensorProfile, detector: Detector) -> list[str]:
-    """Whether presses lie apart although nothing can register them."""
+    """Warn where presses lie apart although nothing can register them."""
     if len(presses) < MIN_PRESSES:
         return []
     scatter = _scatter_without_free_gel(presses, profile)

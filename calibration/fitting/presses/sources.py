@@ -35,12 +35,12 @@ class Sources:
 
 
 def is_dataset(source: Path) -> bool:
-    """Whether a source is a folder in the layout of a dataset, so that it knows parts and positions itself."""
+    """Tell whether a source is a folder in the layout of a dataset, so that it knows parts and positions itself."""
     return source.is_dir() and layout_of(source) is not None
 
 
 def check_present(sources: Sequence[Path]) -> None:
-    """Errors: FitError for the first source that is not there."""
+    """Check that the sources exist. Errors: FitError for the first that is not there."""
     for source in sources:
         if not source.exists():
             raise FitError(f"there is nothing at {source}; check the path")
@@ -55,7 +55,7 @@ def find_sources(
     holdout: float = 0.0,
     seed: int = 0,
 ) -> Sources:
-    """Datasets among the sources replaced by their nominal presses of one part and position.
+    """Replace datasets among the sources by their nominal presses of one part and position.
 
     part, position: optional for a dataset that holds only one. size: (width, height) of the profile's pictures, which
     chooses the resolution of the paper's layout. holdout: the share of each dataset's presses that is kept for

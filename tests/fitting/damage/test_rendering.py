@@ -51,7 +51,7 @@ def test_rendered_damage_is_like_real_damage(
     bench = without(bench, effect)
     press = EditedPress(station, np.ascontiguousarray(REGION.crop(bench.press(0))))
     damage = Damage(kind, KINDS[kind].largest_mm / 3, Spot(0.3, -0.4, 0.7))
-    rendered = press.damaged(damage).astype(np.float64) - press.rgb
+    rendered = press.render(damage).astype(np.float64) - press.rgb
     real = REGION.crop(bench.press(0, damage)).astype(np.float64) - press.rgb
     x, y = grids(station.field)
     near = np.hypot(x - damage.spot.x_mm, y - damage.spot.y_mm) < 1.5
@@ -65,7 +65,7 @@ def test_compression_is_seen_and_repeated(edited: EditedPress, bench: Bench) -> 
     for region in (REGION, Region(101, 61, 120, 110)):
         assert is_compressed(region.crop(bench.press(0)), region)
         assert not is_compressed(region.crop(plain), region)
-    assert is_compressed(edited.damaged(Damage("dent", 0.1, Spot(0, 0, 0))), REGION)
+    assert is_compressed(edited.render(Damage("dent", 0.1, Spot(0, 0, 0))), REGION)
 
 
 def test_nothing_changes_where_nothing_touches(bench: Bench, station: Station) -> None:
@@ -73,7 +73,7 @@ def test_nothing_changes_where_nothing_touches(bench: Bench, station: Station) -
     edited = EditedPress(station, np.ascontiguousarray(REGION.crop(without(bench, "jpeg").press(0))))
     corner = Damage("dent", 0.2, Spot(-2.9, -2.9, 0.0))
     assert not edited.contact[:6, :6].any()
-    changed = np.abs(edited.damaged(corner).astype(int) - edited.rgb)
+    changed = np.abs(edited.render(corner).astype(int) - edited.rgb)
     assert changed.max() <= 1
 
 

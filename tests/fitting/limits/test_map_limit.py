@@ -9,7 +9,7 @@ from calibration.fitting.limits.head_limit import (
     can_extend,
     head_with_limit,
     limit_arrays,
-    limited_like,
+    limit_like,
 )
 from calibration.fitting.limits.map_limit import GUARD, KINDS, LimitKind, learn_spread, window
 from edge.core.detector import Bank
@@ -127,14 +127,14 @@ def test_another_bank_takes_over_the_limit() -> None:
     """A bank of a fold gets the arrays of the complete bundle; without arrays nothing changes."""
     arrays = limit_arrays(learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.3, 1.5))
     bank = Bank({"rows": np.ones((2, 2), np.float32)})
-    head, limited = limited_like({**arrays, "rows": np.zeros(1)}, raw_head(), bank)
+    head, limited = limit_like({**arrays, "rows": np.zeros(1)}, raw_head(), bank)
     assert limited.arrays.keys() == {"rows", *arrays}
     assert head == head_with_limit(raw_head(), arrays)
-    assert limited_like({"rows": np.zeros(1)}, raw_head(), bank) == (raw_head(), bank)
+    assert limit_like({"rows": np.zeros(1)}, raw_head(), bank) == (raw_head(), bank)
 
 
 def test_an_array_of_the_detector_keeps_its_name() -> None:
     """A detector with an array `limit_grid` is refused, not overwritten."""
     arrays = limit_arrays(learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.3, 1.5))
     with pytest.raises(FitError, match="has an array 'limit_grid'"):
-        limited_like(arrays, raw_head(), Bank({"limit_grid": np.ones((1, 1), np.float32)}))
+        limit_like(arrays, raw_head(), Bank({"limit_grid": np.ones((1, 1), np.float32)}))

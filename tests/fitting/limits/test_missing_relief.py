@@ -6,8 +6,8 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from calibration.fitting.limits.head_relief import ARRAYS, head_with_relief, relief_arrays, relieved_like
-from calibration.fitting.limits.missing_relief import MissingRelief, contact_of, pooled
+from calibration.fitting.limits.head_relief import ARRAYS, head_with_relief, relief_arrays, relieve_like
+from calibration.fitting.limits.missing_relief import MissingRelief, contact_of, pool
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from plugins.detectors.common.smoothing import upsampling_matrix
@@ -53,7 +53,7 @@ def test_a_cell_touches_by_its_distance_from_the_free_gel() -> None:
 
 def test_features_are_averaged_over_the_contact() -> None:
     """Free cells do not count, and a press without contact has no mean."""
-    found = pooled(np.concatenate([patch(ROUGH), press()]), RELIEF.free, 5.0)
+    found = pool(np.concatenate([patch(ROUGH), press()]), RELIEF.free, 5.0)
     assert found.means == pytest.approx(np.array([ROUGH, (0, 0, 0)]))
     assert found.contact == pytest.approx([6, 0])
 
@@ -130,10 +130,10 @@ def test_another_bank_takes_over_what_is_checked() -> None:
     """A bank of a fold gets the arrays of the complete bundle; without arrays nothing changes."""
     arrays, bank = relief_arrays(RELIEF), Bank({"rows": np.ones((2, 2), np.float32)})
     facts = {"missing_relief": {"tap": "tap"}}
-    head, relieved = relieved_like({**arrays, "rows": np.zeros(1)}, facts, own_head(), bank)
+    head, relieved = relieve_like({**arrays, "rows": np.zeros(1)}, facts, own_head(), bank)
     assert relieved.arrays.keys() == {"rows", *arrays}
     assert head == head_with_relief(own_head(), "tap", arrays)
-    assert relieved_like({"rows": np.zeros(1)}, {}, own_head(), bank) == (own_head(), bank)
+    assert relieve_like({"rows": np.zeros(1)}, {}, own_head(), bank) == (own_head(), bank)
 
 
 def test_a_head_that_is_no_graph_is_refused() -> None:
