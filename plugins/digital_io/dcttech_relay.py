@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field
 from edge.core.digital_io import DiscoveredPort
 from edge.core.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceStalled
 from edge.core.ports import Clock
-from plugins.digital_io.hid_bus import HidBus, HidHandle, HidInfo, SystemHidBus, is_plugged_in
+from plugins.digital_io.hid_bus import HidBus, HidInfo, HidPort, SystemHidBus
 
 __all__ = ["RELAY_IDS", "DcttechRelay", "RelayOptions", "discover_relays", "open_relay", "plugin"]
 
@@ -34,13 +34,12 @@ class RelayOptions(BaseModel, extra="forbid", frozen=True):
     )
 
 
-class DcttechRelay:
+class DcttechRelay(HidPort):
     """An open board. Each write is read back: a board that does not switch is a fault."""
 
     def __init__(self, bus: HidBus, info: HidInfo) -> None:
-        self._bus, self._info = bus, info
+        super().__init__(bus, info)
         self.channels = _channels(info)
-        self._handle: HidHandle | None = bus.open(info)
         try:
             self.serial = self._report()[0]
         except DeviceError:
@@ -51,39 +50,26 @@ class DcttechRelay:
     def write(self, channel: int, is_on: bool) -> None:
         if not 1 <= channel <= self.channels:
             raise ValueError(f"{self.name} has channels 1 to {self.channels}, found {channel}")
-        self._require_open().send_feature(bytes([0, ON if is_on else OFF, channel, 0, 0, 0, 0, 0, 0]))
+        self.handle.send_feature(bytes([0, ON if is_on else OFF, channel, 0, 0, 0, 0, 0, 0]))
         _, bits = self._report()
         if bool(bits >> (channel - 1) & 1) != is_on:
             raise DeviceStalled(
                 f"{self.name} did not switch channel {channel} {'on' if is_on else 'off'}; check its supply"
             )
 
-    def is_present(self) -> bool:
-        return self._handle is not None and is_plugged_in(self._bus, self._info)
-
-    def close(self) -> None:
-        handle, self._handle = self._handle, None
-        if handle is not None:
-            handle.close()
-
     def _report(self) -> tuple[str, int]:
         """The board's name and its relays as bits. Errors: DeviceLost; DeviceNotFound for another kind of board."""
-        report = self._require_open().get_feature(0, 9)
+        report = self.handle.get_feature(0, 9)
         data = report[1:] if len(report) == 9 else report
         name = data[:5].decode("ascii", errors="replace")
         if not data:
-            raise DeviceLost(f"{self._info.product} at {self._info.place} is gone")
+            raise DeviceLost(f"{self.name} is gone")
         if len(data) != 8 or not re.fullmatch("[!-~]{5}", name) or data[7] >> self.channels:
             raise DeviceNotFound(
-                f"{self._info.product} at {self._info.place} has the USB id of a dcttech board and answers "
+                f"{self.name} has the USB id of a dcttech board and answers "
                 f"{data.hex()}, expected 5 characters and its relays in byte 7; use another board"
             )
         return name, data[7]
-
-    def _require_open(self) -> HidHandle:
-        if self._handle is None:
-            raise DeviceLost(f"{self._info.product} at {self._info.place} was closed")
-        return self._handle
 
 
 def _channels(info: HidInfo) -> int:

@@ -16,7 +16,7 @@ from typing import Any, Final, Protocol
 
 from edge.core.errors import ConfigError, DeviceBusy, DeviceLost
 
-__all__ = ["HidBus", "HidHandle", "HidInfo", "SystemHidBus", "is_plugged_in"]
+__all__ = ["HidBus", "HidHandle", "HidInfo", "HidPort", "SystemHidBus"]
 
 _LOCK: Final = threading.Lock()
 
@@ -73,9 +73,30 @@ class HidBus(Protocol):
         ...
 
 
-def is_plugged_in(bus: HidBus, info: HidInfo) -> bool:
-    """Tell whether the same interface is still there."""
-    return info in bus.enumerate()
+class HidPort:
+    """An open interface, as a pedal or a board has it."""
+
+    def __init__(self, bus: HidBus, info: HidInfo) -> None:
+        self.name = f"{info.product} at {info.place}"
+        self._bus, self._info = bus, info
+        self._handle: HidHandle | None = bus.open(info)
+
+    def is_present(self) -> bool:
+        """Tell whether the same interface is still there."""
+        return self._handle is not None and self._info in self._bus.enumerate()
+
+    def close(self) -> None:
+        """Close it; harmless when repeated."""
+        handle, self._handle = self._handle, None
+        if handle is not None:
+            handle.close()
+
+    @property
+    def handle(self) -> HidHandle:
+        """The open interface. Errors: DeviceLost once it is closed."""
+        if self._handle is None:
+            raise DeviceLost(f"{self.name} was closed")
+        return self._handle
 
 
 class SystemHidBus:

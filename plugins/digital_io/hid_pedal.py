@@ -12,9 +12,9 @@ from typing import Final
 from pydantic import BaseModel, Field
 
 from edge.core.digital_io import DiscoveredPort
-from edge.core.errors import DeviceLost, DeviceNotFound
+from edge.core.errors import DeviceNotFound
 from edge.core.ports import Clock
-from plugins.digital_io.hid_bus import HidBus, HidHandle, HidInfo, SystemHidBus, is_plugged_in
+from plugins.digital_io.hid_bus import HidBus, HidInfo, HidPort, SystemHidBus
 
 __all__ = ["PEDALS", "HidPedal", "PedalOptions", "discover_pedals", "open_pedal", "plugin"]
 
@@ -39,17 +39,16 @@ class PedalOptions(BaseModel, extra="forbid", frozen=True):
     )
 
 
-class HidPedal:
+class HidPedal(HidPort):
     """An open pedal."""
 
     def __init__(self, bus: HidBus, info: HidInfo, clock: Clock, key: int | None) -> None:
-        self.name = f"{info.product} at {info.place}"
-        self._bus, self._info, self._clock, self._key = bus, info, clock, key
-        self._handle: HidHandle | None = bus.open(info)
+        super().__init__(bus, info)
+        self._clock, self._key = clock, key
         self._is_down = False
 
     def read(self, deadline_ns: int) -> bool | None:
-        handle = self._require_open()
+        handle = self.handle
         while True:
             left_ns = deadline_ns - self._clock.monotonic_ns()
             report = handle.read(_MOST, max(0, left_ns) / 1e9)
@@ -58,19 +57,6 @@ class HidPedal:
                 return is_down
             if not report or left_ns <= 0:
                 return None
-
-    def is_present(self) -> bool:
-        return self._handle is not None and is_plugged_in(self._bus, self._info)
-
-    def close(self) -> None:
-        handle, self._handle = self._handle, None
-        if handle is not None:
-            handle.close()
-
-    def _require_open(self) -> HidHandle:
-        if self._handle is None:
-            raise DeviceLost(f"{self.name} was closed")
-        return self._handle
 
     def _presses(self, report: bytes) -> bool:
         """A report of nine bytes has its id first."""
@@ -84,10 +70,14 @@ def _modifiers(boot: bytes) -> list[int]:
     return [0xE0 + bit for bit in range(8) if boot and boot[0] >> bit & 1]
 
 
-def discover_pedals(bus: HidBus, options: PedalOptions) -> list[tuple[HidInfo, str | None]]:
-    """Every interface of the wanted pedals, with the reason why it cannot be used, or None."""
+def discover_pedals(bus: HidBus, options: PedalOptions) -> list[tuple[HidInfo, DiscoveredPort]]:
+    """List every interface of the wanted pedals, with the reason why one cannot be used."""
     wanted = PEDALS if options.device is None else {options.device}
-    return [(info, _refusal(info, options)) for info in bus.enumerate() if info.ids in wanted]
+    return [
+        (info, DiscoveredPort(info.place, info.product, info.serial or None, _refusal(info, options)))
+        for info in bus.enumerate()
+        if info.ids in wanted
+    ]
 
 
 def _refusal(info: HidInfo, options: PedalOptions) -> str | None:
@@ -101,20 +91,12 @@ def _refusal(info: HidInfo, options: PedalOptions) -> str | None:
 def open_pedal(bus: HidBus, options: PedalOptions, clock: Clock) -> HidPedal:
     """The first usable one. Errors: DeviceNotFound, DeviceBusy, DeviceLost."""
     pedals = discover_pedals(bus, options)
-    usable = [info for info, refusal in pedals if refusal is None]
+    usable = [info for info, port in pedals if port.refusal is None]
     if not usable:
-        seen = "; ".join(refusal for _, refusal in pedals if refusal)
+        seen = "; ".join(port.refusal for _, port in pedals if port.refusal)
         which = f"pedal {options.device}" if options.device else "pedal"
         raise DeviceNotFound(f"no {which} is plugged in; {seen or 'check its cable, then `gelgate devices`'}")
     return HidPedal(bus, usable[0], clock, options.key)
-
-
-def list_pedals(bus: HidBus, options: PedalOptions) -> list[DiscoveredPort]:
-    """List the pedals for `gelgate devices`."""
-    return [
-        DiscoveredPort(info.place, info.product, info.serial or None, refusal)
-        for info, refusal in discover_pedals(bus, options)
-    ]
 
 
 class HidPedalPlugin:
@@ -123,7 +105,7 @@ class HidPedalPlugin:
     Options = PedalOptions
 
     def discover(self, options: PedalOptions) -> Sequence[DiscoveredPort]:
-        return list_pedals(SystemHidBus(), options)
+        return [port for _, port in discover_pedals(SystemHidBus(), options)]
 
     def open(self, options: PedalOptions, clock: Clock) -> HidPedal:
         return open_pedal(SystemHidBus(), options, clock)

@@ -17,7 +17,7 @@ from edge.core.errors import DeviceLost
 from edge.core.ports import Clock
 from plugins.digital_io.dcttech_relay import ON, DcttechRelay, RelayOptions, discover_relays, open_relay
 from plugins.digital_io.hid_bus import HidHandle, HidInfo
-from plugins.digital_io.hid_pedal import KEYBOARD, HidPedal, PedalOptions, list_pedals, open_pedal
+from plugins.digital_io.hid_pedal import KEYBOARD, HidPedal, PedalOptions, discover_pedals, open_pedal
 
 __all__ = ["VirtualHidBus", "VirtualHidOptions", "actuator", "bus_of", "trigger"]
 
@@ -171,7 +171,7 @@ class VirtualTrigger:
     Options = VirtualHidOptions
 
     def discover(self, options: VirtualHidOptions) -> Sequence[DiscoveredPort]:
-        return list_pedals(bus_of(options), PedalOptions())
+        return [port for _, port in discover_pedals(bus_of(options), PedalOptions())]
 
     def open(self, options: VirtualHidOptions, clock: Clock) -> HidPedal:
         return open_pedal(bus_of(options, clock), PedalOptions(), clock)

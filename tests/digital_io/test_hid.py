@@ -84,7 +84,7 @@ def test_the_sensor_and_a_mouse_are_no_pedals() -> None:
     """The sensor's vendor id is that of a pedal's maker; a pedal shows a mouse as well."""
     found = discover_pedals(Reports([MOUSE, PEDAL, SENSOR]), PedalOptions())
 
-    assert [(info.place, refusal) for info, refusal in found] == [
+    assert [(info.place, port.refusal) for info, port in found] == [
         ("/dev/hidraw0", "/dev/hidraw0: this interface of FootSwitch is no keyboard (usage (1, 2))"),
         ("/dev/hidraw1", None),
     ]
