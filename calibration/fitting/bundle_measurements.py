@@ -16,7 +16,7 @@ from edge.core.contact.light import foreign_free_gel
 from edge.core.errors import FitError, NotScorable
 from edge.model.bundle import GoldenFrame
 from edge.model.manifest import ContactRange, CostCard, Provenance, ThresholdEntry, ToleranceEntry
-from edge.model.promise import GIVEN
+from edge.model.manifest_facts import GIVEN
 from edge.model.scorer import Scorer, map_peaks
 
 __all__ = [

@@ -328,8 +328,8 @@ def summarise(fitted: "Fitted", output: Path) -> None:
         MISSING,
         UNPROVEN,
         choice_sentence,
+        promise,
     )
-    from edge.model.promise import promise
 
     manifest = fitted.manifest
     limit, cost = manifest.threshold, manifest.cost

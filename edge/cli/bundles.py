@@ -48,9 +48,15 @@ def inspect(
 
 
 def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
-    from edge.model.manifest_facts import AUGMENTATION, LIMIT, METHOD_CHOICE, MISSING, choice_sentence
+    from edge.model.manifest_facts import (
+        AUGMENTATION,
+        LIMIT,
+        METHOD_CHOICE,
+        MISSING,
+        choice_sentence,
+        promise,
+    )
     from edge.model.press_again_facts import DEFAULT_COSTS, again_sentence, plan_for
-    from edge.model.promise import promise
 
     limit, profile, grid = manifest.threshold, manifest.profile, manifest.grid
     rows = [

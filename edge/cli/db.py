@@ -77,7 +77,7 @@ def migrate(database: DatabaseOption = None, config: ConfigOption = CONFIG) -> N
     """Bring an older database to this version, after a backup.
 
     The backup is next to the file. A start of the gateway does the same."""
-    from edge.messaging.publisher_lock import PublisherLock
+    from edge.messaging.publisher import PublisherLock
     from edge.store.backup import migrate as migrate_file
     from edge.store.database import CHAINED_SINCE, SCHEMA_VERSION
 

@@ -69,7 +69,7 @@ def replace(
     import json
     import time
 
-    from edge.messaging.gel_payload import GelPayload, gel_message
+    from edge.messaging.status_payloads import GelPayload, gel_message
     from edge.store.acts import Act
 
     now_ns = time.time_ns()

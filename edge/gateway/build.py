@@ -44,9 +44,8 @@ from edge.gateway.sensing_watch import SensingWatch
 from edge.gateway.station_loop import Parts, StationLoop
 from edge.gateway.status import StationStatus
 from edge.messaging.descriptions.asyncapi import asyncapi_message
-from edge.messaging.publisher import Publisher
-from edge.messaging.publisher_lock import PublisherLock
-from edge.messaging.retained_state import RetainedState
+from edge.messaging.publisher import Publisher, PublisherLock
+from edge.messaging.sink_worker import RetainedState
 from edge.messaging.status_payloads import StatePayload, availability_message, state_message
 from edge.store.backup import migrate
 from edge.store.database import SCHEMA_VERSION

@@ -8,8 +8,7 @@ from edge.config.secret_file import read_secret
 from edge.core.errors import ConfigError
 from edge.core.sink_context import topic_root
 from edge.core.suggest import suggestion
-from edge.messaging.command_payloads import CommandRequest
-from edge.messaging.request_signature import SHORTEST_SECRET, is_signed, signed_text
+from edge.messaging.command_payloads import SHORTEST_SECRET, CommandRequest, is_signed, signed_text
 
 __all__ = ["CommandPolicy", "policy_of"]
 

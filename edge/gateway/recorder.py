@@ -13,9 +13,9 @@ from edge.core.press import Press
 from edge.core.sink_context import Place
 from edge.core.verdict import Kind
 from edge.features.press_stage import OwnTable, PressStage
-from edge.messaging.gel_payload import GelPayload, gel_message
 from edge.messaging.payload_base import iso_time
 from edge.messaging.result_payload import MOST_DEFECTS, DefectPlace, PosePlace, ResultPayload, press_messages
+from edge.messaging.status_payloads import GelPayload, gel_message
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.pictures.press_picture import PressCaption, press_png

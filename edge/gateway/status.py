@@ -11,17 +11,17 @@ from edge.core.digital_io import StationView
 from edge.core.gel import GelState
 from edge.core.ports import Clock, DeviceIdentity, Message
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
-from edge.messaging.gel_payload import GelPayload, gel_message
 from edge.messaging.status_payloads import (
+    GelPayload,
     InfoPayload,
     StatePayload,
     availability_message,
+    gel_message,
     info_message,
     state_message,
 )
 from edge.model.bundle import Bundle
-from edge.model.manifest_facts import BACKBONE_CHOICE, METHOD_CHOICE, choice_sentence
-from edge.model.promise import promise
+from edge.model.manifest_facts import BACKBONE_CHOICE, METHOD_CHOICE, choice_sentence, promise
 from edge.store.gel_ledger import GelRecord
 
 __all__ = ["StationStatus"]

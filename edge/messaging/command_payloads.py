@@ -1,5 +1,16 @@
-"""Requests to a station and its responses: one pydantic model per payload of `cmd/`."""
+"""Requests to a station and its responses: one pydantic model per payload of `cmd/`, and the signature of a request.
 
+Signed is one JSON text with sorted keys, no blanks and `\\u` for everything that is not ASCII, so that programs in any
+language make the same bytes, by HMAC-SHA256 (RFC 2104, FIPS 180-4) with a secret that the station and the asker share:
+
+    {"arguments":{},"by":null,"root":"<root>","time_ns":1,"transaction":"t","verb":"relearn"}
+
+The root is that of the station's topics: a request for one station is not valid at another with the same secret.
+"""
+
+import hashlib
+import hmac
+import json
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -11,6 +22,7 @@ from edge.messaging.payload_base import Payload
 __all__ = [
     "LARGEST_REQUEST_BYTES",
     "MOST_SNAPSHOT_S",
+    "SHORTEST_SECRET",
     "WAITING_REQUESTS",
     "AcknowledgeAlarmArguments",
     "CommandArguments",
@@ -21,6 +33,9 @@ __all__ = [
     "ReplaceGelArguments",
     "SelectPartArguments",
     "SnapshotArguments",
+    "is_signed",
+    "signature_of",
+    "signed_text",
 ]
 
 # The largest request; those of the shipped verbs have some hundred bytes.
@@ -135,3 +150,32 @@ class CommandResponse(Payload):
         default=False,
         description="the request was done before; this is its outcome, and nothing was done now",
     )
+
+
+# A secret of fewer bytes could be guessed from one request.
+SHORTEST_SECRET: Final = 16
+
+
+def signed_text(
+    root: str, verb: str, transaction: str, time_ns: int, by: str | None, arguments: Mapping[str, Any]
+) -> bytes:
+    """The bytes that are signed."""
+    content = {
+        "arguments": dict(arguments),
+        "by": by,
+        "root": root,
+        "time_ns": time_ns,
+        "transaction": transaction,
+        "verb": verb,
+    }
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=True).encode()
+
+
+def signature_of(secret: bytes, text: bytes) -> str:
+    """64 hexadecimal digits."""
+    return hmac.new(secret, text, hashlib.sha256).hexdigest()
+
+
+def is_signed(secret: bytes, text: bytes, signature: str) -> bool:
+    """Compared in constant time."""
+    return hmac.compare_digest(signature_of(secret, text), signature)

@@ -12,8 +12,8 @@ from edge.core.imaging.quality import Reason
 from edge.core.ports import Message
 from edge.core.registration.registrar import Registered
 from edge.core.verdict import Kind
-from edge.messaging.gel_payload import GelPayload, gel_message
 from edge.messaging.payload_base import Payload, PressId
+from edge.messaging.status_payloads import GelPayload, gel_message
 from edge.store.gel_ledger import GelRecord
 
 __all__ = [

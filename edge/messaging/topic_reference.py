@@ -10,9 +10,8 @@ from pydantic import BaseModel
 
 from edge.core.sink_context import TOPIC_VERSION
 from edge.messaging.alarm_payload import ALARMS
-from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS
+from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS, signature_of, signed_text
 from edge.messaging.payload_base import Payload
-from edge.messaging.request_signature import signature_of, signed_text
 from edge.messaging.topics import TOPICS
 from edge.pictures.heatmap import FULL_SCALE
 from edge.pictures.press_picture import LARGEST_BYTES, TEXT_KEYWORDS

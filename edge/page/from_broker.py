@@ -10,10 +10,9 @@ from typing import Any, Final
 from edge.core.errors import GelgateError, SinkError
 from edge.core.ports import Clock, Message
 from edge.core.sink_context import TOPIC_VERSION, PageRequests
-from edge.messaging.command_payloads import CommandRequest, CommandResponse
+from edge.messaging.command_payloads import CommandRequest, CommandResponse, signature_of, signed_text
 from edge.messaging.mqtt_broker import Broker, Outgoing, Received
 from edge.messaging.mqtt_connection import Connection
-from edge.messaging.request_signature import signature_of, signed_text
 from edge.messaging.subscriber import RETURN_S, Inbox, listening, next_message
 from edge.page.shown import Shown
 

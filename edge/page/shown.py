@@ -10,11 +10,10 @@ from pydantic import ValidationError
 
 from edge.core.ports import Message
 from edge.messaging.alarm_payload import ADVICE, ALARMS, STAYING, AlarmPayload
-from edge.messaging.gel_payload import GelPayload
 from edge.messaging.payload_base import Payload
 from edge.messaging.reference_payload import ReferencePayload
 from edge.messaging.result_payload import ResultPayload
-from edge.messaging.status_payloads import InfoPayload, StatePayload, StatsPayload
+from edge.messaging.status_payloads import GelPayload, InfoPayload, StatePayload, StatsPayload
 from edge.store.ulid import is_ulid
 
 __all__ = ["LARGEST_PAYLOAD_BYTES", "MOST_PICTURES", "MOST_PRESSES", "Shown", "readable"]

@@ -22,10 +22,8 @@ from edge.store.database import Database
 from edge.store.gel_ledger import GelRecord
 from edge.store.ledger_chain import KIND_OF
 from edge.store.outbox import Bounds
-from edge.store.press_counts import Count, PressCounts
-from edge.store.press_history import History, cut_history, find_number
-from edge.store.press_record import VERDICTS, PressRecord
-from edge.store.recovery import recover
+from edge.store.press_counts import Count, PressCounts, recover
+from edge.store.press_history import VERDICTS, History, PressRecord, cut_history, find_number
 from edge.store.running_time import RunningTime
 
 __all__ = ["VERDICTS", "GelRecord", "MakeMessages", "PressRecord", "PressTable", "Recorded", "Store"]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from command_line import gelgate
 
-from edge.messaging.publisher_lock import PublisherLock
+from edge.messaging.publisher import PublisherLock
 from edge.store.database import SCHEMA_VERSION
 from edge.store.press_store import PressRecord, Store
 from edge.store.ulid import new_ulid

@@ -248,7 +248,7 @@ def test_two_gateways_on_one_database(bench: Bench) -> None:
 
     from edge.clock import SystemClock
     from edge.messaging.publisher import Publisher
-    from edge.messaging.retained_state import RetainedState
+    from edge.messaging.sink_worker import RetainedState
 
     publisher = Publisher(bench.folder / "gelgate.db", {}, RetainedState(), SystemClock(), random.Random(0))
     try:

@@ -24,7 +24,7 @@ from edge.core.detector import Features, Mode, Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.registration.pose import Pose
-from edge.model.promise import promise
+from edge.model.manifest_facts import promise
 from edge.model.scorer import Scorer
 
 U8 = np.typing.NDArray[np.uint8]

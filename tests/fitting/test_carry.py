@@ -22,8 +22,7 @@ from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.model.bundle import Bundle
 from edge.model.bundle_writer import write_bundle
-from edge.model.manifest_facts import read_origin
-from edge.model.promise import promise
+from edge.model.manifest_facts import promise, read_origin
 from edge.model.scorer import Scorer
 
 U8 = NDArray[np.uint8]

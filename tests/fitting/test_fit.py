@@ -18,7 +18,7 @@ from edge.core.contact.mask import Touch
 from edge.core.detector import Bank, Grid, Nominal, Progress
 from edge.core.errors import BundleCorrupt, FitError
 from edge.model.bundle import Bundle
-from edge.model.promise import promise
+from edge.model.manifest_facts import promise
 from edge.model.scorer import Scorer
 
 

@@ -15,7 +15,7 @@ from edge.core.errors import ConfigError, StoreError
 from edge.gateway.command_policy import SIGNED_WITHIN_S, CommandPolicy, policy_of
 from edge.gateway.command_table import COMMANDS
 from edge.gateway.commands import REPEATED_WITHIN_S, Change, Commands
-from edge.messaging.request_signature import signature_of, signed_text
+from edge.messaging.command_payloads import signature_of, signed_text
 from edge.store import acts
 from edge.store.press_store import Store
 

@@ -16,9 +16,8 @@ from edge.config import load_config
 from edge.core.errors import ConfigError, StoreError
 from edge.core.ports import Sink
 from edge.gateway.gateway import Gateway
-from edge.messaging.publisher import Publisher
-from edge.messaging.publisher_lock import PublisherLock
-from edge.messaging.retained_state import RetainedState
+from edge.messaging.publisher import Publisher, PublisherLock
+from edge.messaging.sink_worker import RetainedState
 from edge.store.press_store import Store
 
 

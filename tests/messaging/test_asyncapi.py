@@ -15,13 +15,14 @@ from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_mess
 from edge.messaging.command_payloads import CommandResponse
 from edge.messaging.descriptions.asyncapi import asyncapi_message, document
 from edge.messaging.descriptions.station import DescribedStation, ServedCommand
-from edge.messaging.gel_payload import GelPayload, gel_message
 from edge.messaging.result_payload import DefectPlace, ResultPayload, press_messages
 from edge.messaging.status_payloads import (
+    GelPayload,
     InfoPayload,
     StatePayload,
     StatsPayload,
     availability_message,
+    gel_message,
     info_message,
     state_message,
     stats_message,

@@ -15,8 +15,7 @@ from edge.gateway.commands import Change, Commands
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.publisher import Publisher
 from edge.messaging.result_payload import ResultPayload, press_messages
-from edge.messaging.retained_state import RetainedState
-from edge.messaging.sink_worker import IDLE_S, SinkWorker
+from edge.messaging.sink_worker import IDLE_S, RetainedState, SinkWorker
 from edge.messaging.status_payloads import StatePayload, state_message
 from edge.store.outbox import Outbox
 from edge.store.press_store import PressRecord, Recorded, Store

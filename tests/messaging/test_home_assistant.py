@@ -17,10 +17,16 @@ from edge.core.sink_context import Station
 from edge.core.verdict import Kind
 from edge.messaging.descriptions.home_assistant import discovery, discovery_topic
 from edge.messaging.descriptions.station import DescribedStation
-from edge.messaging.gel_payload import GelPayload, gel_message
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.result_payload import ResultPayload, press_messages
-from edge.messaging.status_payloads import StatePayload, StatsPayload, state_message, stats_message
+from edge.messaging.status_payloads import (
+    GelPayload,
+    StatePayload,
+    StatsPayload,
+    gel_message,
+    state_message,
+    stats_message,
+)
 from edge.messaging.topics import TOPICS
 from edge.store.gel_ledger import GelRecord
 from plugins.sinks.mqtt import plugin

@@ -13,9 +13,8 @@ import edge.messaging.publisher
 from edge.clock import ManualClock
 from edge.core.errors import StoreError
 from edge.core.ports import Message
-from edge.messaging.publisher import Publisher
-from edge.messaging.publisher_lock import PublisherLock
-from edge.messaging.retained_state import RetainedState
+from edge.messaging.publisher import Publisher, PublisherLock
+from edge.messaging.sink_worker import RetainedState
 from edge.messaging.status_payloads import StatePayload, state_message
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store

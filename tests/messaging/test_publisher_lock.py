@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from edge.core.errors import StoreError
-from edge.messaging.publisher_lock import PublisherLock
+from edge.messaging.publisher import PublisherLock
 from edge.store.press_store import Store
 
 

@@ -9,13 +9,14 @@ from edge.core.gel import GelState
 from edge.core.ports import Message
 from edge.core.reference_press.charts import ReferencePress, judge
 from edge.core.verdict import Kind
-from edge.messaging.gel_payload import GelPayload, gel_message
 from edge.messaging.reference_payload import ReferencePayload, reference_message
 from edge.messaging.result_payload import ResultPayload, heatmap_message
 from edge.messaging.status_payloads import (
+    GelPayload,
     InfoPayload,
     StatePayload,
     StatsPayload,
+    gel_message,
     info_message,
     state_message,
     stats_message,

@@ -7,8 +7,7 @@ from edge.clock import ManualClock
 from edge.core.backoff import Backoff
 from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.ports import Message
-from edge.messaging.retained_state import RetainedState
-from edge.messaging.sink_worker import SinkWorker
+from edge.messaging.sink_worker import RetainedState, SinkWorker
 from edge.store.outbox import Outbox
 
 __all__ = ["ScriptedSink", "drain", "worker"]

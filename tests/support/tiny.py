@@ -28,7 +28,7 @@ from edge.model.manifest import (
     ThresholdEntry,
     ToleranceEntry,
 )
-from edge.model.promise import GIVEN
+from edge.model.manifest_facts import GIVEN
 
 __all__ = [
     "PROFILE",
