@@ -1,6 +1,7 @@
 """A detector that is trained already becomes a complete bundle: nominal presses measure it and give its threshold.
 
-It was not trained on these presses, so their scores need no folds: their quantile is split-conformal.
+It was not trained on these presses, so their scores need no folds: their quantile is split-conformal. Whether scores
+rise with damage is tried with a painted square: a graph of another author may give a likelihood, which falls.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,15 +30,23 @@ from calibration.fitting.self_check import apart_warnings, black_warnings
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Grid
+from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files
 from edge.model.manifest import Facts, GridEntry, ProfileEntry, RegionEntry, ThresholdEntry, ToleranceEntry
 from edge.model.scorer import Scorer
-from export.direction import direction_warnings
 
-__all__ = ["Measure", "Parts", "WrapConfig", "finish_bundle", "wrap_files"]
+__all__ = [
+    "Measure",
+    "Parts",
+    "WrapConfig",
+    "direction_warnings",
+    "finish_bundle",
+    "paint_square",
+    "wrap_files",
+]
 
 Measure = Callable[[Scorer, NDArray[np.float64]], tuple[list[str], Mapping[str, Any]]]
 """Gives warnings and facts for the manifest, from the bundle without threshold and the scores of the presses."""
@@ -170,3 +179,49 @@ def _score(scorer: Scorer, presses: NominalPresses, report: Report) -> NDArray[n
         scores[k] = scorer.score(frame).anomaly_score
         report("score", (k + 1) / len(presses))
     return scores
+
+
+MOST_FRAMES = 8
+SATURATED_SHARE = 0.5
+# Of the painted presses, that must score higher, or lower, for a direction to be known.
+AGREEING_SHARE = 0.75
+
+
+def direction_warnings(scorer: Scorer, frames: NDArray[np.uint8], scores: NDArray[np.float64]) -> list[str]:
+    """Check the direction on some nominal frames, uint8 (n, h, w, 3) with their scores (n,).
+
+    Errors: FitError where most painted frames score lower; a warning where most do not score higher, or where half of
+    the nominal scores have one value, as scores that are limited to 0..1 do.
+    """
+    chosen = np.linspace(0, len(frames) - 1, min(MOST_FRAMES, len(frames))).astype(int)
+    change = np.array([scorer.score(paint_square(frames[k])).anomaly_score - scores[k] for k in chosen])
+    room = scorer.bundle.manifest.tolerance.around(float(np.abs(scores).max()))
+    rising, falling, count = int((change > room).sum()), int((change < -room).sum()), len(change)
+    if falling >= AGREEING_SHARE * count:
+        raise FitError(
+            f"scores fall where a press is damaged: a painted square lowers {falling} of {count} "
+            f"nominal scores, their median change is {float(np.median(change)):.3g}; pass --negate if lower scores are "
+            "more anomalous in this graph, or choose another output with --score-output"
+        )
+    said = []
+    if rising < AGREEING_SHARE * count:
+        said.append(
+            f"a painted square raises {rising} and lowers {falling} of {count} nominal scores: whether higher scores "
+            "are more anomalous is not known; score a damaged press before use"
+        )
+    largest = max(float((scores == value).mean()) for value in (scores.min(), scores.max()))
+    if len(scores) >= 4 and largest > SATURATED_SHARE:
+        said.append(
+            f"{largest:.0%} of the nominal presses have one score: the graph limits its scores, so the threshold tells "
+            "little; export it without its normalisation"
+        )
+    return said
+
+
+def paint_square(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Copy a frame, uint8 (h, w, 3), with a square of a quarter of its side in the middle: half dark, half bright."""
+    h, w = rgb.shape[:2]
+    frame, half = rgb.copy(), max(1, min(h, w) // 8)
+    frame[h // 2 - half : h // 2, w // 2 - half : w // 2 + half] = 20
+    frame[h // 2 : h // 2 + half, w // 2 - half : w // 2 + half] = 235
+    return frame

@@ -23,7 +23,7 @@ from edge.model.bundle_writer import bundle_files, facts_of
 from edge.model.manifest import Facts, Manifest
 from edge.model.scorer import Scorer, map_peaks
 from edge.model.session import saturates
-from export.direction import paint_square
+from export.finish import paint_square
 
 __all__ = [
     "LIMIT",

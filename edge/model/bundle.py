@@ -36,8 +36,7 @@ from edge.model.manifest import (
 from edge.model.manifest_files import RegistrationEntry
 from edge.model.packing import Packed, unpack
 from edge.model.signature import UNSIGNED, SignatureFinding, Trust
-from edge.model.trunk_store import read_trunk
-from edge.model.verified_files import read_picture, read_verified
+from edge.model.verified_files import read_picture, read_trunk, read_verified
 
 __all__ = [
     "Bundle",

@@ -1,4 +1,8 @@
-"""From means and dense covariances of any program to the parts of a PaDiM bundle."""
+"""From means and dense covariances of any program to the parts of a PaDiM bundle, and what the reduction costs.
+
+A covariance of N presses plus a ridge has at most N - 1 directions whose eigenvalue differs from the ridge; with those
+kept, the Mahalanobis distance is the same (Woodbury). Directions that are left out count as ridge.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,12 +16,138 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid
 from edge.core.errors import ConfigError
 from export.importers.contract import Settings
-from export.importers.gaussians import Reduced, distances_both_ways, reduce_matrices
 from export.importers.heads import MapSteps, padim_head
 from plugins.detectors.common.embedding import Embedding, EmbeddingChoice
 from plugins.reading.foreign import float32
 
-__all__ = ["Gaussians", "PadimParts", "padim_parts"]
+__all__ = ["Gaussians", "PadimParts", "Reduced", "distances_both_ways", "padim_parts", "reduce_matrices"]
+
+# A direction whose squared distance would change by less than this part counts as ridge: far below what a score shows.
+CUT = 1e-3
+# So does one that the file's own rounding moves away from the ridge: by at most the condition of the matrix times half
+# a unit of its last digit, measured on anomalib's inverses of 550 x 550. The directions of presses are far above it.
+ROUNDINGS = 4
+# Matrices decomposed at once, so that memory stays bounded.
+BLOCK = 64
+Dense = Callable[[slice], NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """basis (m, r, d) float32, weights (m, r) float32, both as in a PaDiM bank.
+
+    rank: directions that differ from the ridge, of the cell that has most. loss: the largest relative change of a
+    squared distance, in the worst direction.
+    """
+
+    basis: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    ridge: float
+    rank: int
+    loss: float
+
+    def words(self) -> str:
+        """The reduction in one sentence."""
+        kept, d = self.basis.shape[1:]
+        exact = "exact" if kept >= self.rank else f"{self.rank} would be exact"
+        return (
+            f"covariances {d} x {d} became {kept} directions ({exact}) over a ridge of {self.ridge:.5g}; a "
+            f"squared distance changes by at most {100 * self.loss:.2g} % in the worst direction"
+        )
+
+
+def reduce_matrices(
+    dense: Dense, count: int, is_inverse: bool, rank: int | None, ridge: float | None, path: Path, name: str
+) -> Reduced:
+    """Find the thin form of `count` symmetric matrices (d, d), ridge included.
+
+    dense: gives the matrices of a slice. is_inverse: they are inverse covariances. ridge: what was added to the
+    diagonal; None finds it. Errors: ConfigError for matrices that are not covariances.
+    """
+    bottom = _ridge(dense, count, is_inverse) if ridge is None else ridge
+    values, rows, needed, loss = [], [], 0, 0.0
+    for start in range(0, count, BLOCK):
+        spread, vectors = _spectrum(dense, slice(start, min(start + BLOCK, count)), is_inverse, path, name)
+        apart = np.abs(spread / bottom - 1)
+        order = np.argsort(-np.abs(np.log(spread / bottom)), axis=1, kind="stable")
+        apart = np.take_along_axis(apart, order, axis=1)
+        most = int((apart > _cut(spread, bottom, dense(slice(0, 1)).dtype)).sum(axis=1).max())
+        needed = max(needed, most)
+        keep = max(1, most if rank is None else min(rank, most))
+        loss = max(loss, float(apart[:, keep:].max(initial=0.0)))
+        order = order[:, :keep]
+        values.append(np.take_along_axis(spread, order, axis=1))
+        rows.append(float32(np.take_along_axis(vectors, order[:, None, :], axis=2).swapaxes(1, 2)))
+    return Reduced(_pad(rows), _pad_weights(values, bottom), bottom, needed, loss)
+
+
+def _spectrum(
+    dense: Dense, part: slice, is_inverse: bool, path: Path, name: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Eigenvalues (m, d) of the covariances with their ridge, and eigenvectors as columns. Errors: ConfigError."""
+    matrices = np.asarray(dense(part), np.float64)
+    if not np.isfinite(matrices).all():
+        raise ConfigError(
+            f"{path}: '{name}' holds values that are not finite; fit the model again with two pictures or more"
+        )
+    values, vectors = np.linalg.eigh((matrices + matrices.swapaxes(1, 2)) / 2)
+    if not (values > 0).all():
+        raise ConfigError(
+            f"{path}: '{name}' holds a matrix with the eigenvalue {values.min():.3g}; covariances with a ridge have "
+            "positive ones, fit the model again"
+        )
+    return (1 / values if is_inverse else values), vectors
+
+
+def _cut(spread: NDArray[np.float64], ridge: float, dtype: np.dtype[Any]) -> NDArray[np.float64]:
+    """Limit how far from 1 an eigenvalue over the ridge may be and still count as ridge, (m, 1)."""
+    condition = spread.max(axis=1, keepdims=True) / ridge
+    digit = np.finfo(dtype if dtype.kind == "f" else np.float64).epsneg
+    return np.asarray(np.maximum(CUT, ROUNDINGS * digit * condition), np.float64)
+
+
+def _ridge(dense: Dense, count: int, is_inverse: bool) -> float:
+    """The middle of the eigenvalues that are as small as the smallest, over some cells."""
+    chosen = np.unique(np.linspace(0, count - 1, min(count, BLOCK)).astype(np.int64))
+    stored = np.concatenate([np.asarray(dense(slice(k, k + 1))) for k in chosen])
+    matrices = stored.astype(np.float64)
+    values = np.maximum(np.linalg.eigvalsh(np.where(np.isfinite(matrices), matrices, 0)), 1e-12)
+    spread = 1 / values if is_inverse else values
+    least = spread.min(axis=1, keepdims=True)
+    limits = least * (1 + _cut(spread, float(np.median(least)), stored.dtype))
+    return float(np.nanmedian(np.where(spread <= limits, spread, np.nan)))
+
+
+def _pad(rows: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Blocks of different ranks as one array, with directions of zeros."""
+    rank = max(block.shape[1] for block in rows)
+    return np.concatenate([np.pad(block, ((0, 0), (0, rank - block.shape[1]), (0, 0))) for block in rows])
+
+
+def _pad_weights(values: list[NDArray[np.float64]], ridge: float) -> NDArray[np.float32]:
+    rank = max(block.shape[1] for block in values)
+    padded = [np.pad(block, ((0, 0), (0, rank - block.shape[1])), constant_values=ridge) for block in values]
+    return (1 / np.concatenate(padded)).astype(np.float32)
+
+
+def distances_both_ways(
+    delta: NDArray[np.float64],
+    matrices: NDArray[np.float64],
+    is_inverse: bool,
+    thin: Reduced,
+    cells: NDArray[np.int64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Distances (n, cells) by the file's dense matrices and by the thin form. delta: (cells, n, d)."""
+    applied = (
+        delta @ matrices if is_inverse else np.linalg.solve(matrices, delta.swapaxes(1, 2)).swapaxes(1, 2)
+    )
+    full = np.sqrt(np.maximum((applied * delta).sum(axis=2), 0))
+    basis, weights = thin.basis[cells].astype(np.float64), thin.weights[cells].astype(np.float64)
+    along = delta @ basis.swapaxes(1, 2)
+    off = delta - along @ basis
+    short = np.sqrt((along**2 * weights[:, None]).sum(axis=2) + (off**2).sum(axis=2) / thin.ridge)
+    return full.T, short.T
+
 
 # Cells on which the full form is compared with the reduced one.
 COMPARED_CELLS = 256

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from export.importers.gaussians import Reduced, reduce_matrices
+from export.importers.padim_parts import Reduced, reduce_matrices
 
 RIDGE = 0.01
 PLACES, CHANNELS, PRESSES = 6, 60, 5
