@@ -20,9 +20,8 @@ from edge.store.acts import Act
 from edge.store.backup import migrate
 from edge.store.integrity import Finding, check_database
 from edge.store.ledger_chain import Head
-from edge.store.press_counts import Count
+from edge.store.press_counts import Count, recover
 from edge.store.press_store import Store
-from edge.store.press_counts import recover
 from edge.store.reference_presses import PieceKey, ReferenceTable
 from edge.store.study_presses import StudyTable
 
