@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 from edge.cli import build
 from edge.core.errors import ConfigError
 from export.backbone import BackboneOptions, export_backbone
-from export.onnx_trunk import name_taps
 from plugins.backbones.input_steps import IMAGENET, apply_steps
 from plugins.onnx_builder import Graph
 
@@ -75,6 +74,15 @@ def test_maps_stay_and_sequences_become_grids(saved: Path, tokens: int) -> None:
     assert [result.name for result in export.parity.results] == ["input", "early", "tokens"]
 
 
+def test_a_published_encoder_brings_its_steps(saved: Path) -> None:
+    """UniT is read as any network, behind its own size and levels."""
+    saved.write_bytes(network())
+    made = export_backbone(
+        saved, None, BackboneOptions("MIT", encoder="unit", taps=("sequence",), prefix_tokens=0)
+    )
+    assert "resize 160x128" in made.facts["preprocessing"]
+
+
 def test_a_fixed_size_and_one_frame_at_a_time(saved: Path) -> None:
     """Frames are resized to the network's size; a batch of one is taken as it is."""
     saved.write_bytes(network(24, batch=1))
@@ -112,26 +120,12 @@ def test_weights_are_not_listed_as_taps(saved: Path) -> None:
     assert conv_name(saved.read_bytes()) in str(refused.value)
 
 
-def test_names_of_taps() -> None:
-    """NAME=VALUE, or the value's own name."""
-    assert name_taps(["layer1=/a/b", "c"]) == {"layer1": "/a/b", "c": "c"}
-
-
 def test_the_command(saved: Path, tmp_path: Path) -> None:
     """The verb writes the trunk and a report."""
     out, report = tmp_path / "t.onnx", tmp_path / "report"
-    command = [
-        "export",
-        "backbone",
-        str(saved),
-        "-o",
-        str(out),
-        "--taps",
-        "layer1=sequence",
-        "--licence",
-        "MIT",
-    ]
-    done = CliRunner().invoke(build(), [*command, "--report", str(report)], catch_exceptions=False)
+    words = ("--taps", "layer1=sequence", "--licence", "MIT", "--report", str(report))
+    command = ["export", "backbone", str(saved), "-o", str(out), *words]
+    done = CliRunner().invoke(build(), command, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     assert "layer1" in done.output
     assert (report / "parity.html").is_file()

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from edge.core.errors import BundleCorrupt
-from export.parity import ORDER_LEAST, Stage, compare, order_stage, rank_correlation
+from export.parity import ORDER_LEAST, TOLERANCES, Stage, compare, order_stage, rank_correlation
 
 RNG = np.random.default_rng(0)
 TAP = RNG.normal(size=(2, 3, 4, 4)).astype(np.float32)
@@ -96,3 +96,12 @@ def test_the_report_is_one_page_with_both_maps(tmp_path: Path) -> None:
     assert "a &amp; b" in text
     assert "First difference: stage &#x27;map&#x27;" in text
     assert [file.name for file in path.parent.iterdir()] == ["parity.html"]
+
+
+def test_the_manual_has_the_tolerances_of_the_program() -> None:
+    """Kind of stage and allowed difference."""
+    page = (Path(__file__).parents[2] / "docs" / "export.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([a-z, ]+) \| (\d+e-\d+) \|$", page, re.MULTILINE)
+
+    found = {kind: float(value) for kinds, value in rows for kind in kinds.replace("taps", "tap").split(", ")}
+    assert found == TOLERANCES

@@ -1,17 +1,20 @@
 """Real brokers: mosquitto where it is installed, amqtt as well; each missing one is skipped with a message."""
 
+import random
 import threading
 import time
 from collections.abc import Callable, Iterator
 
 import pytest
 from recorded_presses import path, store
+from scripted_broker import ScriptedBroker
 
+from edge.core.backoff import Backoff
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_broker import Broker, Level, Received
+from edge.messaging.mqtt_broker import Broker, Level, Outgoing, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt import MqttSink, plugin
 from plugins.sinks.mqtt_options import MqttOptions
@@ -73,8 +76,6 @@ class Listener:
             assert self._changed.wait_for(lambda: is_heard(self), timeout_s), f"heard only {self.heard}"
 
     def ask(self, verb: str, payload: bytes) -> None:
-        from edge.messaging.mqtt_broker import Outgoing
-
         self._connection.publish(Outgoing(f"{ROOT}/cmd/{verb}", payload))
 
     def close(self) -> None:
@@ -114,6 +115,35 @@ def sink_to() -> Iterator[Callable[..., MqttSink]]:
             {"host": broker.host, "port": broker.port, "retry_s": 1.0, "acknowledge_s": PATIENCE_S, **options}
         )
         opened.append(plugin.open(chosen, station))
+        return opened[-1]
+
+    yield make
+    for sink in opened:
+        sink.close()
+
+
+@pytest.fixture
+def scripted() -> Iterator[ScriptedBroker]:
+    with ScriptedBroker() as broker:
+        yield broker
+
+
+@pytest.fixture
+def stepped() -> Iterator[Callable[..., MqttSink]]:
+    """Opens sinks without threads, whose turns a test takes, and closes them at the end."""
+    opened: list[MqttSink] = []
+
+    def make(
+        broker: LocalBroker | ScriptedBroker,
+        *birth: Message,
+        station: Station | None = None,
+        **options: object,
+    ) -> MqttSink:
+        address = {"host": "127.0.0.1", "port": broker.port, "protocol": "5", "acknowledge_s": PATIENCE_S}
+        chosen = MqttOptions.model_validate({**address, **options})
+        context = station or Station(ROOT, "press2", birth=lambda: birth)
+        backoff = Backoff(random.Random(0), 0.2, 1.0)
+        opened.append(MqttSink(chosen.broker(context.client_id), context, backoff))
         return opened[-1]
 
     yield make

@@ -1,6 +1,5 @@
 """The plain topic `availability`: what a dashboard reads of a station that comes, goes and disappears."""
 
-import random
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -8,7 +7,6 @@ from contextlib import suppress
 import pytest
 from scripted_broker import ScriptedBroker
 
-from edge.core.backoff import Backoff
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
@@ -54,13 +52,11 @@ def open_sink() -> Iterator[Opens]:
 
 
 @pytest.fixture
-def stepped_sink(mosquitto: LocalBroker) -> Iterator[MqttSink]:
+def stepped_sink(mosquitto: LocalBroker, stepped: Opens) -> MqttSink:
     """Such a sink without threads, connected: what happens comes of the turns that a test takes."""
-    options = MqttOptions(host="127.0.0.1", port=mosquitto.port, protocol="5", acknowledge_s=PATIENCE_S)
-    sink = MqttSink(options.broker("press2"), STATION, Backoff(random.Random(0), 0.2, 1.0))
+    sink = stepped(mosquitto, station=STATION)
     assert sink.step() is None
-    yield sink
-    sink.close()
+    return sink
 
 
 def says(*words: bytes) -> Callable[[Listener], bool]:

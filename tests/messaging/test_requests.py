@@ -1,15 +1,13 @@
 """Requests over MQTT: bounded in size and number, each answered, and no answer outside the station's own topics."""
 
 import json
-import random
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 from scripted_broker import ScriptedBroker
 
-from edge.core.backoff import Backoff
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS
@@ -17,7 +15,7 @@ from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Outgoing, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt import MqttSink
-from plugins.sinks.mqtt_options import LARGEST_PACKET_BYTES, MqttOptions
+from plugins.sinks.mqtt_options import LARGEST_PACKET_BYTES
 
 from .conftest import PATIENCE_S, ROOT, sent
 
@@ -41,24 +39,16 @@ class Asked:
 
 
 @pytest.fixture
-def broker() -> Iterator[ScriptedBroker]:
-    with ScriptedBroker() as scripted:
-        yield scripted
-
-
-@pytest.fixture
 def asked() -> Asked:
     return Asked()
 
 
 @pytest.fixture
-def sink(broker: ScriptedBroker, asked: Asked) -> Iterator[MqttSink]:
-    options = MqttOptions(host="127.0.0.1", port=broker.port, protocol="5", acknowledge_s=PATIENCE_S)
+def sink(scripted: ScriptedBroker, asked: Asked, stepped: Callable[..., MqttSink]) -> MqttSink:
     station = Station(ROOT, "asked", on_command=asked.command, on_refused=asked.refusal)
-    stepped = MqttSink(options.broker("asked"), station, Backoff(random.Random(0), 0.2, 1.0))
-    assert stepped.step() is None
-    yield stepped
-    stepped.close()
+    opened = stepped(scripted, station=station)
+    assert opened.step() is None
+    return opened
 
 
 def until(is_so: Callable[[], bool]) -> None:
@@ -83,53 +73,53 @@ def until(is_so: Callable[[], bool]) -> None:
     ],
 )
 def test_an_answer_never_leaves_the_station_s_own_topics(
-    broker: ScriptedBroker, sink: MqttSink, asked: Asked, topic: str
+    scripted: ScriptedBroker, sink: MqttSink, asked: Asked, topic: str
 ) -> None:
     """The request is refused, not done, and the refusal comes on the usual topic."""
     sink._received(Received(TRIGGER, b"{}", 1, False, response_topic=topic))
 
-    until(lambda: len(broker.published) == 1)
-    ((where, answer),) = broker.published
+    until(lambda: len(scripted.published) == 1)
+    ((where, answer),) = scripted.published
     assert where == f"{TRIGGER}/response"
     assert b"its response topic is not" in answer
     assert asked.done == []
 
 
-def test_an_answer_may_go_below_the_request_s_own_topic(broker: ScriptedBroker, sink: MqttSink) -> None:
+def test_an_answer_may_go_below_the_request_s_own_topic(scripted: ScriptedBroker, sink: MqttSink) -> None:
     """So that each asker can have its own."""
     sink.answer(Received(TRIGGER, b"{}", 1, False, response_topic=f"{TRIGGER}/response/line-7"))
 
-    assert broker.published == [(f"{TRIGGER}/response/line-7", b"done")]
+    assert scripted.published == [(f"{TRIGGER}/response/line-7", b"done")]
 
 
 def test_a_request_that_is_too_large_is_refused_unread(
-    broker: ScriptedBroker, sink: MqttSink, asked: Asked
+    scripted: ScriptedBroker, sink: MqttSink, asked: Asked
 ) -> None:
     """It is not kept either: 16 large ones would be the memory of the gateway."""
-    broker.send(TRIGGER, b"x" * (LARGEST_REQUEST_BYTES + 1))
+    scripted.send(TRIGGER, b"x" * (LARGEST_REQUEST_BYTES + 1))
 
-    until(lambda: len(broker.published) == 1)
-    assert b"a request has at most" in broker.published[0][1]
+    until(lambda: len(scripted.published) == 1)
+    assert b"a request has at most" in scripted.published[0][1]
     assert asked.done == []
 
 
-def test_at_level_5_the_broker_is_told_the_largest_packet(sink: MqttSink, broker: ScriptedBroker) -> None:
+def test_at_level_5_the_broker_is_told_the_largest_packet(sink: MqttSink, scripted: ScriptedBroker) -> None:
     """So that it does not send a larger one at all. Ref: MQTT 5.0, 3.1.2.11.4, property 0x27."""
-    assert b"\x27" + LARGEST_PACKET_BYTES.to_bytes(4, "big") in broker.properties[0]
+    assert b"\x27" + LARGEST_PACKET_BYTES.to_bytes(4, "big") in scripted.properties[0]
 
 
 def test_requests_that_find_no_room_are_answered(
-    broker: ScriptedBroker, sink: MqttSink, asked: Asked, caplog: pytest.LogCaptureFixture
+    scripted: ScriptedBroker, sink: MqttSink, asked: Asked, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A flood of which little is served: what fits waits, each of the others has its answer, and few have a line."""
     for number in range(WAITING_REQUESTS + 60):
-        broker.send(TRIGGER, b"%d" % number)
-    until(lambda: len(broker.published) == 60)
+        scripted.send(TRIGGER, b"%d" % number)
+    until(lambda: len(scripted.published) == 60)
     for number in range(1, 21):
         sink._requests.next()
-        broker.send(TRIGGER, b"%d" % number)
-        broker.send(TRIGGER, b"%d" % number)
-        until(lambda wanted=60 + number: len(broker.published) == wanted)
+        scripted.send(TRIGGER, b"%d" % number)
+        scripted.send(TRIGGER, b"%d" % number)
+        until(lambda wanted=60 + number: len(scripted.published) == wanted)
 
     assert len(asked.refused) == 80
     assert sum("is refused" in line for line in caplog.messages) <= 12

@@ -1,23 +1,19 @@
-"""docs/export.md, trained detectors: every command runs as it is written, up to the verdicts on MQTT."""
+"""docs/export.md, trained detectors: every command runs as it is written, up to the verdicts."""
 
 import pickle
 import re
 import shlex
 import shutil
 from pathlib import Path
-from threading import Event
 
 import numpy as np
 import pytest
 from anomalib_files import ROOT, SMALL
 from command_line import Outcome, gelgate
-from paho.mqtt.client import Client, MQTTMessage
-from paho.mqtt.enums import CallbackAPIVersion
 from station import press_recording
 from toy_trunk import toy_trunk
 
 from edge.core.errors import ConfigError
-from edge.messaging.local_broker import LocalBroker
 from edge.model.bundle import Bundle
 from export import import_padim, import_spade
 
@@ -57,36 +53,18 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_from_anomalib_to_a_verdict_on_mqtt(folder: Path) -> None:
-    """Every press of the virtual sensor has its verdict at a subscriber."""
+def test_from_anomalib_to_verdicts(folder: Path) -> None:
+    """Every press of the virtual sensor is judged; a list in memory is in the place of the page's broker."""
     *before, run = commands("I trained this in anomalib")
     for line in before:
         done = ran(line)
         if line[:2] == ["export", "detect"]:
             assert "PaDiM of anomalib" in done.out
     (toml,) = re.findall(r"```toml\n(.*?)```", section("I trained this in anomalib"), re.DOTALL)
-    heard, is_complete, is_subscribed = list[bytes](), Event(), Event()
+    config = toml.partition("[[sinks]]")[0] + '[[sinks]]\nplugin = "memory"\n'
+    (folder / "station.toml").write_text(config)
 
-    def note(client: Client, data: object, message: MQTTMessage) -> None:
-        if message.topic.endswith("/result"):
-            heard.append(message.payload)
-        if len(heard) >= PRESSES:
-            is_complete.set()
-
-    with LocalBroker() as broker:
-        (folder / "station.toml").write_text(toml.replace("1883", str(broker.port)))
-        client = Client(CallbackAPIVersion.VERSION2)
-        client.on_message = note
-        client.on_subscribe = lambda *_: is_subscribed.set()
-        client.connect(broker.host, broker.port)
-        client.subscribe("gelgate/#", 1)
-        client.loop_start()
-        try:
-            assert is_subscribed.wait(60)
-            ran(run)
-            assert is_complete.wait(60), heard
-        finally:
-            client.loop_stop()
+    assert f"{PRESSES} presses: " in ran(run).out
 
 
 def test_from_the_papers_pickles_to_a_bundle(folder: Path) -> None:
