@@ -51,37 +51,20 @@ def text(config: Path, form: str) -> str:
     return describe_config(load_config(config), Format(form))
 
 
-def test_neither_bundle_nor_sensor_nor_broker_is_needed(config: Path) -> None:
-    """All that it names may be missing: every format is printed."""
+def test_each_format_is_of_the_configured_station(config: Path) -> None:
+    """All that it names may be missing. Served and signed commands, user names, topics of its sinks, its broker."""
     for form in Format:
         assert text(config, form).endswith("\n")
-
-
-def test_asyncapi_has_the_commands_that_are_served(config: Path) -> None:
-    """Signed ones say so; others have no channel."""
     channels = json.loads(text(config, "asyncapi"))["channels"]
-
-    assert {name for name in channels if name.startswith("cmd_")} == {
-        "cmd_trigger",
-        "cmd_relearn",
-        "cmd_response",
-    }
+    served = {name for name in channels if name.startswith("cmd_")}
+    assert served == {"cmd_trigger", "cmd_relearn", "cmd_response"}
     assert channels["cmd_relearn"]["description"].endswith("Only with a signature.")
-
-
-def test_the_rules_name_the_station_as_its_broker_knows_it(config: Path) -> None:
-    """By its user name; with the topics of Home Assistant and Sparkplug, because it has such sinks."""
-    lines = text(config, "mosquitto").splitlines()
-
-    assert "user touch2" in lines
-    assert "topic read spBv1.0/cell7/NCMD/line-press2" in lines
-    assert "topic write ha/device/gelgate_plant_line_press2_gel_v1/config" in lines
-
-
-def test_the_flow_connects_to_the_configured_broker(config: Path) -> None:
-    """With TLS, at its usual port."""
+    assert {
+        "user touch2",
+        "topic read spBv1.0/cell7/NCMD/line-press2",
+        "topic write ha/device/gelgate_plant_line_press2_gel_v1/config",
+    } <= set(text(config, "mosquitto").splitlines())
     broker = json.loads(text(config, "node-red"))[1]
-
     assert (broker["broker"], broker["port"], broker["usetls"]) == ("broker.plant", "8883", True)
 
 

@@ -7,17 +7,12 @@ from pathlib import Path
 import cv2
 import pytest
 import tiny
-from pressed_dome import Bench, write
 from typer.main import get_command
 from typer.testing import CliRunner, Result
 
-from calibration.simulator.pose import Jitter
-from calibration.simulator.renderer import Renderer
-from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import cli, registry
 from edge.core.errors import ConfigError, GelgateError
 from edge.model.bundle import Bundle
-from edge.model.manifest_facts import METHOD_CHOICE, choice_sentence
 
 
 @pytest.fixture(autouse=True)
@@ -101,14 +96,6 @@ def test_a_wrong_option_is_a_sentence_and_leaves_nothing(
     assert not (tmp_path / "bolt").exists()
 
 
-def test_an_existing_bundle_is_kept_unless_told(pictures: Path, tmp_path: Path) -> None:
-    """Nothing is overwritten by mistake."""
-    assert fit(pictures, tmp_path / "bolt").exit_code == 0
-    assert isinstance(fit(pictures, tmp_path / "bolt").exception, ConfigError)
-    assert fit(pictures, tmp_path / "bolt", "--overwrite", "--part", "nut").exit_code == 0
-    assert Bundle.load(tmp_path / "bolt").manifest.part == "nut"
-
-
 def test_a_bundle_without_its_trunk_is_found_through_the_installed_backbone(
     pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -121,31 +108,21 @@ def test_a_bundle_without_its_trunk_is_found_through_the_installed_backbone(
 
 
 def test_a_press_is_left_out_by_name(pictures: Path, tmp_path: Path) -> None:
-    """It is not learnt, and the bundle says that it was there."""
+    """It is not learnt, and the bundle says that it was there; one that is not there is refused with the nearest."""
+    refused = fit(pictures, tmp_path / "bolt", "--leave-out", "good/9.png", "--leave-out", "good/1.png")
+    assert isinstance(refused.exception, GelgateError)
+    assert "no press is named 'good/9.png'" in str(refused.exception)
+    assert "did you mean 'good/" in str(refused.exception)
+    assert not (tmp_path / "bolt").exists()
     assert fit(pictures, tmp_path / "bolt", "--leave-out", "good/3.png").exit_code == 0
     origin = Bundle.load(tmp_path / "bolt").manifest.provenance
     assert origin.presses == tuple(f"good/{k}.png" for k in (0, 1, 2, 4, 5))
     assert origin.left_out == ("good/3.png",)
-    assert "good/3.png" in run("bundle", "inspect", tmp_path / "bolt").output
 
 
-def test_a_press_to_leave_out_that_is_not_there_is_refused(pictures: Path, tmp_path: Path) -> None:
-    """The sentence names the nearest presses; nothing is written."""
-    result = fit(pictures, tmp_path / "bolt", "--leave-out", "good/9.png", "--leave-out", "good/1.png")
-    assert isinstance(result.exception, GelgateError)
-    assert "no press is named 'good/9.png'" in str(result.exception)
-    assert "did you mean 'good/" in str(result.exception)
-    assert not (tmp_path / "bolt").exists()
-
-
-def test_fit_and_inspect_say_what_is_promised(pictures: Path, tmp_path: Path) -> None:
-    """On average over bundles, and of this one."""
-    said = "6 presses: at best 14 % (1 in 7), not the 5 % asked for, of sound presses fail, on average over bundles"
-    assert said in fit(pictures, tmp_path / "bolt").output
-    assert said in run("bundle", "inspect", tmp_path / "bolt").output
-
-
-def test_a_fit_that_replaces_a_bundle_has_the_next_revision(pictures: Path, tmp_path: Path) -> None:
+def test_a_bundle_is_replaced_only_when_asked_and_has_the_next_revision(
+    pictures: Path, tmp_path: Path
+) -> None:
     """A station then knows which of two bundles is older; a number that is given is used."""
     found = []
     for options in ((), ("--overwrite",), ("--overwrite", "--revision", "9"), ("--overwrite",)):
@@ -153,9 +130,8 @@ def test_a_fit_that_replaces_a_bundle_has_the_next_revision(pictures: Path, tmp_
         found.append(Bundle.load(tmp_path / "bolt").manifest.revision)
 
     assert found == [1, 2, 9, 10]
-    assert ["revision", "10"] in [
-        line.split() for line in run("bundle", "inspect", tmp_path / "bolt").output.splitlines()
-    ]
+    assert isinstance(fit(pictures, tmp_path / "bolt").exception, ConfigError)
+    assert Bundle.load(tmp_path / "bolt").manifest.revision == 10
 
 
 def test_a_fit_chooses_its_backbone_and_says_why(pictures: Path, tmp_path: Path) -> None:
@@ -168,51 +144,6 @@ def test_a_fit_chooses_its_backbone_and_says_why(pictures: Path, tmp_path: Path)
     assert why in run("bundle", "inspect", tmp_path / "bolt").output
     assert "backbone:" not in fit(pictures, tmp_path / "named").output
     assert "named, not chosen by the fit" in run("bundle", "inspect", tmp_path / "named").output
-
-
-def domes(folder: Path) -> tuple[Path, Path]:
-    """A folder of six presses of a dome, and a picture of the free gel."""
-    with reproducible_opencv():
-        bench = Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
-        for k in range(6):
-            write(folder / "presses" / f"p{k}.png", bench.press(k))
-        write(folder / "free.png", bench.free())
-    return folder / "presses", folder / "free.png"
-
-
-def test_a_fit_chooses_its_method_and_says_why(tmp_path: Path) -> None:
-    """`--method auto` prints the reason with the time of a press, and `inspect` shows it; without a picture of the free
-    gel it is refused."""
-    presses, free = domes(tmp_path)
-    words = (
-        "fit",
-        presses,
-        "-o",
-        tmp_path / "dome",
-        "--part",
-        "dome",
-        "--method",
-        "auto",
-        "--region",
-        "112,72,96x96",
-    )
-    words += ("--profile", "cropped_lr", "--backbone", "tactile_resnet18", "--augment", "never")
-    refused = run(*words)
-    assert refused.exit_code != 0
-    assert "no method can be chosen: damage is rendered with a picture of the free gel" in str(
-        refused.exception
-    )
-    result = run(*words, "--no-contact", free)
-    assert result.exit_code == 0, result.output
-    assert "padim or patchcore (corrected) on tactile_resnet18" in result.output
-    manifest = Bundle.load(tmp_path / "dome").manifest
-    why = choice_sentence(manifest.facts, METHOD_CHOICE)
-    assert why.startswith(
-        f"{manifest.method}: of rendered damage and pieces of relief in the nominal presses"
-    )
-    assert why.count(" ms a press") == 2
-    assert f"method: {why}" in result.output
-    assert why in run("bundle", "inspect", tmp_path / "dome").output
 
 
 def test_the_help_shows_twelve_options_and_set_gives_the_rest(pictures: Path, tmp_path: Path) -> None:

@@ -89,7 +89,9 @@ def bundle_on_a_new_gel(database: Path, presses: int) -> None:
             store.write("", partial(gel_proofs.count, key=key, is_alarm=False))
 
 
-def test_prove_is_refused_until_presses_are_enough(database: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_prove_is_refused_until_presses_are_enough(
+    database: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Exit code 1, the missing presses, and an act of each request; `show` says what is not proven."""
     bundle_on_a_new_gel(database, 21)
     show(database=database)

@@ -18,14 +18,14 @@ from edge.store.ulid import new_ulid
 T0 = 1_780_000_000 * 10**9
 VERSION_1 = Path(__file__).parents[1] / "compatibility" / "version_0_1_0" / "gelgate.db"
 
-READING = {
-    "gel show": ("gel", "show"),
-    "history": ("history",),
-    "acts": ("station", "acts"),
-    "db check": ("db", "check"),
-    "replay": ("station", "replay", "--all"),
-    "reference chart": ("station", "reference", "chart"),
-}
+READING = (
+    ("gel", "show"),
+    ("history",),
+    ("station", "acts"),
+    ("db", "check"),
+    ("station", "replay", "--all"),
+    ("station", "reference", "chart"),
+)
 
 
 def write_database(path: Path, version: int) -> None:
@@ -56,24 +56,22 @@ def content(folder: Path) -> Mapping[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("version", range(1, SCHEMA_VERSION + 1))
-@pytest.mark.parametrize("verb", READING)
-def test_a_verb_that_reads_changes_no_byte(verb: str, version: int, bench: Bench) -> None:
-    """Without options it finds the station of this folder; an older database is refused with the verb that migrates
-    it."""
+@pytest.mark.parametrize("version", [1, 4, CHAINED_SINCE, SCHEMA_VERSION - 1, SCHEMA_VERSION])
+def test_a_verb_that_reads_changes_no_byte(version: int, bench: Bench) -> None:
+    """Without options it finds the station of this folder; an older database is refused with what migrates it."""
     bench.config()
     write_database(bench.folder / "gelgate.db", version)
     before = content(bench.folder)
-    done = gelgate(*READING[verb])
+    refusal = f"has schema version {version}, this program reads {SCHEMA_VERSION}; `gelgate db migrate`"
+    for words in READING:
+        done = gelgate(*words)
 
-    assert content(bench.folder) == before
-    if version == SCHEMA_VERSION:
-        assert done.code == 0, done.err
-    else:
-        assert done.code == 1
-        assert f"has schema version {version}, this program reads {SCHEMA_VERSION}; `gelgate db migrate`" in (
-            done.sentence()
-        )
+        assert content(bench.folder) == before, words
+        if version == SCHEMA_VERSION:
+            assert done.code == 0, done.err
+        else:
+            assert done.code == 1
+            assert refusal in done.sentence()
 
 
 @pytest.mark.parametrize("version", [0, 1, 4, SCHEMA_VERSION])
@@ -109,7 +107,7 @@ def test_a_verb_that_writes_refuses_an_older_database(bench: Bench) -> None:
     assert content(bench.folder) == before
 
 
-@pytest.mark.parametrize("version", [1, 5, 7])
+@pytest.mark.parametrize("version", [1, 7])
 def test_a_start_migrates_after_a_copy(version: int, bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
     """The copy has the old version and is named in a line; the presses are in both."""
     bench.config()

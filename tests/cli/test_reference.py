@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from command_line import gelgate
+from command_line import Outcome, gelgate
 from recorded_presses import T0
 from station import station_config
 
@@ -47,81 +47,60 @@ def database(tmp_path: Path) -> Path:
     return path
 
 
+def chart(database: Path, *more: object) -> Outcome:
+    return gelgate("station", "reference", "chart", "--database", database, "--learn", "5", *more)
+
+
 def test_the_charts_are_printed_with_their_presses(database: Path) -> None:
     """Limits of each measure, then each press with what it said."""
-    done = gelgate(
-        "station", "reference", "chart", "--database", str(database), "--learn", "5", "--count", "2"
-    )
+    done = chart(database, "--count", "2")
     lines = done.out.splitlines()
 
     assert done.code == 0
     assert lines[0] == "master piece M1 at bolt/crest, sensor 2BNN4ZE7: 7 presses"
     assert "score                     0.8  limits 0.3" in done.out
     assert lines[2].endswith("beyond limit")
-    assert [("in limits" in line, "out of limits" in line) for line in lines[-2:]] == [
-        (True, False),
-        (False, True),
-    ]
-    assert len([line for line in lines if line.startswith("2026-")]) == 2
+    assert [line.startswith("2026-") for line in lines].count(True) == 2
+    assert ["in limits" in line for line in lines[-2:]] == [True, False]
+    assert "out of limits" in lines[-1]
 
 
-def test_json_has_what_the_topic_has(database: Path) -> None:
-    """One object per master piece, with its presses."""
-    done = gelgate("station", "reference", "chart", "--database", str(database), "--learn", "5", "--json")
-    found = json.loads(done.out)
-
+def test_charts_are_written_as_json_csv_and_svg(database: Path, tmp_path: Path) -> None:
+    """What the topic has; a row for each press with what it said then; a strip for each measure and one red point."""
+    found = json.loads(chart(database, "--json").out)
     assert (found["piece"], found["outcome"], len(found["presses"])) == ("M1", "out_of_limits", 7)
-    assert {chart["measure"]: chart["signals"] for chart in found["charts"]}["score"] == ["beyond_limit"]
+    assert {one["measure"]: one["signals"] for one in found["charts"]}["score"] == ["beyond_limit"]
 
-
-def test_csv_has_a_row_for_each_press(database: Path, tmp_path: Path) -> None:
-    """With what each said when it was made."""
     path = tmp_path / "reference.csv"
-    done = gelgate(
-        "station", "reference", "chart", "--database", str(database), "--learn", "5", "-o", str(path)
-    )
+    assert chart(database, "-o", path).out == f"7 reference presses in {path}\n"
     rows = list(csv.DictReader(io.StringIO(path.read_text())))
-
-    assert done.out == f"7 reference presses in {path}\n"
     assert [row["outcome"] for row in rows] == ["learning"] * 4 + ["in_limits"] * 2 + ["out_of_limits"]
     assert (rows[0]["score"], rows[0]["turn_deg"], rows[0]["gel_id"]) == ("0.4", "", "2BNN4ZE7-1")
 
-
-def test_svg_shows_the_value_that_is_out(database: Path, tmp_path: Path) -> None:
-    """A strip for each measure; one red point."""
-    path = tmp_path / "reference.svg"
-    gelgate("station", "reference", "chart", "--database", str(database), "--learn", "5", "-o", str(path))
-    classes = [one.get("class") for one in ElementTree.parse(path).iter()]
-
-    assert (classes.count("out"), classes.count("line")) == (1, 5)
-    assert classes.count("limit") == 10
+    chart(database, "-o", tmp_path / "reference.svg")
+    classes = [one.get("class") for one in ElementTree.parse(tmp_path / "reference.svg").iter()]
+    assert [classes.count(name) for name in ("out", "line", "limit")] == [1, 5, 10]
 
 
 def test_a_choice_without_a_press_says_what_there_is(database: Path, tmp_path: Path) -> None:
     """And an empty database what to do."""
-    other = gelgate("station", "reference", "chart", "--database", str(database), "--piece", "M2")
     Store(tmp_path / "empty.db").close()
-    empty = gelgate("station", "reference", "chart", "--database", str(tmp_path / "empty.db"))
 
-    assert other.out == "no such master piece was pressed; there are M1 at bolt/crest, sensor 2BNN4ZE7\n"
-    assert (
-        empty.out == "no reference press was made yet; ask for one with `gelgate station reference press`\n"
-    )
+    there = "no such master piece was pressed; there are M1 at bolt/crest, sensor 2BNN4ZE7\n"
+    assert chart(database, "--piece", "M2").out == there
+    assert "ask for one with `gelgate station reference press`" in chart(tmp_path / "empty.db").out
 
 
 def test_what_cannot_be_written_is_refused(database: Path, tmp_path: Path) -> None:
     """An ending that is no format; one picture of two pieces; a database that is not there."""
     with Store(database) as store:
         record(store, 9, 0.4, KEY._replace(piece="M2"))
-    odd = gelgate(
-        "station", "reference", "chart", "--database", str(database), "-o", str(tmp_path / "a.xlsx")
-    )
-    two = gelgate("station", "reference", "chart", "--database", str(database), "-o", str(tmp_path / "a.svg"))
-    none = gelgate("station", "reference", "chart", "--database", str(tmp_path / "none.db"))
-
-    assert (odd.code, "known are .csv, .svg" in odd.err) == (3, True)
-    assert (two.code, "choose with --piece" in two.err) == (3, True)
-    assert (none.code, "does not exist" in none.err) == (3, True)
+    for done, words in (
+        (chart(database, "-o", tmp_path / "a.xlsx"), "known are .csv, .svg"),
+        (chart(database, "-o", tmp_path / "a.svg"), "choose with --piece"),
+        (chart(tmp_path / "none.db"), "does not exist"),
+    ):
+        assert (done.code, words in done.err) == (3, True)
 
 
 class Gateway:

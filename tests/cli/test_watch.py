@@ -271,9 +271,7 @@ def test_a_station_without_a_description_is_named(
     said, timeout = "", 0.3
     while "not checked" not in said and timeout < 60:  # a busy machine hears nothing in a short time
         with pytest.raises(typer.Exit):
-            watch_command(
-                host=broker.host, port=broker.port, timeout=timeout, validate=True
-            )
+            watch_command(host=broker.host, port=broker.port, timeout=timeout, validate=True)
         said, timeout = capsys.readouterr().out, 3 * timeout
 
     assert "gelgate/plant/line1/press2: 1 messages not checked, its topic asyncapi is empty" in said

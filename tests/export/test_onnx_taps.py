@@ -76,11 +76,10 @@ def test_maps_stay_and_sequences_become_grids(saved: Path, tokens: int) -> None:
 
 def test_a_published_encoder_brings_its_steps(saved: Path) -> None:
     """UniT is read as any network, behind its own size and levels."""
-    saved.write_bytes(network())
-    made = export_backbone(
-        saved, None, BackboneOptions("MIT", encoder="unit", taps=("sequence",), prefix_tokens=0)
+    options = BackboneOptions("MIT", encoder="unit", taps=taps(saved.read_bytes())[:1])
+    assert (
+        "resize 128x160 without antialiasing" in export_backbone(saved, None, options).facts["preprocessing"]
     )
-    assert "resize 160x128" in made.facts["preprocessing"]
 
 
 def test_a_fixed_size_and_one_frame_at_a_time(saved: Path) -> None:

@@ -6,51 +6,28 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+from recorded_presses import T0, make_press, messages_of
+
 from edge.clock import SystemClock
 from edge.core.backoff import Backoff
-from edge.core.ports import Message
-from edge.core.verdict import Kind
 from edge.gateway.command_policy import CommandPolicy
 from edge.gateway.commands import Change, Commands
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.publisher import Publisher
-from edge.messaging.result_payload import ResultPayload, press_messages
 from edge.messaging.sink_worker import IDLE_S, RetainedState, SinkWorker
 from edge.messaging.status_payloads import StatePayload, state_message
 from edge.store.outbox import Outbox
-from edge.store.press_store import PressRecord, Recorded, Store
-from edge.store.ulid import new_ulid
+from edge.store.press_store import Store
 from plugins.sinks.mqtt import MqttSink
 
 from .conftest import ROOT, Listener
 
-T0 = 1_780_000_000 * 10**9
 
-
-def record(store: Store, n: int) -> str:
-    """Record the n-th press as the gateway does; returns its id."""
-    time_ns = T0 + n * 10**9
-    press_id = new_ulid(time_ns)
-
-    def messages(recorded: Recorded) -> object:
-        gel = recorded.gel
-        result = ResultPayload(
-            time_ns=time_ns,
-            press_id=press_id,
-            part="bolt",
-            verdict=Kind.PASS,
-            score=0.5,
-            threshold=1.0,
-            sensor_serial=gel.serial,
-            gel_id=gel.gel_id,
-            gel_presses=gel.presses,
-            gel_limit_presses=gel.limit_presses,
-            heatmap_topic=f"heatmap/{press_id}",
-        )
-        return press_messages(result, gel, b"\x89PNG" + bytes(30_000))
-
-    store.record_press(PressRecord(press_id, time_ns, "2BNN4ZE7", "bolt", "pass", None, 0.5, 1.0), messages)  # type: ignore[arg-type]
-    return press_id
+def record_press(store: Store, n: int) -> str:
+    """Record the n-th press as the gateway does; return its id."""
+    press = make_press(n)
+    store.record_press(press, messages_of(press, 30_000))
+    return press.press_id
 
 
 def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
@@ -76,11 +53,11 @@ def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
             heard.append(listen(broker, client_id=f"listener{outage}"))
             while worker.step() != IDLE_S:
                 SystemClock().sleep(0.02)
-            ids += [record(store, len(ids)) for _ in range(10)]
+            ids += [record_press(store, len(ids)) for _ in range(10)]
             worker.step()  # one batch: some presses are out, some are not
             hears_all_acknowledged(heard, ids, outbox)
             broker.kill()
-            ids += [record(store, len(ids)) for _ in range(5)]
+            ids += [record_press(store, len(ids)) for _ in range(5)]
             assert worker.step() > 0
             broker.start()
         heard.append(listen(broker, client_id="last"))
@@ -118,21 +95,20 @@ def hears_all_acknowledged(heard: list[Listener], ids: list[str], outbox: Outbox
     heard[-1].wait_for(hears)
 
 
-def test_two_processes_of_one_station_never_share_a_database_but_two_sinks_do(
-    any_broker: tuple[LocalBroker, str],
+def test_two_sinks_of_one_gateway_share_a_database(
+    mosquitto: LocalBroker,
     tmp_path: Path,
     sink_to: Callable[..., MqttSink],
     listen: Callable[..., Listener],
 ) -> None:
-    """Two MQTT sinks of one gateway: each delivers every press once, and then the outbox is empty."""
-    broker, protocol = any_broker
+    """Each delivers every press once, and then the outbox is empty."""
     path = tmp_path / "gelgate.db"
-    listener = listen(broker)
-    sinks = {name: sink_to(broker, protocol=protocol, client_id=name) for name in ("one", "two")}
+    listener = listen(mosquitto)
+    sinks = {name: sink_to(mosquitto, client_id=name) for name in ("one", "two")}
     with Store(path) as store:
         publisher = Publisher(path, sinks, RetainedState(), SystemClock(), random.Random(1))
         publisher.start()
-        ids = [record(store, n) for n in range(20)]
+        ids = [record_press(store, n) for n in range(20)]
         publisher.wake()
         listener.wait_for(lambda heard: len(heard.payloads("result")) >= 40)
         publisher.stop(drain_s=60)
@@ -155,7 +131,7 @@ def test_a_state_change_and_a_command_pass_while_results_flow(
         publisher.start()
         publisher.announce(state_message(StatePayload(time_ns=T0, state="halted", reason="no sensor")))
         listener.wait_for(lambda heard: len(heard.payloads("state")) == 2)
-        record(store, 1)
+        record_press(store, 1)
         publisher.wake()
         listener.wait_for(lambda heard: heard.payloads("gel") != [])
         listener.ask("ping", b'{"transaction": "t1", "arguments": {"text": "hello"}}')
@@ -166,8 +142,3 @@ def test_a_state_change_and_a_command_pass_while_results_flow(
     assert (response["transaction"], response["status"], response["data"]) == ("t1", "ok", {"echo": "hello"})
     assert json.loads(listener.payloads("state")[-1])["reason"] == "no sensor"
     assert listener.payloads("result") != []
-
-
-def test_a_message_is_a_plain_value() -> None:
-    """Two equal messages are equal and hash alike: the sink counts repeated failures of one message by it."""
-    assert hash(Message("a", b"1")) == hash(Message("a", b"1"))

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from full_disk import room_for
 
-from edge import registry
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message, Sink
 from edge.core.sink_context import Station
@@ -20,15 +19,6 @@ STATION = Station(
 
 def lines(folder: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in (folder / "messages.jsonl").read_text(encoding="utf-8").splitlines()]
-
-
-@pytest.mark.parametrize("name", ["jsonl", "memory", "mqtt"])
-def test_each_is_found_by_its_name(name: str) -> None:
-    """Like a plugin of another package: by entry point, options, and open."""
-    plugin = registry.sink(name)
-
-    assert plugin.Options.model_config["extra"] == "forbid"
-    assert callable(plugin.open)
 
 
 def test_memory_keeps_messages_in_order_and_readable_after_close() -> None:

@@ -29,11 +29,6 @@ def damage(path: Path, column: str, value: bytes, row: int) -> None:
         connection.execute(f"UPDATE outbox SET {column} = {as_text} WHERE row_id = ?", (value, row))
 
 
-def test_within_a_minute_refused_rows_are_offered_again() -> None:
-    """An access rule is corrected by a person who then looks whether it helped."""
-    assert OFFER_REFUSED_S < 60
-
-
 def test_many_refused_rows_are_offered_in_turn_and_all_at_once_when_one_is_accepted(path: Path) -> None:
     """A thousand refusals a minute would be work for nothing; a corrected rule needs one row to be seen."""
     sink, clock = ScriptedSink(), ManualClock()

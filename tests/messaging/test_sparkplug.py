@@ -73,25 +73,21 @@ def test_a_payload_is_that_of_the_specification() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "value"),
+    ("kind", "value", "read"),
     [
-        (DataType.INT64, 0),
-        (DataType.INT64, 2**63 - 1),
-        (DataType.DOUBLE, -2.5),
-        (DataType.BOOLEAN, False),
-        (DataType.STRING, "Bügel"),
-        (DataType.STRING, ""),
-        (DataType.STRING, None),
+        (DataType.INT64, 0, 0),
+        (DataType.INT64, 2**63 - 1, 2**63 - 1),
+        (DataType.INT64, -1, 2**64 - 1),  # the field is unsigned in the specification
+        (DataType.DOUBLE, -2.5, -2.5),
+        (DataType.BOOLEAN, False, False),
+        (DataType.STRING, "Bügel", "Bügel"),
+        (DataType.STRING, "", ""),
+        (DataType.STRING, None, None),
     ],
 )
-def test_a_value_survives_the_wire(kind: DataType, value: Any) -> None:
+def test_a_value_survives_the_wire(kind: DataType, value: Any, read: Any) -> None:
     """Also those that are 0, false or empty, which are not null."""
-    assert decode(encode([Metric("x", kind, value, 1)], 1, 0)) == [("x", value)]
-
-
-def test_a_negative_integer_is_its_twos_complement() -> None:
-    """The field is unsigned in the specification."""
-    assert decode(encode([Metric("x", DataType.INT64, -1, 1)], 1, 0)) == [("x", 2**64 - 1)]
+    assert decode(encode([Metric("x", kind, value, 1)], 1, 0)) == [("x", read)]
 
 
 def test_every_metric_is_a_field_of_a_payload() -> None:
@@ -160,25 +156,46 @@ def heard(listener: Listener) -> list[tuple[str, dict[str, Any]]]:
     ]
 
 
-def test_the_birth_has_every_metric_and_what_is_known(
+def seq(payload: bytes) -> int:
+    """Return the field 3 at the end of a payload; it has 1 byte up to 127."""
+    assert payload[-2] == 0x18
+    return payload[-1]
+
+
+def test_a_session_is_born_numbered_born_again_and_ended(
     mosquitto: LocalBroker, open_sink: Open, listen: Listen
 ) -> None:
-    """Before the first data, with the state that the station has already said; nothing is retained."""
+    """The birth has every metric with what is known; numbers have no gap; nonsense of a host is left out."""
     listener = listen(mosquitto, "spBv1.0/#")
+    sink = open_sink(mosquitto)
+    for _ in range(3):
+        sink.send(FAILED[0])
 
-    open_sink(mosquitto).send(FAILED[0])
-
-    listener.wait_for(lambda one: len(heard(one)) == 2)
-    (birth, known), (data, changed) = heard(listener)
+    listener.wait_for(lambda one: len(heard(one)) == 4)
+    (birth, known), (data, changed) = heard(listener)[:2]
     assert (birth, data) == ("NBIRTH", "NDATA")
     assert set(known) == {metric.name for metric in initial_metrics(0)} | {"bdSeq", "Node Control/Rebirth"}
-    assert (known["Station/State"], known["Press/Verdict"], known["Node Control/Rebirth"]) == (
-        "ready",
-        None,
-        False,
-    )
+    shown = [known[name] for name in ("Station/State", "Press/Verdict", "Node Control/Rebirth")]
+    assert shown == ["ready", None, False]
     assert (changed["Press/Verdict"], changed["Press/Score Ratio"]) == ("fail", 2.5)
-    assert [(message.qos, message.retain) for message in listener.heard] == [(0, False)] * 2
+    assert [(message.qos, message.retain) for message in listener.heard] == [(0, False)] * 4
+    assert [seq(message.payload) for message in listener.heard] == [0, 1, 2, 3]
+
+    for payload in (
+        b"\xff\xff",
+        encode([Metric("other", DataType.BOOLEAN, True, 1)], 1, None),
+        encode([Metric("Node Control/Rebirth", DataType.BOOLEAN, True, 1)], 1, None),
+    ):
+        listener._connection.publish(Outgoing(f"spBv1.0/plant/NCMD/{NODE}", payload))
+    listener.wait_for(lambda one: [verb for verb, _ in heard(one)].count("NBIRTH") == 2)
+    births = [metrics for verb, metrics in heard(listener) if verb == "NBIRTH"]
+    assert births[0]["bdSeq"] == births[1]["bdSeq"]
+    assert births[1]["Press/Verdict"] == "fail"
+    assert [seq(message.payload) for message in listener.heard if "/NBIRTH/" in message.topic] == [0, 0]
+
+    sink.close()
+    sink.close()
+    listener.wait_for(lambda one: [verb for verb, _ in heard(one)][-1] == "NDEATH")
 
 
 def test_a_lost_connection_is_a_death_and_the_next_birth_is_another(
@@ -199,57 +216,6 @@ def test_a_lost_connection_is_a_death_and_the_next_birth_is_another(
     assert death == {"bdSeq": first["bdSeq"]}
     assert second["bdSeq"] == (first["bdSeq"] + 1) % 256
     assert second["Press/Verdict"] == "fail"  # known from before
-
-
-def test_a_host_gets_a_rebirth(mosquitto: LocalBroker, open_sink: Open, listen: Listen) -> None:
-    """The same session: the same bdSeq, and numbers from 0 again. Nonsense is left out."""
-    listener = listen(mosquitto, "spBv1.0/#")
-    sink = open_sink(mosquitto)
-    sink.send(FAILED[0])
-    listener.wait_for(lambda one: len(heard(one)) == 2)
-
-    for payload in (
-        b"\xff\xff",
-        encode([Metric("other", DataType.BOOLEAN, True, 1)], 1, None),
-        encode([Metric("Node Control/Rebirth", DataType.BOOLEAN, True, 1)], 1, None),
-    ):
-        listener._connection.publish(Outgoing(f"spBv1.0/plant/NCMD/{NODE}", payload))
-
-    listener.wait_for(lambda one: [verb for verb, _ in heard(one)].count("NBIRTH") == 2)
-    births = [metrics for verb, metrics in heard(listener) if verb == "NBIRTH"]
-    assert births[0]["bdSeq"] == births[1]["bdSeq"]
-    assert births[1]["Press/Verdict"] == "fail"
-    assert [seq(message.payload) for message in listener.heard if "/NBIRTH/" in message.topic] == [0, 0]
-
-
-def seq(payload: bytes) -> int:
-    """The field 3 at the end of a payload; 1 byte up to 127."""
-    assert payload[-2] == 0x18
-    return payload[-1]
-
-
-def test_messages_are_numbered_without_a_gap(mosquitto: LocalBroker, open_sink: Open, listen: Listen) -> None:
-    """A host sees by the number that one is missing; the birth is 0."""
-    listener = listen(mosquitto, "spBv1.0/#")
-    sink = open_sink(mosquitto)
-
-    for _ in range(3):
-        sink.send(FAILED[0])
-
-    listener.wait_for(lambda one: len(one.heard) == 4)
-    assert [seq(message.payload) for message in listener.heard] == [0, 1, 2, 3]
-
-
-def test_a_node_that_ends_says_so(mosquitto: LocalBroker, open_sink: Open, listen: Listen) -> None:
-    """A proper end publishes no will, so the death certificate is sent."""
-    listener = listen(mosquitto, "spBv1.0/#")
-    sink = open_sink(mosquitto)
-    sink.send(FAILED[0])
-
-    sink.close()
-    sink.close()
-
-    listener.wait_for(lambda one: [verb for verb, _ in heard(one)] == ["NBIRTH", "NDATA", "NDEATH"])
 
 
 def test_without_a_broker_messages_wait_and_pictures_do_not() -> None:

@@ -99,7 +99,7 @@ def test_bytes_that_are_no_model_are_refused(data: bytes) -> None:
 
 
 @given(st.integers(0, 10_000), st.binary(min_size=1, max_size=4))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_a_damaged_model_is_refused_or_still_standard(at: int, junk: bytes) -> None:
     """Whatever bytes are overwritten, the check ends: it accepts or says GraphRefused."""
     data = bytearray(tiny.tiny_trunk())

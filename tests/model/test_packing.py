@@ -24,7 +24,7 @@ def arrays() -> st.SearchStrategy[np.ndarray]:
 
 
 @given(arrays())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_float16_error_is_a_part_in_2048_of_the_entry(array: np.ndarray) -> None:
     """|error| is at most 2**-11 of the entry plus 2**-40 of the largest one, at any scale: nothing overflows."""
     packed = pack(array, "float16")
@@ -36,7 +36,7 @@ def test_float16_error_is_a_part_in_2048_of_the_entry(array: np.ndarray) -> None
 
 
 @given(arrays())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_int8_error_is_half_a_step_of_its_row(array: np.ndarray) -> None:
     """|error| is at most 0.501 of the row's scale, and the scale is a 127th of the row's largest entry."""
     packed = pack(array, "int8")

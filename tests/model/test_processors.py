@@ -7,7 +7,6 @@ before Zen 4), where onnxruntime lets the sum saturate by default. Such a proces
 from importlib.resources import files
 from pathlib import Path
 
-import emulated_processor
 import numpy as np
 import onnx
 import pytest
@@ -79,11 +78,3 @@ def test_int8_sums_do_not_saturate_on_a_processor_without_vnni(tmp_path: Path) -
     here = open_session(probe(), 1, "graph").run(None, {"x": x})[0]
     assert np.abs(here - 72 * 0.95).max() < 2
     assert np.array_equal(run_on_haswell(probe(), {"x": x}, tmp_path)[0], here)
-
-
-def test_a_measurement_says_which_kind_of_processor_it_is_of(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twice the time of an int8 trunk is the processor's, and the reader of a figure sees it."""
-    monkeypatch.setattr(emulated_processor, "saturates", lambda: True)
-    assert "without VNNI" in emulated_processor.processor_kind()
-    monkeypatch.setattr(emulated_processor, "saturates", lambda: False)
-    assert "with VNNI" in emulated_processor.processor_kind()

@@ -1,5 +1,6 @@
 """A signature says who made a bundle; any later change of the bundle makes it invalid."""
 
+import base64
 import json
 from pathlib import Path
 
@@ -83,29 +84,22 @@ def test_a_key_that_is_not_trusted_counts_for_nothing(tmp_path: Path, keys: Path
     assert "not checked" in found.text
 
 
-def test_a_signature_under_the_name_of_another_key_is_refused(tmp_path: Path, keys: Path) -> None:
-    """The fingerprint in the file chooses the key; the signature has to fit that key."""
+def change_signature(path: Path, **fields: str) -> None:
+    (path / SIGNATURE).write_text(json.dumps(json.loads((path / SIGNATURE).read_text()) | fields))
+
+
+def test_a_signature_of_another_key_or_purpose_does_not_fit(tmp_path: Path, keys: Path) -> None:
+    """The fingerprint chooses the key, which has to fit; over the manifest alone another program could sign."""
     new_key(tmp_path / "stranger")
-    path = signed(tmp_path / "bolt", tmp_path / "stranger.key")
-    file = json.loads((path / SIGNATURE).read_text())
-    file["key"] = fingerprint(read_public_key(keys / "line4.pub"))
-    (path / SIGNATURE).write_text(json.dumps(file))
+    forged = signed(tmp_path / "forged", tmp_path / "stranger.key")
+    change_signature(forged, key=fingerprint(read_public_key(keys / "line4.pub")))
+    foreign = signed(tmp_path / "foreign", keys / "line4.key")
+    bare = read_private_key(keys / "line4.key").sign((foreign / MANIFEST).read_bytes())
+    change_signature(foreign, signature=base64.b64encode(bare).decode())
 
-    with pytest.raises(BundleCorrupt, match="does not fit"):
-        Bundle.load(path, trust=required(keys))
-
-
-def test_a_signature_for_another_purpose_is_none_of_a_bundle(tmp_path: Path, keys: Path) -> None:
-    """The same key over the manifest alone, as another program could sign it."""
-    import base64
-
-    path = signed(tmp_path / "bolt", keys / "line4.key")
-    foreign = read_private_key(keys / "line4.key").sign((path / MANIFEST).read_bytes())
-    file = json.loads((path / SIGNATURE).read_text()) | {"signature": base64.b64encode(foreign).decode()}
-    (path / SIGNATURE).write_text(json.dumps(file))
-
-    with pytest.raises(BundleCorrupt, match="does not fit"):
-        Bundle.load(path, trust=required(keys))
+    for path in (forged, foreign):
+        with pytest.raises(BundleCorrupt, match="does not fit"):
+            Bundle.load(path, trust=required(keys))
 
 
 @pytest.mark.parametrize(
@@ -138,14 +132,10 @@ def test_a_link_in_place_of_the_signature_is_refused(tmp_path: Path, keys: Path)
         Bundle.load(path)
 
 
-def test_the_private_key_is_its_owners_alone(keys: Path) -> None:
-    """0600 from its first byte on."""
-    assert (keys / "line4.key").stat().st_mode & 0o777 == 0o600
-
-
-def test_a_key_is_never_replaced(keys: Path) -> None:
-    """A lost private key cannot be had again."""
+def test_a_private_key_is_its_owners_alone_and_never_replaced(keys: Path) -> None:
+    """0600 from its first byte on; a lost private key cannot be had again."""
     before = (keys / "line4.key").read_bytes()
+    assert (keys / "line4.key").stat().st_mode & 0o777 == 0o600
     with pytest.raises(FileExistsError):
         new_key(keys / "line4")
     assert (keys / "line4.key").read_bytes() == before
