@@ -89,7 +89,7 @@ lint: $(VENV)/.test
 docs: $(VENV)/.test
 	$(BIN)/python docs/generate.py
 
-# Predicted against measured a90 on simulated parts, and a90 on real presses; the table of docs/limits.md.
+# Predicted against measured a90 on simulated parts; the table of docs/limits.md.
 detectability: $(VENV)/.test
 	$(BIN)/pytest tests/bench/test_detectability.py -m bench -s
 

@@ -12,11 +12,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from damaged_part_presses import DamagedPartPresses, DamagedPress
-from numpy.typing import NDArray
 
 from calibration.detectability.judges import Judge
 from calibration.detectability.pod import Pod, fit_pod
@@ -44,7 +42,6 @@ PIECES, PRESSES, OTHER_PIECES = 8, 3, 6
 SETTINGS = Settings(presses=6, spacing_mm=3.0, threads=1)
 PROFILE = profile("cropped_lr")
 REGION = Region.centre(PROFILE.size)
-BALL_REGION = Region(112, 72, 96, 96)
 WITHIN = 0.25
 
 Row = dict[str, Any]
@@ -71,16 +68,6 @@ def test_the_prediction_agrees_with_real_damage() -> None:
     assert abs(np.median(ratios) - 1) <= WITHIN
 
 
-@pytest.mark.parametrize("ball", ["rpl-cmu__gelslam/6.310mm", "skleff1994__gs_sdk/9.470mm"])
-def test_balls_on_a_real_sensor(ball: str, real_tactile: Path) -> None:
-    """Real presses of a ball, moved to one place, with rendered damage: reported, for no real damage is at hand."""
-    for row in cached(ball.replace("/", "_"), lambda: ball_rows(real_tactile, ball)):
-        print(
-            f"\n| {ball} | {row['kind']} | {row['places']} | {size(row['predicted'])} | {size(row['bound'])} | "
-            f"{row['found']} of {row['trials']} found |"
-        )
-
-
 def cached(name: str, make: Callable[[], list[Row]]) -> list[Row]:
     """The rows of that name, from the cache where there is one."""
     folder = os.environ.get("DETECTABILITY_CACHE")
@@ -98,7 +85,7 @@ def part_rows(number: int) -> list[Row]:
     """One row for each kind of damage; none where the part gives no bundle or no contact."""
     presses = DamagedPartPresses(SHAPES, number, PIECES * PRESSES + OTHER_PIECES)
     try:
-        bundle, planned = planned_study(nominal_presses(presses), REGION)
+        bundle, planned = planned_study(nominal_presses(presses))
     except (FitError, DatasetError) as error:
         print(f"part {number} gives none: {error!s:.120}")
         return []
@@ -118,11 +105,11 @@ def nominal_presses(presses: DamagedPartPresses) -> NominalPresses:
     return gather_presses(pictures, PROFILE, REGION, no_contact=[presses.free_gel(k) for k in range(4)])
 
 
-def planned_study(nominal: NominalPresses, region: Region) -> tuple[Bundle, Plan]:
+def planned_study(nominal: NominalPresses) -> tuple[Bundle, Plan]:
     """A bundle of the presses, and the study of it on the same presses, by folds."""
     detector = registry.detector(METHOD)
     trunk = open_trunk("tactile_resnet18", detector.taps(detector.parameters("corrected")))
-    config = FitConfig("part", "pos", PROFILE, region, detector, trunk, threads=1)
+    config = FitConfig("part", "pos", PROFILE, REGION, detector, trunk, threads=1)
     bundle = fit_files(nominal, config, created="2026-01-01").bundle()
     return bundle, plan(bundle, nominal, SETTINGS)
 
@@ -136,8 +123,6 @@ def predicted(planned: Plan) -> list[Row]:
             "places": len(one.places),
             "predicted": one.anywhere.a90_mm,
             "bound": one.anywhere.a90_95_mm,
-            "found": one.anywhere.found,
-            "trials": one.anywhere.trials,
         }
         for one in found
     ]
@@ -157,33 +142,6 @@ def measured(kind: str, presses: DamagedPartPresses, bundle: Bundle, planned: Pl
             spots = (planned.grid.spot(sound.contact, place, rng) for place in planned.places)
             ends += [judge.bracket(press, kind, spot) for spot in spots if spot is not None]
     return fit_pod([low for low, _ in ends], [high for _, high in ends], KINDS[kind].largest_mm)
-
-
-def ball_rows(data: Path, ball: str) -> list[Row]:
-    files = sorted((data / ball).glob("*/gelsight.png"), key=lambda path: int(path.parent.name))
-    free = read((data / ball).parent / "background.png")
-    moved = {f"{path.parent.name}.png": centred(read(path), free) for path in files}
-    pictures = {name: rgb for name, rgb in moved.items() if rgb is not None}
-    _, planned = planned_study(gather_presses(pictures, PROFILE, BALL_REGION, no_contact=[free]), BALL_REGION)
-    return predicted(planned)
-
-
-def centred(rgb: NDArray[np.uint8], free: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
-    """The press with its contact moved to the middle, None where it is too near the edge of the picture."""
-    change = rgb.astype(np.float32) - free
-    strong = cv2.blur(np.abs(change).sum(axis=2), (9, 9)) > 45
-    if not strong.any():
-        return None
-    y, x = (float(axis.mean()) for axis in np.nonzero(strong))
-    if abs(x - 160) > 100 or abs(y - 120) > 65:
-        return None
-    shift = np.array([[1, 0, 160 - round(x)], [0, 1, 120 - round(y)]], np.float32)
-    moved = cv2.warpAffine(change, shift, (320, 240), flags=cv2.INTER_NEAREST)
-    return np.clip(np.rint(free + moved), 0, 255).astype(np.uint8)
-
-
-def read(path: Path) -> NDArray[np.uint8]:
-    return np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
 
 
 def size(mm: float | None) -> str:

@@ -3,9 +3,7 @@
 Run with `pytest tests/bench/test_detection_choice.py -m bench -s`. Of each trial what every pair of a method and a
 trunk showed of the damage put into the nominal presses, and the truth: AU-PRO up to 1 % and image AUROC of the trial's
 own damaged presses, that no choice sees, scored by the fitted bundle. A pair takes a quarter of a minute of one core.
-With DETECTION_CHOICE_CACHE naming a folder each row is kept there. DETECTION_CHOICE_METHODS names methods that are
-measured too, with a parameter if wanted: "padim,patchcore,fapm,spade window_mm=1.0". Real trials need the folder of
-real frames.
+With DETECTION_CHOICE_CACHE naming a folder each row is kept there. Real trials need the folder of real frames.
 
 The set of judgement is DETECTION_CHOICE_SET=judgement.
 """
@@ -32,7 +30,6 @@ from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.trunks import DEFAULT_BACKBONE, OTHER_BACKBONES, open_trunk
 from calibration.metrics import aupro, auroc
 from edge import registry
-from edge.cli.arguments import parse_values
 from edge.core.errors import PoseNotFound
 from edge.core.imaging.region import Region
 from edge.model.scorer import Scorer
@@ -40,9 +37,7 @@ from edge.model.scorer import Scorer
 pytestmark = pytest.mark.bench
 
 METHODS = (DEFAULT_METHOD, *OTHER_METHODS)
-MEASURED = os.environ.get("DETECTION_CHOICE_METHODS", ",".join(METHODS)).split(",")
 TRUNKS = (DEFAULT_BACKBONE, *OTHER_BACKBONES)
-KINDS = ("", "rendered damage", "pieces of relief")
 BALLS = ("ball 6.31 mm", "ball 9.47 mm")
 REAL: Mapping[str, Sequence[str]] = {
     "development": (
@@ -83,9 +78,7 @@ def measured(trial: Trial, pairs: Sequence[Pair]) -> Iterator[dict[str, Any]]:
     )
     judge = DamageJudge(trial.nominal, config)
     for method, trunk in pairs:
-        name, *settings = method.split()
-        chosen = replace(config, overrides=parse_values("--set", settings))
-        comparison = Comparison(chosen, Candidates((name,), (trunk,)))
+        comparison = Comparison(config, Candidates((method,), (trunk,)))
         comparison.run(judge, lambda stage, fraction: None)
         (seen,) = comparison.separations.values()
         truth = _truth(trial, replace(comparison.choose(), threshold=1.0))
@@ -114,7 +107,7 @@ def rows(name: str, real_tactile: Path) -> list[dict[str, Any]]:
     found = [json.loads(line) for line in file.read_text().splitlines()] if file and file.exists() else []
     known = {(row["trial"], row["method"], row["trunk"]) for row in found}
     for trial, make in trials(name, real_tactile):
-        pairs = [(method, trunk) for method in MEASURED for trunk in TRUNKS]
+        pairs = [(method, trunk) for method in METHODS for trunk in TRUNKS]
         if missing := [pair for pair in pairs if (trial, *pair) not in known]:
             for row in measured(make(), missing):
                 found.append({"trial": trial, **row})
@@ -132,14 +125,14 @@ def by_trial(found: Sequence[Row]) -> dict[str, dict[Pair, Row]]:
     return of
 
 
-def picked(of: Mapping[Pair, Row], methods: Sequence[str] = METHODS, kind: str = "") -> Pair:
-    """The pair that shows most. kind: of this damage alone."""
+def picked(of: Mapping[Pair, Row], methods: Sequence[str] = METHODS) -> Pair:
+    """The pair that shows most."""
     pairs = [(method, trunk) for trunk in TRUNKS for method in methods]
-    return max(pairs, key=lambda pair: _seen(of[pair], kind))
+    return max(pairs, key=lambda pair: _seen(of[pair]))
 
 
-def _seen(row: Row, kind: str = "") -> float:
-    return float(row["found"][kind] if kind else np.mean(list(row["found"].values())))
+def _seen(row: Row) -> float:
+    return float(np.mean(list(row["found"].values())))
 
 
 def line(trial: str, of: Mapping[Pair, Row]) -> str:
@@ -157,11 +150,7 @@ def line(trial: str, of: Mapping[Pair, Row]) -> str:
 def summary(found: Sequence[Row]) -> Iterator[str]:
     """Mean AU-PRO and image AUROC of each rule, and how often it takes the best pair of those it chooses from."""
     trials = list(by_trial(found).values())
-    for kind in KINDS:
-        by = f", by {kind} alone" if kind else ""
-        yield _rule(
-            f"method and backbone chosen{by}", trials, METHODS, lambda of, kind=kind: picked(of, kind=kind)
-        )
+    yield _rule("method and backbone chosen", trials, METHODS, picked)
     for method in METHODS:
         yield _rule(f"{method}, backbone chosen", trials, [method], lambda of, m=method: picked(of, [m]))
         for trunk in TRUNKS:
@@ -170,7 +159,7 @@ def summary(found: Sequence[Row]) -> Iterator[str]:
         "the best of each trial",
         trials,
         METHODS,
-        lambda of: max(of, key=lambda pair: of[pair]["truth"][0] if pair[0] in METHODS else 0),
+        lambda of: max(of, key=lambda pair: of[pair]["truth"][0]),
     )
 
 
@@ -190,19 +179,6 @@ def _rule(
     return f"| {name} | {area:.3f} / {press:.3f} | {real} | {right} of {len(trials)} | {lost:.3f} |"
 
 
-def other_methods(found: Sequence[Row]) -> Iterator[str]:
-    """What a further candidate would bring: the trials that have its rows."""
-    for method in sorted({row["method"] for row in found} - set(METHODS)):
-        trials = [of for of in by_trial(found).values() if all((method, trunk) in of for trunk in TRUNKS)]
-        without = [of[picked(of)]["truth"][0] for of in trials]
-        chosen = [picked(of, (*METHODS, method)) for of in trials]
-        with_it = [of[pair]["truth"][0] for of, pair in zip(trials, chosen, strict=True)]
-        alone = [of[picked(of, [method])]["truth"][0] for of in trials]
-        taken = sum(pair[0] == method for pair in chosen)
-        means = " | ".join(f"{np.mean(one):.3f}" for one in (alone, without, with_it))
-        yield f"| {method} | {len(trials)} | {means} | {taken} |"
-
-
 def test_the_choice_against_the_truth(real_tactile: Path) -> None:
     """Prints the tables."""
     cv2.setNumThreads(1)
@@ -213,8 +189,4 @@ def test_the_choice_against_the_truth(real_tactile: Path) -> None:
     print("\n| rule | AU-PRO / image AUROC | real touch alone | best of its choices | largest loss |")
     print("|---|---|---|---|---|")
     print(*summary(found), sep="\n")
-    print(
-        "\n| method | trials | it alone | without it | as a candidate too | taken |\n|---|---|---|---|---|---|"
-    )
-    print(*other_methods(found), sep="\n")
     assert {picked(of)[0] for of in by_trial(found).values()} <= set(METHODS)
