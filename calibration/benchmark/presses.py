@@ -22,7 +22,7 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Defects, JitterTable, NominalPieces, Scene
 from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.simulate import paper_scenes
-from calibration.simulator.streams import Streams, make_streams
+from calibration.simulator.streams import Streams
 
 __all__ = [
     "CONDITIONS",
@@ -146,7 +146,7 @@ class _Rendered:
                 ),
             }
         )
-        self.streams: Streams = make_streams(seed)
+        self.streams: Streams = Streams(seed)
         sensor = SENSORS[condition.sensor]
         self.gel = Renderer(
             LR, self.scene.effects, sensor, scene.press_jitter, self.streams, "gel1", self.scene.at[0]

@@ -29,7 +29,7 @@ from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import MASK_DEPTH_MM, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
-from calibration.simulator.streams import make_streams
+from calibration.simulator.streams import Streams
 from edge import registry
 from edge.core.detector import Bank, Features, Nominal
 from edge.core.imaging.known_profiles import profile
@@ -134,7 +134,7 @@ class _GelPresses:
     def __init__(
         self, shape: HeightField, number: int, seed: int, sensor: SensorAppearance, gel: str
     ) -> None:
-        self.shape, self.streams = shape, make_streams(seed)
+        self.shape, self.streams = shape, Streams(seed)
         # Odd and even parts alternate between a hand and a fixture, as those of the backbones' trials.
         jitter = PARTS["PZ3" if number % 2 else "PZ5"].jitter
         self.renderer = Renderer(LR, DEFAULT_EFFECTS, sensor, jitter, self.streams, gel, f"session of {gel}")

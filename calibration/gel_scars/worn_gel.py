@@ -22,7 +22,7 @@ from calibration.simulator.plan import PRESS_CYCLE_S
 from calibration.simulator.pose import HeightField, Jitter, Pose, sample
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import Exposure, Renderer
-from calibration.simulator.streams import Streams, make_streams
+from calibration.simulator.streams import Streams
 from edge.core.contact.reference import View
 from edge.core.imaging.decode import VIEW_SIZE
 
@@ -209,7 +209,7 @@ class Line:
     @cached_property
     def streams(self) -> Streams:
         """The streams of random numbers."""
-        return make_streams(self.seed)
+        return Streams(self.seed)
 
     @cached_property
     def _renderer(self) -> Renderer:

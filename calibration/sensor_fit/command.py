@@ -8,7 +8,6 @@ import typer
 from calibration.fitting.options import NoContact, Pattern, Resize
 
 if TYPE_CHECKING:
-    from calibration.fitting.presses.nominal_presses import NominalPresses
     from calibration.sensor_fit.calibrate import Calibrated
 
 __all__ = ["calibrate"]
@@ -42,15 +41,21 @@ def calibrate(
     Each press is also simulated by a fit without it; the error inside contact is printed, in grey levels rms, and a
     picture next to the file shows real, simulated and difference. `gelgate lab simulate --sensor FILE` reads the file.
     """
+    from calibration.fitting.presses.nominal_presses import read_presses
     from calibration.progress import progress
     from calibration.sensor_fit.calibrate import calibrate_sensor
     from calibration.simulator.field_of_view import LR
     from edge.core.errors import ConfigError
+    from edge.core.imaging.known_profiles import profile
+    from edge.core.imaging.region import Region
 
     if not is_simulator:
         raise ConfigError("nothing to calibrate is named; give --simulator")
     sheet = _check_output(output, overwrite)
-    presses = _presses(sources, no_contact, resize, pattern)
+    own = profile("mini_lr")
+    presses = read_presses(
+        sources, own, Region.full(own.size), no_contact=no_contact, resize=resize, pattern=pattern
+    )
     with progress("calibrate", 100, unit="%") as advance:
         made = calibrate_sensor(
             presses,
@@ -75,24 +80,6 @@ def _check_output(output: Path, overwrite: bool) -> Path:
         if path.exists() and not overwrite:
             raise ConfigError(f"{path} exists; name another file, or replace it with --overwrite")
     return sheet
-
-
-def _presses(
-    sources: list[Path], no_contact: list[Path] | None, resize: bool, pattern: str | None
-) -> "NominalPresses":
-    from calibration.fitting.presses.nominal_presses import read_presses
-    from edge.core.imaging.known_profiles import profile
-    from edge.core.imaging.region import Region
-
-    own = profile("mini_lr")
-    return read_presses(
-        sources,
-        own,
-        Region.full(own.size),
-        no_contact=no_contact,
-        resize=resize,
-        pattern=pattern,
-    )
 
 
 def _say(made: "Calibrated") -> None:

@@ -96,36 +96,28 @@ def _turns(fit: SensorFit, presses: Sequence[BallPress], count: int) -> SensorFi
     return replace(fit, response=_response([_equations(fit, press) for press in presses]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Equations:
-    """Normal equations of one press: float64 (3, 21, 21) and (3, 21)."""
-
-    matrix: F64
-    vector: F64
-
-
-def _equations(fit: SensorFit, press: BallPress) -> _Equations:
+def _equations(fit: SensorFit, press: BallPress) -> F64:
+    """Return the normal equations of one press, (3, 21, 22): a matrix and, in the last column, a vector."""
     seen = fit.predicted(press)
     compared = seen.changed & ~press.ignored[press.window.seen]
     columns = seen.columns[:, compared].astype(np.float64)
     target = (press.change[:, *press.window.seen] - seen.offset)[:, compared].astype(np.float64)
-    matrices, vectors = [], []
+    equations = []
     for kept, level in zip(seen.kept[:, compared].astype(np.float64), target, strict=True):
         weighted = columns * kept
-        matrices.append(weighted @ weighted.T)
-        vectors.append(weighted @ level)
-    return _Equations(np.array(matrices), np.array(vectors))
+        equations.append(np.column_stack([weighted @ weighted.T, weighted @ level]))
+    return np.array(equations)
 
 
-def _response(equations: Sequence[_Equations]) -> F64:
-    """The response that solves all presses together, float64 (3, 21)."""
-    matrix = np.sum([one.matrix for one in equations], axis=0)
-    vector = np.sum([one.vector for one in equations], axis=0)
+def _response(equations: Sequence[F64]) -> F64:
+    """Solve all presses together, float64 (3, 21)."""
+    both = np.sum(equations, axis=0)
+    matrix, vector = both[..., :-1], both[..., -1:]
     for square in matrix:
         for part in (slice(0, 15), slice(15, COLUMNS)):
             shares = np.where(_IS_BY_PLACE[part], _PLACE_RIDGE, _RIDGE)
             square[part, part] += np.diag(shares * np.trace(square[part, part]) / len(shares))
-    return np.asarray(np.linalg.solve(matrix, vector[:, :, None])[:, :, 0])
+    return np.asarray(np.linalg.solve(matrix, vector)[:, :, 0])
 
 
 def fit_poses(fit: SensorFit, presses: Sequence[BallPress], steps: int) -> None:
@@ -166,30 +158,24 @@ def _moved(ball: Ball) -> tuple[Ball, Ball, Ball]:
 def _with_gel(fit: SensorFit, presses: Sequence[BallPress]) -> SensorFit:
     """The fit with the gel that leaves the least error, changed one number at a time while that helps."""
     best, least = fit, error_of(fit, presses)
-    for changes in _GEL_CHANGES:
-        for factor in changes:
-            while True:
-                tried = _scale_gel(best.gel, *factor)
-                if tried is None:
-                    break
-                poses = [press.ball for press in presses]
-                candidate = _turns(replace(best, gel=tried), presses, _GEL_TURNS)
-                error = error_of(candidate, presses)
-                if error > least - 0.01:
-                    for press, ball in zip(presses, poses, strict=True):
-                        press.ball = ball
-                    break
-                best, least = candidate, error
+    for change in _GEL_CHANGES:
+        while (tried := _scale_gel(best.gel, *change)) is not None:
+            poses = [press.ball for press in presses]
+            candidate = _turns(replace(best, gel=tried), presses, _GEL_TURNS)
+            error = error_of(candidate, presses)
+            if error > least - 0.01:
+                for press, ball in zip(presses, poses, strict=True):
+                    press.ball = ball
+                break
+            best, least = candidate, error
     return best
 
 
 # Factors of (short_mm, long_mm), and what is added to long_share. The relaxation lengths of real gels lie within these
 # bounds: beyond 1.5 mm the two membranes are one.
 _GEL_CHANGES = (
-    ((1.4, 1.0, 0.0), (1 / 1.4, 1.0, 0.0)),
-    ((1.0, 1.0, 0.15), (1.0, 1.0, -0.15)),
-    ((1.0, 1.3, 0.0), (1.0, 1 / 1.3, 0.0)),
-    ((1.2, 1.0, 0.0), (1 / 1.2, 1.0, 0.0)),
+    *((1.4, 1.0, 0.0), (1 / 1.4, 1.0, 0.0), (1.0, 1.0, 0.15), (1.0, 1.0, -0.15)),
+    *((1.0, 1.3, 0.0), (1.0, 1 / 1.3, 0.0), (1.2, 1.0, 0.0), (1 / 1.2, 1.0, 0.0)),
 )
 _SHORTEST_MM, _LONGEST_MM = 0.1, 3.0
 

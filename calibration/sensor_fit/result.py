@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.sensor_fit.ball import Ball, ball_height
+from calibration.sensor_fit.ball import ball_height
 from calibration.sensor_fit.fit import BallPress, SensorFit, fit_poses, fit_without_each
 from calibration.simulator.field_of_view import F32, LR, grids
 from calibration.simulator.renderer import Renderer
@@ -65,13 +65,13 @@ def rms_of(judged: Sequence[Judged]) -> tuple[float, float]:
 
 
 def _judge(appearance: SensorAppearance, fit: SensorFit, press: BallPress) -> Judged:
-    height = _height(press.ball, fit.ball_radius_mm)
+    x, y = grids(LR)
+    height = ball_height(press.ball, fit.ball_radius_mm, x, y)
     renderer = Renderer(LR, _EFFECTS, appearance)
     simulated = renderer.light(renderer.imprint(height, 0.0))
     real = fit.free + press.change
     error = np.clip(simulated, 0, 255) - real
     inside = (height > 0) & ~press.ignored
-    x, y = grids(LR)
     reach = 1.5 * press.ball.contact_radius_mm(fit.ball_radius_mm) + 0.3
     outside = (np.hypot(x - press.ball.x_mm, y - press.ball.y_mm) > reach) & ~press.ignored
     return Judged(
@@ -83,10 +83,6 @@ def _judge(appearance: SensorAppearance, fit: SensorFit, press: BallPress) -> Ju
         real,
         simulated,
     )
-
-
-def _height(ball: Ball, ball_radius_mm: float) -> F32:
-    return ball_height(ball, ball_radius_mm, *grids(LR))
 
 
 def _rms(values: F32) -> float:

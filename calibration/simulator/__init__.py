@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from calibration.simulator.field_of_view import HR, LR
     from calibration.simulator.parts import PARTS
     from calibration.simulator.renderer import Renderer
-    from calibration.simulator.streams import make_streams
+    from calibration.simulator.streams import Streams
 
-__all__ = ["DEFAULT_EFFECTS", "HR", "LR", "PARTS", "Renderer", "make_streams", "place_defect"]
+__all__ = ["DEFAULT_EFFECTS", "HR", "LR", "PARTS", "Renderer", "Streams", "place_defect"]
 
 
 def __getattr__(name: str) -> Any:

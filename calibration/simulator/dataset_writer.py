@@ -30,7 +30,7 @@ from calibration.simulator.pose import Pose
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Scene
-from calibration.simulator.streams import make_streams
+from calibration.simulator.streams import Streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
 from edge.core.errors import DatasetError, StoreError
@@ -173,7 +173,7 @@ def _write_presses(task: _Task) -> int:
 @lru_cache(maxsize=2)
 def _renderer(scene: Scene, seed: int, field: Field, gel: str, position: str) -> Renderer:
     sensor = scene.camera.appearance
-    return Renderer(field, scene.effects, sensor, scene.press_jitter, make_streams(seed), gel, position)
+    return Renderer(field, scene.effects, sensor, scene.press_jitter, Streams(seed), gel, position)
 
 
 def press_pictures(scene: Scene, plan: PressPlan, seed: int) -> Iterator[tuple[str, U8]]:
@@ -184,7 +184,7 @@ def press_pictures(scene: Scene, plan: PressPlan, seed: int) -> Iterator[tuple[s
     """
     is_large = "hr" in scene.camera.modes
     renderer = _renderer(scene, seed, HR if is_large else LR, plan.gel, plan.position)
-    streams = make_streams(seed)
+    streams = Streams(seed)
     sound, exposure = piece(plan, streams), Exposure(0, plan.time_s)
     defect = damage(plan, scene, streams)
     depth, key, worn = scene.press_depth_mm, plan.key, plan.gel_presses

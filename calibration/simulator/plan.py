@@ -16,7 +16,7 @@ from calibration.simulator.parts import PARTS, Specimen, specimen
 from calibration.simulator.pose import HeightField, Pose
 from calibration.simulator.renderer import Key, Renderer
 from calibration.simulator.scene import Scene, SceneRun
-from calibration.simulator.streams import Streams, make_streams
+from calibration.simulator.streams import Streams
 
 __all__ = ["PressPlan", "damage", "dataset_plan", "piece", "place_damage", "recording_plan"]
 
@@ -124,7 +124,7 @@ def dataset_plan(scene: Scene, seed: int) -> list[PressPlan]:
     """
     if scene.nominal is None:
         raise ValueError(f"scene '{scene.name}' describes recordings, not a dataset")
-    streams = make_streams(seed)
+    streams = Streams(seed)
     plans: list[PressPlan] = []
     for place, position in enumerate(scene.at):
         pieces = _pieces(scene, place, position)
@@ -185,7 +185,7 @@ def recording_plan(scene: Scene, run: SceneRun, seed: int, press_s: float) -> li
     """
     names = [other.name for other in scene.runs]
     before = sum(other.presses for other in scene.runs[: names.index(run.name)])
-    rng = make_streams(seed)("faulty", run.name)
+    rng = Streams(seed)("faulty", run.name)
     faulty = set((1 + rng.permutation(run.presses - 1)[: run.faulty]).tolist()) if run.faulty else set()
     low, high = scene.defects.severity
     plans = []

@@ -13,7 +13,7 @@ from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.scene import Scene
-from calibration.simulator.streams import make_streams
+from calibration.simulator.streams import Streams
 
 __all__ = ["preview", "write_preview"]
 
@@ -48,7 +48,7 @@ def preview(scene: Scene, seed: int = 0) -> U8:
 
 def _renderer(scene: Scene, seed: int, effects: tuple[str, ...] | None = None) -> Renderer:
     names = scene.effects if effects is None else effects
-    return Renderer(LR, names, scene.camera.appearance, scene.press_jitter, make_streams(seed))
+    return Renderer(LR, names, scene.camera.appearance, scene.press_jitter, Streams(seed))
 
 
 def _sound(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
@@ -62,7 +62,7 @@ def _sound(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
 
 
 def _draw_damage(scene: Scene, seed: int) -> Iterator[tuple[U8, str]]:
-    renderer, streams = _renderer(scene, seed), make_streams(seed)
+    renderer, streams = _renderer(scene, seed), Streams(seed)
     part = PARTS[scene.part].positions[scene.at[0]]
     low, high = scene.defects.severity
     for kind in scene.defects.kinds:

@@ -19,7 +19,7 @@ from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.scene import Scene, SceneRun
-from calibration.simulator.streams import make_streams
+from calibration.simulator.streams import Streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
 from edge.core.errors import RecordingError, StoreError
@@ -189,7 +189,7 @@ def _renderer(scene: Scene, seed: int) -> Renderer:
     # The bytes of a recording are always JPEG: the effect only chooses their quality.
     effects = tuple(name for name in scene.effects if name != "jpeg")
     sensor = scene.camera.appearance
-    return Renderer(field, effects, sensor, scene.press_jitter, make_streams(seed), session=scene.name)
+    return Renderer(field, effects, sensor, scene.press_jitter, Streams(seed), session=scene.name)
 
 
 def _frames(task: _Task) -> list[FrameOut]:
@@ -222,7 +222,7 @@ def press_frames(
     scene: Scene, seed: int, index: int, first_frame: int, plan: PressPlan, previous: PressPlan | None
 ) -> Iterator[FrameOut]:
     """The frames of one press, in order. index: which press of the run, from 0. first_frame: of its first frame."""
-    renderer, streams, fps = _renderer(scene, seed), make_streams(seed), scene.camera.fps
+    renderer, streams, fps = _renderer(scene, seed), Streams(seed), scene.camera.fps
     defect = damage(plan, scene, streams)
     sound = piece(plan, streams)
     placed = renderer.place(Pose(), plan.key)
@@ -265,7 +265,7 @@ def _residual_imprint(previous: PressPlan | None, scene: Scene, seed: int) -> F3
     """The imprint of the previous press, where the scene names `residual_imprint`."""
     if previous is None or "residual_imprint" not in scene.effects:
         return None
-    renderer, streams = _renderer(scene, seed), make_streams(seed)
+    renderer, streams = _renderer(scene, seed), Streams(seed)
     placed = renderer.place(Pose(), previous.key)
     height = sample(piece(previous, streams), placed, renderer.field)
     return renderer.imprint(height, scene.press_depth_mm * placed.depth_factor)

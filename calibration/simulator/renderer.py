@@ -20,7 +20,7 @@ from calibration.simulator.defects import Damaged, Defect
 from calibration.simulator.effects import DEFAULT_EFFECTS, check_effects
 from calibration.simulator.field_of_view import F32, LR, Field
 from calibration.simulator.pose import HeightField, Jitter, Pose
-from calibration.simulator.streams import Streams, make_streams
+from calibration.simulator.streams import Streams
 
 __all__ = ["MASK_DEPTH_MM", "Exposure", "Key", "Renderer"]
 
@@ -59,7 +59,7 @@ class Renderer:
     """Its colours."""
     jitter: Jitter = dataclasses.field(default_factory=Jitter)
     """How presses differ (for `pose_jitter`)."""
-    streams: Streams = dataclasses.field(default_factory=lambda: make_streams(0))
+    streams: Streams = dataclasses.field(default_factory=lambda: Streams(0))
     """Where random numbers come from; `gel_id` and `session` select the gel's dust and the lamps' drift. A renderer
     holds about 15 float32 pictures and nothing that grows."""
     gel_id: str = "gel1"

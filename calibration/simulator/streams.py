@@ -6,35 +6,26 @@ a resumed run draws the same numbers as an uninterrupted one.
 
 import zlib
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-__all__ = ["Streams", "make_streams"]
-
-
-class Streams(Protocol):
-    """Gives the generator of these words; equal words give equal draws."""
-
-    def __call__(self, *words: str | int) -> np.random.Generator: ...
-    def __hash__(self) -> int: ...
+__all__ = ["Streams"]
 
 
 @dataclass(frozen=True)
-class _NamedStreams:
+class Streams:
+    """Gives the generator of some words; equal seeds and words give equal draws."""
+
     seed: int
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ValueError(f"a seed is a number from 0 up, found {self.seed}")
 
     def __call__(self, *words: str | int) -> np.random.Generator:
         # Numbers and text get different tags, so that ("a", 1) and ("a", "1") are different streams.
         key = [part for word in words for part in _entropy(word)]
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence([self.seed, *key])))
-
-
-def make_streams(seed: int) -> Streams:
-    """The streams of one seed; equal seeds give equal streams. Errors: ValueError for a negative seed."""
-    if seed < 0:
-        raise ValueError(f"a seed is a number from 0 up, found {seed}")
-    return _NamedStreams(seed)
 
 
 def _entropy(word: str | int) -> tuple[int, int]:

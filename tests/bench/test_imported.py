@@ -28,7 +28,7 @@ from calibration.simulator.field_of_view import LR
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.scene import load_scene
 from calibration.simulator.sensor_appearance import SENSORS
-from calibration.simulator.streams import make_streams
+from calibration.simulator.streams import Streams
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.model.session import open_session
@@ -104,9 +104,7 @@ class Trained:
         folder = self.folder / "recording"
         if not folder.exists():
             scene = load_scene("small")
-            gel = Renderer(
-                LR, scene.effects, SENSORS[scene.camera.sensor], streams=make_streams(0)
-            ).free_gel()
+            gel = Renderer(LR, scene.effects, SENSORS[scene.camera.sensor], streams=Streams(0)).free_gel()
             cv2.imwrite(str(self.folder / "free.jpg"), gel[..., ::-1])
             shown = self.folder / "shown"
             shown.mkdir()

@@ -16,7 +16,7 @@ from calibration.simulator.plan import recording_plan
 from calibration.simulator.pose import Jitter, Pose, sample
 from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.scene import Scene, load_scene
-from calibration.simulator.streams import make_streams
+from calibration.simulator.streams import Streams
 
 SMALL = Field((160, 120), (0.12, 0.12))
 THREAD = PARTS["PZ1"].positions["pos1"]
@@ -28,7 +28,7 @@ class Listening:
 
     def __init__(self) -> None:
         self.asked: list[tuple[str | int, ...]] = []
-        self._inner = make_streams(7)
+        self._inner = Streams(7)
 
     def __call__(self, *words: str | int) -> np.random.Generator:
         self.asked.append(words)
@@ -40,7 +40,7 @@ class Listening:
 
 def picture(names: tuple[str, ...], streams: Callable[..., np.random.Generator] | None = None) -> np.ndarray:
     """A press on which every effect acts: worn gel, a previous press, a warm lamp, a slide."""
-    renderer = Renderer(SMALL, names, streams=streams or make_streams(7))
+    renderer = Renderer(SMALL, names, streams=streams or Streams(7))
     placed = renderer.place(Pose(), KEY)
     imprint = renderer.imprint(sample(THREAD, placed, SMALL), 0.5 * placed.depth_factor)
     surface = renderer.surface(imprint, 500, (np.roll(imprint, 25, axis=1), 0.5))
@@ -122,7 +122,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others() -> None:
     """Equal streams, equal bytes; the order of the names does not matter."""
     again = picture(tuple(reversed(EFFECTS)))
     assert np.array_equal(picture(tuple(EFFECTS)), again)
-    assert not np.array_equal(again, picture(tuple(EFFECTS), make_streams(8)))
+    assert not np.array_equal(again, picture(tuple(EFFECTS), Streams(8)))
 
 
 def test_an_unknown_effect_is_refused_with_the_nearest_name() -> None:

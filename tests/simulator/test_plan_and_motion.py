@@ -8,7 +8,7 @@ from calibration.simulator.motion import PressMotion
 from calibration.simulator.plan import damage, dataset_plan, recording_plan
 from calibration.simulator.scene import load_scene
 from calibration.simulator.simulate import paper_scenes
-from calibration.simulator.streams import make_streams
+from calibration.simulator.streams import Streams
 
 
 def test_the_paper_plan_has_table_ones_counts_and_ten_presses_a_piece() -> None:
@@ -62,7 +62,7 @@ def test_the_demos_damage_shows_for_many_seeds() -> None:
     look, part = Renderer(LR, ("deformation",)), PARTS["PZ1"].positions["pos1"]
     for seed in range(10):
         for plan in recording_plan(scene, scene.runs[1], seed, 0.8):
-            defect = damage(plan, scene, make_streams(seed))
+            defect = damage(plan, scene, Streams(seed))
             if defect is not None:
                 sound, damaged = look.imprints(part, defect, scene.press_depth_mm, Pose())
                 assert look.mask(sound, damaged, scene.mask_depth_mm).sum() >= 40
@@ -98,4 +98,4 @@ def test_a_scene_of_recordings_is_no_dataset() -> None:
 def test_negative_seeds_are_refused() -> None:
     """Negative seeds are refused."""
     with pytest.raises(ValueError, match="from 0 up"):
-        make_streams(-1)
+        Streams(-1)

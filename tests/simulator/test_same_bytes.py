@@ -15,7 +15,7 @@ from calibration.simulator.effects import EFFECTS
 from calibration.simulator.field_of_view import LR, native_field
 from calibration.simulator.parts import PARTS
 from calibration.simulator.renderer import Renderer
-from calibration.simulator.streams import make_streams
+from calibration.simulator.streams import Streams
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.defects import Damaged, Defect
 from calibration.simulator.reproducible_math import reproducible_opencv
@@ -23,13 +23,13 @@ total = hashlib.sha256()
 with reproducible_opencv():
     for number, part in enumerate(PARTS.values()):
         for field in (LR, native_field(8)):
-            renderer = Renderer(field, tuple(EFFECTS), streams=make_streams(number))
+            renderer = Renderer(field, tuple(EFFECTS), streams=Streams(number))
             sound = part.positions["pos1"]
             kind = ("dent", "burr", "abrasion", "material_loss", "impact_mark")[number]
             worn = Damaged(sound, Defect(kind, 0.7, (0.3, 1.0), 0.5, 1.0, 3))
             total.update(renderer.press(worn, 0.4, (kind,), presses=400).tobytes())
     for number in range(6):
-        stream = make_streams(number)
+        stream = Streams(number)
         total.update(Renderer(LR, tuple(EFFECTS), streams=stream).press(random_part(stream("part")), 0.4).tobytes())
 with tempfile.TemporaryDirectory() as folder:
     simulate_dataset(load_scene("small"), Path(folder) / "set", presses=1)

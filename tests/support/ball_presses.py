@@ -15,7 +15,7 @@ from calibration.simulator.field_of_view import LR, grids
 from calibration.simulator.gel import Gel
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
-from calibration.simulator.streams import make_streams
+from calibration.simulator.streams import Streams
 
 __all__ = [
     "PLACES_MM",
@@ -56,7 +56,7 @@ UNSEEN = _unseen()
 
 def renderer(markers: bool = False, sensor: SensorAppearance = UNSEEN) -> Renderer:
     return Renderer(
-        LR, (*_EFFECTS, "markers") if markers else _EFFECTS, sensor, streams=make_streams(3), gel_id="ball"
+        LR, (*_EFFECTS, "markers") if markers else _EFFECTS, sensor, streams=Streams(3), gel_id="ball"
     )
 
 

@@ -15,7 +15,7 @@ from calibration.simulator.random_parts import RandomPart, random_part
 from calibration.simulator.renderer import MASK_DEPTH_MM, Exposure, Renderer
 from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.simulate import paper_scenes
-from calibration.simulator.streams import Streams, make_streams
+from calibration.simulator.streams import Streams
 
 __all__ = ["RandomPartPresses"]
 
@@ -80,7 +80,7 @@ class RandomPartPresses:
 
     @cached_property
     def _streams(self) -> Streams:
-        return make_streams(1000 * self.shapes + self.number)
+        return Streams(1000 * self.shapes + self.number)
 
     @cached_property
     def _moments(self) -> NDArray[np.int64]:
