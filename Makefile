@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff test test-lab test-train golden test-fuzz test-plain lint docs bench soak acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
+.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -21,7 +21,7 @@ page-pictures: $(VENV)/.test
 	PYTHONPATH=tests/support $(BIN)/python tests/support/page_pictures.py docs/images
 
 # The picture of accuracy against time in README.md, from the rows that `gelgate lab tradeoff` wrote.
-tradeoff: $(VENV)/.test
+tradeoff-picture: $(VENV)/.test
 	$(BIN)/python -m calibration.tradeoff.figure docs/studies/tradeoff.jsonl docs/images/tradeoff.svg
 
 # One process more than cores, for half of the time of a test is waiting; at most eight. `make test PROCESSES=0` runs the

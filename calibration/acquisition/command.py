@@ -142,7 +142,7 @@ def _stream(given: AcquireArguments, profile: "SensorProfile") -> tuple[Stream, 
     from calibration.fitting.command import resolve_sources
     from calibration.fitting.presses.recorded_presses import PressFinder
     from edge.clock import SystemClock
-    from edge.core.gel import DEFAULT_LIMIT_PRESSES
+    from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
     if given.sources:
         found = resolve_sources(given.sources, given.part, given.position, profile)

@@ -23,7 +23,7 @@ from edge.cli.arguments import plugin_options
 from edge.config import load_config
 from edge.core.contact.settings import ContactSettings
 from edge.core.errors import DatasetError, FitError, FrameCorrupt, RecordingEnded
-from edge.core.gel import DEFAULT_LIMIT_PRESSES
+from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.sensor_profile import SensorProfile

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.studies.intervals import is_drawn, mean_interval
-from edge.core.gel import DEFAULT_LIMIT_PRESSES
+from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -40,7 +40,7 @@ from calibration.studies.rows import TIMES, Rows
 from calibration.studies.stable import STABLE_WITHIN, stable_from
 from calibration.studies.study import Evaluation, Options, chosen_places, make_cells, prepare, run_cells
 from edge.core.errors import ConfigError, DatasetError
-from edge.core.gel import DEFAULT_LIMIT_PRESSES
+from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,7 +13,7 @@ from calibration.tradeoff.machine import busy
 from calibration.tradeoff.point import VIEWS
 from calibration.tradeoff.rows import Row
 from calibration.tradeoff.timing import STAGES
-from edge.core.gel import DEFAULT_LIMIT_PRESSES
+from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 __all__ = ["FIRST", "METHOD_NAMES", "SHORT", "page", "table", "view_name", "write_page"]
 

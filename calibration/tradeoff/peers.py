@@ -28,7 +28,7 @@ from calibration.tradeoff.presses import Seen, see
 from calibration.tradeoff.rows import Row
 from calibration.tradeoff.timing import Drawing
 from edge.core.errors import ConfigError
-from edge.core.gel import DEFAULT_LIMIT_PRESSES
+from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.frames import CameraFrame
 
 __all__ = ["NOTE", "Peer", "learn", "load_weights", "map_large_blocks", "peers", "require_models"]

@@ -28,7 +28,7 @@ from calibration.tradeoff.rows import Row, read_rows, write_rows
 from calibration.tradeoff.statistics import PressTimes, press_times
 from calibration.tradeoff.timing import STAGES, Lane, bundle_lanes, camera_frames, measure_rounds
 from edge.core.errors import ConfigError
-from edge.core.gel import DEFAULT_LIMIT_PRESSES
+from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 from edge.model.bundle import Bundle
 from edge.model.bundle_writer import write_bundle
 

@@ -10,7 +10,7 @@ from edge.config.overview_table import OverviewTable
 from edge.config.plugin_tables import ActuatorTable, PlainText, PluginTable, SinkTable, Table, TriggerTable
 from edge.config.reference_table import ReferenceTable
 from edge.core.contact.settings import ContactSettings
-from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
+from edge.core.gel_life import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
 from edge.core.sink_context import topic_level
 
 __all__ = [

@@ -23,6 +23,8 @@ log = logging.getLogger(__name__)
 class SensingWatch(PressStage):
     """Follows the frames and the contact events of one sensor, and raises the alarms `device` and `contact`.
 
+    The pass light goes out earlier, in `edge.features.outputs.stage`.
+
     A time in which nothing was seen, without frames or blind, is over with the next frame that shows the gel. It is
     then an act of the gateway, for presses may have been made in it.
     """

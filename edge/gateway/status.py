@@ -8,7 +8,7 @@ from typing import Literal
 
 from edge.acquisition import AcquisitionState, AcquisitionStatus
 from edge.core.digital_io import StationView
-from edge.core.gel import GelState
+from edge.core.gel_life import GelState
 from edge.core.ports import Clock, DeviceIdentity, Message
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
 from edge.messaging.status_payloads import (

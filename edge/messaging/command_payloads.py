@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
-from edge.core.gel import MOST_PRESSES
+from edge.core.gel_life import MOST_PRESSES
 from edge.messaging.payload_base import Payload
 
 __all__ = [

@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field
 
-from edge.core.gel import GelState
+from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.messaging.payload_base import Payload
 from edge.store.gel_ledger import GelRecord

@@ -8,7 +8,7 @@ import sqlite3
 from dataclasses import dataclass
 
 from edge.core.errors import StoreError
-from edge.core.gel import GelLife, GelState
+from edge.core.gel_life import GelLife, GelState
 from edge.store import ledger_chain
 
 __all__ = ["GelRecord", "count_press", "find_mounted", "history", "mount", "set_wear"]

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol, Self, TypeVar
 
 from edge.core.errors import StoreError
-from edge.core.gel import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION
+from edge.core.gel_life import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION
 from edge.core.part_position import PartPosition
 from edge.core.ports import Message
 from edge.store import acts as act_table

@@ -8,7 +8,7 @@ import jsonschema
 import page_messages
 import pytest
 
-from edge.core.gel import GelState
+from edge.core.gel_life import GelState
 from edge.core.verdict import Kind
 from edge.gateway.command_table import COMMANDS
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message

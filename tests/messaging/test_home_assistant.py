@@ -10,7 +10,7 @@ from typing import Any
 import jinja2
 import pytest
 
-from edge.core.gel import GelState
+from edge.core.gel_life import GelState
 from edge.core.gel_scars.causes import Cause
 from edge.core.ports import Message
 from edge.core.sink_context import Station

@@ -17,7 +17,7 @@ from ports import free_port
 from edge.cli.page import page
 from edge.clock import ManualClock, SystemClock
 from edge.core.errors import ConfigError, GelgateError
-from edge.core.gel import GelState
+from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.gateway.command_policy import CommandPolicy

@@ -7,7 +7,7 @@ import pytest
 from chromium import BROWSER_MS, wait_until
 from page_messages import PICTURE, T0_NS, gel, info, press, state, stats
 
-from edge.core.gel import GelState
+from edge.core.gel_life import GelState
 from edge.core.gel_scars.causes import Cause
 from edge.core.verdict import Kind
 from edge.messaging.alarm_payload import ADVICE, AlarmPayload, alarm_message

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from page_messages import gel, info, press, reference, state, stats
 
-from edge.core.gel import GelState
+from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.page.shown import LARGEST_PAYLOAD_BYTES, Shown, readable
 

@@ -15,7 +15,7 @@ from page_messages import ROOT, T0_NS, ask, asked, gel, info, press, reference, 
 
 from edge.clock import ManualClock
 from edge.core.errors import ConfigError, SinkRejected
-from edge.core.gel import GelState
+from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.alarm_payload import ADVICE, AlarmPayload, alarm_cleared, alarm_message

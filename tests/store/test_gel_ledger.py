@@ -4,7 +4,7 @@ import pytest
 from recorded_presses import count, make_press
 
 from edge.core.errors import StoreError
-from edge.core.gel import GelState
+from edge.core.gel_life import GelState
 from edge.store.press_store import Store
 
 SERIAL = "2BNN4ZE7"

@@ -11,7 +11,7 @@ from full_disk import room_for
 from recorded_presses import make_press, messages_of, record
 
 from edge.core.errors import StoreError
-from edge.core.gel import GelState
+from edge.core.gel_life import GelState
 from edge.store.database import SCHEMA_VERSION, Database
 from edge.store.outbox import Outbox
 from edge.store.press_store import MakeMessages, PressRecord, Store

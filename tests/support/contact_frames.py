@@ -5,9 +5,9 @@ from dataclasses import replace
 
 from edge.core.contact.events import Event, PressNotSettled
 from edge.core.contact.mask import Touch
-from edge.core.contact.rest import Observation
 from edge.core.contact.rules import step
 from edge.core.contact.settings import ContactSettings
+from edge.core.contact.settled_frame import Observation
 from edge.core.contact.table import State
 from edge.core.contact.track import Track
 

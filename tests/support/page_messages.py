@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from edge.core.gel import GelState
+from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.reference_press.charts import ReferencePress, judge
 from edge.core.verdict import Kind

@@ -2,8 +2,8 @@
 
 from typing import Final
 
-from edge.core.contact.rest import Observation
 from edge.core.contact.settings import ContactSettings
+from edge.core.contact.settled_frame import Observation
 from edge.core.contact.table import Signal, State
 from edge.core.contact.track import Track
 

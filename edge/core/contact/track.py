@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from edge.core.contact.rest import Window
+from edge.core.contact.settled_frame import Window
 from edge.core.contact.table import State
 
 __all__ = ["IDLE", "LEARNING", "PRESSED", "UNJUDGED", "WATCHED", "Track"]

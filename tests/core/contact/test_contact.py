@@ -29,9 +29,9 @@ from edge.core.contact.events import (
     TriggerRepeated,
     TriggerWithoutContact,
 )
-from edge.core.contact.rest import Observation
 from edge.core.contact.rules import gap, relearn, step, trigger
 from edge.core.contact.settings import ContactSettings
+from edge.core.contact.settled_frame import Observation
 from edge.core.contact.table import TABLE, Signal, State, table_markdown
 from edge.core.contact.track import Track
 

@@ -16,9 +16,9 @@ from edge.core.contact.events import (
     PressSettled,
 )
 from edge.core.contact.mask import Touch
-from edge.core.contact.rest import Observation
 from edge.core.contact.rules import gap, relearn, step, trigger
 from edge.core.contact.settings import ContactSettings
+from edge.core.contact.settled_frame import Observation
 from edge.core.contact.table import State
 from edge.core.contact.track import Track
 

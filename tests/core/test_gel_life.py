@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edge.core.gel import GelLife, GelState
+from edge.core.gel_life import GelLife, GelState
 
 
 @pytest.mark.parametrize(

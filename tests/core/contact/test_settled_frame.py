@@ -6,7 +6,7 @@ import pytest
 from contact_frames import FREE, HELD, MS, RELEASED, at, free, pressed, run, story
 
 from edge.core.contact.events import PressSettled
-from edge.core.contact.rest import Observation
+from edge.core.contact.settled_frame import Observation
 
 
 def ramped(spacing_ms: float, ramp_ms: float, hold_ms: float) -> list[Observation]:
