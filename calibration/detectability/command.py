@@ -10,7 +10,7 @@ from calibration.fitting.options import NoContact, Part, Pattern, Position, Resi
 if TYPE_CHECKING:
     from calibration.detectability.study import Plan, Settings, Trial
     from calibration.fitting.presses.nominal_presses import NominalPresses
-    from calibration.studies.rows import Rows
+    from calibration.studies.harness.rows import Rows
     from edge.model.bundle import Bundle
 
 __all__ = ["detectability"]
@@ -53,7 +53,7 @@ def detectability(
     from calibration.detectability.results import card, results, table, write_card
     from calibration.detectability.study import Settings
     from calibration.evaluate.report import write_atomically
-    from calibration.studies.rows import Rows
+    from calibration.studies.harness.rows import Rows
     from edge.extras import needs
     from edge.model.bundle import Bundle
     from edge.model.detectability import detectability_lines

@@ -10,14 +10,29 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.studies.cells import Cell
-from calibration.studies.effects import COMPARED, effects, medians
 from calibration.studies.good_fraction_study import presses_in
-from calibration.studies.material import Drawn, fit_cell, material
-from calibration.studies.page import Page, compared_table, fractions_of, make_page, percent, seeds_of, table
-from calibration.studies.presses import TEST_SEED, hold_out, opened, subset
-from calibration.studies.rows import Rows
-from calibration.studies.study import Evaluation, Options, chosen_places, make_cells, prepare, run_cells
+from calibration.studies.harness.cells import Cell
+from calibration.studies.harness.effects import COMPARED, effects, medians
+from calibration.studies.harness.material import Drawn, fit_cell, material
+from calibration.studies.harness.page import (
+    Page,
+    compared_table,
+    fractions_of,
+    make_page,
+    percent,
+    seeds_of,
+    table,
+)
+from calibration.studies.harness.presses import TEST_SEED, hold_out, opened, subset
+from calibration.studies.harness.rows import Rows
+from calibration.studies.harness.study import (
+    Evaluation,
+    Options,
+    chosen_places,
+    make_cells,
+    prepare,
+    run_cells,
+)
 from edge.core.errors import DatasetError
 
 if TYPE_CHECKING:

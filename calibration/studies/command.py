@@ -9,7 +9,7 @@ from calibration.studies.options import StudyArguments, parse_counts, parse_frac
 from edge.cli.arguments import flatten
 
 if TYPE_CHECKING:
-    from calibration.studies.rows import Rows
+    from calibration.studies.harness.rows import Rows
 
 __all__ = ["study"]
 

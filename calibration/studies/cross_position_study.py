@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from calibration.dataset import Dataset
-from calibration.studies.cells import Cell
-from calibration.studies.effects import COMPARED, effects, medians
-from calibration.studies.figures import shares_figure
-from calibration.studies.material import Drawn, Material, Place, fit_cell, material
-from calibration.studies.page import (
+from calibration.studies.harness.cells import Cell
+from calibration.studies.harness.effects import COMPARED, effects, medians
+from calibration.studies.harness.figures import shares_figure
+from calibration.studies.harness.material import Drawn, Material, Place, fit_cell, material
+from calibration.studies.harness.page import (
     Page,
     compared_table,
     effects_table,
@@ -27,11 +27,18 @@ from calibration.studies.page import (
     seeds_of,
     table,
 )
-from calibration.studies.presses import HeldOut, hold_out, opened, subset
-from calibration.studies.published import published
-from calibration.studies.rows import Rows
-from calibration.studies.scoring import Scored, TestPresses, measures
-from calibration.studies.study import Evaluation, Options, chosen_places, make_cells, prepare, run_cells
+from calibration.studies.harness.presses import HeldOut, hold_out, opened, subset
+from calibration.studies.harness.published import published
+from calibration.studies.harness.rows import Rows
+from calibration.studies.harness.scoring import Scored, TestPresses, measures
+from calibration.studies.harness.study import (
+    Evaluation,
+    Options,
+    chosen_places,
+    make_cells,
+    prepare,
+    run_cells,
+)
 from edge.core.errors import DatasetError
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ from typing import Any
 from calibration.studies.bad_presses_study import study_bad_presses
 from calibration.studies.cross_position_study import crossed_places, study_cross_position
 from calibration.studies.good_fraction_study import FRACTIONS, SHOTS, study_good_fraction
-from calibration.studies.presses import opened
+from calibration.studies.harness.presses import opened
+from calibration.studies.harness.rows import TIMES, Rows, read_rows
+from calibration.studies.harness.study import ROWS_FILE, Options
 from calibration.studies.report import write_report
 from calibration.studies.resolution_study import MOST_PRESSES, fine_places, study_resolution
-from calibration.studies.rows import TIMES, Rows, read_rows
-from calibration.studies.study import ROWS_FILE, Options
 from edge.core.errors import DatasetError
 
 __all__ = ["study_all"]

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.studies.cells import Cell
-from calibration.studies.figures import (
+from calibration.studies.harness.cells import Cell
+from calibration.studies.harness.figures import (
     Curve,
     curves,
     fraction_figure,
@@ -21,9 +21,9 @@ from calibration.studies.figures import (
     overview_figure,
     shots_figure,
 )
-from calibration.studies.intervals import MIN_DRAWS
-from calibration.studies.material import Drawn, fit_cell, material
-from calibration.studies.page import (
+from calibration.studies.harness.intervals import MIN_DRAWS
+from calibration.studies.harness.material import Drawn, fit_cell, material
+from calibration.studies.harness.page import (
     Page,
     by_setup,
     cells_table,
@@ -34,11 +34,18 @@ from calibration.studies.page import (
     split_table,
     table,
 )
-from calibration.studies.presses import hold_out, opened, subset
-from calibration.studies.published import stable_fraction
-from calibration.studies.rows import TIMES, Rows
-from calibration.studies.stable import STABLE_WITHIN, stable_from
-from calibration.studies.study import Evaluation, Options, chosen_places, make_cells, prepare, run_cells
+from calibration.studies.harness.presses import hold_out, opened, subset
+from calibration.studies.harness.published import stable_fraction
+from calibration.studies.harness.rows import TIMES, Rows
+from calibration.studies.harness.stable import STABLE_WITHIN, stable_from
+from calibration.studies.harness.study import (
+    Evaluation,
+    Options,
+    chosen_places,
+    make_cells,
+    prepare,
+    run_cells,
+)
 from edge.core.errors import ConfigError, DatasetError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 

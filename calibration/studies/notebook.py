@@ -1,7 +1,7 @@
 """The studies from Python: results as a pandas frame, plots as matplotlib figures.
 
-Every study takes the fields of `calibration.studies.study.Options`, such as parts or seeds; what is empty is the
-command's default. Errors: as the command; TypeError for another field.
+Every study takes the fields of `calibration.studies.harness.study.Options`, such as parts or seeds; what is empty is
+the command's default. Errors: as the command; TypeError for another field.
 """
 
 from collections.abc import Sequence
@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from calibration.studies.bad_presses_study import study_bad_presses
 from calibration.studies.cross_position_study import study_cross_position
 from calibration.studies.good_fraction_study import FRACTIONS, SHOTS, study_good_fraction
-from calibration.studies.page import only_scored
+from calibration.studies.harness.page import only_scored
+from calibration.studies.harness.rows import Rows, frame
+from calibration.studies.harness.study import Options
 from calibration.studies.resolution_study import MOST_PRESSES, study_resolution
-from calibration.studies.rows import Rows, frame
-from calibration.studies.study import Options
 from edge.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def figure(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
 
     rows: of one backbone, mode and split. Errors: ConfigError for several of them, or no row with this measure.
     """
-    from calibration.studies.figures import fraction_figure, overview_figure, shots_figure
+    from calibration.studies.harness.figures import fraction_figure, overview_figure, shots_figure
 
     setups = rows[["backbone", "mode", "split"]].drop_duplicates()
     if len(setups) != 1:

@@ -9,7 +9,7 @@ import typer
 from edge.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from calibration.studies.study import Options
+    from calibration.studies.harness.study import Options
 
 __all__ = ["StudyArguments", "parse_counts", "parse_fractions"]
 
@@ -95,7 +95,7 @@ class StudyArguments:
 
     def options(self) -> "Options":
         """Return what is asked of the study. Errors: ConfigError, as `Options`, and for an impossible fraction."""
-        from calibration.studies.study import Options
+        from calibration.studies.harness.study import Options
 
         if self.fraction is not None and not 0 < self.fraction <= 100:
             raise ConfigError(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.studies import cross_position_study, good_fraction_study, resolution_study
-from calibration.studies.effects import (
+from calibration.studies.harness.effects import (
     COMPARED,
     Agreement,
     Effect,
@@ -20,10 +20,10 @@ from calibration.studies.effects import (
     published_direction,
     written,
 )
-from calibration.studies.intervals import is_drawn
-from calibration.studies.page import Page, by_setup, directions_table, only_scored, table
-from calibration.studies.published import published, source, stable_fraction
-from calibration.studies.stable import stable_from
+from calibration.studies.harness.intervals import is_drawn
+from calibration.studies.harness.page import Page, by_setup, directions_table, only_scored, table
+from calibration.studies.harness.published import published, source, stable_fraction
+from calibration.studies.harness.stable import stable_from
 
 if TYPE_CHECKING:
     import pandas as pd

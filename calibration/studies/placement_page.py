@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.studies.intervals import mean_interval
-from calibration.studies.page import table
-from calibration.studies.rows import frame
+from calibration.studies.harness.intervals import mean_interval
+from calibration.studies.harness.page import table
+from calibration.studies.harness.rows import frame
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from calibration.fitting.candidates import DEFAULT_METHOD
-from calibration.studies.evidence import Mean, Sample, Samples, Standing, ranking
-from calibration.studies.intervals import is_drawn
-from calibration.studies.page import Page, by_setup, only_scored, table
-from calibration.studies.published import judgements, no_fixture, source
+from calibration.studies.harness.evidence import Mean, Sample, Samples, Standing, ranking
+from calibration.studies.harness.intervals import is_drawn
+from calibration.studies.harness.page import Page, by_setup, only_scored, table
+from calibration.studies.harness.published import judgements, no_fixture, source
 from edge.core.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -34,9 +34,9 @@ def recommend(
     """Say which method to take for a need, from rows alone.
 
     Where the rows do not decide, it says so, and which command would."""
+    from calibration.studies.harness.rows import rows_of_studies
+    from calibration.studies.harness.study import require_known
     from calibration.studies.recommend import NEEDS, recommended
-    from calibration.studies.rows import rows_of_studies
-    from calibration.studies.study import require_known
 
     require_known("need", need or (), NEEDS)
     chosen: Sequence[Mapping[str, Any]] = rows_of_studies(rows, partial(typer.echo, err=True))

@@ -13,9 +13,9 @@ from calibration.studies import (
     resolution_study,
     time_page,
 )
-from calibration.studies.figures import svg
-from calibration.studies.page import Page
-from calibration.studies.rows import rows_of_studies
+from calibration.studies.harness.figures import svg
+from calibration.studies.harness.page import Page
+from calibration.studies.harness.rows import rows_of_studies
 from edge.core.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from calibration.dataset import LabelledPress
 from calibration.fitting.features import trunk_grid
 from calibration.fitting.trunks import Trunk, open_trunk
-from calibration.studies.cells import Cell, Split
-from calibration.studies.effects import COMPARED, effects, medians
-from calibration.studies.figures import conditions_figure
-from calibration.studies.material import Drawn, Material, Place, fit_cell, material
-from calibration.studies.page import (
+from calibration.studies.harness.cells import Cell, Split
+from calibration.studies.harness.effects import COMPARED, effects, medians
+from calibration.studies.harness.figures import conditions_figure
+from calibration.studies.harness.material import Drawn, Material, Place, fit_cell, material
+from calibration.studies.harness.page import (
     Page,
     compared_table,
     effects_table,
@@ -30,12 +30,20 @@ from calibration.studies.page import (
     seeds_of,
     table,
 )
-from calibration.studies.pictures import PressPictures
-from calibration.studies.presses import TEST_SEED, HeldOut, StudyPresses, hold_out, opened, presses_of, subset
-from calibration.studies.published import published
-from calibration.studies.rows import Rows
-from calibration.studies.scoring import Scored, TestPresses, measures
-from calibration.studies.study import (
+from calibration.studies.harness.pictures import PressPictures
+from calibration.studies.harness.presses import (
+    TEST_SEED,
+    HeldOut,
+    StudyPresses,
+    hold_out,
+    opened,
+    presses_of,
+    subset,
+)
+from calibration.studies.harness.published import published
+from calibration.studies.harness.rows import Rows
+from calibration.studies.harness.scoring import Scored, TestPresses, measures
+from calibration.studies.harness.study import (
     Evaluation,
     Options,
     chosen_places,

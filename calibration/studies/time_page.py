@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING
 
-from calibration.studies.page import Page, only_scored, table
-from calibration.studies.rows import TIMES
+from calibration.studies.harness.page import Page, only_scored, table
+from calibration.studies.harness.rows import TIMES
 
 if TYPE_CHECKING:
     import pandas as pd

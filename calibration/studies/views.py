@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from calibration.dataset import SIZES, Resolution
 from calibration.fitting.trunks import Trunk
-from calibration.studies.pictures import LR_VIEW, View
+from calibration.studies.harness.pictures import LR_VIEW, View
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.core.imaging.region import Region
 from edge.core.imaging.tiles import Tiles, tiling

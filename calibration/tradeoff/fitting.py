@@ -15,7 +15,7 @@ from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import Trunk, open_trunk
-from calibration.studies.scoring import run_head
+from calibration.studies.harness.scoring import run_head
 from calibration.tradeoff.point import VIEWS, OperatingPoint, View
 from calibration.tradeoff.presses import Chosen, Seen
 from edge import registry

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.progress import progress
-from calibration.studies.rows import ROWS_FILE
-from calibration.studies.runner import Show
+from calibration.studies.harness.rows import ROWS_FILE
+from calibration.studies.harness.runner import Show
 from calibration.tradeoff.figure import figure
 from calibration.tradeoff.page import write_page
 from calibration.tradeoff.peers import require_models

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
-from calibration.studies.rows import ROW_FORMAT
+from calibration.studies.harness.rows import ROW_FORMAT
 from calibration.tradeoff.accuracy import measured
 from calibration.tradeoff.plan import Run
 from calibration.tradeoff.point import VIEWS

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from calibration.dataset import LabelledPress, open_dataset, resolution_of, split_by_specimen
 from calibration.dataset.remarks import empty_masks, repeated_pictures
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
-from calibration.studies.pictures import LR_VIEW
-from calibration.studies.presses import presses_of
+from calibration.studies.harness.pictures import LR_VIEW
+from calibration.studies.harness.presses import presses_of
 from calibration.tradeoff.point import VIEWS, View
 from edge.core.errors import DatasetError
 from edge.core.imaging.sensor_profile import SensorProfile

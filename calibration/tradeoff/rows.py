@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.evaluate.report import write_atomically
-from calibration.studies.rows import read_rows as read_lines
+from calibration.studies.harness.rows import read_rows as read_lines
 from edge.core.errors import ConfigError
 
 __all__ = ["Row", "read_rows", "write_rows"]

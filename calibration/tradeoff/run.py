@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.studies.rows import ROW_FORMAT, ROWS_FILE, Rows
-from calibration.studies.runner import Show
+from calibration.studies.harness.rows import ROW_FORMAT, ROWS_FILE, Rows
+from calibration.studies.harness.runner import Show
 from calibration.threads import one_blas_thread
 from calibration.tradeoff.accuracy import Truth, measured
 from calibration.tradeoff.fitting import FittedPoint, content_sha256, fit_points

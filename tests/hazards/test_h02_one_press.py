@@ -3,7 +3,7 @@
 Guards: one press is defined (rank 0 returns early in `lowrank.spectrum`, and no division by N-1 = 0), features must be
 finite at fit, and the graph never turns NaN into a number. Checked by removal: without the first pair the first test
 fails; without isfinite in `validation._check_strength` the second; with NaN replaced by 0 before the root the third;
-without isfinite in `studies.scoring.run_head` the last.
+without isfinite in `harness.scoring.run_head` the last.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 import tiny
 from presses import LIKE_RESNET, features, fitted, head_scores
 
-from calibration.studies.scoring import run_head
+from calibration.studies.harness.scoring import run_head
 from edge.core.detector import Nominal
 from edge.core.errors import FitError, NotScorable
 from edge.model.session import open_session

@@ -8,7 +8,7 @@ from study_cells import quiet
 from study_dataset import study_dataset
 
 from calibration.studies.bad_presses_study import BAD_SHARES, halves, mixed, page, study_bad_presses
-from calibration.studies.study import Options
+from calibration.studies.harness.study import Options
 from edge.core.errors import DatasetError
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from study_cells import cells
 
-from calibration.studies.cells import Cell
+from calibration.studies.harness.cells import Cell
 
 (CELL,) = cells(1)
 

@@ -14,10 +14,10 @@ import pytest
 from study_cells import Counted, DiesOnce, KillsScheduler, cells, quiet, seeds_of
 
 from calibration.progress import Advance
-from calibration.studies import cluster
-from calibration.studies.rows import Rows
-from calibration.studies.runner import run
-from calibration.studies.study import Options
+from calibration.studies.harness import cluster
+from calibration.studies.harness.rows import Rows
+from calibration.studies.harness.runner import run
+from calibration.studies.harness.study import Options
 from edge.core.errors import ConfigError, StoreError
 
 SUPPORT = Path(__file__).resolve().parents[1] / "support"

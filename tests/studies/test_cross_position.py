@@ -16,9 +16,9 @@ from calibration.studies.cross_position_study import (
     cross_position_cells,
     study_cross_position,
 )
-from calibration.studies.material import Material, material
-from calibration.studies.rows import read_rows
-from calibration.studies.study import Options
+from calibration.studies.harness.material import Material, material
+from calibration.studies.harness.rows import read_rows
+from calibration.studies.harness.study import Options
 from edge.core.errors import DatasetError
 
 
@@ -59,6 +59,9 @@ def test_from_python_the_rows_are_a_frame(dataset: Path, folder: Path, rows: lis
     found = studies.cross_position(dataset, folder, fraction=1.0, splits=("press", "specimen"), **asked)
 
     assert list(found["key"]) == [row["key"] for row in rows]
+    assert all(
+        callable(getattr(studies, name)) for name in studies.__all__
+    )  # none is hidden by a module of its name
     assert list(found["aupro_001"]) == [row["aupro_001"] for row in rows]
     with pytest.raises(TypeError, match="seed"):
         studies.cross_position(dataset, folder, seed=2)

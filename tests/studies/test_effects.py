@@ -8,8 +8,8 @@ import pytest
 pd = pytest.importorskip("pandas", reason="SKIPPED, NOT TESTED: the extra `studies` brings pandas")
 
 from calibration.studies import cross_position_study, resolution_study  # noqa: E402
-from calibration.studies.effects import agreement, direction, effects, published_direction  # noqa: E402
-from calibration.studies.published import published  # noqa: E402
+from calibration.studies.harness.effects import agreement, direction, effects, published_direction  # noqa: E402
+from calibration.studies.harness.published import published  # noqa: E402
 from calibration.studies.views import VIEWS  # noqa: E402
 
 

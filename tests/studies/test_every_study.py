@@ -8,8 +8,8 @@ from study_cells import quiet
 from study_dataset import study_dataset
 
 from calibration.studies.every_study import study_all
-from calibration.studies.rows import read_rows
-from calibration.studies.study import Options
+from calibration.studies.harness.rows import read_rows
+from calibration.studies.harness.study import Options
 
 
 def test_all_studies_continue_and_write_their_pages(tmp_path: Path) -> None:

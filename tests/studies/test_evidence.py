@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from calibration.studies.evidence import Sample, ranking, summarised
-from calibration.studies.intervals import MIN_DRAWS
+from calibration.studies.harness.evidence import Sample, ranking, summarised
+from calibration.studies.harness.intervals import MIN_DRAWS
 
 
 def values(level: float, spread: float, *, parts: int = 3, seeds: int = 10, seed: int = 0) -> Sample:

@@ -12,8 +12,8 @@ from tiny import tiny_trunk
 
 from calibration.dataset import LabelledPress
 from calibration.fitting.trunks import Trunk
-from calibration.studies.feature_cache import FeatureCache
-from calibration.studies.pictures import PressPictures, View
+from calibration.studies.harness.feature_cache import FeatureCache
+from calibration.studies.harness.pictures import PressPictures, View
 from edge.core.errors import ConfigError, DatasetError, StoreError
 from edge.core.imaging.region import Region
 

@@ -17,14 +17,14 @@ from study_dataset import study_dataset
 from calibration.fitting.trunks import open_trunk
 from calibration.progress import Advance
 from calibration.studies import figure, good_fraction
-from calibration.studies.detector_settings import overrides_for
 from calibration.studies.good_fraction_study import study_good_fraction
-from calibration.studies.material import Material
-from calibration.studies.pictures import LR_VIEW, PressPictures
-from calibration.studies.presses import StudyPresses
+from calibration.studies.harness.detector_settings import overrides_for
+from calibration.studies.harness.material import Material
+from calibration.studies.harness.pictures import LR_VIEW, PressPictures
+from calibration.studies.harness.presses import StudyPresses
+from calibration.studies.harness.rows import read_rows
+from calibration.studies.harness.study import Options, check_same, make_cells
 from calibration.studies.resolution_study import ViewPlace
-from calibration.studies.rows import read_rows
-from calibration.studies.study import Options, check_same, make_cells
 from edge.core.errors import ConfigError, DatasetError, FitError
 
 METHODS = ("subspace", "padim")

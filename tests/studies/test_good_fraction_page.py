@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 from command_line import gelgate
 
-from calibration.studies.figures import curves, gel_share, svg
 from calibration.studies.good_fraction_study import page, same_in_every_seed
+from calibration.studies.harness.figures import curves, gel_share, svg
 from calibration.studies.report import write_report
 from edge.core.errors import ConfigError, StoreError
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.studies.intervals import MIN_DRAWS, is_drawn, mean_interval
+from calibration.studies.harness.intervals import MIN_DRAWS, is_drawn, mean_interval
 
 
 @pytest.mark.parametrize("draws", [3, 5, 10])

@@ -5,8 +5,8 @@ from typing import Any
 
 import pandas as pd
 
+from calibration.studies.harness.published import published
 from calibration.studies.paper_page import page
-from calibration.studies.published import published
 from calibration.studies.report import write_report
 
 PAPER = published("resolution")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calibration.dataset import Dataset, LabelledPress
-from calibration.studies.pictures import LR_VIEW, PressPictures
-from calibration.studies.presses import StudyPresses, hold_out, presses_of, subset
+from calibration.studies.harness.pictures import LR_VIEW, PressPictures
+from calibration.studies.harness.presses import StudyPresses, hold_out, presses_of, subset
 from edge.core.errors import DatasetError
 
 LR = (320, 240)

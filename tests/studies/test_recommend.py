@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 from command_line import gelgate
 
+from calibration.studies.harness.rows import Rows
 from calibration.studies.recommend import NEEDS, page, recommended
-from calibration.studies.rows import Rows
 
 METHODS = ("spade", "padim", "fapm")
 

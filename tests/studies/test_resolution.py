@@ -11,8 +11,8 @@ from command_line import gelgate
 from study_cells import quiet
 from study_dataset import study_dataset
 
+from calibration.studies.harness.study import Options
 from calibration.studies.resolution_study import ViewPlace, capped_presses, study_resolution
-from calibration.studies.study import Options
 from calibration.studies.views import COMMON, VIEWS, common_map
 from edge.core.errors import ConfigError, DatasetError
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from full_disk import room_for
 
-from calibration.studies.rows import ROW_FORMAT, Rows, frame, read_rows
+from calibration.studies.harness.rows import ROW_FORMAT, Rows, frame, read_rows
 from edge.core.errors import ConfigError, StoreError
 
 

@@ -8,8 +8,8 @@ import pytest
 from study_cells import Counted, DiesOnce, Interrupted, cells, quiet, seeds_of
 
 from calibration.progress import Advance
-from calibration.studies.rows import Rows
-from calibration.studies.runner import run
+from calibration.studies.harness.rows import Rows
+from calibration.studies.harness.runner import run
 from edge.core.errors import StoreError
 
 

@@ -5,7 +5,7 @@ import pytest
 from tiny import TINY, tiny_grid
 
 from calibration.metrics.summary import recall_at
-from calibration.studies.scoring import MEASURES, TestPresses, fit_and_score
+from calibration.studies.harness.scoring import MEASURES, TestPresses, fit_and_score
 from edge.core.detector import Nominal
 from edge.core.errors import FitError
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from calibration.studies.published import published, stable_fraction
-from calibration.studies.rows import Rows
-from calibration.studies.stable import STABLE_WITHIN, find_stable_fraction, stable_from
-from calibration.studies.study import Options
+from calibration.studies.harness.published import published, stable_fraction
+from calibration.studies.harness.rows import Rows
+from calibration.studies.harness.stable import STABLE_WITHIN, find_stable_fraction, stable_from
+from calibration.studies.harness.study import Options
 from edge.core.errors import ConfigError
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.progress import Advance
-from calibration.studies.cells import Cell
+from calibration.studies.harness.cells import Cell
 from edge.core.errors import FitError
 
 __all__ = ["Counted", "DiesOnce", "Interrupted", "KillsScheduler", "cells", "dies", "quiet", "seeds_of"]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.studies.rows import ROW_FORMAT
+from calibration.studies.harness.rows import ROW_FORMAT
 from calibration.tradeoff.accuracy import MEASURES
 from calibration.tradeoff.plan import BACKBONES, usual_points
 from calibration.tradeoff.point import OperatingPoint

@@ -13,13 +13,13 @@ from typing import Any, Self, get_args
 from calibration.dataset import Dataset
 from calibration.fitting.trunks import DEFAULT_BACKBONE, every_cut
 from calibration.progress import progress
-from calibration.studies.cells import Cell, Setting, Split
-from calibration.studies.cluster import check_address
-from calibration.studies.detector_settings import taps_of
-from calibration.studies.material import Material, Place
-from calibration.studies.rows import ROWS_FILE, Rows
-from calibration.studies.runner import Evaluate, Show, run
-from calibration.studies.stable import find_stable_fraction
+from calibration.studies.harness.cells import Cell, Setting, Split
+from calibration.studies.harness.cluster import check_address
+from calibration.studies.harness.detector_settings import taps_of
+from calibration.studies.harness.material import Material, Place
+from calibration.studies.harness.rows import ROWS_FILE, Rows
+from calibration.studies.harness.runner import Evaluate, Show, run
+from calibration.studies.harness.stable import find_stable_fraction
 from edge import registry
 from edge.core.detector import Mode
 from edge.core.errors import ConfigError, DatasetError, FitError
@@ -201,7 +201,7 @@ def run_cells(
     """Run the cells that have no row in the output folder yet.
 
     materials: what the cells are made from; rows of this study and the same places must be from the same. Errors:
-    ConfigError where they are not; else as `calibration.studies.runner.run`.
+    ConfigError where they are not; else as `calibration.studies.harness.runner.run`.
     """
     rows = Rows(options.output / ROWS_FILE, say or _say)
     studies = {cell.study for cell in cells}

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from calibration.dataset.remarks import empty_masks, repeated_pictures
 from calibration.fitting.trunks import Trunk, open_trunk
-from calibration.studies.cells import Cell
-from calibration.studies.detector_settings import overrides_for, written
-from calibration.studies.feature_cache import FeatureCache, Taken
-from calibration.studies.presses import StudyPresses, opened, presses_of
-from calibration.studies.scoring import Scored, TestPresses, fit_and_score
+from calibration.studies.harness.cells import Cell
+from calibration.studies.harness.detector_settings import overrides_for, written
+from calibration.studies.harness.feature_cache import FeatureCache, Taken
+from calibration.studies.harness.presses import StudyPresses, opened, presses_of
+from calibration.studies.harness.scoring import Scored, TestPresses, fit_and_score
 from edge import registry
 from edge.core.detector import Nominal, Progress
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calibration.studies.intervals import MIN_DRAWS, mean_interval
+from calibration.studies.harness.intervals import MIN_DRAWS, mean_interval
 
 __all__ = ["Mean", "Sample", "Samples", "Standing", "Values", "ranking", "summarised"]
 

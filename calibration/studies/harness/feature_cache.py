@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.trunks import Trunk
-from calibration.studies.pictures import PressPictures
+from calibration.studies.harness.pictures import PressPictures
 from edge.core.detector import Features, Grid, Progress
 from edge.core.errors import ConfigError, GelgateError, StoreError
 from edge.model.manifest import GridEntry

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from calibration.studies.effects import COMPARED, Effect, Medians, counted
-from calibration.studies.published import source
-from calibration.studies.rows import TIMES
+from calibration.studies.harness.effects import COMPARED, Effect, Medians, counted
+from calibration.studies.harness.published import source
+from calibration.studies.harness.rows import TIMES
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -5,8 +5,8 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from calibration.progress import Advance
-from calibration.studies.cells import Cell
-from calibration.studies.rows import Rows
+from calibration.studies.harness.cells import Cell
+from calibration.studies.harness.rows import Rows
 from edge.core.errors import DatasetError, FitError, NotScorable, StoreError
 
 __all__ = ["Evaluate", "Result", "Show", "run"]
@@ -59,7 +59,7 @@ def _left(cells: Sequence[Cell], rows: Rows) -> list[Cell]:
 
 def _results(cells: list[Cell], evaluate: Evaluate, jobs: int, dask: str | None) -> Iterator[Result]:
     if dask is not None:
-        from calibration.studies.cluster import on_cluster
+        from calibration.studies.harness.cluster import on_cluster
 
         return on_cluster(cells, evaluated, evaluate, dask)
     if jobs == 1:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.studies.intervals import is_drawn, mean_interval
+from calibration.studies.harness.intervals import is_drawn, mean_interval
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 if TYPE_CHECKING:

@@ -5,9 +5,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from calibration.studies.effects import COMPARED
-from calibration.studies.published import stable_fraction
-from calibration.studies.rows import read_rows
+from calibration.studies.harness.effects import COMPARED
+from calibration.studies.harness.published import stable_fraction
+from calibration.studies.harness.rows import read_rows
 from edge.core.detector import Mode
 from edge.core.errors import ConfigError
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset import SIZES, Dataset, LabelledPress, Resolution, open_dataset, split_by_specimen
-from calibration.studies.cells import Split
-from calibration.studies.pictures import LR_VIEW, PressPictures, View
+from calibration.studies.harness.cells import Split
+from calibration.studies.harness.pictures import LR_VIEW, PressPictures, View
 from edge.core.errors import DatasetError
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.core.imaging.region import CENTRE_SIDE, Region

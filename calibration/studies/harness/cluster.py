@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from calibration.studies.cells import Cell
+from calibration.studies.harness.cells import Cell
 from edge.core.errors import ConfigError, StoreError
 
 __all__ = ["ANSWER_WITHIN_S", "check_address", "on_cluster"]

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from calibration.studies.evidence import Sample, summarised
-from calibration.studies.intervals import is_drawn
+from calibration.studies.harness.evidence import Sample, summarised
+from calibration.studies.harness.intervals import is_drawn
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,7 +32,7 @@ Direction = Literal["up", "down", "undecided"]
 Agreement = Literal["agree", "differ", "undecided"]
 
 Medians = Mapping[tuple[str, str, str], Mapping[str, float]]
-"""(method, part, measure) to the median at each condition, as `calibration.studies.published.published`."""
+"""(method, part, measure) to the median at each condition, as `calibration.studies.harness.published.published`."""
 
 
 @dataclass(frozen=True)

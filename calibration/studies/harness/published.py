@@ -11,7 +11,9 @@ __all__ = ["judgements", "no_fixture", "published", "source", "stable_fraction"]
 
 @cache
 def _data() -> Mapping[str, Any]:
-    text = resources.files("calibration.studies").joinpath("published.json").read_text(encoding="utf-8")
+    text = (
+        resources.files("calibration.studies.harness").joinpath("published.json").read_text(encoding="utf-8")
+    )
     found: Mapping[str, Any] = json.loads(text)
     return found
 
