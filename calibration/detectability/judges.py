@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +106,6 @@ MIN_PRESSES = 4
 _FOLDS = 5
 
 Advance = Callable[[float], None]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +129,7 @@ def panel(bundle: Bundle, presses: NominalPresses, seed: int, threads: int, prog
     if len(apart) >= MIN_PRESSES:
         return _by_bundle(bundle, _shuffle(apart, seed), threads, "presses apart")
     _require_complete(bundle, len(learnt), len(apart))
-    return _by_folds(bundle, _only(presses, learnt), learnt, seed, threads, progress)
+    return _by_folds(bundle, presses.choose(learnt), learnt, seed, threads, progress)
 
 
 def _apart(bundle: Bundle, presses: NominalPresses) -> list[int]:
@@ -240,19 +239,3 @@ class _Folds:
             manifest, files, f"{whole.where} without {len(held)} presses", loaded=self.trunks
         )
         return Judge(Scorer(fold, self.threads, self.trunks), whole.manifest)
-
-
-def _only(presses: NominalPresses, rows: Sequence[int]) -> NominalPresses:
-    """Return these presses alone."""
-    return replace(
-        presses,
-        frames=presses.frames[list(rows)],
-        names=_select(presses.names, rows),
-        specimens=_select(presses.specimens, rows),
-        touches=_select(presses.touches, rows),
-        reliefs=_select(presses.reliefs, rows),
-    )
-
-
-def _select(values: tuple[T, ...], rows: Sequence[int]) -> tuple[T, ...]:
-    return tuple(values[k] for k in rows) if values else ()

@@ -104,13 +104,14 @@ class NominalPresses:
         """Select at most this many of them, evenly spread."""
         if len(self) <= most:
             return self
-        return self._choose(np.linspace(0, len(self) - 1, most).round().astype(int).tolist())
+        return self.choose(np.linspace(0, len(self) - 1, most).round().astype(int).tolist())
 
     def first(self, count: int) -> "NominalPresses":
         """Return the first ones."""
-        return self._choose(range(min(count, len(self))))
+        return self.choose(range(min(count, len(self))))
 
-    def _choose(self, rows: Sequence[int]) -> "NominalPresses":
+    def choose(self, rows: Sequence[int]) -> "NominalPresses":
+        """Return these presses alone."""
         kept = {name: tuple(getattr(self, name)[k] for k in rows if getattr(self, name)) for name in _EACH}
         return replace(self, frames=self.frames[list(rows)], **kept)  # type: ignore[arg-type]
 
