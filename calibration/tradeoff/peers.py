@@ -12,7 +12,6 @@ import hashlib
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any, Final
 
@@ -26,12 +25,12 @@ from calibration.tradeoff.plan import Run
 from calibration.tradeoff.point import VIEWS
 from calibration.tradeoff.presses import Seen, see
 from calibration.tradeoff.rows import Row
-from calibration.tradeoff.timing import Drawing
+from calibration.tradeoff.timing import Drawing, Lane
 from edge.core.errors import ConfigError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.frames import CameraFrame
 
-__all__ = ["NOTE", "Peer", "learn", "load_weights", "map_large_blocks", "peers", "require_models"]
+__all__ = ["NOTE", "learn", "load_weights", "map_large_blocks", "peers", "require_models"]
 
 NOTE: Final = (
     "Not compared with its published figure: that is for MVTec AD and ImageNet weights, and the dataset is not at "
@@ -49,32 +48,6 @@ _M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 1 << 20
 NAMES: Final = {"padim": "anomalib_padim", "patchcore": "anomalib_patchcore"}
 
 
-@dataclass
-class Peer:
-    """A fitted model of another program. row: what its row holds before it is timed. shared: as of a lane."""
-
-    row: Row
-    model: Any
-    normalise: Callable[[NDArray[np.uint8]], Any]
-    drawing: Drawing
-
-    @property
-    def shared(self) -> tuple[object, object, object, object]:
-        profile, key = self.drawing.view.profile_name, self.row["key"]
-        return profile, key, key, profile
-
-    def press(self, number: int) -> tuple[float, float, float, float]:
-        """Milliseconds of decode, trunk (0: it is part of the model), model, overlay."""
-        start = time.perf_counter()
-        rgb = self.drawing.decode(number)
-        decoded = time.perf_counter()
-        score_map, score = _score(self.model, self.normalise(rgb))
-        scored = time.perf_counter()
-        self.drawing.draw(rgb, score_map, score)
-        end = time.perf_counter()
-        return (decoded - start) * 1e3, 0.0, (scored - decoded) * 1e3, (end - scored) * 1e3
-
-
 def require_models() -> None:
     """Import anomalib's models, before anything is measured. Errors: ConfigError where they cannot be imported."""
     try:
@@ -88,8 +61,8 @@ def require_models() -> None:
         ) from error
 
 
-def peers(run: Run, frames: Sequence[CameraFrame]) -> list[Peer]:
-    """Both models, fitted on the first presses and scored on the same ones as every point.
+def peers(run: Run, frames: Sequence[CameraFrame]) -> list[tuple[Row, Lane]]:
+    """Return the rows, not yet timed, and lanes of both models, fitted on the first presses and scored as every point.
 
     frames: camera frames to be timed on. Errors: ConfigError where the dataset gives too few presses.
     """
@@ -111,7 +84,7 @@ def _fitted(
     seen: Seen,
     normalise: Callable[[NDArray[np.uint8]], Any],
     frames: Sequence[CameraFrame],
-) -> Peer:
+) -> tuple[Row, Lane]:
     import torch
 
     torch.manual_seed(run.settings.seed)
@@ -124,7 +97,15 @@ def _fitted(
     maps, scores = zip(*found, strict=True)
     accuracy = measured(maps, np.array(scores), run.truth)
     drawing = Drawing(VIEWS["lr"], frames, f"{run.chosen.part}/{run.chosen.position}", maps[0])
-    return Peer(_row(method, model, accuracy, seconds, nominal[0]), model, normalise, drawing)
+    row = _row(method, model, accuracy, seconds, nominal[0])
+    profile, key = VIEWS["lr"].profile_name, row["key"]
+
+    def score(rgb: NDArray[np.uint8]) -> tuple[NDArray[np.float32], float, float, float]:
+        start = time.perf_counter()
+        score_map, value = _score(model, normalise(rgb))
+        return score_map, value, 0.0, (time.perf_counter() - start) * 1e3  # its trunk is part of the model
+
+    return row, Lane(drawing, score, (profile, key, key, profile))
 
 
 def learn(method: str, model: Any, planes: Sequence[Any]) -> None:

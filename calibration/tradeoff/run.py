@@ -90,8 +90,8 @@ def measure(run: Run, folder: Path, show: Show, *, with_peers: bool = False) -> 
         from calibration.tradeoff.peers import peers
 
         others = peers(run, frames[VIEWS["lr"].profile_name])
-        lanes += others
-        rows += [other.row | {"command": f"{run.command} --peers"} for other in others]
+        lanes += [lane for _, lane in others]
+        rows += [row | {"command": f"{run.command} --peers"} for row, _ in others]
     before = probe(settings.threads)
     times = _times(lanes, settings, begun, show)
     peak = best(before, probe(settings.threads))

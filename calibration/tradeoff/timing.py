@@ -8,8 +8,9 @@ pooled over the points that share them, so that only what differs between two po
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import cv2
 import numpy as np
@@ -53,20 +54,6 @@ class Samples:
         return len(self.bare)
 
 
-class Lane(Protocol):
-    """One point on its way from camera bytes to the picture.
-
-    shared: per stage a key; lanes with equal keys do the same work in it.
-    """
-
-    @property
-    def shared(self) -> tuple[object, object, object, object]: ...
-
-    def press(self, number: int) -> tuple[float, float, float, float]:
-        """Milliseconds of each stage for one press."""
-        ...
-
-
 class Drawing:
     """The two stages outside the detector: decode and cut, and the picture of the press.
 
@@ -99,34 +86,26 @@ class Drawing:
         return press_png(rgb, score_map, caption)
 
 
-class _BundleLane:
-    """A bundle in the gateway's own scorer."""
+@dataclass(frozen=True)
+class Lane:
+    """One point on its way from camera bytes to the picture."""
 
-    def __init__(
-        self,
-        point: OperatingPoint,
-        folder: Path,
-        trunk_sha256: str,
-        trunks: TrunkSessions,
-        frames: Sequence[CameraFrame],
-    ) -> None:
-        view = VIEWS[point.view]
-        bundle = Bundle.load(folder, loaded=trunks)
-        self._scorer = Scorer(bundle, trunks.threads, trunks)
-        grey = np.full((*self._scorer.frame, 3), 128, np.uint8)
-        part = f"{bundle.manifest.part}/{bundle.manifest.position}"
-        self._drawing = Drawing(view, frames, part, self._scorer.score(grey).score_map)
-        self.shared = (view.profile_name, (trunk_sha256, view.name), point.key, view.profile_name)
+    drawing: Drawing
+    score: Callable[[NDArray[np.uint8]], tuple[NDArray[np.float32], float, float, float]]
+    """Score map and score of a region, and the milliseconds of trunk and head."""
+    shared: tuple[object, object, object, object]
+    """A key of each stage; lanes with equal keys do the same work in it."""
 
     def press(self, number: int) -> tuple[float, float, float, float]:
+        """Return the milliseconds of each stage for one press."""
         start = time.perf_counter()
-        rgb = self._drawing.decode(number)
+        rgb = self.drawing.decode(number)
         decoded = time.perf_counter()
-        scored = self._scorer.score(rgb)
-        drawing = time.perf_counter()
-        self._drawing.draw(rgb, scored.score_map, scored.anomaly_score)
+        score_map, score, trunk_ms, head_ms = self.score(rgb)
+        scored = time.perf_counter()
+        self.drawing.draw(rgb, score_map, score)
         end = time.perf_counter()
-        return (decoded - start) * 1e3, scored.trunk_ms, scored.head_ms, (end - drawing) * 1e3
+        return (decoded - start) * 1e3, trunk_ms, head_ms, (end - scored) * 1e3
 
 
 def bundle_lanes(
@@ -137,11 +116,21 @@ def bundle_lanes(
     threads: int,
 ) -> list[Lane]:
     """Return a lane for each point with its bundle. frames: camera frames by the name of the profile."""
-    trunks = TrunkSessions(threads)
-    return [
-        _BundleLane(point, folder, sha256, trunks, frames[VIEWS[point.view].profile_name])
-        for point, folder, sha256 in zip(points, bundles, trunks_sha256, strict=True)
-    ]
+    trunks, lanes = TrunkSessions(threads), []
+    for point, folder, sha256 in zip(points, bundles, trunks_sha256, strict=True):
+        view, bundle = VIEWS[point.view], Bundle.load(folder, loaded=trunks)
+        name, score = view.profile_name, partial(_score, Scorer(bundle, threads, trunks))
+        part = f"{bundle.manifest.part}/{bundle.manifest.position}"
+        grey = np.full((view.region.height, view.region.width, 3), 128, np.uint8)
+        drawing = Drawing(view, frames[name], part, score(grey)[0])
+        lanes.append(Lane(drawing, score, (name, (sha256, view.name), point.key, name)))
+    return lanes
+
+
+def _score(scorer: Scorer, rgb: NDArray[np.uint8]) -> tuple[NDArray[np.float32], float, float, float]:
+    """Score as the gateway does."""
+    scored = scorer.score(rgb)
+    return scored.score_map, scored.anomaly_score, scored.trunk_ms, scored.head_ms
 
 
 def measure_rounds(
