@@ -31,6 +31,7 @@ from calibration.studies.harness.page import (
     only_scored,
     percent,
     refusals,
+    section,
     split_table,
     table,
 )
@@ -204,39 +205,35 @@ def _plateaus(rows: "pd.DataFrame") -> str:
 def _levels(rows: "pd.DataFrame") -> str:
     """AU-PRO at a few fractions."""
     found = sorted(curves(rows, "fraction", "aupro_001"), key=lambda c: (c.part, c.method))
-    if not found:
-        return ""
     shown = _spread(sorted({x for curve in found for x in curve.x}))
     lines = [
         [curve.part, curve.method, int(curve.presses[-1]), *(_at(curve, x) for x in shown)] for curve in found
     ]
     heading = ["part", "method", "all presses", *map(percent, shown)]
-    return f"**AU-PRO@0.01** at shares of the nominal presses, mean [interval]:\n\n{table(heading, lines)}"
+    return section("**AU-PRO@0.01** at shares of the nominal presses, mean [interval]:", heading, lines)
 
 
 def _shots(rows: "pd.DataFrame") -> str:
     """The field's few-shot curve."""
     found = sorted(curves(rows, "shots", "aupro_001"), key=lambda c: (c.part, c.method))
-    if not found:
-        return ""
     shown = sorted({x for curve in found for x in curve.x})
     lines = [[curve.part, curve.method, *(_at(curve, x) for x in shown)] for curve in found]
     heading = ["part", "method", *(f"{x:g}" for x in shown)]
-    return f"**AU-PRO@0.01** with few presses, mean [interval]:\n\n{table(heading, lines)}"
+    return section("**AU-PRO@0.01** with few presses, mean [interval]:", heading, lines)
 
 
 def _repeated(rows: "pd.DataFrame") -> str:
     """Where ten seeds are one computation."""
     same = same_in_every_seed(rows)
-    if same.empty:
-        return ""
     lines = [
         [method, ", ".join(sorted(set(group["part"]))), ", ".join(_sizes(group)), int(group["seeds"].max())]
         for method, group in same.groupby("method")
     ]
-    return (
+    return section(
         "**One computation, not several.** Here all seeds give identical scores, because nothing random is left; that "
-        f"they do not scatter says nothing about robustness.\n\n{table(['method', 'parts', 'at', 'seeds'], lines)}"
+        "they do not scatter says nothing about robustness.",
+        ["method", "parts", "at", "seeds"],
+        lines,
     )
 
 
@@ -276,12 +273,12 @@ def _complete(rows: "pd.DataFrame") -> str:
             spent = sum(SEEDS * np.interp(FRACTIONS, at.index, at).sum() for at in each.values()) / 60
             pool = int(group["pool"].max()) if "pool" in group else int(group["presses"].max())
             lines.append([part, backbone, mode, split, pool, len(each), f"{spent:.0f}", f"{spent / 2:.0f}"])
-    if not lines:
-        return ""
     heading = ["part", "backbone", "mode", "split", "pool", "methods", "minutes of one core", "on two cores"]
-    return (
+    return section(
         f"**A complete part**, {len(FRACTIONS)} fractions with {SEEDS} seeds, takes by these cells (fractions between "
-        f"them are interpolated; a busy machine takes longer):\n\n{table(heading, lines)}"
+        f"them are interpolated; a busy machine takes longer):",
+        heading,
+        lines,
     )
 
 

@@ -21,7 +21,15 @@ from calibration.studies.harness.effects import (
     written,
 )
 from calibration.studies.harness.intervals import is_drawn
-from calibration.studies.harness.page import Page, by_setup, directions_table, only_scored, table
+from calibration.studies.harness.page import (
+    Page,
+    by_setup,
+    directions_table,
+    only_scored,
+    percent,
+    section,
+    table,
+)
 from calibration.studies.harness.published import published, source, stable_fraction
 from calibration.studies.harness.stable import stable_from
 
@@ -95,10 +103,10 @@ def page(rows: "pd.DataFrame") -> Page:
         found = [part for part in _setup(group, orders, directions) if part]
         if found:
             sections += [f"## {title}\n", *found]
-            counts.append([_short(group), _counted(orders), _counted(directions)])
+            counts.append([_short(group), counted(orders), counted(directions)])
             every[0].extend(orders)
             every[1].extend(directions)
-    counts.append(["**all**", *(f"**{_counted(group)}**" for group in every)])
+    counts.append(["**all**", *(f"**{counted(group)}**" for group in every)])
     heading = ["setup", "orders of two methods", "directions of an effect"]
     summary = f"## Summary\n\n{table(heading, counts)}"
     return Page("\n".join([*introduction, summary, *_summary_of_levels(scored), *sections]))
@@ -153,13 +161,9 @@ def _plateaus(rows: "pd.DataFrame") -> str:
         paper = stable_fraction(str(method))
         if ours is not None and paper is not None:
             word = "equal" if ours == paper else "earlier here" if ours < paper else "later here"
-            lines.append([method, _percent(ours), _percent(paper), word])
-    if not lines:
-        return ""
-    return (
-        "### Plateau\n\nThe share of the nominal presses from which on accuracy stays the same.\n\n"
-        + table(["method", "here", "paper", ""], lines)
-    )
+            lines.append([method, percent(ours), percent(paper), word])
+    text = "### Plateau\n\nThe share of the nominal presses from which on accuracy stays the same."
+    return section(text, ["method", "here", "paper", ""], lines)
 
 
 def _orders(rows: "pd.DataFrame", study: _Study, orders: list[Agreement]) -> str:
@@ -179,15 +183,11 @@ def _orders(rows: "pd.DataFrame", study: _Study, orders: list[Agreement]) -> str
         pairs = list(_pairs(group, theirs))
         every += pairs
         ours = {m: float(group[group["method"] == m][_MEASURE].median()) for m in theirs}
-        lines.append([part, f"`{written(condition)}`", _order(ours), _order(theirs), _counted(pairs)])
+        lines.append([part, f"`{written(condition)}`", _order(ours), _order(theirs), counted(pairs)])
     orders += every
-    if not lines:
-        return ""
+    title = f"### {study.name}: order of the methods by {COMPARED[_MEASURE]}"
     heading = ["part", study.column.replace("_", " "), "here", "paper", "pairs"]
-    return (
-        f"### {study.name}: order of the methods by {COMPARED[_MEASURE]}\n\nOf all pairs of methods: {_counted(every)}."
-        f"\n\n{table(heading, lines)}"
-    )
+    return section(f"{title}\n\nOf all pairs of methods: {counted(every)}.", heading, lines)
 
 
 def _pairs(rows: "pd.DataFrame", theirs: dict[str, float]) -> Iterator[Agreement]:
@@ -202,10 +202,6 @@ def _pairs(rows: "pd.DataFrame", theirs: dict[str, float]) -> Iterator[Agreement
 def _order(values: dict[str, float]) -> str:
     ranked = sorted(values, key=lambda method: -values[method])
     return ", ".join(f"{method} {values[method]:.3f}" for method in ranked)
-
-
-def _counted(found: Sequence[Agreement]) -> str:
-    return ", ".join(f"{found.count(name)} {name}" for name in ("agree", "differ", "undecided"))
 
 
 def _levels(rows: "pd.DataFrame", study: _Study) -> str:
@@ -226,10 +222,9 @@ def _levels(rows: "pd.DataFrame", study: _Study) -> str:
                     word = "easier" if here > theirs else "harder"
                     shown = [f"{here:.3f}", f"{theirs:.3f}", f"{here - theirs:+.3f}"]
                     lines.append([part, f"`{written(condition)}`", COMPARED[measure], *shown, word])
-    if not lines:
-        return ""
     heading = ["part", study.column.replace("_", " "), "measure", "here", "paper", "difference", "ours is"]
-    return f"### {study.name}: level of the parts\n\nMeans over the methods of the medians.\n\n{table(heading, lines)}"
+    text = f"### {study.name}: level of the parts\n\nMeans over the methods of the medians."
+    return section(text, heading, lines)
 
 
 def _effects(rows: "pd.DataFrame", study: _Study, directions: list[Agreement]) -> Iterator[str]:
@@ -244,11 +239,8 @@ def _effects(rows: "pd.DataFrame", study: _Study, directions: list[Agreement]) -
 
 def _differing(found: Sequence[Effect]) -> str:
     """The counts, and those of the effects that have another direction here."""
+    counts = counted(effect.agreement for effect in found)
     differ = [effect for effect in found if effect.agreement == "differ"]
     if differ:
-        return f"Of all directions: {counted(found)}. Those that differ:\n\n{directions_table(differ)}"
-    return f"Of all directions: {counted(found)}.\n"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:g} %"
+        return f"Of all directions: {counts}. Those that differ:\n\n{directions_table(differ)}"
+    return f"Of all directions: {counts}.\n"

@@ -122,9 +122,9 @@ def effects(
     return found
 
 
-def counted(found: Iterable[Effect]) -> str:
-    """`7 agree, 2 differ, 3 undecided` of the effects that the paper has."""
-    every = [effect.agreement for effect in found if effect.agreement is not None]
+def counted(agreements: Iterable[Agreement | None]) -> str:
+    """Write `7 agree, 2 differ, 3 undecided`; None is not in the paper."""
+    every = list(agreements)
     return ", ".join(f"{every.count(name)} {name}" for name in ("agree", "differ", "undecided"))
 
 

@@ -28,6 +28,7 @@ __all__ = [
     "paper_note",
     "percent",
     "refusals",
+    "section",
     "seeds_of",
     "split_table",
     "table",
@@ -79,6 +80,11 @@ def table(heading: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A markdown table."""
     lines = [heading, ["---"] * len(heading), *rows]
     return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines) + "\n"
+
+
+def section(text: str, heading: Sequence[str], lines: Sequence[Sequence[object]]) -> str:
+    """Write a table below its text; nothing without a line."""
+    return f"{text}\n\n{table(heading, lines)}" if lines else ""
 
 
 def only_scored(rows: "pd.DataFrame") -> "pd.DataFrame":
@@ -157,7 +163,7 @@ def _both(ours: float | None, paper: float | None) -> str:
 
 def effects_table(found: Sequence[Effect], title: str) -> str:
     """Directions of an effect, ours and the paper's, with their counts."""
-    return f"{title}: {counted(found)}.\n\n{directions_table(found)}"
+    return f"{title}: {counted(effect.agreement for effect in found)}.\n\n{directions_table(found)}"
 
 
 def directions_table(found: Sequence[Effect]) -> str:
