@@ -46,7 +46,11 @@ def process(kind: str, folder: Path, *options: str) -> Iterator[subprocess.Popen
     started = subprocess.Popen(
         [sys.executable, "-m", f"distributed.cli.dask_{kind}", *options],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(SUPPORT), "PYTHONUNBUFFERED": "1"},
+        env={
+            **os.environ,
+            "PYTHONPATH": f"{SUPPORT}{os.pathsep}{SUPPORT.parents[1]}",
+            "PYTHONUNBUFFERED": "1",
+        },
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         text=True,
