@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
 
@@ -15,14 +15,11 @@ from typer.testing import CliRunner
 from calibration.benchmark import command as evaluate_command
 from calibration.benchmark.evaluation import evaluate, random_trunk
 from calibration.benchmark.presses import PARTS, Sizes, development_trial, part_trial
-from calibration.benchmark.sets import SETS, EvaluationSet, evaluation_sets
+from calibration.benchmark.sets import EvaluationSet, evaluation_sets
 from calibration.benchmark.tables import evaluation_tables
 from calibration.benchmark.trial import Trial
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import open_trunk
-from calibration.simulator.field_of_view import Field, grids
-from calibration.simulator.pose import Pose, sample
-from calibration.simulator.random_parts import random_part
 from edge.cli import build
 from edge.core.errors import ConfigError
 
@@ -107,12 +104,18 @@ def test_trials_spread_over_processes_measure_the_same() -> None:
         assert one[name] == pytest.approx(other[name], abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    "condition", ["plain", "unseen sensor", "worn gel", "marker gel", "residual imprint", "sliding press"]
-)
+CONDITIONS = ("plain", "unseen sensor", "worn gel", "marker gel", "residual imprint", "sliding press")
+
+
+@cache
+def simulated(condition: str) -> Trial:
+    return part_trial("PZ5", condition, FEW)
+
+
+@pytest.mark.parametrize("condition", CONDITIONS)
 def test_simulated_trials_hold_pieces_out(condition: str) -> None:
     """No learnt piece is scored, damaged presses come first and have masks, and the free gel is known."""
-    found = part_trial("PZ5", condition, FEW)
+    found = simulated(condition)
     assert found.nominal.specimens == ("001", "002")
     assert found.frames.shape == (2, 224, 224, 3)
     assert [bool(m.any()) for m in found.masks] == [True, False]
@@ -125,10 +128,7 @@ def test_conditions_differ_where_they_say() -> None:
     """The unseen sensor has other colours, the marker gel dark dots, a worn gel differs when scored, and a residual
     imprint shows on a small part. A sliding press is smeared among the scored presses and not among the learnt ones.
     """
-    plain, sensor, worn, marker, remembering, sliding = (
-        part_trial("PZ5", name, FEW)
-        for name in ("plain", "unseen sensor", "worn gel", "marker gel", "residual imprint", "sliding press")
-    )
+    plain, sensor, worn, marker, remembering, sliding = map(simulated, CONDITIONS)
 
     def free(of: Trial) -> np.ndarray:
         assert of.nominal.no_contact is not None
@@ -152,66 +152,10 @@ def test_development_parts_are_no_analogues() -> None:
     assert np.abs(first.frames[1].astype(float) - second.frames[1]).mean() > 3
 
 
-@pytest.mark.train
-def test_development_parts_are_not_drawn_in_training(tmp_path: Path) -> None:
-    """Training has its own generator and does not call the one of the development parts."""
-    program = """
-import torch
-from calibration.simulator import random_parts
-def forbidden(*args): raise AssertionError('a development part was drawn in training')
-for name in [n for n in vars(random_parts) if n.startswith('_') and callable(getattr(random_parts, n))]:
-    setattr(random_parts, name, forbidden)
-random_parts.random_part = random_parts.RandomPart = forbidden
-from calibration.training.training_pairs import draw_pairs
-draw_pairs(0, 'train', 0, pairs=2, side=64, device=torch.device('cpu'))
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False, cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.train
-def test_development_parts_look_like_none_of_training() -> None:
-    """No height map of 64 training parts correlates above 0.95 with one of the six, at any quarter turn."""
-    import torch
-
-    from calibration.training.random_parts import draw_parts
-    from calibration.training.random_sensors import draws_for
-
-    field = Field((48, 48), (0.3, 0.3))
-    x, y = (torch.tensor(grid.tolist()).expand(64, 48, 48) for grid in grids(field))
-    drawn = draw_parts(draws_for(0, "train", 0, torch.device("cpu")), 64, 14.2).height(x, y)
-    drawn = (drawn - drawn.amax(dim=(1, 2), keepdim=True)).clamp(min=-0.6).numpy().reshape(64, -1)
-    drawn = drawn - drawn.mean(axis=1, keepdims=True)
-    norms = np.linalg.norm(drawn, axis=1) + 1e-9
-    for number in range(6):
-        known = sample(random_part(np.random.default_rng([99, number])), Pose(), field).clip(-0.6)
-        for turn in range(4):
-            flat = np.rot90(known - known.mean(), turn).ravel()
-            assert (drawn @ flat / norms / np.linalg.norm(flat)).max() < 0.95
-
-
-def test_missing_pictures_are_reported(tmp_path: Path) -> None:
-    """A folder that is not given, missing, or without its pictures is a reason or an error, never an empty table."""
-    sets = evaluation_sets(None)
-    assert tuple(sets) == SETS
-    assert sets["real-touch"].missing == "no folder of real tactile frames was given (--tactile)"
-    assert "does not exist" in evaluation_sets(tmp_path / "nowhere")["real-touch"].missing
-    with pytest.raises(ValueError, match="trials or a reason"):
-        EvaluationSet("x", "y", ())
-
-
 def test_the_command_writes_prints_and_skips_loudly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One file with every number; tables or JSON on the standard output; skipped sets on the error output."""
-    monkeypatch.setattr(
-        evaluate_command,
-        "_choose_sets",
-        lambda *given: {
-            "squares": SQUARES,
-            "none": EvaluationSet("None", "Nothing.", (), missing="it was not there"),
-        },
-    )
+    sets = {"squares": SQUARES, "none": EvaluationSet("None", "Nothing.", (), missing="it was not there")}
+    monkeypatch.setattr(evaluate_command, "_choose_sets", lambda *given: sets)
     words = ["lab", "evaluate-backbone", str(tmp_path), "trained=tactile_resnet18", "--replicates", "0"]
     words += ["--method", "padim"]
     done = CliRunner().invoke(build(), [*words, "--no-random"], catch_exceptions=False)

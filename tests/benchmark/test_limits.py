@@ -5,13 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.benchmark.evaluation import (
-    evaluate,
-    fit_limits,
-    is_on_damage,
-    limit_columns,
-    random_trunk,
-)
+from calibration.benchmark.evaluation import evaluate, fit_limits, is_on_damage, limit_columns, random_trunk
 from calibration.benchmark.sets import EvaluationSet
 from calibration.benchmark.trial import Trial
 from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -72,24 +66,19 @@ def test_a_peak_is_found_within_six_pixels() -> None:
     """On the damage and 6 pixels from it, not at 7, and never without damage."""
     masks = np.zeros((4, 32, 32), np.bool_)
     masks[:3, 10:14, 10:14] = True
-    assert is_on_damage(peaked([(11, 11), (19, 13), (20, 13), (11, 11)]), masks).tolist() == [
-        True,
-        True,
-        False,
-        False,
-    ]
+    found = is_on_damage(peaked([(11, 11), (19, 13), (20, 13), (11, 11)]), masks)
+    assert found.tolist() == [True, True, False, False]
 
 
 def noisy(alpha: float | None) -> Trial:
     """Sixteen noisy grey presses to learn; four more sound, four with a black square, two white ones, two noisy."""
     rng = np.random.default_rng(0)
-    frames, masks = rng.integers(110, 140, (12, 64, 64, 3), dtype=np.uint8), np.zeros((12, 64, 64), np.bool_)
+    noise = rng.integers(110, 140, (28, 64, 64, 3), dtype=np.uint8)
+    frames, masks = noise[:12], np.zeros((12, 64, 64), np.bool_)
     masks[4:8, 24:40, 24:40] = True
     frames[masks] = 0
     frames[8:10] = 255
-    nominal = NominalPresses(
-        rng.integers(110, 140, (16, 64, 64, 3), dtype=np.uint8), tuple(map(str, range(16)))
-    )
+    nominal = NominalPresses(noise[12:], tuple(map(str, range(16))))
     kind = np.repeat([0, 1, 2], [8, 2, 2])
     return Trial("noisy", nominal, frames, masks, kind == 1, kind == 2, alpha)
 
@@ -99,11 +88,10 @@ def test_the_evaluation_fits_the_limit_where_a_rate_is_stated() -> None:
     alone.
     """
     rows = {}
+    trunk = {"random": random_trunk()}
     for alpha, limits in ((0.05, True), (None, True), (0.05, False)):
-        chosen = EvaluationSet("Noisy", "Squares.", (lambda alpha=alpha: noisy(alpha),))
-        found = evaluate(
-            {"random": random_trunk()}, {"noisy": chosen}, ("padim",), replicates=4, limits=limits
-        )
+        chosen = {"noisy": EvaluationSet("Noisy", "Squares.", (lambda alpha=alpha: noisy(alpha),))}
+        found = evaluate(trunk, chosen, ("padim",), replicates=4, limits=limits)
         rows[alpha, limits] = found["sets"]["noisy"]["rows"][0]["measures"]
     measures = {name: measure["value"] for name, measure in rows[0.05, True].items()}
     assert measures["detected"] == measures["peak_found"] == measures["image_auroc"] == 1

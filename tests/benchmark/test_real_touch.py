@@ -5,28 +5,22 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from calibration.benchmark import command, real_touch
 from calibration.benchmark.real_touch import EDITS, OBJECTS, real_touch_trial
-from calibration.benchmark.sets import SENSORS, SETS, evaluation_sets
+from calibration.benchmark.sets import SENSORS, SETS, EvaluationSet, evaluation_sets
 from calibration.benchmark.touch_edits import dots
 from calibration.benchmark.trial import REGION
-from edge.cli import build
 from edge.core.errors import DatasetError
 
 DEVELOPMENT, JUDGEMENT = SENSORS["real-touch"], SENSORS["real-touch-judgement"]
 
 
 def test_sensors_are_apart() -> None:
-    """No sensor is in both sets, every object's sensor is in one."""
+    """No sensor is in both sets, every object's sensor is in one, with a licence; GPL frames are not for training."""
     assert set(SENSORS) == {"real-touch", "real-touch-judgement"}
     assert not DEVELOPMENT.keys() & JUDGEMENT.keys()
     assert {chosen.sensor for chosen in OBJECTS} == DEVELOPMENT.keys() | JUDGEMENT.keys()
-
-
-def test_every_sensor_states_its_licence() -> None:
-    """A licence for each, and those whose licence forbids closed use are not for training."""
     for licence in (*DEVELOPMENT.values(), *JUDGEMENT.values()):
         assert licence.startswith(("MIT", "GPL-3.0; measured, never trained on"))
 
@@ -44,8 +38,11 @@ def test_judgement_is_opened_on_request_alone(tmp_path: Path) -> None:
 
 def test_missing_frames_are_a_sentence(tmp_path: Path) -> None:
     """No folder, a folder without a sensor, a sensor without presses: said, never an empty table."""
-    assert "real-touch" in SETS
+    assert tuple(evaluation_sets(None)) == SETS
     assert evaluation_sets(None)["real-touch"].missing.endswith("(--tactile)")
+    assert "does not exist" in evaluation_sets(tmp_path / "nowhere")["real-touch"].missing
+    with pytest.raises(ValueError, match="trials or a reason"):
+        EvaluationSet("x", "y", ())
     (tmp_path / "rpl-cmu__gelslam").mkdir()
     found = evaluation_sets(tmp_path)["real-touch"].missing
     assert found.startswith("no frames of skleff1994__gs_sdk, gelsightinc__gsrobotics")
@@ -53,15 +50,6 @@ def test_missing_frames_are_a_sentence(tmp_path: Path) -> None:
     for name in ("ball 6.31 mm, anywhere", "finger on a marker gel"):
         with pytest.raises(DatasetError, match=r"fetch (them|it) again"):
             real_touch_trial(tmp_path, name)
-
-
-def test_a_skipped_set_is_announced(tmp_path: Path) -> None:
-    """The command says on the error output that nothing was measured and why."""
-    (tmp_path / "frames").mkdir()
-    words = ["lab", "evaluate-backbone", str(tmp_path / "out"), "--set", "real-touch", "--no-random"]
-    words += ["--tactile", str(tmp_path / "frames")]
-    done = CliRunner().invoke(build(), words, catch_exceptions=False)
-    assert "SKIPPED: Real touch, for development: no frames of rpl-cmu__gelslam" in done.stderr
 
 
 @pytest.mark.parametrize("chosen", OBJECTS, ids=lambda chosen: chosen.name)

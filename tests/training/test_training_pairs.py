@@ -187,12 +187,12 @@ def test_the_window_keeps_its_width_in_mm() -> None:
 
 
 def test_no_evaluated_part_scene_or_sensor_is_drawn(tmp_path: Path) -> None:
-    """While training draws, no scene file is opened and no part, defect or sensor of evaluation is touched."""
+    """While training draws, no scene file is opened and no part, defect, sensor or development part is touched."""
     program = """
 import sys
 opened = []
 sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == 'open' else None)
-from calibration.simulator import defects, parts, sensor_appearance
+from calibration.simulator import defects, parts, random_parts, sensor_appearance
 def forbidden(*args, **kwargs):
     raise AssertionError('evaluation geometry was drawn in training')
 class Guarded(dict):
@@ -201,6 +201,9 @@ parts.PARTS = Guarded(); defects.DEFECTS = Guarded()
 for name in ('_thread', '_connector', '_grooves', '_bracket', '_pinion', 'specimen'):
     assert hasattr(parts, name)
     setattr(parts, name, forbidden)
+for name in [n for n in vars(random_parts) if n.startswith('_') and callable(getattr(random_parts, n))]:
+    setattr(random_parts, name, forbidden)
+random_parts.random_part = random_parts.RandomPart = forbidden
 asked = []
 class Units(dict):
     def __getitem__(self, name):
@@ -222,22 +225,21 @@ assert not [name for name in opened if '/scenes/' in name], opened
 
 
 def test_random_parts_are_not_the_evaluated_ones() -> None:
-    """Of 64 random parts none has an analogue's height map: all correlate below 0.95 at any quarter turn."""
+    """Of 64 random parts none has the height map of an analogue or of one of six development parts: all correlate below
+    0.95 at any quarter turn."""
     from calibration.simulator.parts import PARTS
     from calibration.simulator.pose import Pose, sample
+    from calibration.simulator.random_parts import random_part
 
     field = Field((48, 48), (0.3, 0.3))
-    x, y = (torch.tensor(grid.tolist()) for grid in grids(field))
-    drawn = draw_parts(draws_for(0, "train", 0, CPU), 64, 14.2).height(
-        x.expand(64, 48, 48), y.expand(64, 48, 48)
-    )
-    drawn = (drawn - drawn.amax(dim=(1, 2), keepdim=True)).clamp(min=-0.6).numpy()
-    drawn = drawn.reshape(64, -1) - drawn.reshape(64, -1).mean(axis=1, keepdims=True)
+    x, y = (torch.tensor(grid.tolist()).expand(64, 48, 48) for grid in grids(field))
+    drawn = draw_parts(draws_for(0, "train", 0, CPU), 64, 14.2).height(x, y)
+    drawn = (drawn - drawn.amax(dim=(1, 2), keepdim=True)).clamp(min=-0.6).numpy().reshape(64, -1)
+    drawn = drawn - drawn.mean(axis=1, keepdims=True)
     norms = np.linalg.norm(drawn, axis=1) + 1e-9
-    for part in PARTS.values():
-        for geometry in part.positions.values():
-            known = sample(geometry, Pose(), field).clip(-0.6)
-            for turn in range(4):
-                flat = np.rot90(known - known.mean(), turn).ravel()
-                likeness = drawn @ flat / norms / np.linalg.norm(flat)
-                assert likeness.max() < 0.95
+    evaluated = [geometry for part in PARTS.values() for geometry in part.positions.values()]
+    for geometry in evaluated + [random_part(np.random.default_rng([99, number])) for number in range(6)]:
+        known = sample(geometry, Pose(), field).clip(-0.6)
+        for turn in range(4):
+            flat = np.rot90(known - known.mean(), turn).ravel()
+            assert (drawn @ flat / norms / np.linalg.norm(flat)).max() < 0.95
