@@ -8,7 +8,6 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from edge import registry
 from edge.core.errors import ConfigError
 from plugins.backbones.efficientnet_lite0 import (
     BLOCKS,
@@ -38,12 +37,6 @@ def run(trunk: bytes, rgb: np.ndarray[Any, Any]) -> dict[str, np.ndarray[Any, An
     session = ort.InferenceSession(trunk, providers=["CPUExecutionProvider"])
     names = [output.name for output in session.get_outputs()]
     return dict(zip(names, session.run(names, {"frames": rgb}), strict=True))
-
-
-@pytest.mark.parametrize("name", ["efficientnet_lite0", "wide_resnet50_2_random"])
-def test_it_has_a_name(name: str) -> None:
-    """Studies find it in the registry."""
-    assert registry.backbone(name).name == name
 
 
 def test_lite0_answers_as_every_trunk_does(package: str) -> None:
@@ -141,7 +134,7 @@ def test_another_file_of_the_same_name_is_refused(tmp_path: Path, monkeypatch: p
 
 
 def test_random_weights_say_that_they_are_random() -> None:
-    """In the name and in the facts that rows and manifests record; the seed fixes them."""
+    """In the facts that rows and manifests record; the seed fixes them."""
     assert wide_resnet50_2_random.facts()["weights"] == "random weights, seed 0"
     first, again, other = (RandomBackbone("r", "resnet18", seed).trunk(("relu",)) for seed in (0, 0, 1))
     assert first == again != other

@@ -15,7 +15,6 @@ from calibration.training.package import MOST_BYTES
 from calibration.training.train_config import TrainConfig
 from edge import registry
 from edge.core.errors import ConfigError
-from plugins.backbones import tactile
 from plugins.backbones.tactile import TactileBackbone, tactile_resnet18, tactile_resnet18_int8
 
 ROOT = Path(__file__).parents[2]
@@ -47,16 +46,11 @@ def test_it_answers_as_every_trunk_does(backbone: TactileBackbone) -> None:
     assert all(np.isfinite(m).all() and m.min() >= 0 < m.max() for m in maps)
 
 
-def test_other_taps_are_refused() -> None:
-    """An unknown tap is named, with the known ones."""
+def test_what_is_not_there_is_refused() -> None:
+    """An unknown tap, with the known ones, and a file that this installation lacks."""
     assert tactile_resnet18.trunk(("layer2",)) == tactile_resnet18.trunk()
     with pytest.raises(ConfigError, match=r"gives layer1, layer2, layer3, requested were layer4"):
         tactile_resnet18.trunk(("layer2", "layer4"))
-
-
-def test_a_missing_file_is_a_sentence() -> None:
-    """An installation without the weights says so."""
-    tactile.read_file.cache_clear()
     with pytest.raises(ConfigError, match=r"'nowhere\.onnx' is missing from this installation"):
         TactileBackbone("nowhere").trunk()
 

@@ -10,13 +10,12 @@ import cv2
 import numpy as np
 import onnxruntime as ort
 import pytest
-from typer.testing import CliRunner
+from command_line import gelgate
 
 from calibration.fitting.trunks import open_trunk
 from calibration.training.joined_trunk import TACTILE_SCALE, main
 from calibration.training.package import MOST_BYTES
 from edge import registry
-from edge.cli import build
 from edge.core.errors import ConfigError
 from plugins.backbones.efficientnet_lite0 import PACKAGE, efficientnet_lite0
 from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD
@@ -54,7 +53,12 @@ def test_it_is_installed_with_the_bytes_of_its_facts() -> None:
 
 
 def test_it_answers_as_every_trunk_does() -> None:
-    """Frames uint8 to taps at strides 4, 8 and 16; another tap is refused."""
+    """Frames uint8 to taps at strides 4, 8 and 16; another tap is refused. Cut after layer1, what the detectors read by
+    default, it is smaller than the default cut there."""
+    small, usual = (
+        len(open_trunk(name, ("layer1",)).graph) for name in ("tactile_lite0", "tactile_resnet18")
+    )
+    assert small < usual
     assert [one.shape for one in run(tactile_lite0.trunk())] == [
         (2, 64 + 24, 16, 24),
         (2, 40, 8, 12),
@@ -62,13 +66,6 @@ def test_it_answers_as_every_trunk_does() -> None:
     ]
     with pytest.raises(ConfigError, match="gives layer1, layer2, layer3, requested were layer4"):
         tactile_lite0.trunk(("layer4",))
-
-
-def test_a_fit_on_layer1_carries_no_deeper_layer() -> None:
-    """Cut after layer1, what the detectors read by default, it is smaller than the default cut there."""
-    assert len(open_trunk("tactile_lite0", ("layer1",)).graph) < len(
-        open_trunk("tactile_resnet18", ("layer1",)).graph
-    )
 
 
 @pytest.mark.train
@@ -113,11 +110,16 @@ def test_its_other_channels_are_those_of_efficientnet_lite0(package: None) -> No
     assert np.array_equal(found[2], third)
 
 
-def test_it_is_made_again_from_its_parts(package: None, tmp_path: Path) -> None:
-    """The command writes the trunk that ships, with the facts that ship."""
+def test_it_is_made_again_from_its_parts(
+    package: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command writes the trunk that ships, with the facts that ship; a folder that cannot be written is named."""
     assert main([str(tmp_path / "made")]) == 0
     assert json.loads((tmp_path / "made" / "tactile_lite0.json").read_text()) == FACTS
     assert (tmp_path / "made" / "tactile_lite0.onnx").read_bytes() == tactile_lite0.trunk()
+    (tmp_path / "file").touch()
+    assert main([str(tmp_path / "file")]) == 3
+    assert "file" in capsys.readouterr().err
 
 
 def test_a_detector_is_fitted_on_it(tmp_path: Path) -> None:
@@ -126,24 +128,15 @@ def test_a_detector_is_fitted_on_it(tmp_path: Path) -> None:
     for k in range(5):
         frame = np.random.default_rng(k).integers(90, 160, (240, 320, 3), dtype=np.uint8)
         cv2.imwrite(str(tmp_path / "good" / f"{k}.png"), frame)
-    bundle = str(tmp_path / "bundle")
-    fit = ["fit", str(tmp_path / "good"), "-o", bundle, "--part", "bolt", "--backbone", "tactile_lite0"]
-    fit += ["--region", "96,64,96x96"]
-    for words in (fit, ["bundle", "verify", bundle]):
-        done = CliRunner().invoke(build(), words, catch_exceptions=False)
-        assert done.exit_code == 0, done.output
-    shown = CliRunner().invoke(build(), ["bundle", "inspect", bundle]).output
+    bundle, region = tmp_path / "bundle", ("--region", "96,64,96x96")
+    fit = gelgate(
+        "fit", tmp_path / "good", "-o", bundle, "--part", "bolt", "--backbone", "tactile_lite0", *region
+    )
+    assert fit.code == 0, fit.err
+    assert gelgate("bundle", "verify", bundle).code == 0
+    shown = gelgate("bundle", "inspect", bundle).out
     assert "tactile_lite0" in shown
     assert "weights Apache-2.0" in shown
-
-
-def test_a_folder_that_cannot_be_written_is_a_sentence(
-    package: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Exit code 3, and the path that refused."""
-    (tmp_path / "file").touch()
-    assert main([str(tmp_path / "file")]) == 3
-    assert "file" in capsys.readouterr().err
 
 
 def aupro(set_name: str, backbone: str) -> dict[tuple[str, str], float]:

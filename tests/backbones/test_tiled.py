@@ -74,12 +74,6 @@ def test_the_full_frame_needs_nothing_of_its_own() -> None:
     assert largest_error(head_scores(padim, parameters, features, bank, grid), oracle) < 1e-4
 
 
-def test_a_region_of_another_size_is_refused() -> None:
-    """A trunk tiled for 160x96 does not fit a region of 64x64, and the error names both."""
-    with pytest.raises(FitError, match=r"\(96, 160\).*\(64, 64\)"):
-        trunk_grid(session(tile_trunk(PLAIN, TILES)), TAPS[:3], (64, 64), 15.77)
-
-
 def test_neighbours_end_at_a_tile() -> None:
     """The 3x3 neighbourhood of a cell at a seam repeats it instead of reading from the next tile."""
     trunk = session(tile_trunk(PLAIN, TILES))
@@ -98,8 +92,10 @@ def test_neighbours_end_at_a_tile() -> None:
     assert (moved[:, 16:] == 0).all()
 
 
-def test_only_a_plain_trunk_is_tiled() -> None:
-    """A tiled trunk, and tiles that the strides do not divide, are refused."""
+def test_only_a_plain_trunk_is_tiled_for_its_region() -> None:
+    """A tiled trunk, tiles that the strides do not divide, and a region of another size are refused."""
+    with pytest.raises(FitError, match=r"\(96, 160\).*\(64, 64\)"):
+        trunk_grid(session(tile_trunk(PLAIN, TILES)), TAPS[:3], (64, 64), 15.77)
     with pytest.raises(ConfigError, match="no tiles yet"):
         tile_trunk(tile_trunk(PLAIN, TILES), TILES)
     with pytest.raises(ConfigError, match="multiple of 32"):

@@ -12,6 +12,7 @@ from plugins.backbones.resnet import build_trunk
 from plugins.backbones.topology import list_shapes, list_taps, topology
 
 RESNET18 = random_state("resnet18", 3)
+TAPS = ("layer1", "layer2")
 
 
 def frames(n: int, h: int, w: int) -> np.ndarray:
@@ -68,13 +69,22 @@ def test_the_oracle_is_the_frameworks_network() -> None:
     )
 
 
-def test_the_border_is_normalised_like_the_rest() -> None:
-    """A black frame gives the oracle's features in the corner too: padding is zero after normalising, not before."""
-    rgb = np.zeros((1, 64, 64, 3), np.uint8)
-    found = run(build_trunk(RESNET18, "resnet18", ("relu",)), rgb)["relu"]
-    expected = forward(RESNET18, "resnet18", normalise(rgb), ("relu",))["relu"]
-    np.testing.assert_allclose(found[..., :2, :2], expected[..., :2, :2], rtol=1e-4, atol=1e-5)
-    assert np.abs(expected[..., 0, 0] - expected[..., 5, 5]).max() > 0.01
+@pytest.mark.parametrize(
+    ("change", "frame"),
+    [
+        ({}, np.zeros((1, 64, 64, 3), np.uint8)),
+        ({"bn1.running_var": np.zeros(64, np.float32)}, frames(1, 32, 32)),
+    ],
+    ids=["black frame", "dead channel"],
+)
+def test_borders_and_dead_channels_are_the_oracles(change: dict[str, np.ndarray], frame: np.ndarray) -> None:
+    """Padding is zero after normalising, not before, which a black frame's corner shows; variance 0 is legal, because
+    the norm adds its epsilon."""
+    state = {**RESNET18, **change}
+    found = run(build_trunk(state, "resnet18", ("relu",)), frame)["relu"]
+    expected = forward(state, "resnet18", normalise(frame), ("relu",))["relu"]
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * expected.max())
+    assert change or np.abs(expected[..., 0, 0] - expected[..., 5, 5]).max() > 0.01
 
 
 def test_one_graph_serves_every_size_and_batch() -> None:
@@ -115,66 +125,27 @@ def test_half_precision_storage_halves_the_file() -> None:
     assert np.abs(a - b).max() < 5e-3 * np.abs(a).max()
 
 
-def test_half_precision_refuses_what_it_cannot_hold() -> None:
-    """A folded weight beyond 65504 is refused with its size instead of becoming infinite."""
-    state = dict(RESNET18)
-    state["bn1.weight"] = np.full(64, 1e7, np.float32)
-    with pytest.raises(ConfigError, match="exceeds float16"):
-        build_trunk(state, "resnet18", ("relu",), weights="float16")
-
-
-def test_a_dead_channel_folds_without_dividing_by_zero() -> None:
-    """Variance 0 is legal, because the norm adds its epsilon."""
-    state = dict(RESNET18)
-    state["bn1.running_var"] = np.zeros(64, np.float32)
-    rgb = frames(1, 32, 32)
-    found = run(build_trunk(state, "resnet18", ("relu",)), rgb)["relu"]
-    expected = forward(state, "resnet18", normalise(rgb), ("relu",))["relu"]
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * expected.max())
-
-
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "name", "taps", "says"),
     [
-        ({"drop": "layer2.0.conv1.weight"}, "1 missing .layer2.0.conv1.weight."),
-        ({"add": "head.weight"}, "1 unexpected .head.weight."),
-        ({"reshape": "conv1.weight"}, "1 wrongly shaped .conv1.weight"),
-        ({"spoil": "bn1.bias"}, "not finite, in bn1.bias"),
+        ({"layer2.0.conv1.weight": None}, "resnet18", TAPS, "1 missing .layer2.0.conv1.weight."),
+        ({"head.weight": np.zeros(3, np.float32)}, "resnet18", TAPS, "1 unexpected .head.weight."),
+        ({"conv1.weight": RESNET18["conv1.weight"][:5]}, "resnet18", TAPS, "1 wrongly shaped .conv1.weight"),
+        ({"bn1.bias": np.full(64, np.nan, np.float32)}, "resnet18", TAPS, "not finite, in bn1.bias"),
+        ({"bn1.weight": np.full(64, 1e7, np.float32)}, "resnet18", ("relu",), "exceeds float16"),
+        ({}, "resnet50", TAPS, r"not a resnet50 .* missing"),
+        ({}, "resnet34", TAPS, "wide_resnet50_2"),
+        *(({}, "resnet18", taps, "tap") for taps in ((), ("layer1", "layer1"), ("layer9",), ("layer1.7",))),
     ],
 )
-def test_foreign_weights_are_refused_by_name(change: dict[str, str], says: str) -> None:
-    """Missing, unexpected, wrongly shaped and non-finite weights are each named in one sentence."""
-    state = dict(RESNET18)
-    for act, key in change.items():
-        if act == "drop":
-            del state[key]
-        elif act == "add":
-            state[key] = np.zeros(3, np.float32)
-        elif act == "reshape":
-            state[key] = state[key][:5]
-        else:
-            state[key] = state[key] * np.float32(np.nan)
+def test_what_is_no_trunk_is_refused(
+    change: dict[str, np.ndarray | None], name: str, taps: tuple[str, ...], says: str
+) -> None:
+    """Foreign, missing and wrong weights by name; those of another network; what half precision cannot hold; no tap, a
+    repeated or an unknown one."""
+    state = {key: value for key, value in {**RESNET18, **change}.items() if value is not None}
     with pytest.raises(ConfigError, match=says):
-        build_trunk(state, "resnet18")
-
-
-def test_weights_of_another_network_are_refused() -> None:
-    """resnet18's weights as a resnet50: refused, and the error says what is missing."""
-    with pytest.raises(ConfigError, match=r"not a resnet50 .* missing"):
-        build_trunk(RESNET18, "resnet50")
-
-
-@pytest.mark.parametrize("taps", [(), ("layer1", "layer1"), ("layer9",), ("layer1.7",)])
-def test_unknown_taps_are_refused(taps: tuple[str, ...]) -> None:
-    """No tap, a repeated tap, or one that the network lacks: refused."""
-    with pytest.raises(ConfigError, match="tap"):
-        build_trunk(RESNET18, "resnet18", taps)
-
-
-def test_unknown_topologies_are_refused() -> None:
-    """The known ones are listed."""
-    with pytest.raises(ConfigError, match="wide_resnet50_2"):
-        build_trunk(RESNET18, "resnet34")
+        build_trunk(state, name, taps, weights="float16")
 
 
 def test_wide_resnet_has_the_published_size() -> None:

@@ -1,19 +1,19 @@
 """`gelgate evaluate` on the smallest bundle and a dataset whose scores can be worked by hand."""
 
 import json
-import sys
+import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import tiny
+from command_line import gelgate
 
 from calibration.evaluate.report import as_json, as_table, write_atomically
 from calibration.evaluate.scoring import Evaluation, evaluate_bundle
 from calibration.evaluate.sheet import draw_sheet
 from calibration.progress import progress
-from edge import cli
 from edge.core.errors import DatasetError, GelgateError
 from edge.model.bundle_writer import write_bundle
 from edge.model.manifest import Provenance, ToleranceEntry
@@ -58,9 +58,13 @@ def run(at: Path, dataset: Path, **changes: object) -> Evaluation:
     return evaluate_bundle(at, dataset, show=progress, **(options | changes))  # type: ignore[arg-type]
 
 
-def test_bright_squares_are_found_exactly(tmp_path: Path, dataset: Path) -> None:
+@pytest.fixture
+def evaluation(tmp_path: Path, dataset: Path) -> Evaluation:
+    return run(bundle(tmp_path, threshold=0.1), dataset)
+
+
+def test_bright_squares_are_found_exactly(evaluation: Evaluation) -> None:
     """The one cell that differs is the mask: every measure is 1, no false alarm at 0.1, no miss."""
-    evaluation = run(bundle(tmp_path, threshold=0.1), dataset)
     values = {m.name: m.value for m in evaluation.measures}
     assert values == pytest.approx(dict.fromkeys(values, 1.0))
     assert (evaluation.false_alarms, evaluation.misses) == (0, 0)
@@ -121,9 +125,9 @@ def test_fitted_presses_are_left_out(tmp_path: Path, dataset: Path) -> None:
         run(bundle(tmp_path / "all", everything), dataset)
 
 
-def test_reports(tmp_path: Path, dataset: Path) -> None:
-    """The table names every measure; the JSON has one entry per press and no absolute path; the sheet is a picture."""
-    evaluation = run(bundle(tmp_path, threshold=0.1), dataset)
+def test_reports(tmp_path: Path, evaluation: Evaluation) -> None:
+    """The table names every measure; the JSON has one entry per press and no absolute path; the sheet is a picture
+    whose legend is the ramp from nothing to twice the threshold in the station's colour map."""
     table = as_table(evaluation)
     assert "aupro_fpr01" in table
     assert "0 of 6 good presses fail, 0 of 4 defective ones pass" in table
@@ -134,27 +138,16 @@ def test_reports(tmp_path: Path, dataset: Path) -> None:
     sheet = cv2.imdecode(np.frombuffer(draw_sheet(evaluation), np.uint8), cv2.IMREAD_COLOR)
     assert sheet is not None
     assert sheet.shape == (4 * 274 + 52, 8 * 224, 3)
-
-
-def test_the_sheet_has_the_colours_of_the_published_pictures(tmp_path: Path, dataset: Path) -> None:
-    """Its legend is the ramp from nothing to twice the threshold in the station's colour map."""
-    evaluation = run(bundle(tmp_path, threshold=0.1), dataset)
-    sheet = cv2.imdecode(np.frombuffer(draw_sheet(evaluation), np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1]
-
     expected = paint_scores(np.linspace(0, FULL_SCALE, 448, dtype=np.float32)[None])[0]
-    ramp = sheet[4 * 274 + 12, 8 : 8 + 448]
-    ticks = (ramp != expected).any(axis=1)
+    ticks = (sheet[4 * 274 + 12, 8 : 8 + 448, ::-1] != expected).any(axis=1)
     assert ticks.sum() <= 10  # five ticks of two pixels
     assert not ticks[100:110].any()
 
 
 def test_only_good_presses_give_reasons(tmp_path: Path, dataset: Path) -> None:
     """Without defective presses the measures are undefined, and the table and JSON say why."""
-    for name in ("dent",):
-        for path in (dataset / "test" / name).iterdir():
-            path.unlink()
-        for path in (dataset / "ground_truth" / name).iterdir():
-            path.unlink()
+    shutil.rmtree(dataset / "test" / "dent")
+    shutil.rmtree(dataset / "ground_truth" / "dent")
     evaluation = run(bundle(tmp_path), dataset)
     assert "no defective press" in as_table(evaluation)
     assert json.loads(as_json(evaluation))["measures"]["image_auroc"]["value"] is None
@@ -168,27 +161,24 @@ def test_another_size_is_refused(tmp_path: Path, dataset: Path) -> None:
         run(bundle(tmp_path), dataset)
 
 
-def test_command_line(
-    tmp_path: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The verb prints the table and writes both files; a wrong part exits with 3 and names what there is."""
-    at = bundle(tmp_path, threshold=0.1)
+def test_command_line(tmp_path: Path, dataset: Path) -> None:
+    """The verb prints the table and writes both files; a wrong part exits with 3 and names what there is; a report that
+    cannot be written is refused before anything is scored."""
     out, sheet = tmp_path / "out.json", tmp_path / "sheet.png"
-    words = ["gelgate", "evaluate", str(at), str(dataset), "--bootstrap", "20", "--position", "test"]
-    monkeypatch.setattr(sys, "argv", [*words, "--json", str(out), "--sheet", str(sheet)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 0
-    captured = capsys.readouterr()
-    assert "image_auroc" in captured.out
-    assert "scoring presses: 10 of 10" in captured.err
+    at = bundle(tmp_path, threshold=0.1)
+    words = "evaluate", at, dataset, "--bootstrap", "20", "--position", "test"
+    done = gelgate(*words, "--json", out, "--sheet", sheet)
+    assert done.code == 0
+    assert "image_auroc" in done.out
+    assert "scoring presses: 10 of 10" in done.err
     assert json.loads(out.read_text())["schema_version"] == 1
     assert sheet.stat().st_size > 1000
-    monkeypatch.setattr(sys, "argv", [*words, "--part", "nut"])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 3
-    assert "it has bolt/test" in capsys.readouterr().err
+
+    other = gelgate(*words, "--part", "nut")
+    assert (other.code, "it has bolt/test" in other.err) == (3, True)
+    nowhere = gelgate("evaluate", at, dataset, "--json", tmp_path / "no" / "x.json")
+    assert (nowhere.code, "name a file in an existing folder" in nowhere.err) == (3, True)
+    assert "scoring presses" not in nowhere.err
 
 
 def test_a_file_is_whole_or_absent(tmp_path: Path) -> None:
@@ -197,24 +187,3 @@ def test_a_file_is_whole_or_absent(tmp_path: Path) -> None:
         write_atomically(tmp_path / "nowhere" / "out.json", b"{}")
     write_atomically(tmp_path / "out.json", b"{}")
     assert [p.name for p in tmp_path.iterdir()] == ["out.json"]
-
-
-def test_a_report_that_cannot_be_written_is_refused_before_anything_is_scored(
-    tmp_path: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A missing folder is reported at once, not after minutes of scoring."""
-    words = [
-        "gelgate",
-        "evaluate",
-        str(bundle(tmp_path)),
-        str(dataset),
-        "--json",
-        str(tmp_path / "no" / "x.json"),
-    ]
-    monkeypatch.setattr(sys, "argv", words)
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 3
-    stderr = capsys.readouterr().err
-    assert "name a file in an existing folder" in stderr
-    assert "scoring presses" not in stderr

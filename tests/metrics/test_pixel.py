@@ -68,14 +68,6 @@ def test_weightings_without_a_class_are_nan() -> None:
     assert np.isnan(table.auroc).tolist() == [True, False]
 
 
-def test_one_class_is_none() -> None:
-    """Image AUROC and average precision of one class are undefined."""
-    scores = np.arange(3.0)
-    for label in (np.ones(3, bool), np.zeros(3, bool)):
-        assert auroc(scores, label) is None
-        assert average_precision(scores, label) is None
-
-
 def plain_aupimo(maps: list[Array], masks: list[Array], bounds: tuple[float, float]) -> list[float]:
     """For many rates on the log axis: the lowest threshold whose good rate does not exceed it, then the recall."""
     good = [m for m, k in zip(maps, masks, strict=True) if not k.any()]
@@ -131,11 +123,13 @@ def test_the_values_are_those_of_all_pixels(seed: int, levels: int, limit: float
 
 @pytest.mark.parametrize("is_defect", [True, False])
 def test_one_class_has_no_measure(is_defect: bool) -> None:
-    """Undefined is None, for every limit."""
-    maps = np.zeros((2, 3, 3), np.float32)
-    found = pool_measures(maps, np.full(maps.shape, is_defect), (0.01, 0.05))
+    """Undefined is None, for every limit, of images as of pixels."""
+    masks = np.full((2, 3, 3), is_defect)
+    found = pool_measures(np.zeros(masks.shape, np.float32), masks, (0.01, 0.05))
 
     assert (found.auroc, found.average_precision, found.aupro) == (None, None, (None, None))
+    assert auroc(np.arange(3.0), masks[0, 0]) is None
+    assert average_precision(np.arange(3.0), masks[0, 0]) is None
 
 
 @pytest.mark.parametrize("limit", [0.0, 1.1])

@@ -28,36 +28,22 @@ def test_held_out_presses_are_predicted(made: Calibrated) -> None:
     """Of a change of 15 levels and more less than 4 are left, rms: noise, grain and compression."""
     assert [one.name for one in made.judged] == ["0", "1", "2", "3", "4", "5"]
     assert min(one.signal for one in made.judged) > 15
-    assert made.sensor.fitted is not None
-    assert made.sensor.fitted.inside_levels < 4
-    assert made.sensor.fitted.outside_levels < 2
+    fitted = made.sensor.fitted
+    assert fitted is not None
+    assert fitted.inside_levels < 4
+    assert fitted.outside_levels < 2
+    assert (fitted.presses, fitted.ball_radius_mm) == (6, RADIUS_MM)
+    assert (made.warnings, made.left_out) == ((), {})
 
 
-def test_the_response_is_recovered(made: Calibrated) -> None:
-    """Red to a vertical slope and green to a horizontal one, at the view's centre, within a tenth."""
-    found = np.array(made.sensor.slope_response)
-    assert found[0, 6] == pytest.approx(UNSEEN.slope_response[0, 6], rel=0.1)
-    assert found[1, 0] == pytest.approx(UNSEEN.slope_response[1, 0], rel=0.1)
-
-
-def test_what_a_raised_gel_adds_is_recovered(made: Calibrated) -> None:
-    """15, 6 and 12 levels per mm, within 8: a ball's flat pole shows it, over half a millimetre."""
-    found = np.array(made.sensor.height_response)[:, 0]
-    assert found == pytest.approx([15, 6, 12], abs=8)
-
-
-def test_the_free_gel_is_recovered(made: Calibrated) -> None:
-    """The polynomial of the free gel gives the same picture within 2 levels."""
+def test_the_sensor_is_recovered(made: Calibrated) -> None:
+    """Red to a vertical slope and green to a horizontal one, at the view's centre, within a tenth; what a raised gel
+    adds, 15, 6 and 12 levels per mm, within 8, for a ball's flat pole shows it; the free gel within 2 levels."""
+    response = np.array(made.sensor.slope_response)
+    assert response[[0, 1], [6, 0]] == pytest.approx(UNSEEN.slope_response[[0, 1], [6, 0]], rel=0.1)
+    assert np.array(made.sensor.height_response)[:, 0] == pytest.approx([15, 6, 12], abs=8)
     own, fitted = (renderer(sensor=one).free_gel() for one in (UNSEEN, made.sensor.appearance))
     assert np.abs(own.astype(np.float32) - fitted).mean() < 2
-
-
-def test_nothing_is_doubtful_about_a_good_fit(made: Calibrated) -> None:
-    """No warning, no press left out, and the file says what it was made from."""
-    assert made.warnings == ()
-    assert made.left_out == {}
-    assert made.sensor.fitted is not None
-    assert (made.sensor.fitted.presses, made.sensor.fitted.ball_radius_mm) == (6, RADIUS_MM)
 
 
 @pytest.fixture(scope="module")

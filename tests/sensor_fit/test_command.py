@@ -9,16 +9,6 @@ from command_line import Outcome, gelgate
 
 from calibration.simulator.sensor_file import read_sensor
 
-SCENE = """version = 1
-name = "mine"
-part = "PZ3"
-positions = ["pos1"]
-effects = ["deformation", "illumination"]
-[nominal]
-specimens = 1
-presses = 1
-"""
-
 
 def calibrate(folder: Path, *more: object) -> Outcome:
     presses, free = folder / "presses", folder / "free.png"
@@ -51,24 +41,18 @@ def test_presses_give_a_sensor_that_is_simulated(folder: Path, tmp_path: Path) -
     assert done.code == 0, done.err
 
 
-def test_without_a_subject_it_is_refused(folder: Path, tmp_path: Path) -> None:
-    """Only the simulator is calibrated, and it is named."""
-    assert calibrate(folder, tmp_path / "a.toml").sentence() == (
-        "nothing to calibrate is named; give --simulator"
-    )
-
-
-def test_an_existing_file_is_kept(folder: Path, tmp_path: Path) -> None:
-    """The sentence names the option that replaces it."""
-    (tmp_path / "a.toml").write_text("mine")
-    assert (
-        "or replace it with --overwrite" in calibrate(folder, tmp_path / "a.toml", "--simulator").sentence()
-    )
-    assert (tmp_path / "a.toml").read_text() == "mine"
-
-
-def test_the_files_name_ends_in_toml(folder: Path, tmp_path: Path) -> None:
-    """A scene tells a file from a name by it."""
-    assert calibrate(folder, tmp_path / "a", "--simulator").sentence() == (
-        "a sensor's file ends in .toml, found 'a'"
-    )
+@pytest.mark.parametrize(
+    ("name", "words", "sentence"),
+    [
+        ("new.toml", (), "nothing to calibrate is named; give --simulator"),
+        ("old.toml", ("--simulator",), "or replace it with --overwrite"),
+        ("a", ("--simulator",), "a sensor's file ends in .toml, found 'a'"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(
+    folder: Path, tmp_path: Path, name: str, words: tuple[str, ...], sentence: str
+) -> None:
+    """Without a subject, over an existing file, and under a name that a scene would not take for a file."""
+    (tmp_path / "old.toml").write_text("mine")
+    assert sentence in calibrate(folder, tmp_path / name, *words).sentence()
+    assert (tmp_path / "old.toml").read_text() == "mine"

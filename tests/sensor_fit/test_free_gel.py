@@ -35,12 +35,8 @@ def test_a_renderer_draws_the_noise_of_its_sensor() -> None:
 
 
 def test_a_marker_gel_differs_from_a_plain_one() -> None:
-    """63 dots are markers; grain and dust are not."""
-    assert has_markers(planes(renderer(markers=True).free_gel()))
+    """7 x 9 dots of 6 pixels radius, with a rim, and no more than a quarter of the view; grain and dust are not."""
+    marked = planes(renderer(markers=True).free_gel())
+    assert has_markers(marked)
     assert not has_markers(planes(renderer().free_gel()))
-
-
-def test_marker_dots_cover_the_dots() -> None:
-    """7 x 9 dots of 6 pixels radius, with a rim, and no more than a quarter of the view."""
-    dots = marker_dots(planes(renderer(markers=True).free_gel()))
-    assert 63 * 36 * np.pi < dots.sum() < 0.25 * dots.size
+    assert 63 * 36 * np.pi < marker_dots(marked).sum() < 0.25 * marked[0].size
