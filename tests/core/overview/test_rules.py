@@ -1,6 +1,7 @@
 """What a still of the overview camera says about a part, and which presses it admits."""
 
 import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -79,23 +80,47 @@ def test_a_code_that_is_no_utf_8_is_not_read_and_ends_nothing() -> None:
     assert reason(looked(still, rules), rules) is Reason.NO_PART_ID
 
 
-def test_the_selected_part_is_admitted_and_another_is_not() -> None:
-    """The code's text is the part; `parts` names it where it differs."""
-    rules = OverviewRules(codes=("apriltag",), parts={"17": "PZ0"})
+EMPTY = np.full((240, 320), 100, np.uint8)
+PART = EMPTY.copy()
+PART[:120, :160] = 180
+TAGS = OverviewRules(codes=("apriltag",), parts={"17": "PZ0", "18": "PZ0"})
+LEFT_HALF, QR = replace(TAGS, zone=Zone(width=0.5)), OverviewRules(codes=("qr",))
+PATTERN = replace(QR, pattern=re.compile(r"(?P<part>[^;]+);\d+"))
+ADMITTED: list[tuple[NDArray[np.uint8], OverviewRules, PartPosition, Reason | None]] = [
+    (with_tag(17), TAGS, PZ0, None),
+    (with_tag(19), TAGS, PZ0, Reason.OTHER_PART),
+    (with_tag(17), TAGS, PZ1, Reason.OTHER_PART),
+    (blank(), TAGS, PZ0, Reason.NO_PART_ID),
+    (np.hstack([with_tag(17), with_tag(18)]), TAGS, PZ0, None),
+    (np.hstack([with_tag(17), with_tag(19)]), TAGS, PZ0, Reason.NO_PART_ID),  # it must be alone in the region
+    (np.hstack([with_tag(17), with_tag(19)]), LEFT_HALF, PZ0, None),  # what waits next to the station
+    (np.hstack([blank(), with_tag(17)]), LEFT_HALF, PZ0, Reason.NO_PART_ID),
+    (with_qr("PZ0;0042"), PATTERN, PZ0, None),
+    (with_qr("PZ1;0042"), PATTERN, PZ0, Reason.OTHER_PART),
+    (with_qr("PZ0"), PATTERN, PZ0, Reason.OTHER_PART),
+    (with_qr("PZ2"), QR, LEFT, None),  # each of its positions: a person has selected it
+    (with_qr("PZ2"), QR, RIGHT, None),
+    (with_qr("PZ2"), QR, PZ0, Reason.OTHER_PART),
+    (PART, OverviewRules(empty=EMPTY), PZ0, None),
+    (EMPTY, OverviewRules(empty=EMPTY), PZ0, Reason.NO_PART),
+    (with_tag(17), replace(TAGS, empty=with_tag(17)), PZ0, None),  # a code that is read is a part
+]
 
-    assert reason(looked(with_tag(17), rules), rules) is None
-    assert reason(looked(with_tag(18), rules), rules) is Reason.OTHER_PART
-    assert reason(looked(with_tag(17), rules), rules, PZ1) is Reason.OTHER_PART
-    assert reason(looked(blank(), rules), rules) is Reason.NO_PART_ID
+
+@pytest.mark.parametrize(("still", "rules", "selected", "expected"), ADMITTED)
+def test_the_selected_part_is_admitted_and_another_is_not(
+    still: NDArray[np.uint8], rules: OverviewRules, selected: PartPosition, expected: Reason | None
+) -> None:
+    """By its code, as a name or by a pattern, alone in the region, and by a change of the empty station."""
+    view = looked(still, rules)
+    assert reason(view, rules, selected) is expected
+    assert rules.empty is None or view.is_present is (expected is None)
 
 
-def test_the_group_part_of_the_pattern_is_the_part() -> None:
-    """A serial number in the same code is no matter; a text without the pattern is another part."""
-    rules = OverviewRules(codes=("qr",), pattern=re.compile(r"(?P<part>[^;]+);\d+"))
-
-    assert reason(looked(with_qr("PZ0;0042"), rules), rules) is None
-    assert reason(looked(with_qr("PZ1;0042"), rules), rules) is Reason.OTHER_PART
-    assert reason(looked(with_qr("PZ0"), rules), rules) is Reason.OTHER_PART
+def test_presence_is_a_share_of_change() -> None:
+    """A quarter of the view is a quarter; brighter light everywhere is no part."""
+    assert share_of_change(PART, EMPTY) == pytest.approx(0.25, abs=0.02)
+    assert share_of_change(EMPTY + np.uint8(40), EMPTY) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -121,55 +146,6 @@ def test_codes_that_name_one_position_select_it(texts: list[str], position: Part
 
     assert rules.choose_position(view, named_by) == position
     assert position is None or reason(view, rules, position) is None
-
-
-@pytest.mark.parametrize("selected", [LEFT, RIGHT])
-def test_a_code_of_a_part_alone_admits_each_of_its_positions(selected: PartPosition) -> None:
-    """The position is then what a person has selected."""
-    rules = OverviewRules(codes=("qr",))
-    view = OverviewView(b"", codes=(Code("qr", "PZ2"),))
-
-    assert reason(view, rules, selected) is None
-    assert reason(view, rules) is Reason.OTHER_PART
-
-
-def test_codes_of_two_parts_admit_none() -> None:
-    """The selected part must be alone in the region."""
-    rules = OverviewRules(codes=("apriltag",), parts={"17": "PZ0", "18": "PZ0"})
-
-    assert reason(looked(np.hstack([with_tag(17), with_tag(18)]), rules), rules) is None
-    assert reason(looked(np.hstack([with_tag(17), with_tag(19)]), rules), rules) is Reason.NO_PART_ID
-
-
-def test_codes_outside_the_region_are_not_seen() -> None:
-    """A part that waits next to the station admits nothing."""
-    rules = OverviewRules(codes=("apriltag",), parts={"17": "PZ0"}, zone=Zone(width=0.5))
-
-    assert reason(looked(np.hstack([with_tag(17), with_tag(19)]), rules), rules) is None
-    assert reason(looked(np.hstack([blank(), with_tag(17)]), rules), rules) is Reason.NO_PART_ID
-
-
-def test_presence_is_a_change_of_the_empty_station() -> None:
-    """A quarter of the view is a quarter; brighter light everywhere is no part."""
-    empty = np.full((240, 320), 100, np.uint8)
-    part = empty.copy()
-    part[:120, :160] = 180
-    rules = OverviewRules(empty=empty)
-
-    assert share_of_change(part, empty) == pytest.approx(0.25, abs=0.02)
-    assert share_of_change(empty + np.uint8(40), empty) == 0.0
-    assert reason(looked(part, rules), rules) is None
-    assert reason(looked(empty, rules), rules) is Reason.NO_PART
-    assert looked(part, rules).is_present is True
-    assert looked(empty, rules).is_present is False
-
-
-def test_a_code_that_is_read_is_a_part() -> None:
-    """Also where the picture of the empty station shows no change."""
-    rules = OverviewRules(codes=("apriltag",), parts={"17": "PZ0"}, empty=with_tag(17))
-
-    assert looked(with_tag(17), rules).is_present is True
-    assert reason(looked(with_tag(17), rules), rules) is None
 
 
 def test_without_a_still_nothing_that_is_asked_for_is_admitted() -> None:
