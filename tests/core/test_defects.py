@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from edge.core.defects import find_defects
+from edge.core.defects import Defect, find_defects
 from edge.core.imaging.known_profiles import profile
+from edge.messaging.result_payload import DefectPlace
 
 
 def test_a_map_below_the_threshold_has_no_defect() -> None:
@@ -50,3 +51,9 @@ def test_the_strongest_part_comes_first_and_diagonals_are_one_part() -> None:
 def test_a_pixel_has_its_size_along_both_axes(name: str, x_mm: float, y_mm: float) -> None:
     """A profile that squeezes the rows has taller pixels: 4/3 at 1280x720."""
     assert profile(name).mm_per_pixel == pytest.approx((x_mm, y_mm))
+
+
+def test_a_defect_is_placed_in_millimetres_along_both_axes() -> None:
+    """Worked by hand, for pixels that are twice as tall as wide."""
+    place = DefectPlace.of(Defect((2, 1, 3, 2), (3.5, 2.0), 6, 5.0), 0.1, 0.2)
+    assert (place.box_mm, place.centroid_mm, place.area_mm2) == ((0.2, 0.2, 0.3, 0.4), (0.35, 0.4), 0.12)
