@@ -1,7 +1,6 @@
 """The package of docs/plugins.md, installed as one of another author, works as the page says."""
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -11,11 +10,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import pytest
+from command_line import gelgate
 from ports import free_port
 from station import press_recording, station_config
 
+from edge import registry
 from edge.clock import ManualClock
 from edge.core.ports import Device, Message, Sink
 from edge.core.sink_context import Station
@@ -25,8 +27,6 @@ from plugins.conformance.device import PERIOD_S, SIZE
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/plugins.md").read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^```(?:python|toml)\n# (\S+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
-MODULES = [name for name in FILES if name.startswith("acme_touch/")]
-MOST_LINES = 40
 
 
 @pytest.fixture(scope="module")
@@ -38,25 +38,16 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (source / name).write_text(text, encoding="utf-8")
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--no-build-isolation"]
     subprocess.run([*pip, "--target", str(site), str(source)], check=True, capture_output=True)
-    (site / "test_acme_touch.py").write_text(FILES["test_acme_touch.py"], encoding="utf-8")
     return site
 
 
 @pytest.fixture
-def acme(site: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def acme(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The installed package can be imported here, too."""
     monkeypatch.syspath_prepend(site)
-    return site
-
-
-def gelgate(site: Path, *arguments: object, at: Path) -> str:
-    """What the installed command prints in a process that sees the package. Errors: AssertionError for a refusal."""
-    done = subprocess.run(
-        [Path(sys.executable).parent / "gelgate", *map(str, arguments)],
-        cwd=at, env=os.environ | {"PYTHONPATH": str(site)}, capture_output=True, text=True,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    registry._points.cache_clear()
+    yield site
+    registry._points.cache_clear()
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -87,39 +78,23 @@ def server(port: int = 0) -> Iterator[ThreadingHTTPServer]:
 
 
 def test_the_page_shows_a_complete_package() -> None:
-    """Its entry points lead to the modules that are printed, and the first step of the page can be taken."""
+    """Its entry points lead to the modules that are printed; no plugin reaches below the contract."""
     points = tomllib.loads(FILES["pyproject.toml"])["project"]["entry-points"]
-    named = {
-        value.partition(":")[0].replace(".", "/") + ".py"
-        for group in points.values()
-        for value in group.values()
-    }
+    values = [value for group in points.values() for value in group.values()]
+    modules = {name: text for name, text in FILES.items() if name.startswith("acme_touch/")}
+    ours = r"(?m)^(?:from|import) ((?:edge|plugins|calibration|export)[.\w]*)"
+    imported = [name for text in modules.values() for name in re.findall(ours, text)]
 
-    assert named == set(MODULES)
-    assert len(MODULES) == 3
-
-
-@pytest.mark.parametrize("module", MODULES)
-def test_a_plugin_is_one_short_file(module: str) -> None:
-    """Under 40 lines, blank ones not counted; no plugin reaches below the contract."""
-    lines = [line for line in FILES[module].splitlines() if line.strip()]
-
-    assert len(lines) < MOST_LINES
-    imported = [
-        re.match(r"(?:from|import) ((?:edge|plugins|calibration|export)[.\w]*)", line) for line in lines
-    ]
-    assert [found[1] for found in imported if found and not found[1].startswith("edge.core.")] == []
+    assert {value.partition(":")[0].replace(".", "/") + ".py" for value in values} == set(modules)
+    assert len(modules) == 3
+    assert [name for name in imported if not name.startswith("edge.core.")] == []
 
 
-def test_the_detectors_own_test_passes(site: Path) -> None:
-    """The page's test file, run by pytest as its author would."""
-    run = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_acme_touch.py"]
-    done = subprocess.run(
-        run, cwd=site, env=os.environ | {"PYTHONPATH": str(site)}, capture_output=True, text=True
-    )
-
-    assert done.returncode == 0, done.stdout
-    assert "1 passed" in done.stdout
+def test_the_detectors_own_test_passes(acme: Path) -> None:
+    """The page's test file."""
+    names: dict[str, Any] = {}
+    exec(FILES["test_acme_touch.py"], names)
+    names["test_mean_distance"]()
 
 
 class FolderBench:
@@ -216,38 +191,29 @@ def test_the_sink_conforms(acme: Path) -> None:
             bench.take_away()
 
 
-def test_devices_lists_it(site: Path, tmp_path: Path) -> None:
-    """`gelgate devices` finds the folder as a sensor."""
-    folder = tmp_path / "ACME0001"
-    folder.mkdir()
-
-    listed = gelgate(
-        site, "devices", "--device", "watched_folder", "--option", f"folder={folder}", at=tmp_path
-    )
-
-    assert "found    watched folder, serial ACME0001, 320x240" in listed
-
-
-def test_from_nominal_presses_to_a_verdict_at_the_webhook(site: Path, tmp_path: Path) -> None:
-    """Fitted by the package's detector, inspected, and posted by the package's sink, with gelgate's own commands."""
+def test_from_nominal_presses_to_a_verdict_at_the_webhook(
+    acme: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder is a sensor, the package's detector is fitted, and its sink posts, with gelgate's own commands. A
+    process that does not see the package reads the bundle."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "ACME0001").mkdir()
+    listed = gelgate("devices", "--device", "watched_folder", "--option", f"folder={tmp_path / 'ACME0001'}")
+    assert "found    watched folder, serial ACME0001, 320x240" in listed.out
     nominal = press_recording(tmp_path / "nominal", 12, seed=1)
     line = press_recording(tmp_path / "line", 3, dented=[1], seed=2)
-    fit = ("fit", nominal, "-o", "bolt", "--part", "bolt", "--method", "mean_distance", "--no-trunk")
-    assert "mean_distance" in gelgate(site, *fit, at=tmp_path)
-
-    gelgate(tmp_path, "bundle", "verify", "bolt", at=tmp_path)  # in a process that does not see the package
+    options = ["--part", "bolt", "--method", "mean_distance", "--no-trunk", "--backbone", "tactile_lite0"]
+    fit = gelgate("fit", nominal, "-o", "bolt", *options, "--set", "threshold=30")
+    assert (fit.code, "mean_distance" in fit.out) == (0, True), fit.err
+    verify = [Path(sys.executable).parent / "gelgate", "bundle", "verify", "bolt"]
+    subprocess.run(verify, check=True, capture_output=True)
 
     with server() as webhook:
         url = f"http://127.0.0.1:{webhook.server_address[1]}"
-        config = station_config(
-            tmp_path,
-            line,
-            tmp_path / "bolt",
-            sinks=f'[[sinks]]\nplugin = "webhook"\noptions = {{ url = "{url}" }}\n',
-        )
-        gelgate(site, "run", "--config", config, at=tmp_path)
+        sinks = f'[[sinks]]\nplugin = "webhook"\noptions = {{ url = "{url}" }}\n'
+        done = gelgate("run", "--config", station_config(tmp_path, line, tmp_path / "bolt", sinks=sinks))
         posted = list(webhook.posted)  # type: ignore[attr-defined]
 
+    assert done.code == 0, done.err
     results = [json.loads(payload) for topic, payload in posted if topic.endswith("/result")]
     assert [result["verdict"] for result in results] == ["pass", "fail", "pass"]
-    assert {result["method"] for result in results if "method" in result} <= {"mean_distance"}
