@@ -4,30 +4,22 @@ import json
 from pathlib import Path
 
 import pytest
+from command_line import gelgate, ran
 from small_recordings import SERIAL, jpeg, write_recording
 from station import press_recording
-from typer.testing import CliRunner
 
-from edge.cli import build
-from edge.core.errors import ConfigError, DeviceLost, DeviceNotFound, RecordingError
 from edge.recording.format import Recording
-
-
-def run(*arguments: object) -> str:
-    result = CliRunner().invoke(build(), [str(one) for one in arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.stdout
 
 
 def test_devices_names_sensor_and_refusal(tmp_path: Path) -> None:
     """The sensor with serial and mode; the webcam with the reason. One object per plugin for programs."""
     folder = write_recording(tmp_path / "r", 1)
-    text = run("devices", "--device", "usb_mock", "--option", f"recording={folder}")
+    text = ran("devices", "--device", "usb_mock", "--option", f"recording={folder}")
     assert f"serial {SERIAL}, 64x48 at nominal 25 fps" in text
     assert "refused" in text
     assert "shared by webcams" in text
     (report,) = json.loads(
-        run("devices", "--json", "--device", "recorded", "--option", f"recording={folder}")
+        ran("devices", "--json", "--device", "recorded", "--option", f"recording={folder}")
     )
     assert report["plugin"] == "recorded"
     assert report["seen"][0]["identity"]["serial"] == SERIAL
@@ -35,7 +27,7 @@ def test_devices_names_sensor_and_refusal(tmp_path: Path) -> None:
 
 def test_devices_lists_every_plugin() -> None:
     """Each says what it sees or needs, and none stops the others; a camera that serves as both is a sensor."""
-    text = run("devices")
+    text = ran("devices")
     for line in (
         "gelsight_mini:",
         "usb_mock: needs --option recording=...",
@@ -45,7 +37,7 @@ def test_devices_lists_every_plugin() -> None:
         "  found    virtual overview camera, serial VIRTUAL1, 640x480",
     ):
         assert line in text
-    kinds = [(one["kind"], one["plugin"]) for one in json.loads(run("devices", "--json"))]
+    kinds = [(one["kind"], one["plugin"]) for one in json.loads(ran("devices", "--json"))]
     assert ("actuator", "dcttech_relay") in kinds
     assert [name for kind, name in kinds if kind == "overview"] == ["oak", "usb_camera", "virtual_overview"]
 
@@ -54,7 +46,7 @@ def test_record_from_a_device(tmp_path: Path) -> None:
     """Recorded through the virtual sensor: the same bytes, header and number; corrupt frames are left out."""
     folder = write_recording(tmp_path / "r", 6)
     source = ["--device", "usb_mock", "--option", f"recording={folder}", "--option", "pace=0"]
-    said = run("record", tmp_path / "copy", *source, "--option", 'faults=["truncate@2"]', "--frames", 4)
+    said = ran("record", tmp_path / "copy", *source, "--option", 'faults=["truncate@2"]', "--frames", 4)
     copy = Recording.open(tmp_path / "copy")
     assert [frame.frame.payload for frame in copy] == [jpeg(seed) for seed in (0, 1, 3, 4)]
     assert copy.header.serial == SERIAL
@@ -66,18 +58,16 @@ def test_record_says_how_many_presses_it_holds(tmp_path: Path) -> None:
     """Without a named profile, by that for frames of this size."""
     film = press_recording(tmp_path / "film", 3)
     source = ["--device", "recorded", "--option", f"recording={film}", "--option", "pace=0"]
-    said = run("record", tmp_path / "copy", *source)
+    said = ran("record", tmp_path / "copy", *source)
 
-    assert said.endswith("seen in it: 3 presses, 3 of them at rest\n")
+    assert "seen in it: 3 presses, 3 of them at rest\n" in said
 
 
 def test_what_was_recorded_before_a_loss_is_kept(tmp_path: Path) -> None:
     """Unplugged after three frames: an error, and three frames that play."""
     folder = write_recording(tmp_path / "r", 6)
     source = ["--device", "usb_mock", "--option", f"recording={folder}", "--option", "pace=0"]
-    arguments = ["record", str(tmp_path / "copy"), *source, "--option", 'faults=["unplug@3"]']
-    with pytest.raises(DeviceLost):
-        CliRunner().invoke(build(), arguments, catch_exceptions=False)
+    assert gelgate("record", tmp_path / "copy", *source, "--option", 'faults=["unplug@3"]').code == 4
     assert len(Recording.open(tmp_path / "copy")) == 3
 
 
@@ -88,38 +78,22 @@ def test_record_from_images(tmp_path: Path) -> None:
     for seed, name in enumerate(("free", "a", "b")):
         (images / f"{name}.jpg").write_bytes(jpeg(seed))
     reference = ["--reference", images / "free.jpg", "--lead", 1, "--repeat-free", 2, "--repeat-press", 1]
-    said = run("record", tmp_path / "r", "--from-images", images, *reference)
+    said = ran("record", tmp_path / "r", "--from-images", images, *reference)
     assert "9 frames, 2 presses" in said
     states = [frame.label["state"] for frame in Recording.open(tmp_path / "r") if frame.label]
     assert "".join(state[0] for state in states) == "fffpffpff"
 
 
 @pytest.mark.parametrize(
-    ("arguments", "error", "says"),
+    ("words", "code", "says"),
     [
-        (["record", "out"], ConfigError, "one of --device, --from-video and --from-images"),
-        (["record", "out", "--device", "usb_mok"], ConfigError, "did you mean 'usb_mock'"),
-        (["record", "out", "--device", "usb_mock", "--option", "recording"], ConfigError, "name=value"),
-        (
-            ["record", "out", "--device", "usb_mock", "--option", "pase=0"],
-            ConfigError,
-            r"(?s)'pase' is not known; did you mean 'pace'.*it takes: recording, ",
-        ),
-        (
-            ["record", "out", "--device", "recorded", "--option", "recording=/nowhere"],
-            RecordingError,
-            "nowhere",
-        ),
-        (["devices", "--reset"], ConfigError, "--device"),
-        (["devices", "--device", "recorded", "--reset"], ConfigError, "nothing to reset"),
-        (
-            ["record", "out", "--device", "gelsight_mini", "--option", "serial=ZZZZZZZZ"],
-            DeviceNotFound,
-            "ZZZZZZZZ",
-        ),
+        ("devices --reset", 3, "--device"),
+        ("devices --device recorded --reset", 3, "nothing to reset"),
+        ("record out --device gelsight_mini --option serial=ZZZZZZZZ", 4, "ZZZZZZZZ"),
     ],
 )
-def test_bad_input_is_one_sentence(arguments: list[str], error: type[Exception], says: str) -> None:
+def test_bad_input_is_one_sentence(words: str, code: int, says: str) -> None:
     """Each mistake is named with what to do."""
-    with pytest.raises(error, match=says):
-        CliRunner().invoke(build(), arguments, catch_exceptions=False)
+    refused = gelgate(*words.split())
+
+    assert (refused.code, says in refused.sentence()) == (code, True)

@@ -9,10 +9,8 @@ import onnx
 import onnx.parser
 import pytest
 from anomalib_files import SMALL, pictures
-from typer.testing import CliRunner, Result
+from command_line import gelgate, ran
 
-from edge import cli
-from edge.core.errors import ConfigError
 from edge.model.bundle import Bundle
 from export.graph_file import read_graph
 from export.normalised_scores import raw_scores
@@ -46,18 +44,14 @@ def test_scores_are_anomalibs_before_its_normalisation(ready: Adapted) -> None:
     assert len(np.unique(found)) == len(found)
 
 
-def test_normalisation_and_threshold_are_stated(ready: Adapted) -> None:
-    """The formula with its numbers, and the threshold on the raw scale."""
+def test_normalisation_and_threshold_are_stated_and_compared(ready: Adapted) -> None:
+    """The formula with its numbers gives the original's own outputs; the threshold is on the raw scale."""
     numbers = np.load(SMALL / "padim.npz")
     threshold, spread = float(numbers["image_threshold"]), float(numbers["image_max"] - numbers["image_min"])
 
     said = ready.found["normalisation"]
     assert f"(pred_score - {threshold:.7g}) / {np.float32(spread):.7g} + 0.5, limited to 0..1" in said
     assert f"--threshold {threshold:.7g}" in ready.found["threshold of the model"]
-
-
-def test_the_normalised_outputs_are_compared(ready: Adapted) -> None:
-    """The stated formula gives the original's own outputs."""
     assert ready.parity is not None
     ready.parity.raise_if_different()
     names = [result.name for result in ready.parity.results]
@@ -138,19 +132,14 @@ def test_from_anomalibs_files_to_a_bundle(tmp_path: Path) -> None:
     for name in ("model.onnx", "model.onnx.data"):
         shutil.copy(EXPORTED.with_name(name), tmp_path / name)
 
-    def run(*more: str) -> Result:
-        options = ["-o", str(tmp_path / "b"), "--part", "bolt", "--profile", "cropped_lr", "--licence", "own"]
-        command = ["bundle", "wrap", str(tmp_path / "model.onnx"), str(tmp_path / "presses"), *options, *more]
-        return CliRunner().invoke(cli.build(), command)
-
-    done = run("--region", "full", "--threshold", "17.8581")
-    assert done.exit_code == 0, done.output
-    assert "normalisation: left out: (pred_score - 17.8581)" in done.output
-    assert "threshold of the model: 17.8581 of raw scores" in done.output
+    options = ("-o", tmp_path / "b", "--part", "bolt", "--profile", "cropped_lr", "--licence", "own")
+    words = ("bundle", "wrap", tmp_path / "model.onnx", tmp_path / "presses", *options)
+    said = ran(*words, "--region", "full", "--threshold", "17.8581")
+    assert "normalisation: left out: (pred_score - 17.8581)" in said
+    assert "threshold of the model: 17.8581 of raw scores" in said
     manifest = Bundle.load(tmp_path / "b").manifest
     assert manifest.threshold.value == 17.8581
     assert "limited to 0..1" in manifest.facts["normalisation"]
     (tmp_path / "model.onnx.data").unlink()
-    lost = run("--overwrite")
-    assert isinstance(lost.exception, ConfigError)
-    assert "model.onnx.data, which is not next to it; copy both files" in str(lost.exception)
+    lost = gelgate(*words, "--overwrite").sentence()
+    assert "model.onnx.data, which is not next to it; copy both files" in lost

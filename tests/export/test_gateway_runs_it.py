@@ -5,12 +5,12 @@ from pathlib import Path
 
 import onnx.parser
 import pytest
+from command_line import ran
 from station import press_recording, station_config
-from typer.testing import CliRunner
 
-from edge.cli import build
 from edge.clock import SystemClock
 from edge.config import load_config
+from edge.config.tables import Config
 from edge.gateway.gateway import Gateway
 from edge.gateway.recorder import PressReport
 
@@ -28,11 +28,6 @@ NETWORK = """
     }
 """
 """How far the colour of a place is from its surroundings, with the names of anomalib's exports."""
-
-
-def ran(*arguments: object) -> None:
-    done = CliRunner().invoke(build(), list(map(str, arguments)))
-    assert done.exit_code == 0, (done.output, done.exception)
 
 
 @pytest.fixture(scope="module")
@@ -57,17 +52,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home
 
 
-@pytest.mark.parametrize("precision", ["float32", "int8"])
-def test_presses_are_inspected_by_the_network(folder: Path, tmp_path: Path, precision: str) -> None:
-    """Three presses of the virtual sensor: the damaged one fails, the others pass."""
-    ran(
-        *("export", "precision", folder / "bundle", folder / "nominal", "-o", tmp_path / "bundle"),
-        *("--precision", precision),
-    )
-    config = load_config(station_config(tmp_path, folder / "presses", tmp_path / "bundle"))
+def inspected(config: Config) -> list[PressReport]:
     reports: list[PressReport] = []
     with Gateway.open(config, SystemClock(), reports.append) as gateway:
         gateway.run(threading.Event())
+    return reports
+
+
+@pytest.mark.parametrize("precision", ["float32", "int8"])
+def test_presses_are_inspected_by_the_network(folder: Path, tmp_path: Path, precision: str) -> None:
+    """Three presses of the virtual sensor: the damaged one fails, the others pass."""
+    words = ("-o", tmp_path / "bundle", "--precision", precision)
+    ran("export", "precision", folder / "bundle", folder / "nominal", *words)
+    config = load_config(station_config(tmp_path, folder / "presses", tmp_path / "bundle"))
+    reports = inspected(config)
     assert [report.result.verdict for report in reports] == ["pass", "fail", "pass"]
 
 
@@ -77,24 +75,11 @@ def test_a_likelihood_has_a_threshold_below_zero(folder: Path, tmp_path: Path) -
     likely = likely.replace("ReduceMax", "ReduceMin")
     likely = likely.replace("-1.0}>", "-1.0}, float one = {1.0}>")
     (tmp_path / "likely.onnx").write_bytes(onnx.parser.parse_model(likely).SerializeToString())
-    ran(
-        *(
-            "bundle",
-            "wrap",
-            tmp_path / "likely.onnx",
-            folder / "nominal",
-            "-o",
-            tmp_path / "bundle",
-            "--part",
-            "PZ0",
-        ),
-        *("--licence", "own", "--negate"),
-    )
+    likely_onnx, wrapped = tmp_path / "likely.onnx", tmp_path / "bundle"
+    words = ("-o", wrapped, "--part", "PZ0", "--licence", "own", "--negate")
+    ran("bundle", "wrap", likely_onnx, folder / "nominal", *words)
     config = load_config(station_config(tmp_path, folder / "presses", tmp_path / "bundle"))
-    reports: list[PressReport] = []
-
-    with Gateway.open(config, SystemClock(), reports.append) as gateway:
-        gateway.run(threading.Event())
+    reports = inspected(config)
 
     assert [report.result.verdict for report in reports] == ["pass", "fail", "pass"]
     assert all(report.result.threshold is not None and report.result.threshold < 0 for report in reports)

@@ -9,9 +9,8 @@ import onnx.parser
 import onnxruntime as ort
 import pytest
 import tiny
-from typer.testing import CliRunner
+from command_line import ran
 
-from edge import cli
 from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.model.bundle import Bundle, GoldenFrame
 from edge.model.bundle_writer import write_bundle
@@ -58,13 +57,10 @@ def test_merge_writes_the_file_and_a_bundle_around_it(bundle: Bundle, tmp_path: 
     good = dataclasses.replace(bundle, golden=())
     manifest, files = tiny.tiny_files()
     folder = write_bundle(tmp_path / "bolt", files)
-    runner = CliRunner()
-    done = runner.invoke(cli.build(), ["export", "merge", str(folder), "-o", str(tmp_path / "detector.onnx")])
-    assert done.exit_code == 0, done.output
+    ran("export", "merge", folder, "-o", tmp_path / "detector.onnx")
     onnx.checker.check_model(str(tmp_path / "detector.onnx"))
     around = tmp_path / "single"
-    done = runner.invoke(cli.build(), ["export", "merge", str(folder), "-o", str(around), "--as-bundle"])
-    assert done.exit_code == 0, done.output
+    ran("export", "merge", folder, "-o", around, "--as-bundle")
     single = Bundle.load(around)
     assert single.manifest.threshold == manifest.threshold
     frame = tiny.presses(1)[0]

@@ -3,16 +3,16 @@
 import dataclasses
 from pathlib import Path
 
+import cv2
 import numpy as np
 import onnx
 import pytest
 import tiny
+from command_line import gelgate, ran
 from onnx import numpy_helper
-from typer.testing import CliRunner
 
 from calibration.quantise import halved, layers, quantise_graph
-from edge.cli import build
-from edge.core.errors import BundleMismatch, ConfigError, FitError
+from edge.core.errors import BundleMismatch, FitError
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.scorer import Scorer, map_peaks
@@ -177,24 +177,14 @@ def test_weights_beyond_float16_stay(plain: Bundle) -> None:
 
 def test_the_command(plain: Bundle, tmp_path: Path) -> None:
     """`gelgate export precision` on a bundle of the tiny detector's trunk prints the table and writes the bundle."""
-    import cv2
-
     write_bundle(tmp_path / "b", tiny.tiny_files()[1])
     (tmp_path / "good").mkdir()
     for number, frame in enumerate(RNG.integers(90, 160, (5, 40, 48, 3), dtype=np.uint8)):
         cv2.imwrite(str(tmp_path / "good" / f"{number}.png"), frame)
-    command = [
-        "export",
-        "precision",
-        str(tmp_path / "b"),
-        str(tmp_path / "good"),
-        "-o",
-        str(tmp_path / "out"),
-    ]
-    done = CliRunner().invoke(build(), command, catch_exceptions=False)
-    assert done.exit_code == 0, done.output
+    words = ("export", "precision", tmp_path / "b", tmp_path / "good", "-o", tmp_path / "out")
+    said = ran(*words)
     choice = Bundle.load(tmp_path / "out").manifest.facts["precision"]["chosen"]
     assert choice in ("float32", "float16", "int8")  # which one is the fastest is a fact of the machine
-    assert f"chosen: {choice}\n" in done.output
-    with pytest.raises(ConfigError, match="--precision is auto, float32, float16, int8; found 'int4'"):
-        CliRunner().invoke(build(), [*command, "--precision", "int4", "--overwrite"], catch_exceptions=False)
+    assert f"chosen: {choice}\n" in said
+    refused = gelgate(*words, "--precision", "int4", "--overwrite").sentence()
+    assert "--precision is auto, float32, float16, int8; found 'int4'" in refused

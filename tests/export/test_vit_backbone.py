@@ -1,6 +1,7 @@
 """Vision transformers and published touch encoders become trunks; files that are something else are named."""
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,11 @@ import numpy as np
 import onnx
 import onnxruntime as ort
 import pytest
+from command_line import gelgate, ran
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 from vit_states import WIDTH, random_vit, save_safetensors
 
 from calibration.fitting.trunks import open_trunk
-from edge.cli import build
 from edge.core.errors import BundleCorrupt, ConfigError
 from export.backbone import BackboneOptions, export_backbone
 from export.known_weights import ENCODERS
@@ -63,22 +63,17 @@ def test_a_trunk_that_differs_is_not_written(
     assert not (tmp_path / "t.onnx").exists()
 
 
-def test_half_precision_and_another_size(weights: Path) -> None:
-    """Weights as float16 halve the file; frames of 48x40 are resized to the 32x32 of training."""
+def test_half_precision_and_other_sizes(weights: Path) -> None:
+    """float16 halves the file; frames of 48x40 are resized to the 32x32 of training, or have a grid of 6x5."""
     full, half = (
         export_backbone(weights, None, dataclasses.replace(OWN, weights=w)) for w in ("float32", "float16")
     )
     assert len(half.trunk) < 0.6 * len(full.trunk)
-    resized = dataclasses.replace(OWN, frame=(48, 40), steps=dataclasses.replace(IMAGENET, size=(32, 32)))
-    assert run(export_backbone(weights, None, resized).trunk, np.zeros((1, 48, 40, 3), np.uint8))[
-        "block1"
-    ].shape[2:] == (4, 4)
-
-
-def test_positions_are_resampled_for_another_grid(weights: Path) -> None:
-    """A frame of 48x40 with patches of 8 has a grid of 6x5, in place of 4x4 in training."""
-    export = export_backbone(weights, None, dataclasses.replace(OWN, frame=(48, 40)))
-    assert run(export.trunk, np.zeros((1, 48, 40, 3), np.uint8))["block1"].shape == (1, WIDTH, 6, 5)
+    other = dataclasses.replace(OWN, frame=(48, 40))
+    resized = dataclasses.replace(other, steps=dataclasses.replace(IMAGENET, size=(32, 32)))
+    for options, grid in ((resized, (4, 4)), (other, (6, 5))):
+        found = run(export_backbone(weights, None, options).trunk, np.zeros((1, 48, 40, 3), np.uint8))
+        assert found["block1"].shape == (1, WIDTH, *grid)
 
 
 def test_resampling_matrices() -> None:
@@ -197,44 +192,23 @@ def test_taps_sizes_and_heads_are_checked(weights: Path) -> None:
 def test_the_command_and_the_fit_know_the_licence(weights: Path, tmp_path: Path) -> None:
     """The verb refuses without a licence; the trunk's facts, which a bundle records, hold it."""
     out = tmp_path / "t.onnx"
-    arguments = ["export", "backbone", str(weights), "-o", str(out), "--taps", "block1"]
-    with pytest.raises(ConfigError, match=r"licence of the weights in .* is not stated"):
-        CliRunner().invoke(build(), arguments, catch_exceptions=False)
-    done = CliRunner().invoke(build(), [*arguments, "--licence", "CC-BY-NC-4.0"], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    assert "licence of the weights CC-BY-NC-4.0; not for commercial use" in done.output
+    words = ("export", "backbone", weights, "-o", out, "--taps", "block1")
+    assert re.search("licence of the weights in .* is not stated", gelgate(*words).sentence())
+    said = "licence of the weights CC-BY-NC-4.0; not for commercial use"
+    assert said in ran(*words, "--licence", "CC-BY-NC-4.0")
     trunk = open_trunk(str(out), ("block1",))
-    assert trunk.facts["licence"] == "CC-BY-NC-4.0"
-    assert trunk.facts["file"] == "t.onnx"
+    assert (trunk.facts["licence"], trunk.facts["file"]) == ("CC-BY-NC-4.0", "t.onnx")
 
 
 def test_the_free_gel_of_the_command_is_cut_to_the_region(tmp_path: Path) -> None:
     """A picture of the sensor's size is cut as frames are."""
     cv2.imwrite(str(tmp_path / "gel.png"), np.full((240, 320, 3), 100, np.uint8))
-    arguments = [
-        "export",
-        "backbone",
-        str(sparsh(tmp_path)),
-        "-o",
-        str(tmp_path / "t.onnx"),
-        "--encoder",
-        "sparsh",
-    ]
-    arguments += [
-        "--licence",
-        "CC-BY-NC-4.0",
-        "--prefix",
-        "teacher_encoder.backbone.",
-        "--profile",
-        "cropped_lr",
-    ]
-    done = CliRunner().invoke(
-        build(),
-        [*arguments, "--taps", "block1", "--background", str(tmp_path / "gel.png")],
-        catch_exceptions=False,
+    ran(
+        *("export", "backbone", sparsh(tmp_path), "-o", tmp_path / "t.onnx", "--encoder", "sparsh"),
+        *("--licence", "CC-BY-NC-4.0", "--prefix", "teacher_encoder.backbone.", "--profile", "cropped_lr"),
+        *("--taps", "block1", "--background", tmp_path / "gel.png"),
     )
-    assert done.exit_code == 0, done.output
-    assert "CC-BY-NC-4.0; not for commercial use" in done.output
+    assert (tmp_path / "t.onnx").is_file()
 
 
 @pytest.mark.train
@@ -264,17 +238,12 @@ def test_a_detector_is_fitted_on_a_transformer(tmp_path: Path) -> None:
     for k in range(5):
         frame = np.random.default_rng(k).integers(90, 160, (240, 320, 3), dtype=np.uint8)
         cv2.imwrite(str(tmp_path / "good" / f"{k}.png"), frame)
-    trunk, bundle = str(tmp_path / "t.onnx"), str(tmp_path / "b")
-    source = str(tmp_path / "vit.safetensors")
-    taps = ["--set", 'taps=["block1"]', "--set", "grid_tap=block1", "--set", "channels=32"]
-    fit = ["fit", str(tmp_path / "good"), "-o", bundle, "--part", "bolt", "--backbone", trunk, *taps]
-    for command in (
-        ["export", "backbone", source, "-o", trunk, "--taps", "block1", "--licence", "MIT"],
-        fit,
-        ["bundle", "verify", bundle],
-    ):
-        done = CliRunner().invoke(build(), command, catch_exceptions=False)
-        assert done.exit_code == 0, done.output
-    shown = CliRunner().invoke(build(), ["bundle", "inspect", bundle]).output
+    trunk, bundle = tmp_path / "t.onnx", tmp_path / "b"
+    source = tmp_path / "vit.safetensors"
+    taps = ("--set", 'taps=["block1"]', "--set", "grid_tap=block1", "--set", "channels=32")
+    ran("export", "backbone", source, "-o", trunk, "--taps", "block1", "--licence", "MIT")
+    ran("fit", tmp_path / "good", "-o", bundle, "--part", "bolt", "--backbone", trunk, *taps)
+    ran("bundle", "verify", bundle)
+    shown = ran("bundle", "inspect", bundle)
     assert "weights MIT" in shown
     assert "block1 128x14x14" in shown

@@ -1,16 +1,15 @@
 """Films become recordings: frames at the film's own times, sizes named, nothing squashed."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import typer
+from command_line import gelgate, ran
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
-from edge import cli
-from edge.core.errors import ConfigError, DatasetError, RecordingError
+from edge.core.errors import DatasetError, RecordingError
 from edge.core.imaging.aspect import cut_in_words, cut_to_aspect
 from edge.recording.format import Recording
 from edge.recording.from_images import images_in
@@ -31,20 +30,21 @@ def gel(depth: float, size: tuple[int, int], seed: int) -> NDArray[np.uint8]:
     return np.clip(level + slopes + noise, 0, 255).astype(np.uint8)
 
 
-def film(path: Path, size: tuple[int, int] = (320, 240), presses: int = 2, fps: float = FPS) -> Path:
-    """Two seconds of free gel, then presses of a second with a second between."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), fps, size)
+def written(path: Path, frames: Sequence[NDArray[np.uint8]], fps: float = FPS) -> Path:
+    """Write a film of these frames."""
+    height, width = frames[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), fps, (width, height))
     assert writer.isOpened()
-    depths = [0.0] * 40 + ([0.4, 0.8] + [1.0] * 18 + [0.3] + [0.0] * 20) * presses
-    for number, depth in enumerate(depths):
-        writer.write(gel(depth, size, number))
+    for frame in frames:
+        writer.write(frame)
     writer.release()
     return path
 
 
-def gelgate(*arguments: object) -> tuple[str, BaseException | None]:
-    done = CliRunner().invoke(cli.build(), [str(one) for one in arguments])
-    return done.output, done.exception
+def film(path: Path, size: tuple[int, int] = (320, 240), presses: int = 2, fps: float = FPS) -> Path:
+    """Two seconds of free gel, then presses of a second with a second between."""
+    depths = [0.0] * 40 + ([0.4, 0.8] + [1.0] * 18 + [0.3] + [0.0] * 20) * presses
+    return written(path, [gel(depth, size, number) for number, depth in enumerate(depths)], fps)
 
 
 def test_frames_keep_the_films_times(tmp_path: Path) -> None:
@@ -70,41 +70,29 @@ def test_uneven_times_are_kept(tmp_path: Path) -> None:
     assert times_ms == pytest.approx([0, 100, 400, 500, 1000])
 
 
-def test_the_presses_of_a_film_are_seen(tmp_path: Path) -> None:
-    """With a profile the recording is looked through at the end."""
-    said, error = gelgate(
-        "record", tmp_path / "out", "--from-video", film(tmp_path / "a.avi"), "--profile", "cropped_lr"
-    )
-    assert error is None, said
+def test_what_a_film_shows_is_said(tmp_path: Path) -> None:
+    """With a profile it is looked through at the end; a part on the gel at its start is named."""
+    words = ("--profile", "cropped_lr")
+    said = ran("record", tmp_path / "out", "--from-video", film(tmp_path / "a.avi"), *words)
     assert "122 frames of a.avi" in said
     assert "seen in it: 2 presses, 2 of them at rest" in said
-
-
-def test_a_film_that_begins_pressed_is_named(tmp_path: Path) -> None:
-    """What would be learnt as the free gel is none."""
-    path = tmp_path / "pressed.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), FPS, (320, 240))
-    for number, depth in enumerate([1.0] * 40 + [0.5] + [0.0] * 40):
-        writer.write(gel(depth, (320, 240), number))
-    writer.release()
-    said, error = gelgate("record", tmp_path / "out", "--from-video", path, "--profile", "cropped_lr")
-    assert error is None, said
+    depths = [1.0] * 40 + [0.5] + [0.0] * 40
+    pressed = written(tmp_path / "b.avi", [gel(depth, (320, 240), n) for n, depth in enumerate(depths)])
+    said = ran("record", tmp_path / "pressed", "--from-video", pressed, *words)
     assert "begins with a part on the gel" in said
     assert "seen in it: 0 presses" in said
 
 
 def test_a_reference_of_another_light_is_named(tmp_path: Path) -> None:
     """Pictures of presses with a free gel that was taken under another light."""
-    size = (320, 240)
     (tmp_path / "presses").mkdir()
     for k in range(4):
-        cv2.imwrite(str(tmp_path / "presses" / f"{k}.png"), gel(1.0, size, k))
+        cv2.imwrite(str(tmp_path / "presses" / f"{k}.png"), gel(1.0, (320, 240), k))
     lit = 60 * np.clip(np.linspace(-1, 1, 320), 0, 1)[None, :, None] * np.array([-0.8, 0.2, 1.0])
-    other = np.clip(gel(0.0, size, 9) + lit, 0, 255).astype(np.uint8)
+    other = np.clip(gel(0.0, (320, 240), 9) + lit, 0, 255).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "free.png"), other)
     images = ("--from-images", tmp_path / "presses", "--reference", tmp_path / "free.png")
-    said, error = gelgate("record", tmp_path / "out", *images, "--noise", "2", "--profile", "cropped_lr")
-    assert error is None, said
+    said = ran("record", tmp_path / "out", *images, "--noise", "2", "--profile", "cropped_lr")
     assert "most likely of another light" in said
 
 
@@ -112,40 +100,31 @@ def test_a_black_picture_is_not_recorded(tmp_path: Path) -> None:
     """It is named, with its level."""
     cv2.imwrite(str(tmp_path / "a.png"), gel(1.0, (320, 240), 1))
     cv2.imwrite(str(tmp_path / "b.png"), np.zeros((240, 320, 3), np.uint8))
-    _, error = gelgate("record", tmp_path / "out", "--from-images", tmp_path)
-    assert isinstance(error, DatasetError)
-    assert "b.png (black: its mean level is 0.0, at least 8 is expected)" in str(error)
+    refused = gelgate("record", tmp_path / "out", "--from-images", tmp_path).sentence()
+    assert "b.png (black: its mean level is 0.0, at least 8 is expected)" in refused
 
 
 def test_other_sizes_are_cut_and_scaled_only_when_asked(tmp_path: Path) -> None:
     """640x400 is not 4:3: what happens to it is said, and nothing is squashed or scaled up."""
     wide = film(tmp_path / "wide.avi", (640, 400), presses=1)
     common = ("record", tmp_path / "out", "--from-video", wide)
-    _, error = gelgate(*common, "--profile", "cropped_lr")
-    assert isinstance(error, ConfigError)
-    assert "640x400, profile 'cropped_lr' takes 320x240; add --resize" in str(error)
-    _, error = gelgate(*common, "--profile", "mini_lr", "--resize")
-    assert isinstance(error, ConfigError)
-    assert "not scaled up" in str(error)
-    _, error = gelgate(*common, "--resize")
-    assert isinstance(error, ConfigError)
-    assert "--resize needs --profile" in str(error)
-    said, error = gelgate(*common, "--profile", "cropped_lr", "--resize")
-    assert error is None, said
+    for words, says in (
+        (("--profile", "cropped_lr"), "640x400, profile 'cropped_lr' takes 320x240; add --resize"),
+        (("--profile", "mini_lr", "--resize"), "not scaled up"),
+        (("--resize",), "--resize needs --profile"),
+    ):
+        assert says in gelgate(*common, *words).sentence()
+    said = ran(*common, "--profile", "cropped_lr", "--resize")
     assert "640x400 cut to 533x400 in the middle and scaled to 320x240" in said
     assert "seen in it: 1 presses, 1 of them at rest" in said
-    header = Recording.open(tmp_path / "out").header
-    assert header.mode == (320, 240)
+    assert Recording.open(tmp_path / "out").header.mode == (320, 240)
 
 
 def test_a_circle_stays_a_circle(tmp_path: Path) -> None:
     """The ball is as wide as it is high after a cut of the sides."""
-    path = tmp_path / "ball.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), FPS, (800, 480))
     picture = np.zeros((480, 800, 3), np.uint8)
     cv2.circle(picture, (400, 240), 100, (255, 255, 255), -1)
-    writer.write(picture)
-    writer.release()
+    path = written(tmp_path / "ball.avi", [picture])
     record_video(tmp_path / "out", film_of(path), size=(320, 240), product="p", serial="s")
     frame = cv2.imread(str(tmp_path / "out" / "frames" / "000000.png"))
     assert frame is not None
@@ -177,10 +156,3 @@ def test_cuts_are_worked_by_hand() -> None:
     assert (
         cut_in_words((300, 400), (320, 240)) == "300x400 cut to 300x225 in the middle and scaled to 320x240"
     )
-
-
-def test_the_help_names_all_three_sources() -> None:
-    """`gelgate record --help`."""
-    command = typer.main.get_command(cli.build())
-    options = {name for one in command.commands["record"].params for name in one.opts}  # type: ignore[attr-defined]
-    assert {"--device", "--from-images", "--from-video", "--resize"} <= options

@@ -100,34 +100,22 @@ def test_an_older_database_is_not_changed_by_a_question(tmp_path: Path) -> None:
         numbers(old, HistoryQuery())
 
 
-def test_a_csv_file_holds_every_field(six: Path, tmp_path: Path) -> None:
-    """Column names first; an empty cell for what a press does not have."""
-    assert write_history(tmp_path / "presses.csv", read_history(six, HistoryQuery())) == 6
+def test_files_hold_every_field(six: Path, tmp_path: Path) -> None:
+    """CSV: column names first, empty cells. Parquet: numbers, moments and missing values; a day without presses."""
+    rows = list(read_history(six, HistoryQuery()))
+    for name, written in (("presses.csv", rows), ("presses.parquet", rows), ("none.parquet", [])):
+        assert write_history(tmp_path / name, written) == len(written)
 
     with (tmp_path / "presses.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == COLUMNS
-    assert [row["verdict"] for row in rows] == list(VERDICTS)
-    assert (rows[0]["score"], rows[0]["position"], rows[5]["score"]) == ("0.5", "", "")
-
-
-def test_a_parquet_file_is_read_back_as_it_was(six: Path, tmp_path: Path) -> None:
-    """Numbers stay numbers, moments are moments, and missing values are missing."""
-    rows = list(read_history(six, HistoryQuery()))
-    write_history(tmp_path / "presses.parquet", rows)
-
+        read = list(csv.DictReader(file))
+    assert tuple(read[0]) == COLUMNS
+    assert [row["verdict"] for row in read] == list(VERDICTS)
+    assert (read[0]["score"], read[0]["position"], read[5]["score"]) == ("0.5", "", "")
     table = parquet.read_table(tmp_path / "presses.parquet")
-    assert table.column_names == list(COLUMNS)
+    assert table.column_names == parquet.read_table(tmp_path / "none.parquet").column_names == list(COLUMNS)
     assert table["time_ns"].cast("int64").to_pylist() == [row.time_ns for row in rows]
     assert table["score"].to_pylist() == [row.score for row in rows]
     assert table["position"].null_count == 6
-
-
-def test_a_parquet_file_may_have_no_rows(six: Path, tmp_path: Path) -> None:
-    """A day without presses gives a file with its columns."""
-    write_history(tmp_path / "none.parquet", [])
-
-    assert parquet.read_table(tmp_path / "none.parquet").column_names == list(COLUMNS)
 
 
 def test_a_file_appears_complete_or_not_at_all(six: Path, tmp_path: Path) -> None:
@@ -152,14 +140,6 @@ def test_an_unknown_ending_is_refused(tmp_path: Path) -> None:
         write_history(tmp_path / "presses.xlsx", [])
 
 
-def test_a_press_keeps_whether_gel_or_part_is_its_cause(store: Store, path: Path) -> None:
-    """As it was published; a pass has none."""
-    for number, (verdict, cause) in enumerate((("pass", None), ("fail", "gel"), ("unsure", "unsure")), 1):
-        store.record_press(replace(make_press(number, verdict), cause=cause), lambda recorded: [])
-
-    assert [row.cause for row in read_history(path, HistoryQuery())] == [None, "gel", "unsure"]
-
-
 def test_presses_of_earlier_versions_have_no_cause(path: Path) -> None:
     """A database of version 4 is migrated, keeps its presses, and takes causes from then on."""
     connection = sqlite3.connect(path)
@@ -173,6 +153,8 @@ def test_presses_of_earlier_versions_have_no_cause(path: Path) -> None:
     connection.close()
     migrate(path)
     with Store(path) as store:
-        store.record_press(replace(make_press(2, "fail"), cause="part"), lambda recorded: [])
+        for number, cause in enumerate(("part", "gel", "unsure", None), 2):
+            count(store, replace(make_press(number, "fail"), cause=cause))
 
-    assert [row.cause for row in read_history(path, HistoryQuery())] == [None, "part"]
+    causes = [row.cause for row in read_history(path, HistoryQuery())]
+    assert causes == [None, "part", "gel", "unsure", None]

@@ -3,6 +3,8 @@
 import os
 import sqlite3
 import threading
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -28,31 +30,21 @@ def contents(path: Path) -> tuple[int, int, int]:
 
 
 def test_a_press_is_counted_and_its_messages_wait(store: Store, path: Path) -> None:
-    """One press: one row, one count, and result, heatmap, the retained picture, last and gel in this order."""
-    press = make_press(1)
-
-    gel = record(store, press).gel
+    """One row, one count, and its messages in order, which carry the count of their own press."""
+    gel = record(store, make_press(1)).gel
+    record(store, make_press(2), make_press(3))
 
     assert (gel.presses, gel.gel_id, gel.state) == (1, "2BNN4ZE7-1", GelState.GOOD)
     with Outbox(path) as outbox:
-        assert [row.message.topic for row in outbox.pending("mqtt")] == [
-            "result",
-            f"heatmap/{press.press_id}",
-            "last/heatmap",
-            "last",
-            "last/press",
-            "gel",
-        ]
-
-
-def test_the_messages_carry_the_count_of_their_own_press(store: Store, path: Path) -> None:
-    """The gel's record given to `make_messages` includes the press."""
-    for n in (1, 2, 3):
-        record(store, make_press(n))
-
-    with Outbox(path) as outbox:
-        results = [row.message for row in outbox.pending("mqtt") if row.message.topic == "result"]
+        messages = [row.message for row in outbox.pending("mqtt")]
+    assert [message.topic for message in messages if message.retain] == RETAINED
+    results = [message for message in messages if message.topic == "result"]
     assert [b'"gel_presses":%d,' % n in message.payload for n, message in enumerate(results, 1)] == [True] * 3
+    assert messages[1].topic == f"heatmap/{make_press(1).press_id}"
+
+
+RETAINED = ["last/heatmap", "last", "last/press", "gel"]
+"""After the results, in this order."""
 
 
 def test_recording_a_press_again_changes_nothing(store: Store, path: Path) -> None:
@@ -85,6 +77,7 @@ def test_nothing_is_recorded_when_the_messages_cannot_be_made(store: Store, path
         store.record_press(make_press(1), broken)
     assert contents(path) == (0, 0, 0)
     assert store.gels() == []
+    assert record(store, make_press(2)).sequence == 1  # no number is used up
 
 
 def killed_at(path: Path, press: PressRecord, messages: MakeMessages, statement: int) -> bool:
@@ -213,20 +206,48 @@ def test_a_writer_and_a_publisher_work_at_the_same_time(store: Store, path: Path
     assert seen + rest == list(range(1, 101))
 
 
-@pytest.mark.parametrize(
-    ("content", "advice"),
-    [
-        (b"not a database, but long enough to have a header" * 9, "not a database"),
-        (b"SQLite format 3\0" + b"\xff" * 4080, ""),
-    ],
-)
-def test_a_file_that_is_no_database_is_refused(path: Path, content: bytes, advice: str) -> None:
-    """A sentence names the file; the file is left as it is."""
-    path.write_bytes(content)
+def write_bytes(content: bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(content)
 
-    with pytest.raises(StoreError, match=f"gelgate.db.*{advice}"):
+
+def write_tables(statement: str) -> Callable[[Path], object]:
+    def write(path: Path) -> None:
+        with closing(sqlite3.connect(path)) as connection:
+            connection.execute(statement)
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("write", "says"),
+    [
+        (write_bytes(b"not a database, but long enough to have a header" * 9), "gelgate.db.*not a database"),
+        (write_bytes(b"SQLite format 3\0" + b"\xff" * 4080), "gelgate.db"),
+        (write_tables("CREATE TABLE recipes (name TEXT)"), "belongs to another program"),
+    ],
+    ids=["text", "garbage", "another program's"],
+)
+def test_a_file_that_is_no_database_of_ours_is_refused(
+    path: Path, write: Callable[[Path], object], says: str
+) -> None:
+    """A sentence names the file; the file is left as it is."""
+    write(path)
+    before = path.read_bytes()
+
+    with pytest.raises(StoreError, match=says):
         Store(path)
-    assert path.read_bytes() == content
+    assert path.read_bytes() == before
+
+
+def test_a_newer_database_or_a_missing_folder_is_refused(path: Path, tmp_path: Path) -> None:
+    """By its version, and with the advice to create the folder."""
+    Store(path).close()
+    write_tables("PRAGMA user_version = 99")(path)
+
+    with pytest.raises(StoreError, match=f"schema version 99, this program knows up to {SCHEMA_VERSION}"):
+        Store(path)
+    with pytest.raises(StoreError, match=r"nowhere.*create its folder"):
+        Store(tmp_path / "nowhere" / "gelgate.db")
 
 
 def test_a_damaged_page_is_found_and_named(path: Path) -> None:
@@ -240,33 +261,6 @@ def test_a_damaged_page_is_found_and_named(path: Path) -> None:
 
     with pytest.raises(StoreError, match=r"damaged|malformed"), Store(path) as store:
         store.presses(40)
-
-
-def test_a_database_of_another_program_is_refused(path: Path) -> None:
-    """A foreign SQLite file is never written into."""
-    with sqlite3.connect(path) as connection:
-        connection.execute("CREATE TABLE recipes (name TEXT)")
-    connection.close()
-
-    with pytest.raises(StoreError, match="belongs to another program"):
-        Store(path)
-
-
-def test_a_newer_database_is_refused_by_its_version(path: Path) -> None:
-    """A newer program's file is not touched by an older one."""
-    Store(path).close()
-    with sqlite3.connect(path) as connection:
-        connection.execute("PRAGMA user_version = 99")
-    connection.close()
-
-    with pytest.raises(StoreError, match=f"schema version 99, this program knows up to {SCHEMA_VERSION}"):
-        Store(path)
-
-
-def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    """The advice is to create it."""
-    with pytest.raises(StoreError, match=r"nowhere.*create its folder"):
-        Store(tmp_path / "nowhere" / "gelgate.db")
 
 
 def test_commits_survive_a_power_cut_and_acknowledgements_need_not(path: Path) -> None:

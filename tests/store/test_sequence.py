@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 from recorded_presses import count, make_press
 
-from edge.core.errors import StoreError
 from edge.store.backup import migrate
 from edge.store.press_store import Store
 
@@ -38,26 +37,6 @@ def test_a_change_of_gel_or_sensor_and_a_restart_do_not_reset_it(path: Path) -> 
 
     assert [one.sequence for one in seen] == [1, 2, 3, 4]
     assert [one.gel.presses for one in seen] == [1, 1, 2, 1]
-
-
-def test_a_repeated_press_keeps_its_number(store: Store) -> None:
-    """Whoever saw an error and repeats gets the number that was published."""
-    count(store, make_press(1))
-    count(store, make_press(2))
-
-    assert count(store, make_press(1)).sequence == 1
-
-
-def test_a_press_that_was_not_recorded_takes_no_number(store: Store) -> None:
-    """No gap appears for a press that was refused."""
-
-    def broken(recorded: object) -> list[object]:
-        raise StoreError("no room")
-
-    with pytest.raises(StoreError):
-        store.record_press(make_press(1), broken)
-
-    assert count(store, make_press(2)).sequence == 1
 
 
 def test_a_database_of_the_version_before_goes_on_counting(old_database: Path) -> None:

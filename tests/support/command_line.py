@@ -10,7 +10,7 @@ from unittest import mock
 
 from edge.cli import main
 
-__all__ = ["Outcome", "gelgate"]
+__all__ = ["Outcome", "gelgate", "ran"]
 
 
 @dataclass(frozen=True)
@@ -49,3 +49,10 @@ def gelgate(*arguments: object) -> Outcome:
         for number, handler in signals.items():
             signal.signal(number, handler)
     return Outcome(code, out.getvalue(), err.getvalue())
+
+
+def ran(*arguments: object) -> str:
+    """Run one command that succeeds; return what it prints on both outputs."""
+    done = gelgate(*arguments)
+    assert done.code == 0, done.err
+    return done.out + done.err
