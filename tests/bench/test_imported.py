@@ -22,6 +22,7 @@ import pytest
 from anomalib_files import interpreter, made_by_anomalib, write_weights
 from command_line import gelgate
 from numpy.typing import NDArray
+from station import station_config
 
 from calibration.metrics.aupro import aupro
 from calibration.simulator.field_of_view import LR
@@ -47,23 +48,6 @@ WANTED = {
     },
 }  # fmt: skip
 AUPRO_LIMIT = 0.3
-CONFIG = """
-version = 1
-[station]
-site = "bench"
-line = "import"
-station = "one"
-[device]
-plugin = "usb_mock"
-options = {{ recording = "{recording}", pace = 0 }}
-[inspection]
-bundle = "{bundle}"
-[store]
-path = "gelgate.db"
-[[sinks]]
-plugin = "jsonl"
-options = {{ folder = "out" }}
-"""
 
 
 class Trained:
@@ -167,16 +151,14 @@ def test_the_gateway_gives_the_same_order(trained: Trained, made: tuple[str, Imp
     """Every press of the virtual sensor has the score of anomalib, within packing, and the verdict of its threshold."""
     name, bundle = made
     expected = np.load(trained.made / f"{name}.npz")
-    station = trained.folder / f"station_{name}"
-    station.mkdir()
-    (station / "gelgate.toml").write_text(CONFIG.format(recording=trained.recording(), bundle=bundle.path))
+    config = station_config(trained.folder / f"station_{name}", trained.recording(), bundle.path)
 
-    done = gelgate("run", "--config", station / "gelgate.toml")
+    done = gelgate("run", "--config", config)
 
     assert done.code == 0, done.err
     lines = [
         json.loads(line)
-        for file in sorted(station.rglob("*.jsonl"))
+        for file in sorted(config.parent.rglob("*.jsonl"))
         for line in file.read_text().splitlines()
     ]
     scores = np.array([score for line in lines if (score := _score(line)) is not None])
