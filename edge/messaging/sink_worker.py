@@ -13,9 +13,10 @@ from edge.core.ports import Clock, Message, Sink
 from edge.logs import about_press
 from edge.messaging.alarm_payload import ALARMS, alarm_cleared
 from edge.messaging.payload_base import as_replayed
+from edge.messaging.refused_rows import RefusedRows, kind_of
 from edge.store.outbox import Outbox, OutboxRow
 
-__all__ = ["IDLE_S", "OFFER_REFUSED_S", "OnChange", "RetainedState", "SinkCounters", "SinkWorker"]
+__all__ = ["IDLE_S", "OnChange", "RetainedState", "SinkCounters", "SinkWorker"]
 
 
 class RetainedState:
@@ -75,14 +76,6 @@ BATCH_ROWS: Final = 16
 # An idle worker checks the outbox this often: other processes (`gelgate gel replace`) cannot wake it.
 IDLE_S: Final = 5.0
 
-# Refused rows are offered again this often, this number of them at a time, each in its turn: permissions may be
-# corrected, size limits raised. When one is accepted, all rows of its kind are offered at once.
-OFFER_REFUSED_S: Final = 45.0
-OFFERED_ROWS: Final = 16
-
-# A row that causes an unexpected error this often in a row is set aside: it may be damaged, and others wait behind it.
-BROKEN_ATTEMPTS: Final = 3
-
 OnChange = Callable[[str, bool, str], None]
 """(sink name, whether it accepts messages now, one sentence). Called on changes only, from the worker's thread."""
 
@@ -128,7 +121,6 @@ class SinkWorker:
         self._sink = sink
         self._outbox = outbox
         self._retained_state = retained_state
-        self._clock = clock
         self._backoff = backoff
         self._on_change = on_change
         self._has_changed = False  # whether `on_change` was ever called
@@ -140,13 +132,8 @@ class SinkWorker:
         self._is_store_failing = False
         # Rows up to this one waited for the sink, or for this process to start: they are late when they are sent.
         self._late_up_to = outbox.newest()
-        self._offered_ns: int | None = None
-        self._offered_up_to = 0  # the last row of the last offer; the next offer begins after it
-        self._offered: set[int] = set()  # rows that were refused once and are in the queue again
-        self._accepts_again: set[str] = set()  # kinds of message of which a refused one was accepted
+        self._refused = RefusedRows(name, outbox, clock)
         self._refuses: set[str] = set()  # kinds that are refused now; each is logged once
-        self._broken = (0, 0)  # the row of the last unexpected error, and the number of its errors
-        self._was_broken: set[int] = set()  # rows that were set aside for such errors
 
     def step(self) -> float:
         """Send changed state and at most one batch of rows; returns seconds until the next step, 0 for at once.
@@ -159,7 +146,8 @@ class SinkWorker:
             self._say()  # first: the current state needs no store
             if has_failed:
                 self._late_up_to = self._outbox.newest()
-            self._offer_refused()
+            if (first := self._refused.offer()) is not None:
+                self._passed = min(self._passed, first - 1)
             rows = self._outbox.pending(self.name, BATCH_ROWS, after=self._passed)
             for row in rows:
                 with about_press(_press_id(row.message)):
@@ -169,27 +157,11 @@ class SinkWorker:
             return self._note_failure(error)
         except StoreError as error:
             return self._note_unstored(error)
-        return 0.0 if len(rows) == BATCH_ROWS or self._accepts_again else IDLE_S
+        return 0.0 if len(rows) == BATCH_ROWS or self._refused.is_urgent else IDLE_S
 
     def count_exception(self) -> float:
         """Count an unexpected exception of `step`; returns the seconds to wait, as for any failure."""
         return self._note_failure(SinkUnavailable(f"sink {self.name} is broken; its traceback is in the log"))
-
-    def _offer_refused(self) -> None:
-        now_ns = self._clock.monotonic_ns()
-        for kind in self._accepts_again:
-            self._offer(self._outbox.offer_refused(self.name, kind=kind))
-        self._accepts_again.clear()
-        if self._offered_ns is None or now_ns - self._offered_ns >= OFFER_REFUSED_S * 1e9:
-            rows = self._outbox.offer_refused(self.name, OFFERED_ROWS, after=self._offered_up_to)
-            self._offered_up_to = rows[-1] if len(rows) == OFFERED_ROWS else 0
-            self._offer(rows)
-            self._offered_ns = now_ns
-
-    def _offer(self, rows: Sequence[int]) -> None:
-        if rows:
-            self._offered.update(rows)
-            self._passed = min(self._passed, rows[0] - 1)
 
     def _say(self) -> None:
         for version, message in self._retained_state.since(self._sent_version):
@@ -210,14 +182,19 @@ class SinkWorker:
                 return
             except (SinkError, StoreError):
                 raise
-            except Exception as error:  # noqa: BLE001 - damage in the row, or a fault in the plugin
-                self._broke(row, error)
+            except Exception as error:
+                if not self._refused.is_damaged(row):
+                    raise
+                self._set_aside(
+                    row, f"it cannot be sent ({type(error).__name__}: {error}); it may be damaged"
+                )
                 return
             self._accepted = row.row_id
         if row.message.retain:
             self._retained_state.remember(row.message, row.row_id)
         self._outbox.acknowledge(row.row_id, self.name)
-        self._note_accepted(row)
+        self._refuses.discard(kind_of(row.message))
+        self._refused.accept(row)
         self._note_stored()
         self.counters = replace(
             self.counters,
@@ -225,24 +202,8 @@ class SinkWorker:
             replayed=self.counters.replayed + int(is_late),
         )
 
-    def _note_accepted(self, row: OutboxRow) -> None:
-        self._refuses.discard(_kind(row.message))
-        if row.row_id in self._offered:
-            self._offered.discard(row.row_id)
-            self._accepts_again.add(_kind(row.message))
-
-    def _broke(self, row: OutboxRow, error: Exception) -> None:
-        """Count an unexpected error on this row. It is raised again, until the row is set aside."""
-        number = self._broken[1] + 1 if self._broken[0] == row.row_id else 1
-        self._broken = (row.row_id, number)
-        if number < BROKEN_ATTEMPTS and row.row_id not in self._was_broken:
-            raise error
-        self._was_broken.add(row.row_id)
-        self._set_aside(row, f"it cannot be sent ({type(error).__name__}: {error}); it may be damaged")
-
     def _set_aside(self, row: OutboxRow, why: str) -> None:
-        self._outbox.refuse(row.row_id, self.name, why)
-        self._offered.discard(row.row_id)
+        self._refused.set_aside(row, why)
         self._note_refused(row.message, why)
 
     def _deliver(self, message: Message) -> None:
@@ -277,9 +238,9 @@ class SinkWorker:
 
     def _note_refused(self, message: Message, why: str) -> None:
         self.counters = replace(self.counters, refused=self.counters.refused + 1, last_refusal=why)
-        if _kind(message) not in self._refuses:
+        if kind_of(message) not in self._refuses:
             log.warning("sink %s refused a message on %s: %s", self.name, message.topic, why)
-        self._refuses.add(_kind(message))
+        self._refuses.add(kind_of(message))
 
     def _change(self, is_up: bool, sentence: str) -> None:
         self._has_changed = True
@@ -299,8 +260,3 @@ def _press_id(message: Message) -> str | None:
     except (ValueError, AttributeError):  # a damaged row
         return None
     return press_id if isinstance(press_id, str) else None
-
-
-def _kind(message: Message) -> str:
-    """The first level of its topic: messages of one kind are allowed or forbidden together."""
-    return message.topic.partition("/")[0]
