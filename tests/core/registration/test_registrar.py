@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +16,8 @@ from edge.core.registration.light import FreeLight
 from edge.core.registration.pose import Pose, depth_inside
 from edge.core.registration.pose_search import PoseSearch
 from edge.core.registration.registrar import Registrar, depth_of, find_relief
+
+RIM = Pose(34.0, -4.0, 0.4)
 
 
 @cache
@@ -119,30 +122,24 @@ def test_a_symmetric_part_looks_the_same_in_each_of_its_poses() -> None:
 
 
 def test_a_part_at_the_rim_is_found_and_the_rest_is_unseen() -> None:
-    """Its place is right although a part of it left the field, and the result states how much."""
-    true = Pose(34.0, -4.0, 0.4)
-    found = registrar("BLOCK").register(parts.press(parts.BLOCK, true))
+    """Its place is right although a part of it left the field, and the result states how much. Unseen places count
+    neither for the press nor in its map, and show the mean nominal press."""
+    found = registrar("BLOCK").register(parts.press(parts.BLOCK, RIM, noise=0.0))
+    scores = np.where(found.seen, 1.0, 100.0).astype(np.float32)
+    away = np.abs(found.rgb.astype(np.float32) - registrar("BLOCK").part.template).max(axis=2)
 
-    assert _apart(found.pose, true, _bank_pose("BLOCK"))[0] < 0.5
+    assert _apart(found.pose, RIM, _bank_pose("BLOCK"))[0] < 0.5
     assert found.seen_share < 0.95
     assert found.unseen_in_press.any()
-
-
-def test_unseen_places_never_score() -> None:
-    """The highest score of an unseen place counts neither for the press nor in its map."""
-    found = registrar("BLOCK").register(parts.press(parts.BLOCK, Pose(34.0, -4.0, 0.4)))
-    scores = np.ones(found.seen.shape, np.float32)
-    scores[~found.seen] = 100.0
-
-    assert found.score(scores) == 1.0
-    assert found.in_press(scores).max() == 1.0
+    assert (found.score(scores), found.in_press(scores).max()) == (1.0, 1.0)
+    assert away[depth_inside(found.pose, (parts.SIDE, parts.SIDE)) < 0].max() <= 1
 
 
 @pytest.mark.parametrize("to_end", [True, False])
 def test_relief_is_scored_up_to_the_end_of_what_the_press_shows(to_end: bool) -> None:
     """All that shows but two pixels for the interpolation; flat places, and an older bundle, keep a seam of 4 px."""
     part = replace(registrar("BLOCK").part, scores_relief_to_end=to_end)
-    found = Registrar(part).register(parts.press(parts.BLOCK, Pose(34.0, -4.0, 0.4)))
+    found = Registrar(part).register(parts.press(parts.BLOCK, RIM))
     light = FreeLight(part.free)
     relief = (
         find_relief(part.colours.slopes(light.find_change(part.template) * part.learnt[..., None]))
@@ -153,15 +150,6 @@ def test_relief_is_scored_up_to_the_end_of_what_the_press_shows(to_end: bool) ->
     np.testing.assert_array_equal(found.seen[relief], depth[relief] >= (1 if to_end else 4))
     np.testing.assert_array_equal(found.seen[~relief], depth[~relief] >= 4)
     assert ((depth >= 1) & (depth < 4) & relief).sum() > 20
-
-
-def test_the_press_fades_into_the_mean_press() -> None:
-    """Where nothing is seen the picture is the mean nominal press."""
-    found = registrar("BLOCK").register(parts.press(parts.BLOCK, Pose(34.0, -4.0, 0.4), noise=0.0))
-    template = registrar("BLOCK").part.template
-    away = np.abs(found.rgb.astype(np.float32) - template).max(axis=2)
-
-    assert away[depth_inside(found.pose, (parts.SIDE, parts.SIDE)) < 0].max() <= 1
 
 
 def test_the_map_comes_back_to_where_the_damage_lies() -> None:
@@ -200,38 +188,32 @@ def test_a_second_part_does_not_lead_away() -> None:
     assert found.refusal or _apart(found.pose, true, _bank_pose("BLOCK"))[0] < 1.0
 
 
-def test_marker_dots_lead_nowhere() -> None:
-    """The dots of a marker gel are on the free gel too: they stay where they are, and the part is found."""
+def dotted(rgb: np.ndarray) -> np.ndarray:
+    """As a marker gel shows it: its dots are on the free gel too, and stay where they are."""
     dots = np.ones((parts.SIDE, parts.SIDE, 1), np.float32)
     for row in range(10, parts.SIDE, 18):
         for column in range(10, parts.SIDE, 18):
             cv2.circle(dots, (column, row), 2, 0.4, -1)
+    return np.rint(rgb * dots).astype(np.uint8)
 
-    def dotted(rgb: np.ndarray) -> np.ndarray:
-        return np.rint(rgb * dots).astype(np.uint8)
 
-    true, presses = parts.anywhere(parts.BLOCK, 12)
-    part = learn_pose(np.stack([dotted(rgb) for rgb in presses]), dotted(parts.free_gel()))
+@pytest.mark.parametrize(
+    ("shape", "shown", "options"),
+    [(parts.BLOCK, dotted, {}), (parts.TEETH, np.asarray, {"seed": 5, "shift_px": 14.0})],
+    ids=["marker dots", "nine equal teeth, of which one end is marked"],
+)
+def test_neither_dots_nor_a_pitch_lead_away(shape: parts.Bumps, shown: Any, options: dict[str, Any]) -> None:
+    """Every press is found within a pixel of its own place."""
+    true, presses = parts.anywhere(shape, 12, **options)
+    part = learn_pose(np.stack([shown(rgb) for rgb in presses]), shown(parts.free_gel()))
     first = true[0].inverse().after(part.registered[0].pose)
-    apart = [_apart(one.pose, pose, first)[0] for one, pose in zip(part.registered, true, strict=True)]
-
-    assert max(apart) < 1.0
+    assert max(_apart(one.pose, at, first)[0] for one, at in zip(part.registered, true, strict=True)) < 1.0
 
 
 def test_a_press_of_another_size_is_refused() -> None:
     """Found and expected are named."""
     with pytest.raises(ValueError, match=r"\(128, 128, 3\), found uint8 \(64, 64, 3\)"):
         registrar("BLOCK").register(np.zeros((64, 64, 3), np.uint8))
-
-
-def test_a_regular_part_is_not_placed_a_pitch_off() -> None:
-    """Nine equal teeth of which one end is marked: every press is found at its own pitch."""
-    true, presses = parts.anywhere(parts.TEETH, 10, seed=5, shift_px=14.0)
-    part = learn_pose(presses, parts.free_gel())
-    first = true[0].inverse().after(part.registered[0].pose)
-    apart = [_apart(one.pose, pose, first)[0] for one, pose in zip(part.registered, true, strict=True)]
-
-    assert max(apart) < 1.0
 
 
 def test_the_bank_lies_in_the_middle_of_the_presses() -> None:
