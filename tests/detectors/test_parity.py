@@ -180,3 +180,29 @@ def test_presses_that_touch_nothing_are_refused(method: str) -> None:
         detector.fit(
             nominal, small_grid(), detector.parameters(), np.random.default_rng(0), lambda done: None
         )
+
+
+def louder(features: Features) -> Features:
+    """The same presses with one tap a thousand times as strong."""
+    return {tap: maps * np.float32(1000 if tap == "layer3" else 1) for tap, maps in features.items()}
+
+
+@pytest.mark.parametrize(
+    ("method", "mode", "choice"),
+    [
+        ("spade", "paper", {"is_normalised": False, "image_score": "map"}),
+        ("patchcore", "corrected", {"layers": TAPS[:3], **KEEPS_ALL["patchcore"]}),
+    ],
+)
+def test_no_tap_rules_by_its_scale(method: str, mode: str, choice: dict[str, object]) -> None:
+    """Repair: a tap a thousand times stronger does not change the shape of the balanced map."""
+    detector, spot, change = registry.detector(method), with_spot(presses_of(1, 9)), {}
+    for is_balanced in (True, False):
+        p, shapes = detector.parameters(mode, is_balanced=is_balanced, **choice), []
+        for shown in (dict, louder):
+            bank = fit(detector, p, shown(presses_of(6)), small_grid())
+            score_map = detector.reference_score(shown(spot), small_grid(), bank, p).score_map[0]
+            shapes.append(score_map / score_map.max())
+        change[is_balanced] = np.abs(shapes[1] - shapes[0]).max()
+    assert change[True] < 0.01
+    assert change[False] > 0.02
