@@ -27,9 +27,11 @@ def page(fixture: "pd.DataFrame", by_hand: "pd.DataFrame") -> str:
     presses, seeds = int(by_hand["presses"].max()), by_hand["seed"].nunique()
     part = ", ".join(sorted(set(by_hand["part"])))
     return (
-        f"# What the place of the part costs\n\n{part}, {presses} nominal presses, {seeds} seeds, AU-PRO@0.01: mean "
-        "[95 % interval over seeds]. Both columns have the same kinds of damage and every other effect; *by hand* is "
-        f"the scene as it is, *fixture* is without `pose_jitter`.\n\n{_table(fixture, by_hand)}"
+        "# What the place of the part costs\n\n"
+        "A reference, printed from rows by `python -m calibration.studies.placement_page`.\n\n"
+        f"{part}, {presses} nominal presses, {seeds} seeds, AU-PRO@0.01: mean [95 % interval over seeds]. Both columns "
+        "have the same kinds of damage and every other effect; *by hand* is the scene as it is, *fixture* is without "
+        f"`pose_jitter`.\n\n{_table(fixture, by_hand)}"
     )
 
 

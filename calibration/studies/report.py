@@ -66,7 +66,7 @@ def _write(output: Path, name: str, page: Page) -> Path:
         output.mkdir(parents=True, exist_ok=True)
         for file, draw in page.figures.items():
             (output / file).write_text(svg(draw()), encoding="utf-8")
-        target.write_text(page.markdown, encoding="utf-8")
+        target.write_text(page.text, encoding="utf-8")
     except OSError as error:
         raise StoreError(
             f"the report cannot be written to '{output}': {error.strerror}; choose another folder"

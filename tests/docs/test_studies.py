@@ -32,23 +32,23 @@ def test_a_study_s_page_is_that_of_its_rows(study: str, rows: pd.DataFrame) -> N
     """The committed page is what `gelgate lab report` writes, and every figure that it names is there."""
     found = of(rows, study)
 
-    assert (STUDIES / f"{study}.md").read_text(encoding="utf-8") == found.markdown
+    assert (STUDIES / f"{study}.md").read_text(encoding="utf-8") == found.text
     assert {name for name in found.figures if not (STUDIES / name).is_file()} == set()
 
 
 def test_the_comparison_with_the_paper_is_that_of_the_rows(rows: pd.DataFrame) -> None:
     """Orders, directions and levels come from the rows and the published numbers."""
-    assert (STUDIES / "paper.md").read_text(encoding="utf-8") == paper_page(rows).markdown
+    assert (STUDIES / "paper.md").read_text(encoding="utf-8") == paper_page(rows).text
 
 
 def test_the_recommendations_are_those_of_the_rows(rows: pd.DataFrame) -> None:
     """Each answer of each setup."""
-    assert (STUDIES / "recommend.md").read_text(encoding="utf-8") == recommend_page(rows).markdown
+    assert (STUDIES / "recommend.md").read_text(encoding="utf-8") == recommend_page(rows).text
 
 
 def test_the_time_is_that_of_the_rows(rows: pd.DataFrame) -> None:
     """By study, setup and part."""
-    assert (STUDIES / "time.md").read_text(encoding="utf-8") == time_page(rows).markdown
+    assert (STUDIES / "time.md").read_text(encoding="utf-8") == time_page(rows).text
 
 
 def test_the_page_about_placement_is_that_of_its_rows() -> None:

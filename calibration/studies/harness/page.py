@@ -44,6 +44,12 @@ class Page:
     markdown: str
     figures: Mapping[str, Callable[[], "Figure"]] = field(default_factory=dict)
 
+    @property
+    def text(self) -> str:
+        """The page as it is written: its title, what kind of page it is, and the rest."""
+        title, _, rest = self.markdown.partition("\n\n")
+        return f"{title}\n\nA reference, printed from rows by `gelgate lab report`.\n\n{rest}"
+
 
 def make_page(
     rows: "pd.DataFrame",
