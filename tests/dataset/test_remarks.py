@@ -14,41 +14,21 @@ def presses(*names: str) -> list[LabelledPress]:
 
 
 @pytest.mark.parametrize(
-    ("empty", "said"),
-    [
-        ([], []),
-        (
-            [1],
-            [
-                "1 of the 3 defective presses of PZ1/pos1 has an empty mask in the inspected region, such as 'b'"
-            ],
-        ),
-        (
-            [0, 2],
-            [
-                "2 of the 3 defective presses of PZ1/pos1 have empty masks in the inspected region, such as 'a'"
-            ],
-        ),
-    ],
+    ("empty", "said"), [([], []), ([1], ["1 of the 3", "'b'"]), ([0, 2], ["2 of the 3", "'a'"])]
 )
 def test_empty_masks_are_counted_and_one_is_named(empty: list[int], said: list[str]) -> None:
     masks = np.ones((3, 2, 2), np.bool_)
     masks[empty] = False
-
     found = empty_masks("PZ1/pos1", presses("a", "b", "c"), masks)
-
-    assert [sentence.split(":")[0] for sentence in found] == said
+    assert len(found) == bool(said)
+    assert all(words in found[0] for words in said)
 
 
 @pytest.mark.parametrize(
     ("digests", "said"),
-    [
-        (b"xyz", []),
-        (b"xyx", ["PZ1/pos1 has 1 copy of other pictures, such as 'c' of 'a'"]),
-        (b"xxx", ["PZ1/pos1 has 2 copies of other pictures, such as 'b' of 'a'"]),
-    ],
+    [(b"xyz", []), (b"xyx", ["1 copy", "'c' of 'a'"]), (b"xxx", ["2 copies", "'b' of 'a'"])],
 )
 def test_copies_are_counted_and_one_is_named(digests: bytes, said: list[str]) -> None:
     found = repeated_pictures("PZ1/pos1", presses("a", "b", "c"), [bytes([one]) for one in digests])
-
-    assert [sentence.split(":")[0] for sentence in found] == said
+    assert len(found) == bool(said)
+    assert all(words in found[0] for words in said)

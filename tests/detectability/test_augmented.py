@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 import tiny
 import turned_parts as parts
-from registered_bundle import PROFILE, nominal
+from registered_bundle import PROFILE, fitted, nominal
 
 from calibration.detectability.judges import panel
-from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.augmentation import render_copies
-from calibration.fitting.trunks import Trunk
 from edge import registry
-from edge.core.imaging.region import Region
 from edge.model.manifest_facts import copies_of_each
 
 
@@ -35,11 +32,9 @@ def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[N
 def test_a_bank_without_a_press_learns_the_copies_of_the_others() -> None:
     """It is the mean of tiny features, worked from the pictures of three presses and of their copies."""
     presses = nominal(parts.anywhere(parts.BLOCK, 4, shift_px=2.0, turn_rad=0.01)[1])
-    region, trunk = Region(0, 0, parts.SIDE, parts.SIDE), Trunk("tiny", tiny.tiny_trunk())
-    config = FitConfig("block", "top", PROFILE, region, tiny.TINY, trunk, augment="auto")
-    found = fit_files(presses, config, created="2026-01-01")
+    found = fitted(presses, detector=tiny.TINY, augment="auto")
     each = copies_of_each(found.manifest.facts)
-    copies, of = render_copies(presses, each, PROFILE.pixels_per_mm, np.random.default_rng(config.seed))
+    copies, of = render_copies(presses, each, PROFILE.pixels_per_mm, np.random.default_rng(0))
 
     assert each > 0
     for press, judge in panel(found.bundle(), presses, 0, 1, lambda done: None).judges.items():

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from heads import stored_bytes
 from presses import LIKE_RESNET, features, fitted, head_scores, largest_error, run_head, stored
 
-from edge.core.detector import Bank, Grid, Nominal
+from edge.core.detector import Grid, Nominal
 from edge.core.errors import FitError
-from edge.model.packing import pack
 from plugins.detectors.padim import PadimParameters, padim
 
 QUERY = features(3, seed=7)
@@ -68,10 +68,7 @@ def test_the_bank_stays_within_its_megabytes(packing: str) -> None:
     deep: dict[str, Any] = {"taps": DEEP, "grid_tap": "layer2", "block": 1, "rank": 32, "packing": packing}
     parameters = padim.parameters(bank_mb=0.03, **deep)
     bank = fitted(padim, parameters, Nominal(features(30, seed=1)))
-    size = 0
-    for name, array in bank.arrays.items():
-        packed = pack(array, bank.packing.get(name, "none"))
-        size += packed.data.nbytes + (0 if packed.scale is None else packed.scale.nbytes)
+    size = stored_bytes(bank)
     projections = sum(array.nbytes for name, array in bank.arrays.items() if name.startswith("projection_"))
     assert size - projections <= 30_000
     assert 2 < bank.facts["rank"] < 20
@@ -235,52 +232,29 @@ def test_a_published_choice_of_channels_is_taken() -> None:
     alone = padim.reference_score(asked, at, fitted(padim, every, Nominal(few), at), every)
     assert largest_error(padim.reference_score(QUERY, LIKE_RESNET, bank, parameters), alone) < 1e-9
     assert largest_error(head_scores(padim, parameters, QUERY, bank), alone) < 2e-6
-
-
-def test_a_listed_channel_that_no_tap_has_is_refused() -> None:
-    """The list counts through all taps: of 40 channels the last is 39."""
-    parameters = padim.parameters("paper", channel_list=(3, 40))
     with pytest.raises(FitError, match="names channel 40, the taps have 40 together, 0 to 39"):
-        fitted(padim, parameters, Nominal(features(4, seed=1)))
+        fitted(padim, padim.parameters("paper", channel_list=(3, 40)), Nominal(train))
 
 
-def bare_neighbourhoods(block: int) -> tuple[Bank, PadimParameters, np.ndarray]:
-    """A bank of layer1's channels unchanged, and the presses with their borders repeated."""
+@pytest.mark.parametrize("block", [1, 2])
+def test_a_block_has_the_mean_of_its_cells_covariances(block: int) -> None:
+    """Mean and covariance of a cell's 3x3 neighbourhood, borders repeated, from nine cells' moments, are those of all
+    their samples. The cells of a block share the mean of their covariances; each keeps its own mean."""
     parameters = padim.parameters(projection="all", is_balanced=False, rank=None, block=block)
     train = {"layer1": features(4, seed=1)["layer1"]}
     bank = fitted(padim, parameters, Nominal(train), Grid((48, 48), {"layer1": (8, 12, 12)}, 15.77))
     padded = np.pad(train["layer1"].astype(np.float64), ((0, 0), (0, 0), (1, 1), (1, 1)), mode="edge")
-    return bank, parameters, padded
-
-
-def test_a_block_has_the_mean_of_its_cells_covariances() -> None:
-    """Four cells share the mean of their four covariances; each keeps its own mean."""
-    bank, parameters, padded = bare_neighbourhoods(block=2)
     for row, column in ((0, 0), (4, 6), (10, 2)):
         covariances = []
-        for cell_row, cell_column in np.ndindex(2, 2):
+        for cell_row, cell_column in np.ndindex(block, block):
             top, left = row + cell_row, column + cell_column
             samples = padded[:, :, top : top + 3, left : left + 3].transpose(0, 2, 3, 1).reshape(-1, 8)
             np.testing.assert_allclose(bank.arrays["mean"][top * 12 + left], samples.mean(axis=0), rtol=1e-5)
             covariances.append(np.cov(samples, rowvar=False))
-        number = row // 2 * 6 + column // 2
+        number = row // block * (12 // block) + column // block
         basis, values = bank.arrays["basis"][number], 1 / bank.arrays["weights"][number] - parameters.ridge
-        np.testing.assert_allclose(
-            basis.T * values @ basis, np.mean(covariances, axis=0), rtol=1e-3, atol=1e-5
-        )
-
-
-def test_neighbours_are_nine_times_the_samples() -> None:
-    """Mean and covariance of the 3x3 neighbourhood, from nine cells' moments, are those of all their samples."""
-    bank, parameters, padded = bare_neighbourhoods(block=1)
-    for row, column in ((0, 0), (5, 7), (11, 3)):
-        samples = padded[:, :, row : row + 3, column : column + 3].transpose(0, 2, 3, 1).reshape(-1, 8)
-        place = row * 12 + column
-        np.testing.assert_allclose(bank.arrays["mean"][place], samples.mean(axis=0), rtol=1e-5)
-        basis, values = bank.arrays["basis"][place], 1 / bank.arrays["weights"][place] - parameters.ridge
-        np.testing.assert_allclose(
-            basis.T * values @ basis, np.cov(samples, rowvar=False), rtol=1e-3, atol=1e-5
-        )
+        found = basis.T * values @ basis
+        np.testing.assert_allclose(found, np.mean(covariances, axis=0), rtol=1e-3, atol=1e-5)
 
 
 def test_the_bank_says_what_was_repaired() -> None:

@@ -2,16 +2,7 @@
 
 import numpy as np
 import pytest
-from heads import (
-    SMALL,
-    fit,
-    grid,
-    parity,
-    presses_of,
-    run_head,
-    stored_bytes,
-    with_spot,
-)
+from heads import SMALL, fit, grid, parity, presses_of, run_head, stored_bytes, with_spot
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -1,14 +1,11 @@
 """Rendered copies of few presses: what they show, when a bank learns them, and the threshold that they allow."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import tiny
 import turned_parts as parts
-from registered_bundle import PROFILE, PlaceDetector, nominal
+from registered_bundle import PROFILE, fitted, nominal
 
-from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.presses.augmentation import (
     EACH,
@@ -19,10 +16,8 @@ from calibration.fitting.presses.augmentation import (
     render_copies,
 )
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.trunks import Trunk
 from edge.core.detector import Features, Mode, Nominal
 from edge.core.errors import FitError
-from edge.core.imaging.region import Region
 from edge.core.registration.pose import Pose
 from edge.model.manifest_facts import promise
 from edge.model.scorer import Scorer
@@ -33,19 +28,6 @@ U8 = np.typing.NDArray[np.uint8]
 def few(count: int, **changes: object) -> NominalPresses:
     """Presses of one part that lie nearly at one place."""
     return nominal(parts.anywhere(parts.BLOCK, count, shift_px=2.0, turn_rad=0.01)[1], **changes)
-
-
-def fitted(presses: NominalPresses, augment: Augment = "auto", **changes: object) -> Fitted:
-    config = FitConfig(
-        part="block",
-        position="top",
-        profile=PROFILE,
-        region=Region(0, 0, parts.SIDE, parts.SIDE),
-        detector=PlaceDetector(),
-        trunk=Trunk("tiny", tiny.tiny_trunk()),
-        augment=augment,
-    )
-    return fit_files(presses, dataclasses.replace(config, **changes), created="2026-01-01")  # type: ignore[arg-type]
 
 
 def copies(presses: NominalPresses, each: int = 4, seed: int = 0) -> U8:
@@ -151,7 +133,7 @@ def test_a_press_that_is_held_out_takes_its_copies_along() -> None:
 def test_one_press_makes_a_bundle_that_promises_nothing() -> None:
     """The manifest says how the bank was made, where the threshold is from, and that no rate is promised. Another press
     of the part passes, and the same with a dark square fails."""
-    found = fitted(few(1))
+    found = fitted(few(1), augment="auto")
     manifest, scorer = found.manifest, Scorer(found.bundle())
     sound = parts.anywhere(parts.BLOCK, 1, 77, shift_px=2.0, turn_rad=0.01)[1][0]
     damaged = sound.copy()
@@ -170,7 +152,7 @@ def test_one_press_makes_a_bundle_that_promises_nothing() -> None:
 @pytest.mark.parametrize(("count", "floor"), [(2, 1 / 3), (3, 1 / 4)])
 def test_two_or_three_presses_promise_what_their_number_allows(count: int, floor: float) -> None:
     """Each is scored by a bank of the others and their copies; so few show no outlier among them."""
-    manifest = fitted(few(count)).manifest
+    manifest = fitted(few(count), augment="auto").manifest
     limit = manifest.threshold
 
     assert limit.n == count
@@ -198,11 +180,11 @@ def test_what_copies_cannot_help_is_refused(
 ) -> None:
     """Few presses without copies, one press twice, none at all, and copies of presses that lie in one pose already."""
     with pytest.raises(FitError, match=sentence):
-        fitted(presses, **changes)
+        fitted(presses, **{"augment": "auto", **changes})
 
 
 def test_many_presses_fit_as_they_always_did() -> None:
     """With more than eight presses `auto` changes no byte of bank, graphs and golden frames."""
     presses = few(9)
-    with_auto, without = fitted(presses, "auto").files, fitted(presses, "never").files
+    with_auto, without = (fitted(presses, augment=augment).files for augment in ("auto", "never"))
     assert {**with_auto, "manifest.json": b""} == {**without, "manifest.json": b""}

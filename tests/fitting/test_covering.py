@@ -16,27 +16,28 @@ PRESSES = Nominal(
 LEARNER = Learner(tiny.TINY, GRID, tiny.TinyParameters(), 0, 1)
 
 
-def test_a_bank_covers_presses_that_score_lower_by_it() -> None:
-    """Presses score at most the same with a bank that has them."""
-    held_out = np.linspace(8, 14, 40)
-    assert is_covered(0.9 * held_out, held_out, 13.8)
+FEW = np.linspace(5, 8, 40)
 
 
-def test_a_bank_that_most_presses_fail_by_does_not_cover_them() -> None:
-    """Measured with 40 presses of a part: out of fold 8.4 to 13.8, with the final bank 12.9 to 15.8."""
-    assert not is_covered(np.linspace(12.9, 15.8, 40), np.linspace(8.4, 13.8, 40), 13.7)
-
-
-def test_a_bank_lacks_a_place_also_where_no_press_fails_by_it() -> None:
-    """All presses score a half higher than unknown; one stray keeps the threshold above them."""
-    held_out = np.append(np.linspace(8, 9, 19), 40.0)
-    assert not is_covered(np.append(np.linspace(12, 13, 19), 5.0), held_out, 40.0)
-
-
-def test_a_few_presses_that_fail_by_their_own_bank_are_no_lack() -> None:
-    """Three of 40, as InReaCh leaves out strays."""
-    held_out = np.linspace(5, 8, 40)
-    assert is_covered(np.append(0.9 * held_out[:37], [8.7, 8.8, 8.9]), held_out, 7.9)
+@pytest.mark.parametrize(
+    ("known", "held_out", "limit", "expected"),
+    [
+        # Presses score at most the same with a bank that has them.
+        (0.9 * np.linspace(8, 14, 40), np.linspace(8, 14, 40), 13.8, True),
+        # Measured with 40 presses of a part: most of them fail by their own bank.
+        (np.linspace(12.9, 15.8, 40), np.linspace(8.4, 13.8, 40), 13.7, False),
+        # All score a half higher than unknown, though one stray keeps the threshold above them.
+        (np.append(np.linspace(12, 13, 19), 5.0), np.append(np.linspace(8, 9, 19), 40.0), 40.0, False),
+        # Three of 40 fail, as InReaCh leaves out strays.
+        (np.append(0.9 * FEW[:37], [8.7, 8.8, 8.9]), FEW, 7.9, True),
+        # A place that every press has makes most of them fail: the limit of the share is a quarter.
+        *((np.where(np.arange(40) < 40 - n, FEW, 8.5), FEW, 7.99, n == 10) for n in (10, 11)),
+    ],
+)
+def test_a_bank_covers_its_presses_where_few_of_them_fail_by_it(
+    known: np.ndarray, held_out: np.ndarray, limit: float, expected: bool
+) -> None:
+    assert is_covered(known, held_out, limit) == expected
 
 
 def test_the_higher_of_the_two_scores_counts_for_the_threshold() -> None:
@@ -75,11 +76,3 @@ def shown(scores: np.ndarray) -> HeldOut:
 
 def threshold(scores: np.ndarray) -> float:
     return conformal_threshold(scores, 0.05).value
-
-
-def test_the_limit_of_the_share_is_a_quarter() -> None:
-    """A place that every press has makes most of them fail."""
-    held_out = np.linspace(5, 8, 40)
-    for failing, expected in ((10, True), (11, False)):
-        known = np.where(np.arange(40) < 40 - failing, held_out, 8.5)
-        assert is_covered(known, held_out, 7.99) == pytest.approx(expected)

@@ -4,17 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pressed_dome import PROFILE, REGION, Bench
+from pressed_dome import PROFILE, REGION, dome_config, dome_presses
 
 from calibration.fitting.damage_seen import DamageJudge, PosedPresses, TrunkBench, measure_separation
-from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.held_out import ScoredPresses
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
-from calibration.fitting.trunks import open_trunk
-from calibration.simulator.pose import Jitter
-from calibration.simulator.renderer import Renderer
-from calibration.simulator.reproducible_math import reproducible_opencv
-from edge import registry
 from edge.core.errors import FitError
 from edge.core.registration.pose import Pose
 from edge.core.registration.registrar import PoseUncertainty, Registered
@@ -65,21 +59,16 @@ def test_a_registered_press_is_judged_as_it_lies() -> None:
 @pytest.fixture(scope="module")
 def presses() -> NominalPresses:
     """Four presses of a dome."""
-    with reproducible_opencv():
-        bench = Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
-        pictures = {f"p{k}": bench.press(k) for k in range(4)}
-        return gather_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+    return dome_presses(4)
 
 
 def test_a_method_that_would_be_refused_is_not_judged(presses: NominalPresses) -> None:
     """Presses that lie apart and are not registered: the fit would refuse a method that compares places."""
-    padim = registry.detector("padim")
-    trunk = open_trunk("tactile_resnet18", ("layer1",))
-    config = FitConfig("dome", "top", PROFILE, REGION, padim, trunk, threads=1, folds=2)
+    config = dome_config(folds=2)
     apart = tuple(replace(touch, x=0.3 * (k % 4), y=0.2) for k, touch in enumerate(presses.touches))
     judge = DamageJudge(replace(presses, touches=apart), config)
     with pytest.raises(FitError, match=r"half of the contacts lie more than .* padim compares place with"):
-        judge.judge(padim, TrunkBench(trunk, ("layer1",), config))
+        judge.judge(config.detector, TrunkBench(config.trunk, ("layer1",), config))
 
 
 def test_many_presses_are_judged_by_some_of_them(presses: NominalPresses) -> None:

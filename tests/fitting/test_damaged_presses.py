@@ -4,22 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pressed_dome import PROFILE, REGION, Bench
+from pressed_dome import PROFILE, REGION, dome_presses
 
 from calibration.fitting.damage.damaged_presses import add_pieces, damage_presses
-from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
-from calibration.simulator.pose import Jitter
-from calibration.simulator.renderer import Renderer
-from calibration.simulator.reproducible_math import reproducible_opencv
+from calibration.fitting.presses.nominal_presses import NominalPresses
 
 
 @pytest.fixture(scope="module")
 def presses() -> NominalPresses:
     """Three presses of a dome."""
-    with reproducible_opencv():
-        bench = Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
-        pictures = {f"p{k}": bench.press(k) for k in range(3)}
-        return gather_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+    return dome_presses(3)
 
 
 def test_damage_changes_the_picture_where_its_mask_says(presses: NominalPresses) -> None:

@@ -1,21 +1,19 @@
 """A fit chooses the method and the trunk whose banks see more of small damage in its own presses, and says why."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pressed_dome import PROFILE, REGION, Bench
+from pressed_dome import dome_config, dome_presses
 
 from calibration.fitting.candidates import Candidates
 from calibration.fitting.damage_seen import DamageJudge, Separation, TrunkBench
 from calibration.fitting.detection_choice import Comparison, choose_detection
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import open_trunk
-from calibration.simulator.pose import Jitter
-from calibration.simulator.renderer import Renderer
-from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import registry
 from edge.core.detector import Detector
 from edge.core.errors import FitError
@@ -31,17 +29,12 @@ KINDS = ("rendered damage", "pieces of relief")
 @pytest.fixture(scope="module")
 def presses() -> NominalPresses:
     """Six presses of a dome."""
-    with reproducible_opencv():
-        bench = Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
-        pictures = {f"p{k}": bench.press(k) for k in range(6)}
-        return gather_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+    return dome_presses(6)
 
 
 @pytest.fixture(scope="module")
 def config() -> FitConfig:
-    padim = registry.detector("padim")
-    trunk = open_trunk(TACTILE, padim.taps(padim.parameters("corrected")))
-    return FitConfig("dome", "top", PROFILE, REGION, padim, trunk, threads=1, folds=2)
+    return dome_config(folds=2)
 
 
 @pytest.fixture(scope="module")
@@ -125,14 +118,12 @@ def test_method_and_trunk_are_chosen_together(config: FitConfig) -> None:
         },
     )
     assert (chosen.detector.name, chosen.trunk.id) == ("patchcore", LITE)
-    of = "of rendered damage and pieces of relief in the nominal presses its banks see most"
-    how = "mean of image AUROC and AU-PRO up to 1 %, out of fold"
-    assert choice_sentence(chosen.choice_facts, METHOD_CHOICE) == (
-        f"patchcore: {of} (padim 0.400, 7.2 ms a press with registration; patchcore 0.600, 4.0 ms a press; {how})"
+    method, trunk = (
+        choice_sentence(chosen.choice_facts, choice) for choice in (METHOD_CHOICE, BACKBONE_CHOICE)
     )
-    assert choice_sentence(chosen.choice_facts, BACKBONE_CHOICE) == (
-        f"{LITE}: {of} ({TACTILE} 0.500, {LITE} 0.600; {how})"
-    )
+    assert "padim 0.400, 7.2 ms a press with registration; patchcore 0.600, 4.0 ms a press" in method
+    assert trunk.startswith(f"{LITE}: ")
+    assert f"{TACTILE} 0.500, {LITE} 0.600" in trunk
     assert chosen.choice_facts["backbone_choice"]["found"][LITE] == dict.fromkeys(KINDS, 0.6)
 
 
@@ -158,26 +149,24 @@ def test_what_cannot_be_tried_is_left_out_and_said(config: FitConfig) -> None:
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"no_contact": None}, "give one with --no-contact"),
-        ({"few": 3}, "of fewer than 4 presses nothing can be held out"),
-        ({"mode": "paper"}, "the published methods have no choice"),
-        ({"flat": True}, "no damage shows in the presses"),
+        (lambda p, c: (replace(p, no_contact=None), c), "give one with --no-contact"),
+        (lambda p, c: (p.spread(3), c), "of fewer than 4 presses nothing can be held out"),
+        (lambda p, c: (p, replace(c, mode="paper")), "the published methods have no choice"),
+        (
+            lambda p, c: (replace(p, frames=np.repeat(p.no_contact[:1], len(p), axis=0)), c),
+            "no damage shows in the presses",
+        ),
     ],
 )
 def test_the_usual_trunk_is_kept_where_nothing_can_be_compared(
-    presses: NominalPresses, config: FitConfig, change: dict[str, object], why: str
+    presses: NominalPresses,
+    config: FitConfig,
+    change: Callable[..., tuple[NominalPresses, FitConfig]],
+    why: str,
 ) -> None:
     """Without a picture of the free gel, with few presses, in the mode `paper`, and where presses show nothing. There
     `--method auto` is refused."""
-    if "few" in change:
-        presses = presses.spread(3)
-    elif "flat" in change:
-        assert presses.no_contact is not None
-        presses = replace(presses, frames=np.repeat(presses.no_contact[:1], len(presses), axis=0))
-    elif "mode" in change:
-        config = replace(config, mode="paper")
-    else:
-        presses = replace(presses, no_contact=None)
+    presses, config = change(presses, config)
     chosen = choose_detection(presses, config, Candidates(("padim",), (TACTILE, LITE)))
     assert chosen.trunk is config.trunk
     said = choice_sentence(chosen.choice_facts, BACKBONE_CHOICE)

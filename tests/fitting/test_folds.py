@@ -27,11 +27,6 @@ def test_folds_hold_out_every_press_once_and_keep_specimens_whole(
         assert not named & rest
 
 
-def test_folds_are_of_nearly_equal_size() -> None:
-    """Twelve single presses in five folds: none holds more than three."""
-    assert sorted(len(p) for p in folds([None] * 12, 5, np.random.default_rng(0))) == [2, 2, 2, 3, 3]
-
-
 @given(
     st.lists(st.sampled_from(["a", "b", "c", None]), min_size=4, max_size=30),
     st.integers(2, 6),
@@ -45,26 +40,26 @@ def test_every_fold_leaves_three_presses(specimens: list[str | None], count: int
     assert min(len(specimens) - len(part) for part in parts) >= 3
 
 
-@pytest.mark.parametrize(("n", "count"), [(4, 4), (9, 9), (10, 5)])
-def test_below_ten_presses_each_is_held_out_alone(n: int, count: int) -> None:
-    """Nine folds of nine presses, five of ten."""
-    parts, said = divide_presses([None] * n, 5, np.random.default_rng(0))
-    assert (len(parts), said) == (count, [])
-
-
-@pytest.mark.parametrize("names", ["aaaabbbb", "aaaaaaaa"])
-def test_of_one_or_two_pieces_presses_are_held_out_and_it_is_said(names: str) -> None:
-    """A bank of one piece does not show how pieces differ: its scores would not match the final bank's."""
-    parts, said = divide_presses(list(names), 5, np.random.default_rng(0))
-    assert {len(part) for part in parts} == {1}
-    assert "knows nothing of other pieces" in said[0]
-
-
-def test_a_piece_that_is_nearly_all_presses_is_not_held_out_whole() -> None:
-    """Ten presses of one piece and one each of two others: without the first, two presses were left."""
-    parts, said = divide_presses([*"aaaaaaaaaabc"], 5, np.random.default_rng(0))
-    assert min(12 - len(part) for part in parts) >= 3
-    assert said
+@pytest.mark.parametrize(
+    ("specimens", "sizes", "is_said"),
+    [
+        ([None] * 4, [1] * 4, False),
+        ([None] * 9, [1] * 9, False),
+        ([None] * 10, [2] * 5, False),
+        ([None] * 12, [2, 2, 2, 3, 3], False),
+        ([*"aaaabbbb"], [1] * 8, True),
+        ([*"aaaaaaaa"], [1] * 8, True),
+        ([*"aaaaaaaaaabc"], None, True),
+    ],
+)
+def test_presses_are_held_out_alone_where_pieces_cannot_be(
+    specimens: list[str | None], sizes: list[int] | None, is_said: bool
+) -> None:
+    """Below ten presses each alone, then folds of nearly equal size. Of one or two pieces, or where one piece is nearly
+    all presses, presses are held out, and it is said: such a bank does not show how pieces differ."""
+    parts, said = divide_presses(specimens, 5, np.random.default_rng(0))
+    assert sizes is None or sorted(map(len, parts)) == sizes
+    assert ["knows nothing of other pieces" in one for one in said] == [True] * is_said
 
 
 def test_where_one_press_is_enough_two_pieces_are_held_out_in_turn() -> None:

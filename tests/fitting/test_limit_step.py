@@ -4,18 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pressed_dome import PROFILE, REGION, Bench
+from pressed_dome import PROFILE, REGION, dome_config, dome_presses
 
 from calibration.fitting.damage.damaged_presses import SIZE_SHARES, SPOTS, render_damage
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.limits.head_limit import ARRAYS
 from calibration.fitting.limits.head_relief import ARRAYS as RELIEF_ARRAYS
-from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
-from calibration.fitting.trunks import open_trunk
-from calibration.simulator.pose import Jitter
-from calibration.simulator.renderer import Renderer
-from calibration.simulator.reproducible_math import reproducible_opencv
-from edge import registry
+from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.contact.mask import Touch
 from edge.model.manifest_facts import LIMIT, MISSING, choice_sentence
 from edge.model.scorer import Scorer
@@ -24,21 +19,17 @@ from edge.model.scorer import Scorer
 @pytest.fixture(scope="module")
 def presses() -> NominalPresses:
     """Eight presses of a dome."""
-    with reproducible_opencv():
-        bench = Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
-        pictures = {f"p{k}": bench.press(k) for k in range(8)}
-        return gather_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+    return dome_presses(8)
 
 
 @pytest.fixture(scope="module")
 def config() -> FitConfig:
-    detector = registry.detector("padim")
-    trunk = open_trunk("tactile_resnet18", detector.taps(detector.parameters("corrected")))
-    return FitConfig("dome", "top", PROFILE, REGION, detector, trunk, threads=1)
+    return dome_config()
 
 
 def test_small_damage_is_rendered_into_the_contact(presses: NominalPresses) -> None:
-    """Sixteen spots in three sizes; the largest changes the picture near the damage, the rest by its compression."""
+    """Sixteen spots in three sizes; the largest changes the picture near the damage, the rest by its
+    compression. Without the free gel nothing is known of the part's height."""
     edited = render_damage(presses, PROFILE, REGION, np.random.default_rng(0))
     assert edited is not None
     assert len(edited) == SPOTS * len(SIZE_SHARES)
@@ -46,10 +37,6 @@ def test_small_damage_is_rendered_into_the_contact(presses: NominalPresses) -> N
     changed = np.abs(edited.frames.astype(int) - presses.frames[edited.press]).sum(axis=3)[largest]
     near = edited.masks[largest]
     assert changed[near].mean() > 2 * changed[~near].mean()
-
-
-def test_nothing_is_rendered_without_the_free_gel(presses: NominalPresses) -> None:
-    """Without it nothing is known of the part's height."""
     assert render_damage(replace(presses, no_contact=None), PROFILE, REGION, np.random.default_rng(0)) is None
 
 

@@ -63,19 +63,14 @@ def test_without_a_picture_of_the_free_gel_there_are_none() -> None:
     )
 
 
-def test_scores_that_cannot_be_read_are_said(fit: Fitted) -> None:
-    """A damaged manifest does not end the station."""
+def test_without_scores_or_a_rate_no_press_can_be_planned(fit: Fitted) -> None:
+    """A damaged manifest does not end the station; a threshold that was given promises no rate."""
     facts = {**fit.manifest.facts, PRESS_AGAIN: {"sound": "all"}}
-    found = plan_for(fit.manifest.model_copy(update={"facts": facts}), Costs(1, 1, 1, 0.1))
-
-    assert found.bound is None
-    assert "cannot be read" in found.why
-
-
-def test_a_threshold_that_was_given_promises_no_rate(fit: Fitted) -> None:
-    """So no second press can be planned by it."""
     given = fit.manifest.threshold.model_copy(update={"nominal_scores": (), "alpha_floor": 1.0})
-    found = plan_for(fit.manifest.model_copy(update={"threshold": given}), Costs(1, 1, 1, 0.1))
-
-    assert found.bound is None
-    assert "the threshold was given" in found.why
+    for changes, why in (
+        ({"facts": facts}, "cannot be read"),
+        ({"threshold": given}, "the threshold was given"),
+    ):
+        found = plan_for(fit.manifest.model_copy(update=changes), Costs(1, 1, 1, 0.1))
+        assert found.bound is None
+        assert why in found.why

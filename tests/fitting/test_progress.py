@@ -1,10 +1,8 @@
 """Progress where there is no terminal: a line every tenth, and per cent where there are no steps."""
 
-import sys
-
 import pytest
 
-from calibration.progress import Stages, lines, progress
+from calibration.progress import Stages, lines
 
 
 def test_a_long_stage_is_not_silent(capsys: pytest.CaptureFixture[str]) -> None:
@@ -19,19 +17,9 @@ def test_a_long_stage_is_not_silent(capsys: pytest.CaptureFixture[str]) -> None:
     ]  # fmt: skip
 
 
-def test_per_cent_are_not_called_steps(capsys: pytest.CaptureFixture[str]) -> None:
-    """A simulation reports the part that is done; an evaluation counts presses."""
-    assert not sys.stderr.isatty()
-    with progress("simulate", 100, unit="%") as advance:
-        advance(12)
-    with progress("scored", 10) as advance:
-        advance(5)
-
-    assert capsys.readouterr().err.splitlines() == ["simulate: 12 %", "scored: 5 of 10"]
-
-
 def test_plain_lines_say_the_time_left(capsys: pytest.CaptureFixture[str]) -> None:
-    """At every tenth; what an earlier run did is not counted as fast work of this one."""
+    """At every tenth; what an earlier run did is not counted as fast work of this one. Less than
+    a minute is not worth a number."""
     now = [0.0]
     advance = lines("cells", 100, clock=lambda: now[0])
     advance(50)
@@ -48,13 +36,8 @@ def test_plain_lines_say_the_time_left(capsys: pytest.CaptureFixture[str]) -> No
         "cells: 100 of 100",
     ]
 
-
-def test_short_work_has_no_estimate(capsys: pytest.CaptureFixture[str]) -> None:
-    """Less than a minute is not worth a number."""
-    now = [0.0]
     advance = lines("cells", 2, clock=lambda: now[0])
     for done in (1, 2):
         now[0] += 30.0
         advance(done)
-
     assert capsys.readouterr().err == "cells: 1 of 2\ncells: 2 of 2\n"

@@ -32,7 +32,7 @@ def test_parts_in_a_fixture_are_compared_as_they_lie() -> None:
 
     presses = nominal(parts.anywhere(parts.BLOCK, 8)[1])
     for register in ("auto", "never"):
-        assert b'"registration"' not in fitted(presses, register, tiny.TINY).files["manifest.json"]
+        assert b'"registration"' not in fitted(presses, register, detector=tiny.TINY).files["manifest.json"]
 
 
 def test_damage_is_found_where_it_lies_in_the_press() -> None:

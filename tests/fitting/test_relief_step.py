@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from pressed_dome import DEPTH_MM, PROFILE, REGION, Bench, pillow
+from pressed_dome import DEPTH_MM, PROFILE, REGION, Bench, dome_bench, dome_presses, pillow
 
 from calibration.fitting.damage.conditions import change_presses, dim, relight
 from calibration.fitting.features import extract, trunk_grid
@@ -16,8 +16,8 @@ from calibration.fitting.limits.relief_step import USEFUL, ReliefChoice, choose_
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.simulator.field_of_view import F32, LR
-from calibration.simulator.pose import HeightField, Jitter, sample
-from calibration.simulator.renderer import Exposure, Renderer
+from calibration.simulator.pose import HeightField, sample
+from calibration.simulator.renderer import Exposure
 from calibration.simulator.reproducible_math import reproducible_opencv
 from edge import registry
 from edge.clock import SystemClock
@@ -42,8 +42,7 @@ class Presses:
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
-        pictures = {f"p{k}": bench.press(k) for k in range(LEARNT)}
-        self.learnt = gather_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+        self.learnt = dome_presses(LEARNT)
         numbers = range(LEARNT, LEARNT + 4)
         self.sound = np.stack([self.of(pillow, k) for k in numbers])
         self.smooth = np.stack([self.of(smooth_dome, k) for k in numbers])
@@ -61,7 +60,7 @@ class Presses:
 @pytest.fixture(scope="module")
 def presses() -> Presses:
     with reproducible_opencv():
-        return Presses(Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01))))
+        return Presses(dome_bench())
 
 
 class Taken:

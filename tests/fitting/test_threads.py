@@ -10,11 +10,10 @@ import pytest
 import tiny
 from station import press_recording, small_bundle
 from threadpoolctl import threadpool_info, threadpool_limits
+from tiny_fit import config, presses
 
 from calibration.evaluate.scoring import evaluate_bundle
-from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.trunks import Trunk
+from calibration.fitting.fit import fit_files
 from calibration.threads import one_blas_thread
 from export.finish import WrapConfig, wrap_files
 
@@ -40,14 +39,12 @@ def during(work: Callable[[Callable[[str, float], None]], object]) -> set[int]:
     return seen
 
 
-PRESSES = NominalPresses(tiny.presses(12), tuple(f"press {k}" for k in range(12)))
+PRESSES = presses(12)
 
 
 def test_fit_uses_one() -> None:
     """From the features to the golden frames."""
-    config = FitConfig("bolt", "top", tiny.PROFILE, tiny.REGION, tiny.TINY, Trunk("tiny", tiny.tiny_trunk()))
-
-    assert during(lambda report: fit_files(PRESSES, config, created="2026-01-01", report=report)) == {1}
+    assert during(lambda report: fit_files(PRESSES, config(), created="2026-01-01", report=report)) == {1}
 
 
 def test_wrap_uses_one() -> None:
@@ -63,11 +60,9 @@ def test_wrap_uses_one() -> None:
             score = ReduceMax <axes = [1, 2], keepdims = 0> (score_map)
         }
     """).SerializeToString()
-    config = WrapConfig("bolt", "top", tiny.PROFILE, tiny.REGION, "theirs")
+    wrap = WrapConfig("bolt", "top", tiny.PROFILE, tiny.REGION, "theirs")
 
-    assert during(lambda report: wrap_files(graph, PRESSES, config, created="2026-01-01", report=report)) == {
-        1
-    }
+    assert during(lambda report: wrap_files(graph, PRESSES, wrap, created="2026-01-01", report=report)) == {1}
 
 
 def test_evaluate_uses_one(tmp_path: Path) -> None:

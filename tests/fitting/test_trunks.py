@@ -30,19 +30,14 @@ class Resnet18:
         return build_trunk(random_state("resnet18"), "resnet18", taps)
 
 
-def test_a_backbone_may_know_what_its_weights_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its facts go into the manifest; a backbone without facts also works."""
-    assert str(open_trunk("tactile_resnet18").facts["weights"]).startswith("trained on simulated presses")
-    monkeypatch.setattr(registry, "names", lambda group: ["mine"])
-    monkeypatch.setattr(registry, "backbone", lambda name: Resnet18())
-    assert open_trunk("mine").facts == {}
-
-
 def test_a_backbone_is_asked_for_the_taps_it_does_not_give_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The usual trunk is kept where it has the taps, so that parts with the same depth share one file."""
+    """The usual trunk is kept where it has the taps, so that parts with the same depth share one file. A backbone may
+    know what its weights are, which goes into the manifest."""
+    assert str(open_trunk("tactile_resnet18").facts["weights"]).startswith("trained on simulated presses")
     monkeypatch.setattr(registry, "names", lambda kind: ["mine"])
     monkeypatch.setattr(registry, "backbone", lambda name: Resnet18())
     usual = open_trunk("mine")
+    assert usual.facts == {}
     assert open_trunk("mine", ("layer2",)).sha256 == usual.sha256
     deep = open_trunk("mine", ("layer2.0",))
     assert output_names(deep.graph) == ["layer2.0"]

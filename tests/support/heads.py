@@ -77,8 +77,9 @@ def with_spot(features: Features, fraction: float = 0.5, amount: float = 5.0) ->
     return found
 
 
-def fit(detector: Detector, parameters: Any, features: Features, at: Grid, seed: int = 0) -> Bank:
-    return detector.fit(Nominal(features), at, parameters, np.random.default_rng(seed), lambda fraction: None)
+def fit(detector: Detector, parameters: Any, shown: Features | Nominal, at: Grid, seed: int = 0) -> Bank:
+    nominal = shown if isinstance(shown, Nominal) else Nominal(shown)
+    return detector.fit(nominal, at, parameters, np.random.default_rng(seed), lambda fraction: None)
 
 
 def stored_bytes(bank: Bank) -> int:

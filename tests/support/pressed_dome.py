@@ -1,6 +1,7 @@
 """A simulated station that presses one domed part, sound or with damage of known size."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -9,13 +10,18 @@ from damaged_part_presses import with_damage
 from numpy.typing import NDArray
 
 from calibration.fitting.damage.damage import Damage
+from calibration.fitting.fit import FitConfig
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
+from calibration.fitting.trunks import open_trunk
 from calibration.simulator.field_of_view import F32, LR
-from calibration.simulator.pose import Pose, sample
+from calibration.simulator.pose import Jitter, Pose, sample
 from calibration.simulator.renderer import Exposure, Renderer
+from calibration.simulator.reproducible_math import reproducible_opencv
+from edge import registry
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 
-__all__ = ["DEPTH_MM", "PROFILE", "REGION", "Bench", "write"]
+__all__ = ["DEPTH_MM", "PROFILE", "REGION", "Bench", "dome_bench", "dome_config", "dome_presses", "write"]
 
 PROFILE = profile("cropped_lr")
 REGION = Region(112, 72, 96, 96)
@@ -52,6 +58,27 @@ class Bench:
 
     def free(self) -> NDArray[np.uint8]:
         return self.gel.free_gel()
+
+
+def dome_bench() -> Bench:
+    return Bench(Renderer(jitter=Jitter(0.03, 0.2, 0.05, 0.01)))
+
+
+@cache
+def dome_presses(count: int) -> NominalPresses:
+    """The first presses of the sound dome, with the free gel."""
+    with reproducible_opencv():
+        bench = dome_bench()
+        pictures = {f"p{k}": bench.press(k) for k in range(count)}
+        return gather_presses(pictures, PROFILE, REGION, no_contact=[bench.free()])
+
+
+def dome_config(**changes: object) -> FitConfig:
+    """How padim is fitted on the shipped trunk."""
+    detector = registry.detector("padim")
+    trunk = open_trunk("tactile_resnet18", detector.taps(detector.parameters("corrected")))
+    config = FitConfig("dome", "top", PROFILE, REGION, detector, trunk, threads=1)
+    return replace(config, **changes)  # type: ignore[arg-type]
 
 
 def write(path: Path, rgb: NDArray[np.uint8]) -> None:

@@ -7,11 +7,11 @@ import numpy as np
 import tiny
 import turned_parts as parts
 from numpy.typing import NDArray
+from tiny_fit import config
 
-from calibration.fitting.fit import FitConfig, Fitted, fit_files
+from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.pose.pose_decision import Register
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.trunks import Trunk
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
@@ -33,17 +33,15 @@ def nominal(frames: NDArray[np.uint8], **changes: object) -> NominalPresses:
     return dataclasses.replace(whole, **changes)  # type: ignore[arg-type]
 
 
-def fitted(presses: NominalPresses, register: Register, detector: tiny.TinyDetector | None = None) -> Fitted:
-    config = FitConfig(
+def fitted(presses: NominalPresses, register: Register = "never", **changes: object) -> Fitted:
+    whole = config(
         part="block",
-        position="top",
         profile=PROFILE,
         region=Region(0, 0, parts.SIDE, parts.SIDE),
-        detector=detector or PlaceDetector(),
-        trunk=Trunk("tiny", tiny.tiny_trunk()),
+        detector=PlaceDetector(),
         register=register,
     )
-    return fit_files(presses, config, created="2026-01-01")
+    return fit_files(presses, dataclasses.replace(whole, **changes), created="2026-01-01")  # type: ignore[arg-type]
 
 
 @cache
