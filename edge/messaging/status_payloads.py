@@ -140,17 +140,9 @@ class GelPayload(Payload):
 
     @classmethod
     def of(cls, gel: GelRecord, time_ns: int) -> Self:
-        return cls(
-            time_ns=time_ns,
-            sensor_serial=gel.serial,
-            gel_id=gel.gel_id,
-            presses=gel.presses,
-            limit_presses=gel.limit_presses,
-            state=gel.state,
-            wear_index=gel.wear_index,
-            first_use_ns=gel.first_use_ns,
-            last_use_ns=gel.last_use_ns,
-        )
+        names = ("gel_id", "presses", "limit_presses", "state", "wear_index", "first_use_ns", "last_use_ns")
+        fields = {name: getattr(gel, name) for name in names}
+        return cls(time_ns=time_ns, sensor_serial=gel.serial, **fields)
 
 
 def gel_message(payload: GelPayload) -> Message:

@@ -81,15 +81,7 @@ class ProfileEntry(Entry):
 
     @classmethod
     def of(cls, profile: SensorProfile) -> "ProfileEntry":
-        return cls(
-            name=profile.name,
-            native=profile.native,
-            border=profile.border,
-            size=profile.size,
-            decode_scale=profile.decode_scale,  # type: ignore[arg-type]  # SensorProfile has checked it
-            pixels_per_mm=profile.pixels_per_mm,
-            controls=dict(sorted(profile.controls.items())),
-        )
+        return cls(**{**vars(profile), "controls": dict(sorted(profile.controls.items()))})
 
     def profile(self) -> SensorProfile:
         return SensorProfile(**self.model_dump())
@@ -105,10 +97,10 @@ class RegionEntry(Entry):
 
     @classmethod
     def of(cls, region: Region) -> "RegionEntry":
-        return cls(x=region.x, y=region.y, width=region.width, height=region.height)
+        return cls(**vars(region))
 
     def region(self) -> Region:
-        return Region(self.x, self.y, self.width, self.height)
+        return Region(**self.model_dump())
 
 
 class TilesEntry(Entry):

@@ -8,7 +8,7 @@ import json
 import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from edge.store.database import open_read_only
 from edge.store.ledger_chain import Head
@@ -139,7 +139,7 @@ def _outbox(connection: sqlite3.Connection) -> Iterator[Finding]:
     if orphans:
         yield Finding("outbox", f"{orphans} acknowledgements are of rows that are not there")
     for what, is_wrong in _ROW_FAULTS.items():
-        rows = [row[0] for row in connection.execute(_ROWS) if is_wrong(connection, *row[1:])]
+        rows = [row[0] for row in connection.execute(_ROWS) if is_wrong(connection, _Row(*row))]
         if rows:
             yield Finding("outbox", f"{len(rows)} rows {what}; the first is row {rows[0]}")
     (refused,) = connection.execute(
@@ -149,31 +149,26 @@ def _outbox(connection: sqlite3.Connection) -> Iterator[Finding]:
         yield Finding("outbox", f"{refused} rows were refused by a receiver and wait", is_fault=False)
 
 
+class _Row(NamedTuple):
+    """What is checked of a row of the outbox."""
+
+    row_id: int
+    topic: str
+    content_type: str
+    size: int
+    payload: bytes
+
+
 _ROWS: Final = "SELECT row_id, topic, content_type, bytes, payload FROM outbox ORDER BY row_id"
 
 
-def _has_wrong_size(
-    connection: sqlite3.Connection, topic: str, content_type: str, size: int, payload: bytes
-) -> bool:
-    return size != len(payload) + ROW_OVERHEAD_BYTES
-
-
-def _is_unreadable(
-    connection: sqlite3.Connection, topic: str, content_type: str, size: int, payload: bytes
-) -> bool:
-    return content_type == "application/json" and bool(payload) and _content(payload) is None
-
-
-def _has_no_press(
-    connection: sqlite3.Connection, topic: str, content_type: str, size: int, payload: bytes
-) -> bool:
-    """A result of a press that the history does not have, though it has older ones."""
-    content = _content(payload) if topic == "result" else None
+def _has_no_press(connection: sqlite3.Connection, row: _Row) -> bool:
+    """Tell whether a row is a result of a press that the history does not have, though it has older ones."""
+    content = _content(row.payload) if row.topic == "result" else None
     if not content:
         return False
-    known = connection.execute(
-        "SELECT 1 FROM presses WHERE press_id = ?", (content.get("press_id"),)
-    ).fetchone()
+    press_id = (content.get("press_id"),)
+    known = connection.execute("SELECT 1 FROM presses WHERE press_id = ?", press_id).fetchone()
     (oldest,) = connection.execute("SELECT coalesce(min(time_ns), 0) FROM presses").fetchone()
     return known is None and content.get("time_ns", 0) >= oldest
 
@@ -187,8 +182,10 @@ def _content(payload: bytes) -> dict[str, object] | None:
     return content if isinstance(content, dict) else None
 
 
-_ROW_FAULTS: Final[dict[str, Callable[[sqlite3.Connection, str, str, int, bytes], bool]]] = {
-    "have another size than they say": _has_wrong_size,
-    "hold a message that is no JSON": _is_unreadable,
+_ROW_FAULTS: Final[dict[str, Callable[[sqlite3.Connection, _Row], bool]]] = {
+    "have another size than they say": lambda _, row: row.size != len(row.payload) + ROW_OVERHEAD_BYTES,
+    "hold a message that is no JSON": lambda _, row: (
+        row.content_type == "application/json" and bool(row.payload) and _content(row.payload) is None
+    ),
     "are results of presses that the history does not have": _has_no_press,
 }

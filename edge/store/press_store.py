@@ -253,21 +253,6 @@ class Store:
             if act is not None:
                 act_table.begin(connection, act, self._running.store(connection))
 
-    def presses(self, limit: int = 100) -> list[tuple[PressRecord, str]]:
-        """The newest presses, each with its gel id, newest first."""
-        with self._database.reading("reading presses") as connection:
-            rows = connection.execute(
-                "SELECT press_id, time_ns, serial, part, verdict, position, score, threshold, gel_id FROM presses "
-                "ORDER BY number DESC LIMIT ?",
-                (limit,),
-            ).fetchall()
-        try:
-            return [(PressRecord(*row[:8]), row[8]) for row in rows]
-        except ValueError as error:
-            raise StoreError(
-                f"database {self.path} holds a press that cannot be ({error}); move it away to keep it for repair"
-            ) from error
-
     def close(self) -> None:
         """Close the file; harmless when repeated."""
         self._database.close()

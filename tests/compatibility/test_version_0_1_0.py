@@ -15,6 +15,7 @@ from edge.core.imaging.region import Region
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.store.backup import migrate
+from edge.store.history import HistoryQuery, read_history
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store
 
@@ -52,7 +53,7 @@ def test_the_database_keeps_its_history_and_what_waits_in_it(database: Path) -> 
     name."""
     with Store(database) as store, Outbox(database) as outbox:
         (gel,) = store.gels()
-        verdicts = [press.verdict for press, _ in store.presses()]
+        verdicts = [press.verdict for press in read_history(database, HistoryQuery())]
         outbox.register(["mqtt", "jsonl"])
         waiting = [row.message.topic for row in outbox.pending("mqtt", limit=100)]
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import killed_gateway
 from station import Motion, press_recording, station_config
 
+from edge.store.history import HistoryQuery, read_history
 from edge.store.press_store import Store
 
 # Every process is forked from one that has done the imports: they cost more than a press.
@@ -22,7 +23,7 @@ def live(config: Path, deadly: int) -> tuple[int | None, int]:
     process.start()
     process.join(300)
     with Store(config.parent / "gelgate.db") as store:
-        return process.exitcode, len(store.presses())
+        return process.exitcode, len(list(read_history(store.path, HistoryQuery())))
 
 
 def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(tmp_path: Path, bundle: Path) -> None:
@@ -42,7 +43,7 @@ def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(tmp_path: P
             content = line["payload"] | {"is_replayed": None}
             seen[content["press_id"]].add(json.dumps(content))
     with Store(config.parent / "gelgate.db") as store:
-        assert set(seen) == {press.press_id for press, _ in store.presses()}
+        assert set(seen) == {press.press_id for press in read_history(store.path, HistoryQuery())}
         assert sum(gel.presses for gel in store.gels()) == len(seen)
     assert all(len(contents) == 1 for contents in seen.values())
     codes, recorded = zip(*ends, strict=True)

@@ -18,6 +18,7 @@ from edge.core.reference_press.measures import Imprint
 from edge.store import acts, ledger_check, press_history, reference_presses, study_presses
 from edge.store.acts import Act
 from edge.store.backup import migrate
+from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import Finding, check_database
 from edge.store.ledger_chain import Head
 from edge.store.press_counts import Count, recover
@@ -217,7 +218,7 @@ def test_a_database_that_was_migrated_says_where_its_chain_starts(tmp_path: Path
     path = Path(shutil.copy(OLD, tmp_path / "gelgate.db"))
     migrate(path)
     with Store(path) as store:
-        before = len(store.presses())
+        before = len(list(read_history(path, HistoryQuery())))
         record(store, make_press(1, serial="NEW"))
 
     notes = [one for one in check_database(path) if one.part == "ledger"]

@@ -15,6 +15,7 @@ from recorded_presses import make_press, messages_of, record
 from edge.core.errors import StoreError
 from edge.core.gel_life import GelState
 from edge.store.database import SCHEMA_VERSION, Database
+from edge.store.history import HistoryQuery, read_history
 from edge.store.outbox import Outbox
 from edge.store.press_store import MakeMessages, PressRecord, Store
 
@@ -259,8 +260,8 @@ def test_a_damaged_page_is_found_and_named(path: Path) -> None:
     damaged[4096 : 4096 * 30] = os.urandom(4096 * 29)
     path.write_bytes(damaged)
 
-    with pytest.raises(StoreError, match=r"damaged|malformed"), Store(path) as store:
-        store.presses(40)
+    with pytest.raises(StoreError, match=r"damaged|malformed"), Store(path):
+        list(read_history(path, HistoryQuery()))
 
 
 def test_commits_survive_a_power_cut_and_acknowledgements_need_not(path: Path) -> None:
@@ -275,15 +276,6 @@ def test_commits_survive_a_power_cut_and_acknowledgements_need_not(path: Path) -
     quick.close()
 
     assert modes == [("wal", 2), ("wal", 1)]
-
-
-def test_the_press_history_is_read_newest_first(store: Store) -> None:
-    """Each press comes back as it was recorded, with its gel."""
-    presses = [make_press(1), make_press(2, "fail", position="top"), make_press(3, "error")]
-    for press in presses:
-        record(store, press)
-
-    assert store.presses() == [(press, "2BNN4ZE7-1") for press in reversed(presses)]
 
 
 @pytest.mark.parametrize(
