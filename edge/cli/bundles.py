@@ -8,6 +8,8 @@ import typer
 from edge.cli.options import BundlePath, TrunkStore
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from edge.model.manifest import ColourEntry, Manifest
 
 __all__ = ["inspect", "verify"]
@@ -47,7 +49,7 @@ def inspect(
         typer.echo(f"{label:<{width}}  {value}")
 
 
-def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
+def _rows(manifest: "Manifest") -> "Iterator[tuple[str, str]]":
     from edge.model.manifest_facts import (
         AUGMENTATION,
         LIMIT,
@@ -58,110 +60,85 @@ def _rows(manifest: "Manifest") -> list[tuple[str, str]]:
     )
     from edge.model.press_again_facts import DEFAULT_COSTS, again_sentence, plan_for
 
-    limit, profile, grid = manifest.threshold, manifest.profile, manifest.grid
-    rows = [
-        ("part", f"{manifest.part}, position {manifest.position}"),
-        ("revision", str(manifest.revision or "none")),
-        *(("warning", warning) for warning in manifest.provenance.warnings),
-        ("method", manifest.method + (f", mode {manifest.mode}" if manifest.mode else "")),
-        ("method choice", choice_sentence(manifest.facts, METHOD_CHOICE) or "named, not chosen by the fit"),
-        ("parameters", ", ".join(f"{k}={v}" for k, v in manifest.parameters.items()) or "none"),
-        ("repairs", ", ".join(manifest.repairs) or "none"),
-        (
-            "sensor profile",
-            f"{profile.name}, picture {profile.size[0]}x{profile.size[1]}, {profile.pixels_per_mm:.2f} pixels/mm",
-        ),
-        ("region", f"{manifest.region.region()} (x,y,WIDTHxHEIGHT)"),
-    ]
-    rows += _trunk_rows(manifest)
-    if grid:
-        rows.append(("taps", ", ".join(f"{name} {c}x{h}x{w}" for name, (c, h, w) in grid.taps.items())))
-    if grid and grid.tiles:
-        count, skipped = len(grid.tiles.tiles(grid.frame)), len(grid.tiles.untouched)
-        rows.append(
-            ("tiles", f"{count} of {grid.tiles.size}, {skipped} of them run only when a press touches them")
-        )
-    graphs = [graph for graph in (manifest.head, manifest.detector) if graph]
-    rows += [(graph.file, f"{_mb(graph.size_bytes)}, {graph.sha256[:12]}") for graph in graphs]
-    for name, array in manifest.bank.items():
-        shape = "x".join(map(str, array.shape)) or "one value"
-        rows.append(
-            (
-                f"bank {name}",
-                f"{array.dtype} {shape}, {_mb(array.bytes_unpacked)}, stored as {array.packing} "
-                f"in {_mb(array.bytes_stored)}",
-            )
-        )
-    rows += [
-        ("augmentation", choice_sentence(manifest.facts, AUGMENTATION) or "none"),
-        ("threshold", f"{limit.value:.6g} ({limit.method})"),
-        ("limit", choice_sentence(manifest.facts, LIMIT) or "plain"),
-        ("missing relief", choice_sentence(manifest.facts, MISSING) or "not checked"),
-        ("false alarms", promise(limit)),
-        ("press again", again_sentence(plan_for(manifest, DEFAULT_COSTS))),
-        ("tolerance", f"score {manifest.tolerance.score:.2g}, map {manifest.tolerance.score_map:.2g}, "
-         f"relative {manifest.tolerance.relative:.2g}"),
-        ("golden frames", f"{len(manifest.golden)}: " + ", ".join(f"{g.what} {g.score:.4g}" for g in manifest.golden)),
-    ]  # fmt: skip
-    return rows + _cards(manifest)
+    limit, profile, tolerance, facts = (
+        manifest.threshold,
+        manifest.profile,
+        manifest.tolerance,
+        manifest.facts,
+    )
+    size = "x".join(map(str, profile.size))
+    yield "part", f"{manifest.part}, position {manifest.position}"
+    yield "revision", str(manifest.revision or "none")
+    for warning in manifest.provenance.warnings:
+        yield "warning", warning
+    yield "method", manifest.method + (f", mode {manifest.mode}" if manifest.mode else "")
+    yield "method choice", choice_sentence(facts, METHOD_CHOICE) or "named, not chosen by the fit"
+    yield "parameters", ", ".join(f"{k}={v}" for k, v in manifest.parameters.items()) or "none"
+    yield "repairs", ", ".join(manifest.repairs) or "none"
+    yield "sensor profile", f"{profile.name}, picture {size}, {profile.pixels_per_mm:.2f} pixels/mm"
+    yield "region", f"{manifest.region.region()} (x,y,WIDTHxHEIGHT)"
+    yield from _graph_rows(manifest)
+    yield "augmentation", choice_sentence(facts, AUGMENTATION) or "none"
+    yield "threshold", f"{limit.value:.6g} ({limit.method})"
+    yield "limit", choice_sentence(facts, LIMIT) or "plain"
+    yield "missing relief", choice_sentence(facts, MISSING) or "not checked"
+    yield "false alarms", promise(limit)
+    yield "press again", again_sentence(plan_for(manifest, DEFAULT_COSTS))
+    absolute = f"score {tolerance.score:.2g}, map {tolerance.score_map:.2g}"
+    yield "tolerance", f"{absolute}, relative {tolerance.relative:.2g}"
+    golden = ", ".join(f"{frame.what} {frame.score:.4g}" for frame in manifest.golden)
+    yield "golden frames", f"{len(manifest.golden)}: {golden}"
+    yield from _cards(manifest)
 
 
-def _trunk_rows(manifest: "Manifest") -> list[tuple[str, str]]:
+def _graph_rows(manifest: "Manifest") -> "Iterator[tuple[str, str]]":
+    """Describe the trunk, its taps and tiles, the other graphs and the bank."""
     from edge.model.manifest_facts import BACKBONE_CHOICE, choice_sentence
 
-    if manifest.backbone is None:
-        return []
-    trunk = manifest.backbone.trunk
-    place = "in the bundle" if manifest.backbone.in_bundle else "in the gateway's trunk store"
-    said = f"{manifest.backbone.id}, {_mb(trunk.size_bytes)}, {place}, {trunk.sha256[:12]}"
-    return [
-        ("trunk", said),
-        ("backbone", choice_sentence(manifest.facts, BACKBONE_CHOICE) or "named, not chosen by the fit"),
-    ]
+    backbone, grid = manifest.backbone, manifest.grid
+    if backbone is not None:
+        place = "in the bundle" if backbone.in_bundle else "in the gateway's trunk store"
+        trunk = f"{_mb(backbone.trunk.size_bytes)}, {place}, {backbone.trunk.sha256[:12]}"
+        yield "trunk", f"{backbone.id}, {trunk}"
+        yield "backbone", choice_sentence(manifest.facts, BACKBONE_CHOICE) or "named, not chosen by the fit"
+    if grid:
+        yield "taps", ", ".join(f"{name} {c}x{h}x{w}" for name, (c, h, w) in grid.taps.items())
+    if grid and grid.tiles:
+        count, skipped = len(grid.tiles.tiles(grid.frame)), len(grid.tiles.untouched)
+        yield "tiles", f"{count} of {grid.tiles.size}, {skipped} of them run only when a press touches them"
+    for graph in (manifest.head, manifest.detector):
+        if graph:
+            yield graph.file, f"{_mb(graph.size_bytes)}, {graph.sha256[:12]}"
+    for name, array in manifest.bank.items():
+        shape = "x".join(map(str, array.shape)) or "one value"
+        stored = f"stored as {array.packing} in {_mb(array.bytes_stored)}"
+        yield f"bank {name}", f"{array.dtype} {shape}, {_mb(array.bytes_unpacked)}, {stored}"
 
 
-def _cards(manifest: "Manifest") -> list[tuple[str, str]]:
+def _cards(manifest: "Manifest") -> "Iterator[tuple[str, str]]":
+    """Describe the licence, what was measured, and where the bundle comes from."""
     from edge.model.detectability import detectability_lines
     from edge.model.manifest_facts import licence_sentence
 
-    rows = []
+    cost, origin = manifest.cost, manifest.provenance
     if licence := licence_sentence(manifest):
-        rows.append(("licence", licence.removeprefix("licence of the ")))
+        yield "licence", licence.removeprefix("licence of the ")
     if manifest.contact:
         spans = {name: getattr(manifest.contact, name) for name in ("x", "y", "area")}
-        rows.append(
-            ("contact", ", ".join(f"{k} {low:.2f} to {high:.2f}" for k, (low, high) in spans.items()))
-        )
-    rows.append(("colours", _colours(manifest.colours)))
-    if manifest.cost:
-        cost = manifest.cost
-        rows.append(
-            (
-                "cost",
-                f"trunk {cost.trunk_ms:.1f} ms, head {cost.head_ms:.1f} ms, {cost.threads} threads, "
-                f"on the machine of the fit",
-            )
-        )
-        rows.append(
-            (
-                "fit",
-                f"features {cost.features_s:.1f} s, bank {cost.fit_s:.1f} s, threshold {cost.threshold_s:.1f} s",
-            )
-        )
+        yield "contact", ", ".join(f"{k} {low:.2f} to {high:.2f}" for k, (low, high) in spans.items())
+    yield "colours", _colours(manifest.colours)
+    if cost:
+        press = f"trunk {cost.trunk_ms:.1f} ms, head {cost.head_ms:.1f} ms, {cost.threads} threads"
+        yield "cost", f"{press}, on the machine of the fit"
+        times = f"features {cost.features_s:.1f} s, bank {cost.fit_s:.1f} s"
+        yield "fit", f"{times}, threshold {cost.threshold_s:.1f} s"
     if manifest.accuracy:
-        rows.append(("accuracy", ", ".join(f"{k} {v:.4f}" for k, v in manifest.accuracy.items())))
+        yield "accuracy", ", ".join(f"{k} {v:.4f}" for k, v in manifest.accuracy.items())
     if manifest.detectability:
-        rows += [("detectability", line) for line in detectability_lines(manifest.detectability)]
-    origin = manifest.provenance
-    rows.append(
-        (
-            "made",
-            f"{origin.created}, {len(origin.presses)} presses, seed {origin.seed}, "
-            + ", ".join(f"{k} {v}" for k, v in origin.versions.items()),
-        )
-    )
-    rows += [("left out", name) for name in origin.left_out]
-    return rows
+        yield from (("detectability", line) for line in detectability_lines(manifest.detectability))
+    versions = ", ".join(f"{k} {v}" for k, v in origin.versions.items())
+    yield "made", f"{origin.created}, {len(origin.presses)} presses, seed {origin.seed}, {versions}"
+    yield from (("left out", name) for name in origin.left_out)
 
 
 def _colours(colours: "ColourEntry | None") -> str:

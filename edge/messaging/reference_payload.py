@@ -79,25 +79,18 @@ class ReferencePayload(Payload):
 
     @classmethod
     def of(cls, result: ResultPayload, number: int, piece: str, expected: str, judgement: Judgement) -> Self:
-        """result: as it would be published of a part."""
+        """Make the payload. result: as it would be published of a part."""
+        names = ["time_ns", "press_id", "part", "position", "score", "threshold", "heatmap_topic"]
+        names += ["sensor_serial", "gel_id", "gel_presses"]
         return cls(
-            time_ns=result.time_ns,
-            press_id=result.press_id,
+            **{name: getattr(result, name) for name in names},
             number=number,
             piece=piece,
-            part=result.part,
-            position=result.position,
             outcome=judgement.outcome,
             sentences=list(judgement.sentences),
             verdict="error" if result.verdict is None else result.verdict.value,
             expected=expected,
-            score=result.score,
-            threshold=result.threshold,
             bundle_id=result.bundle_id or "",
-            sensor_serial=result.sensor_serial,
-            gel_id=result.gel_id,
-            gel_presses=result.gel_presses,
-            heatmap_topic=result.heatmap_topic,
             charts=_entries(judgement.charts),
         )
 
