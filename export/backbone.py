@@ -275,14 +275,9 @@ def _select(state: State, prefix: str | None, source: Path) -> State:
         prefix = prefixes[0] if prefixes else ""
     chosen = {key.removeprefix(prefix): value for key, value in state.items() if key.startswith(prefix)}
     if not chosen:
-        raise ConfigError(
-            f"{source} has no weights under '{prefix}'; its names begin with {_beginnings(state)}"
-        )
+        names = ", ".join(sorted({key.partition(".")[0] for key in state})[:6])
+        raise ConfigError(f"{source} has no weights under '{prefix}'; its names begin with {names}")
     return chosen
-
-
-def _beginnings(state: State) -> str:
-    return ", ".join(sorted({key.partition(".")[0] for key in state})[:6])
 
 
 def _append_blocks(state: State, second: State, file: Path) -> State:

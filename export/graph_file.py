@@ -5,7 +5,6 @@ in the same folder is read; a name that leaves the folder, a link, or a part bey
 """
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -44,9 +43,9 @@ def _inlined(data: bytes, path: Path) -> bytes:
         model = onnx.load_from_string(data)
     except DecodeError:  # the sentence for that comes where it is opened
         return data
-    outside = [
-        tensor for tensor in _tensors(model.graph) if tensor.data_location == onnx.TensorProto.EXTERNAL
-    ]
+    # Those inside nodes stay where they are, and are refused later if they are outside.
+    weights = model.graph.initializer
+    outside = [tensor for tensor in weights if tensor.data_location == onnx.TensorProto.EXTERNAL]
     files = {name: _file(path, name) for name in {_facts(tensor).get("location", "") for tensor in outside}}
     if sum(map(len, files.values())) > MOST_BYTES:
         raise ConfigError(
@@ -58,11 +57,6 @@ def _inlined(data: bytes, path: Path) -> bytes:
         tensor.data_location = onnx.TensorProto.DEFAULT
         del tensor.external_data[:]
     return bytes(model.SerializeToString()) if outside else data
-
-
-def _tensors(graph: Any) -> Iterator[Any]:
-    """The weights of a graph; those inside nodes stay where they are, and are refused later if they are outside."""
-    yield from graph.initializer
 
 
 def _facts(tensor: Any) -> dict[str, str]:

@@ -140,14 +140,12 @@ class Publisher:
 
     def counters(self) -> Mapping[str, SinkCounters]:
         """Give the counters of every sink, with the faults that it reports now."""
-        return {
-            name: replace(
-                worker.counters,
-                faults=_faults(self._sinks[name]),
-                level=getattr(self._sinks[name], "level", None),
-            )
-            for name, worker in self._workers.items()
-        }
+        counters = {}
+        for name, worker in self._workers.items():
+            sink = self._sinks[name]
+            faults = tuple(sink.faults) if isinstance(sink, ReportsFaults) else ()
+            counters[name] = replace(worker.counters, faults=faults, level=getattr(sink, "level", None))
+        return counters
 
     def outbox_status(self) -> OutboxStatus:
         return self._outbox.status()
@@ -212,7 +210,3 @@ def _join(threads: Sequence[threading.Thread], seconds: float) -> None:
     deadline = time.monotonic() + seconds
     for thread in threads:
         thread.join(max(0.0, deadline - time.monotonic()))
-
-
-def _faults(sink: Sink) -> tuple[str, ...]:
-    return tuple(sink.faults) if isinstance(sink, ReportsFaults) else ()

@@ -1,6 +1,5 @@
 """A reference press: what it gave, and its control charts. Payload and message."""
 
-from collections.abc import Sequence
 from typing import Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -91,13 +90,9 @@ class ReferencePayload(Payload):
             verdict="error" if result.verdict is None else result.verdict.value,
             expected=expected,
             bundle_id=result.bundle_id or "",
-            charts=_entries(judgement.charts),
+            charts=list(map(ChartEntry.of, judgement.charts)),
         )
 
 
 def reference_message(payload: ReferencePayload) -> Message:
     return Message("reference", payload.encode(), qos=1, retain=True)
-
-
-def _entries(charts: Sequence[Chart]) -> list[ChartEntry]:
-    return [ChartEntry.of(chart) for chart in charts]

@@ -149,7 +149,11 @@ def promise(limit: ThresholdEntry) -> str:
     if limit.is_floored:
         floor = f"{_percent(limit.alpha_floor)} (1 in {round(1 / limit.alpha_floor)})"
         rate = f"at best {floor}, not the {_percent(limit.alpha)} asked for,"
-    whole = f"{_press_count(limit)}: {rate} of {_whom(limit)} fail, on average over bundles"
+    presses, whom = f"{limit.n} presses", "sound presses"
+    if limit.pieces not in (None, limit.n):
+        presses += f" of {limit.pieces} piece{'' if limit.pieces == 1 else 's'}"
+        whom += " of new pieces"
+    whole = f"{presses}: {rate} of {whom} fail, on average over bundles"
     return f"{whole}{_of_this_bundle(limit)}"
 
 
@@ -164,19 +168,6 @@ def _of_this_bundle(limit: ThresholdEntry) -> str:
         low, high = map(_percent, limit.rate_range)
         return f"; of this bundle alone {low} to {high} (95 %)"
     return ""
-
-
-def _press_count(limit: ThresholdEntry) -> str:
-    presses = f"{limit.n} presses"
-    return presses if limit.pieces in (None, limit.n) else f"{presses} of {_pieces(limit.pieces)}"
-
-
-def _whom(limit: ThresholdEntry) -> str:
-    return "sound presses" if limit.pieces in (None, limit.n) else "sound presses of new pieces"
-
-
-def _pieces(count: int | None) -> str:
-    return f"{count} piece{'' if count == 1 else 's'}"
 
 
 def _percent(rate: float) -> str:
