@@ -149,7 +149,7 @@ def finish_bundle(
 
     scorer = Scorer(_pack(parts, facts(*placeholders())).bundle(), config.threads)
     scores = _score(scorer, presses, report)
-    doubts, found = measure(scorer, scores)
+    doubts, more = measure(scorer, scores)
     said += doubts
     golden = golden_frames(scorer, presses.frames)
     tolerance = measure_tolerance(scorer, golden, config.threads)
@@ -163,7 +163,7 @@ def finish_bundle(
     black = np.zeros_like(presses.frames[0])
     said += black_warnings(scorer.score(black).anomaly_score, threshold, refuses(colours, black), apart)
     cost = cost_card(scorer, presses.frames, config.threads, {})
-    fitted = _pack(parts, facts(threshold, tolerance, **found).model_copy(update={"cost": cost}), golden)
+    fitted = _pack(parts, facts(threshold, tolerance, **more).model_copy(update={"cost": cost}), golden)
     Scorer(fitted.bundle(), config.threads).check_golden()
     return fitted
 

@@ -89,8 +89,8 @@ _TVL_MEAN = (0.29174602047139075, 0.2971325588927249, 0.2910404549605639)
 _TVL_STD = (0.18764469044810236, 0.19467651810273057, 0.21871583397361818)
 
 ENCODERS: Mapping[str, Encoder] = {
-    one.name: one
-    for one in (
+    known.name: known
+    for known in (
         # Mean and std: TAC_MEAN and TAC_STD of tvl_enc/tacvis.py.
         Encoder("tvl", "Apache-2.0", "github.com/Max-Fu/tvl", InputSteps(_TVL_MEAN, _TVL_STD, (224, 224))),
         # Its statistics belong to the data set of each sensor; its norms keep torch's default.

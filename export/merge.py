@@ -16,7 +16,7 @@ from edge.model.scorer import Scorer, map_peaks
 from export.onnx_values import rename, same_versions
 from plugins.backbones.tiled import mosaic_trunk
 
-__all__ = ["merge_bundle", "merged_graph", "single_graph_bundle"]
+__all__ = ["merge_bundle", "merged_graph", "score_again", "single_graph_bundle"]
 
 MERGED_RELATIVE = 1e-4
 """How far the merged graph may differ from the pair, relative to the largest map value: with a constant bank the
@@ -108,11 +108,11 @@ def single_graph_bundle(bundle: Bundle, graph: bytes) -> tuple[Manifest, dict[st
     if bundle.free_gel is not None:
         # The single graph runs every tile, so it is compared with the pair running every tile.
         scorer = Scorer(bundle, is_skipping=False)
-        golden = tuple(_score_again(frame, scorer) for frame in golden)
+        golden = tuple(score_again(frame, scorer) for frame in golden)
     return bundle_files(facts_of(bundle.manifest), Graphs(detector=graph), golden=golden)
 
 
-def _score_again(frame: GoldenFrame, scorer: Scorer) -> GoldenFrame:
+def score_again(frame: GoldenFrame, scorer: Scorer) -> GoldenFrame:
     scored = scorer.score_in_pose(frame.rgb)
     return replace(frame, score=scored.anomaly_score, map_peaks=map_peaks(scored.score_map))
 

@@ -247,7 +247,7 @@ def _pictures(report: ParityReport) -> Iterator[str]:
     maps = next((stage for stage in report.results if stage.kind == "map"), None)
     if maps is None or maps.expected.shape != maps.found.shape or maps.expected.ndim != 3:
         return
-    expected, found = (np.asarray(one, np.float32) for one in (maps.expected, maps.found))
+    expected, bundle_maps = (np.asarray(one, np.float32) for one in (maps.expected, maps.found))
     low = float(np.nan_to_num(expected).min())
     span = max(float(np.nan_to_num(expected).max()) - low, 1e-30)
     yield "<h2>Score maps</h2><p>Both in one scale. The difference is shown a hundred times as strong.</p>"
@@ -255,8 +255,8 @@ def _pictures(report: ParityReport) -> Iterator[str]:
         if frames is not None and number < len(frames):
             yield _figure(frames[number], f"frame {number}")
         yield _figure(_map((expected[number] - low) / span), "research model")
-        yield _figure(_map((found[number] - low) / span), "bundle")
-        yield _figure(_map(100 * np.abs(expected[number] - found[number]) / span), "difference x 100")
+        yield _figure(_map((bundle_maps[number] - low) / span), "bundle")
+        yield _figure(_map(100 * np.abs(expected[number] - bundle_maps[number]) / span), "difference x 100")
         yield "<br>"
 
 

@@ -21,9 +21,10 @@ from edge.core.errors import BundleMismatch, FitError
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, facts_of
 from edge.model.manifest import Facts, Manifest
-from edge.model.scorer import Scorer, map_peaks
+from edge.model.scorer import Scorer
 from edge.model.session import saturates
 from export.finish import paint_square
+from export.merge import score_again
 
 __all__ = [
     "LIMIT",
@@ -169,7 +170,7 @@ def in_precision(
     changed = {"threshold": threshold, "facts": {**manifest.facts, "precision": card}}
     facts = facts_of(manifest).model_copy(update=changed)
     scorer = Scorer(_files(bundle, facts, graphs, ()), threads)
-    golden = [_again(scorer, one) for one in bundle.golden]
+    golden = [score_again(frame, scorer) for frame in bundle.golden]
     measured_facts = {
         "tolerance": measure_tolerance(scorer, golden, threads) if golden else facts.tolerance,
         "cost": cost_card(scorer, frames, threads, {}),
@@ -286,11 +287,6 @@ def _network(bundle: Bundle) -> bytes:
 
 def _with_network(bundle: Bundle, graph: bytes) -> Graphs:
     return replace(bundle.graphs, **{"trunk" if bundle.manifest.backbone else "detector": graph})
-
-
-def _again(scorer: Scorer, frame: GoldenFrame) -> GoldenFrame:
-    scored = scorer.score_in_pose(frame.rgb)
-    return replace(frame, score=scored.anomaly_score, map_peaks=map_peaks(scored.score_map))
 
 
 def _files(bundle: Bundle, facts: Facts, graphs: Graphs, golden: Sequence[GoldenFrame]) -> Bundle:

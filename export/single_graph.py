@@ -101,7 +101,7 @@ def adapt(
         **_describe_normalisation(normalised, sign),
     }
     expected = sign * chosen.maps(outputs, frame), sign * chosen.scores(outputs, sign)
-    before = [_undone(one, outputs) for one in normalised.values()]
+    before = [_undone(normalisation, outputs) for normalisation in normalised.values()]
     return Adapted(graph, found, _compare(graph, shown, pixels, expected, found, picture, where, before))
 
 

@@ -137,11 +137,11 @@ class _Command(typer.core.TyperCommand):
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
         """Write `--set seed=3` as `--seed=3` before anything is read."""
-        hidden = {one.name: one for one in self.params if getattr(one, "hidden", False)}
+        hidden = {option.name: option for option in self.params if getattr(option, "hidden", False)}
         words, rest = [], iter(args)
         for word in rest:
             given = next(rest, "") if word == "--set" else word.removeprefix("--set=")
-            name, sign, value = (one.strip() for one in given.partition("="))
+            name, sign, value = (part.strip() for part in given.partition("="))
             if not word.startswith("--set") or not sign or name not in hidden:
                 words += [word, given] if word == "--set" else [word]
             elif not getattr(hidden[name], "is_flag", False):

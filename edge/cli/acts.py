@@ -28,10 +28,10 @@ def acts(
     from edge.store.database import open_read_only
 
     with open_read_only(database_path(config, database), "reading the acts") as connection:
-        found = newest(connection, count)
-    for act in found:
+        requests = newest(connection, count)
+    for act in requests:
         typer.echo(json.dumps(asdict(act)) if as_json else _line(act))
-    if not found and not as_json:
+    if not requests and not as_json:
         typer.echo("nothing was asked of this station yet")
 
 

@@ -52,10 +52,10 @@ def parse_values(option: str, given: Sequence[str]) -> dict[str, object]:
     Errors: ConfigError for a text without a name or without `=`.
     """
     values: dict[str, object] = {}
-    for one in given:
-        name, sign, text = one.partition("=")
+    for pair in given:
+        name, sign, text = pair.partition("=")
         if not (name.strip().isidentifier() and sign):
-            raise ConfigError(f"'{option} {one}' is not understood; write {option} name=value")
+            raise ConfigError(f"'{option} {pair}' is not understood; write {option} name=value")
         values[name.strip()] = _value(text)
     return values
 

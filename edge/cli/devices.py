@@ -60,8 +60,8 @@ _FINDERS: Final[dict[registry.PluginGroup, Callable[[str], Any]]] = {
 
 def _every_plugin() -> Sequence[tuple[registry.PluginGroup, str]]:
     """Group and name; a plugin that is a sensor and an overview camera is listed as a sensor."""
-    found = [(group, name) for group in _KINDS for name in registry.names(group)]
-    return [one for one in found if one[0] != "overviews" or ("devices", one[1]) not in found]
+    plugins = [(group, name) for group in _KINDS for name in registry.names(group)]
+    return [plugin for plugin in plugins if plugin[0] != "overviews" or ("devices", plugin[1]) not in plugins]
 
 
 def _report(group: registry.PluginGroup, name: str, given: list[str]) -> dict[str, Any]:
@@ -77,7 +77,8 @@ def _report(group: registry.PluginGroup, name: str, given: list[str]) -> dict[st
         missing = [key for key, field in plugin.Options.model_fields.items() if field.is_required()]
         if missing and not given:
             return {**report, "note": _needs(group, missing[0])}
-        seen = [asdict(one) for one in plugin.discover(plugin_options(group, name, plugin.Options, given))]
+        options = plugin_options(group, name, plugin.Options, given)
+        seen = [asdict(device) for device in plugin.discover(options)]
         return {**report, "seen": seen, "note": "" if seen else "nothing found"}
     except GelgateError as error:
         if given:
@@ -94,11 +95,11 @@ def _needs(group: registry.PluginGroup, option: str) -> str:
 def _as_text(report: dict[str, Any]) -> str:
     kind = "" if report["kind"] == "sensor" else f" ({report['kind']})"
     lines = [f"{report['plugin']}{kind}:{' ' + report['note'] if report['note'] else ''}"]
-    for one in report["seen"]:
-        if one["refusal"] is None:
-            lines.append(f"  found    {_description(one.get('identity') or one)}, {one['place']}")
+    for device in report["seen"]:
+        if device["refusal"] is None:
+            lines.append(f"  found    {_description(device.get('identity') or device)}, {device['place']}")
         else:
-            lines.append(f"  refused  {one['place']}: {one['refusal']}")
+            lines.append(f"  refused  {device['place']}: {device['refusal']}")
     return "\n".join(lines)
 
 

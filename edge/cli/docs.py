@@ -35,13 +35,13 @@ def _pages() -> Mapping[str, Path]:
     """Every page by its name without `.md`, from the source tree if there is one, else from the installation."""
     tree = Path(__file__).parents[2]
     roots = [tree] if (tree / "docs").is_dir() else _installed()
-    found = {
+    pages = {
         path.relative_to(root / room).with_suffix("").as_posix(): path
         for root in roots
         for room in ("docs", "firmware_notes")
         for path in (root / room).rglob("*.md")
     }
-    return dict(sorted(found.items()))
+    return dict(sorted(pages.items()))
 
 
 def _installed() -> list[Path]:

@@ -153,9 +153,9 @@ def _only(serials: list[str]) -> str:
     from edge.core.errors import ConfigError
 
     if len(serials) != 1:
-        found = ", ".join(serials) or "none"
+        known = ", ".join(serials) or "none"
         raise ConfigError(
-            f"the sensor of the replaced gel is not clear; known are {found}; name one with --serial"
+            f"the sensor of the replaced gel is not clear; known are {known}; name one with --serial"
         )
     return serials[0]
 

@@ -169,18 +169,18 @@ def _say_presses(out: Path, name: str) -> None:
 
     recording = Recording.open(out)
     mode = recording.header.mode
-    profile = PROFILES.get(name) or next((one for one in PROFILES.values() if one.native == mode), None)
+    profile = PROFILES.get(name) or next((known for known in PROFILES.values() if known.native == mode), None)
     if profile is None:
         typer.echo(f"presses in it are not counted: no sensor profile has frames of {mode[0]}x{mode[1]}")
         return
     typer.echo("counting its presses; Ctrl-C leaves that out", err=True)
     try:
-        found = presses_in(recording, profile)
+        presses = presses_in(recording, profile)
     except KeyboardInterrupt:
         typer.echo("presses in it are not counted")
         return
-    typer.echo(f"seen in it: {found}")
-    for doubt in found.doubts:
+    typer.echo(f"seen in it: {presses}")
+    for doubt in presses.doubts:
         typer.echo(f"warning: {doubt}", err=True)
 
 

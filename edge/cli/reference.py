@@ -58,9 +58,9 @@ def press(
     now_ns = clock.time_ns()
     wish = ReferenceRequest(new_ulid(now_ns), f"{user()}, command line", piece, restart, now_ns)
     with Store(path) as store:
-        found = judge(request_press(store, clock, wish, typer.echo, timeout), _learn(loaded, None))
-    typer.echo("\n".join([found.outcome.value.replace("_", " "), *found.sentences]))
-    if found.outcome in (Outcome.OUT_OF_LIMITS, Outcome.NOT_MEASURED):
+        judgement = judge(request_press(store, clock, wish, typer.echo, timeout), _learn(loaded, None))
+    typer.echo("\n".join([judgement.outcome.value.replace("_", " "), *judgement.sentences]))
+    if judgement.outcome in (Outcome.OUT_OF_LIMITS, Outcome.NOT_MEASURED):
         raise typer.Exit(1)
 
 
@@ -142,10 +142,10 @@ def request_press(
         raise GelgateError(str(act.sentence))
     say(f"press the master piece {wish.piece or ''}".rstrip())
     doing = "reading the reference presses"
-    found = _waited(clock, timeout_s, lambda: store.read(doing, partial(table.after, number=before)))
-    if found is None:
+    presses = _waited(clock, timeout_s, lambda: store.read(doing, partial(table.after, number=before)))
+    if presses is None:
         raise GelgateError(f"no reference press came within {timeout_s:g} s; ask again")
-    return found
+    return presses
 
 
 def _waited(clock: "Clock", timeout_s: float, found: Callable[[], T | None]) -> T | None:

@@ -42,7 +42,7 @@ def json_line(key: PieceKey, presses: Sequence[ReferencePress], learn: int) -> s
             "outcome": judgement.outcome,
             "sentences": judgement.sentences,
             "charts": [ChartEntry.of(chart).model_dump(mode="json") for chart in judgement.charts],
-            "presses": [asdict(one) for one in presses],
+            "presses": [asdict(press) for press in presses],
         }
     )
 
@@ -52,16 +52,14 @@ def csv_text(chosen: Mapping[PieceKey, Sequence[ReferencePress]], learn: int) ->
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     names = [measure.name for measure in MEASURES]
-    origin_names = ["press_id", "gel_id", "bundle_id", "expected", "verdict", "outcome", "threshold"]
-    writer.writerow(["time", *PieceKey._fields, *origin_names, *names, "sentences"])
+    origin = ["press_id", "gel_id", "bundle_id", "expected", "verdict"]
+    writer.writerow(["time", *PieceKey._fields, *origin, "outcome", "threshold", *names, "sentences"])
     for key, presses in chosen.items():
-        for number, one in enumerate(presses, start=1):
-            found = judge(presses[:number], learn)
-            origin = [one.press_id, one.gel_id, one.bundle_id, one.expected, one.verdict, found.outcome.value]
-            values = [one.value(measure) for measure in MEASURES]
-            writer.writerow(
-                [iso_time(one.time_ns), *key, *origin, one.threshold, *values, "; ".join(found.sentences)]
-            )
+        for number, press in enumerate(presses, start=1):
+            judgement = judge(presses[:number], learn)
+            values = [*(getattr(press, name) for name in origin), judgement.outcome.value, press.threshold]
+            values += [press.value(measure) for measure in MEASURES]
+            writer.writerow([iso_time(press.time_ns), *key, *values, "; ".join(judgement.sentences)])
     return out.getvalue()
 
 
@@ -78,12 +76,12 @@ def _chart_line(chart: Chart) -> str:
 
 
 def _press_line(presses: Sequence[ReferencePress], learn: int) -> str:
-    newest, found = presses[-1], judge(presses, learn)
+    newest, judgement = presses[-1], judge(presses, learn)
     score = (
         ""
         if newest.score is None or newest.threshold is None
         else "  " + " / ".join(score_texts(newest.score, newest.threshold))
     )
     words = [f"{local_time(newest.time_ns)}  {newest.verdict}{score}  gel {newest.gel_id}"]
-    words += [found.outcome.value.replace("_", " "), *found.sentences]
+    words += [judgement.outcome.value.replace("_", " "), *judgement.sentences]
     return "  ".join(words)

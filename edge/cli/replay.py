@@ -85,10 +85,10 @@ class _Run:
         from edge.features.black_box.replay import Bundles
 
         bundles = Bundles(places, SystemClock())
-        for press, found in self._each(wanted, bundles.inspector):
-            self.equal += found.is_equal
-            self.differing += not found.is_equal
-            self._print(press, found)
+        for press, replayed_press in self._each(wanted, bundles.inspector):
+            self.equal += replayed_press.is_equal
+            self.differing += not replayed_press.is_equal
+            self._print(press, replayed_press)
         if self._is_many and not self._as_json:
             typer.echo(
                 f"{self.equal + self.differing + self.impossible} presses: {self.equal} equal, {self.differing} "
@@ -107,13 +107,13 @@ class _Run:
 
         inspector = Inspector(Scorer(Bundle.load(path)), SystemClock())
         counts: Counter[tuple[str, str]] = Counter()
-        for press, found in self._each(wanted, _same_part(inspector)):
-            counts[found.then.verdict, found.now.word] += 1
+        for press, replayed_press in self._each(wanted, _same_part(inspector)):
+            counts[replayed_press.then.verdict, replayed_press.now.word] += 1
             if self._as_json:
-                self._print(press, found)
-            elif found.now.word != found.then.verdict:
+                self._print(press, replayed_press)
+            elif replayed_press.now.word != replayed_press.then.verdict:
                 self.differing += 1
-                typer.echo(printable(f"{press.press_id}  {_side(found)}"))
+                typer.echo(printable(f"{press.press_id}  {_side(replayed_press)}"))
         if not self._as_json:
             _print_table(counts)
 
@@ -133,15 +133,15 @@ class _Run:
                 inspector = inspector_of(then)
                 if inspector is None:
                     continue
-                found = replayed(then, self._folder, inspector)
-                self._write_picture(found, inspector)
+                replayed_press = replayed(then, self._folder, inspector)
+                self._write_picture(replayed_press, inspector)
             except (ArchiveError, BundleError) as error:
                 if not self._is_many:
                     raise
                 self.impossible += 1
                 typer.echo(printable(f"{press.press_id}  not made again: {error}"), err=True)
                 continue
-            yield press, found
+            yield press, replayed_press
 
     def _print(self, press: "KnownPress", found: "Replayed") -> None:
         from edge.core.printable import printable
@@ -188,7 +188,7 @@ def _places(config: Path, database: Path | None, bundles: list[Path]) -> tuple[P
 def _configured(config: "Config") -> "Iterator[Path]":
     """The station's bundles that are there."""
     table = config.inspection
-    for path in (table.bundle, table.bundle_folder, *(one.path for one in table.bundles)):
+    for path in (table.bundle, table.bundle_folder, *(bundle.path for bundle in table.bundles)):
         if path is not None and path.exists():
             yield path
 

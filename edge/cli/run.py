@@ -203,18 +203,18 @@ def press_line(report: "PressReport") -> str:
 
     result = report.result
     if result.score is None:
-        found = result.error or result.reason or ""
+        outcome = result.error or result.reason or ""
     else:
         score, threshold = score_texts(result.score, result.threshold or 0.0)
-        found = f"score {score:>8} / {threshold}"
+        outcome = f"score {score:>8} / {threshold}"
     if result.press_again is not None and result.press_again.is_asked:
-        found += "  PRESS AGAIN"
+        outcome += "  PRESS AGAIN"
     stages = " ".join(f"{stage} {ms:.1f}" for stage, ms in result.latency_ms.items() if stage != "total")
     total = result.latency_ms.get("total", 0.0)
     verdict = (result.verdict or "error").upper()
     named = f"{label.kind} {label.piece}  " if (label := report.press.label) else ""
     said = "".join(f"  {sentence}" for sentence in report.sentences)
     return (
-        f"{result.part}/{result.position or '-'}  {named}{verdict:8} {found}  "
+        f"{result.part}/{result.position or '-'}  {named}{verdict:8} {outcome}  "
         f"{total:6.1f} ms ({stages})  gel {report.gel.presses}/{report.gel.limit_presses}{said}"
     )

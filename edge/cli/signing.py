@@ -71,8 +71,8 @@ def show(
     from edge.model.signature import fingerprint, read_public_key, trusted_keys
 
     if path.is_dir():
-        found = {name: mark for mark, (name, _) in trusted_keys(path).items()}
+        marks = {name: mark for mark, (name, _) in trusted_keys(path).items()}
     else:
-        found = {path.stem: fingerprint(read_public_key(path))}
-    for name, mark in found.items():
+        marks = {path.stem: fingerprint(read_public_key(path))}
+    for name, mark in marks.items():
         typer.echo(f"{mark}  {name}")

@@ -91,13 +91,13 @@ def _plugin_tables(table: Mapping[str, Any]) -> Iterator[tuple[registry.PluginGr
     for key, kind in _KINDS.items():
         value = table.get(key)
         places = (
-            {f"{key}.{index}": one for index, one in enumerate(value)}
+            {f"{key}.{index}": inner for index, inner in enumerate(value)}
             if isinstance(value, list)
             else {key: value}
         )
-        for where, one in places.items():
-            if isinstance(one, dict) and "plugin" in one:
-                yield kind, where, one
+        for where, plugin in places.items():
+            if isinstance(plugin, dict) and "plugin" in plugin:
+                yield kind, where, plugin
 
 
 # The keys of the tables that name a plugin, and its kind.
@@ -115,10 +115,10 @@ def _root_paths(folder: Path, value: Any, kind: registry.PluginGroup | None = No
     if isinstance(value, Path):
         return folder / value
     if type(value) in (list, tuple):
-        return type(value)(_root_paths(folder, one, kind) for one in value)
+        return type(value)(_root_paths(folder, inner, kind) for inner in value)
     if not isinstance(value, Table):
         return value
-    rooted = {name: _root_paths(folder, one, _KINDS.get(name)) for name, one in value}
+    rooted = {name: _root_paths(folder, inner, _KINDS.get(name)) for name, inner in value}
     if isinstance(value, PluginTable) and kind is not None:
         rooted["options"] = _root_options(folder, registry.options(kind, value.plugin), value.options)
     return value.model_copy(update=rooted)

@@ -113,9 +113,9 @@ class ActuatorTable(PluginTable):
 
     @model_validator(mode="after")
     def _one_pulse_a_channel(self) -> "ActuatorTable":
-        pulsed = {one.channel for one in self.outputs if one.pulse_ms is not None}
+        pulsed = {output.channel for output in self.outputs if output.pulse_ms is not None}
         for channel in pulsed:
-            if sum(one.channel == channel for one in self.outputs) > 1:
+            if sum(output.channel == channel for output in self.outputs) > 1:
                 raise ValueError(
                     f"channel {channel} gives a pulse, so it has one output alone; use another channel"
                 )

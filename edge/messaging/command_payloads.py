@@ -84,7 +84,9 @@ class CommandArguments(BaseModel):
             return cls.model_validate(dict(arguments))
         except ValidationError as error:
             known = ", ".join(cls.model_fields) or "none"
-            faults = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+            faults = "; ".join(
+                f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors()
+            )
             raise ValueError(f"{faults} (known arguments: {known})") from error
 
 

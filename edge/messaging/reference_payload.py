@@ -39,7 +39,7 @@ class ChartEntry(BaseModel):
             measure=chart.measure.name,
             unit=chart.measure.unit,
             values=[float(f"{value:.6g}") for value in chart.values[-CHARTED:]],
-            time_ns=[one.time_ns for one in chart.presses[-CHARTED:]],
+            time_ns=[press.time_ns for press in chart.presses[-CHARTED:]],
             low=None if limits is None else limits.low,
             centre=None if limits is None else limits.centre,
             high=None if limits is None else limits.high,

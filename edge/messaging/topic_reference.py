@@ -70,8 +70,9 @@ def _overview() -> Iterator[str]:
 
 def _commands(commands: Iterable[DocumentedCommand]) -> Iterator[str]:
     yield "\n## Commands\n\n| verb | arguments | what it does | what it changes |\n| --- | --- | --- | --- |"
-    for one in commands:
-        yield f"| `{one.verb}` | {_arguments(one.arguments)} | {one.help} | {one.changes or 'nothing'} |"
+    for command in commands:
+        arguments, changes = _arguments(command.arguments), command.changes or "nothing"
+        yield f"| `{command.verb}` | {arguments} | {command.help} | {changes} |"
 
 
 def _arguments(model: type[BaseModel]) -> str:
@@ -87,7 +88,7 @@ def _alarms() -> Iterator[str]:
 
 def _payloads() -> Iterator[str]:
     yield from _fields("## Every payload of a station", Payload.model_json_schema(), {})
-    for model in dict.fromkeys(one.payload for one in TOPICS if not isinstance(one.payload, str)):
+    for model in dict.fromkeys(topic.payload for topic in TOPICS if not isinstance(topic.payload, str)):
         schema = model.model_json_schema()
         if issubclass(model, Payload):
             schema["properties"] = {

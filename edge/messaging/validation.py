@@ -59,9 +59,9 @@ class DocumentCheck:
     def _sending_channels(self) -> Iterable[Mapping[str, Any]]:
         """List the channels on which the station sends, each once."""
         operations = self._document["operations"].values()
-        references = [one["channel"] for one in operations if one["action"] == "send"]
-        references += [one["reply"]["channel"] for one in operations if "reply" in one]
-        return {one["$ref"]: one for one in references}.values()
+        references = [operation["channel"] for operation in operations if operation["action"] == "send"]
+        references += [operation["reply"]["channel"] for operation in operations if "reply" in operation]
+        return {reference["$ref"]: reference for reference in references}.values()
 
     def _resolve(self, value: Mapping[str, Any]) -> Any:
         resolved: Any = value
@@ -95,10 +95,10 @@ class _MessageCheck:
         try:
             text = payload.decode()
             content = json.loads(text) if self.content_type == "application/json" else text
-            found = best_match(self.validator.iter_errors(content))
+            fault = best_match(self.validator.iter_errors(content))
         except (ValueError, RecursionError, Unresolvable) as error:
             return f"it cannot be read as {self.content_type} ({error})"
-        return None if found is None else f"{found.json_path}: {found.message:.300}"
+        return None if fault is None else f"{fault.json_path}: {fault.message:.300}"
 
 
 class StationsCheck:
@@ -125,7 +125,10 @@ class StationsCheck:
                 self._waiting[root].append(message)
             return faults
         waiting = [*self._waiting.pop(root, []), message]
-        return [*faults, *(fault for one in waiting for fault in self._check(root, one))]
+        return [
+            *faults,
+            *(fault for waiting_message in waiting for fault in self._check(root, waiting_message)),
+        ]
 
     def _learn(self, root: str, message: Received) -> list[str]:
         try:

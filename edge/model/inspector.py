@@ -47,7 +47,11 @@ class Inspector:
         self._colours = colours.nominal() if colours else None
         self._nominal = _nominal_contact(self.bundle.manifest.contact, self.bundle.profile.size)
         self.expected = find_expected_reach(
-            [one.rgb for one in self.bundle.golden if one.score <= self.bundle.manifest.threshold.value],
+            [
+                press.rgb
+                for press in self.bundle.golden
+                if press.score <= self.bundle.manifest.threshold.value
+            ],
             self.bundle.free_view,
             self.bundle.bank.get(USUAL_CONTACT),
             self.bundle.region,

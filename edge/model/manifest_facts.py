@@ -87,7 +87,7 @@ def licence_of(manifest: Manifest) -> str | None:
     backbone = manifest.facts.get("backbone")
     sources = (manifest.facts, backbone if isinstance(backbone, Mapping) else {})
     stated: list[Any] = [source.get(LICENCE) for source in sources]
-    return ", ".join(dict.fromkeys(str(one) for one in stated if one)) or None
+    return ", ".join(dict.fromkeys(str(licence) for licence in stated if licence)) or None
 
 
 def is_non_commercial(licence: str) -> bool:

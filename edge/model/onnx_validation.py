@@ -70,8 +70,8 @@ def output_names(data: bytes) -> list[str]:
             continue
         for graph_field, value in _fields(graph, budget):
             if graph_field == GRAPH_OUTPUT_FIELD and isinstance(value, memoryview):
-                found = [bytes(v) for n, v in _fields(value, budget) if n == 1 and isinstance(v, memoryview)]
-                names += [name.decode("utf-8", "replace") for name in found]
+                texts = (v for n, v in _fields(value, budget) if n == 1 and isinstance(v, memoryview))
+                names += [bytes(text).decode("utf-8", "replace") for text in texts]
     return names
 
 

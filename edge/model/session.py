@@ -109,4 +109,4 @@ class TrunkSessions:
     def keep_only(self, used: Container[str | None]) -> None:
         """Forget the trunks that no bundle uses any more; their memory is freed with the last scorer that has them."""
         with self._lock:
-            self._sessions = {sha256: one for sha256, one in self._sessions.items() if sha256 in used}
+            self._sessions = {sha256: session for sha256, session in self._sessions.items() if sha256 in used}

@@ -94,7 +94,7 @@ def _main(task: str) -> int:
 
 def _limit(what: int, most: int) -> None:
     """A lower limit that the process has already stays."""
-    limits = [one for one in (most, *resource.getrlimit(what)) if one != resource.RLIM_INFINITY]
+    limits = [limit for limit in (most, *resource.getrlimit(what)) if limit != resource.RLIM_INFINITY]
     resource.setrlimit(what, (min(limits), min(limits)))
 
 

@@ -58,7 +58,7 @@ class Access:
                 f"this page is not shown to {client}; name its address in allow_from of the page on the gateway",
             )
         name = _name(host)
-        known = {_plain(reached), *(one.lower() for one in self.names)}
+        known = {_plain(reached), *(own.lower() for own in self.names)}
         if _is_own(reached):
             known |= {"localhost", "127.0.0.1", "::1"}
         if name in known:

@@ -101,12 +101,12 @@ class HttpServer(ThreadingHTTPServer):
             self.shutdown_request(request)
 
     def _make_place(self, client: str) -> bool:
-        of_one = [one for one, (other, _) in self._open.items() if other == client]
+        of_one = [connection for connection, (other, _) in self._open.items() if other == client]
         rivals = of_one if len(of_one) >= MOST_OF_ONE else list(self._open)
         if rivals is not of_one and len(rivals) < MOST_CONNECTIONS:
             return True
         waiting = [
-            (due_ns, n) for n, one in enumerate(rivals) if (due_ns := self._open[one].due_ns) is not None
+            (due_ns, n) for n, rival in enumerate(rivals) if (due_ns := self._open[rival].due_ns) is not None
         ]
         if waiting:
             self._hang_up(rivals[min(waiting)[1]])
@@ -115,9 +115,9 @@ class HttpServer(ThreadingHTTPServer):
     def note(self, connection: socket, *, is_answered: bool) -> None:
         """A connection is answered, or its next request is waited for."""
         with self._lock:
-            found = self._open.get(connection)
-            if found is not None and is_answered != (found.due_ns is None):
-                self._open[connection] = _Open(found.client, None if is_answered else self._due_ns())
+            opened = self._open.get(connection)
+            if opened is not None and is_answered != (opened.due_ns is None):
+                self._open[connection] = _Open(opened.client, None if is_answered else self._due_ns())
 
     def service_actions(self) -> None:
         """Hang up on requests that take too long."""

@@ -148,7 +148,8 @@ class Shown:
         """Newest first; `has_picture` says whether there is one."""
         with self._changed:
             return [
-                {**one, "has_picture": key in self._pictures} for key, one in reversed(self._presses.items())
+                {**press, "has_picture": key in self._pictures}
+                for key, press in reversed(self._presses.items())
             ]
 
     def picture(self, press_id: str) -> bytes | None:
@@ -211,7 +212,7 @@ def _faulty(model: type[Payload], content: Mapping[str, Any]) -> set[str]:
         model.model_validate(dict(content), strict=False)
     except ValidationError as error:
         return {
-            str(one["loc"][0]) if one["loc"] else "fields that contradict each other"
-            for one in error.errors(include_url=False, include_input=False, include_context=False)
+            str(fault["loc"][0]) if fault["loc"] else "fields that contradict each other"
+            for fault in error.errors(include_url=False, include_input=False, include_context=False)
         }
     return set()

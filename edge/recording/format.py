@@ -246,9 +246,9 @@ def _read_header(folder: Path) -> RecordingHeader:
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        found = f"is not a recording: it has no {_HEADER}" if folder.is_dir() else "does not exist"
+        fault = f"is not a recording: it has no {_HEADER}" if folder.is_dir() else "does not exist"
         raise RecordingError(
-            f"recording {folder} {found}; correct the path, or make one with `gelgate record`"
+            f"recording {folder} {fault}; correct the path, or make one with `gelgate record`"
         ) from error
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise RecordingError(f"{path} cannot be read: {error}") from error

@@ -75,10 +75,10 @@ def _frames(film: Film) -> Iterator[tuple[int, NDArray[np.uint8]]]:
     capture = _open(film.path)
     last_ns, period_ns = -1, round(1e9 / film.fps)
     try:
-        while (found := capture.read())[0]:
+        while (picture := capture.read())[0]:
             time_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
             last_ns = time_ns if time_ns > last_ns else last_ns + period_ns
-            yield last_ns, found[1]
+            yield last_ns, picture[1]
     finally:
         capture.release()
 

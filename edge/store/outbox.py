@@ -260,7 +260,8 @@ class Outbox:
 
 
 def _by_name(counts: Mapping[int, int]) -> dict[str, int]:
-    return {one.name.lower(): counts.get(one, 0) for one in DropPriority if one is not DropPriority.RETAINED}
+    dropped = (DropPriority.HEATMAP, DropPriority.PASS, DropPriority.FAIL)
+    return {kind.name.lower(): counts.get(kind, 0) for kind in dropped}
 
 
 def _rename(connection: sqlite3.Connection, before: Mapping[str, str]) -> None:

@@ -76,7 +76,7 @@ class ArchivedPress(BaseModel):
     def objects(self) -> tuple[Digest, ...]:
         """Everything that it needs."""
         named = (self.frame, self.reference, self.score_map, self.machine, self.masked)
-        return tuple(one for one in named if one)
+        return tuple(digest for digest in named if digest)
 
     def encode(self) -> bytes:
         """The record's file."""

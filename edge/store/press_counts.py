@@ -65,7 +65,7 @@ class PressCounts:
                 order = 1 + max((known.order for known in counts.values()), default=0)
                 counts[serial] = replace(count, order=order)
                 kept = sorted(counts, key=lambda one: counts[one].order)[-REMEMBERED:]
-                _put(file, number + 1, {one: counts[one] for one in kept})
+                _put(file, number + 1, {sensor: counts[sensor] for sensor in kept})
             self._is_failing = False
         except OSError as error:
             if not self._is_failing:

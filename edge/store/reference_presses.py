@@ -71,17 +71,17 @@ class ReferenceTable:
         self._press = press
 
     def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
-        one = self._press
+        reference = self._press
         own = ("bundle_id", "expected", "verdict", "reason", "score", "threshold")
         row = {
             **self._key._asdict(),
-            **{name: getattr(one, name) for name in own},
-            **vars(one.imprint),
+            **{name: getattr(reference, name) for name in own},
+            **vars(reference.imprint),
             "press_id": press.press_id,
             "time_ns": press.time_ns,
             "running_ns": running_ns,
             "gel_id": gel_id,
-            "is_start": int(one.is_start),
+            "is_start": int(reference.is_start),
         }
         number = insert(connection, "reference_presses", row)
         connection.execute(
@@ -116,7 +116,7 @@ def after(connection: sqlite3.Connection, number: int) -> list[ReferencePress] |
     if row is None:
         return None
     presses = of_piece(connection, PieceKey(*row[:4]))
-    ids = [one.press_id for one in presses]
+    ids = [press.press_id for press in presses]
     return presses[: ids.index(row[4]) + 1]
 
 

@@ -106,7 +106,7 @@ def studies(path: Path) -> list[tuple[str, int, int]]:
             "SELECT study_id, started_ns, (SELECT count(*) FROM study_presses AS p WHERE p.study_id = s.study_id AND "
             "NOT is_void) FROM studies AS s ORDER BY started_ns"
         )
-        return [(str(one), int(ns), int(number)) for one, ns, number in rows]
+        return [(str(study), int(ns), int(number)) for study, ns, number in rows]
 
 
 def read_study(path: Path, study_id: str) -> tuple[str, list[StudyPress]] | None:

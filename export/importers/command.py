@@ -118,11 +118,11 @@ def import_(given: ImportArguments) -> None:
 
     refuse_existing(given.output, given.overwrite)
     sensor = choose_profile(given.profile, given.sources)
-    found = resolve_sources(given.sources, given.part, given.position, sensor)
+    sources = resolve_sources(given.sources, given.part, given.position, sensor)
     options = ImportOptions(
-        part=found.part,
+        part=sources.part,
         licence=given.licence,
-        position=found.position,
+        position=sources.position,
         backbone=given.backbone,
         profile=sensor.name,
         region=given.region,
@@ -138,12 +138,12 @@ def import_(given: ImportArguments) -> None:
 
     def read(profile: "SensorProfile", inspected: "Region") -> "NominalPresses":
         return read_presses(
-            found.paths,
+            sources.paths,
             profile,
             inspected,
             no_contact=given.no_contact,
             resize=given.resize,
-            specimens=found.specimens,
+            specimens=sources.specimens,
         )
 
     with Stages() as report:

@@ -96,7 +96,9 @@ def _measure_losses(
     """Measure what the smaller bank costs. Errors: BundleCorrupt where packing changes maps or scores too much."""
     arrays, packing = model.bank.arrays, model.bank.packing
     packs = [pack(array, packing.get(name, "none")) for name, array in arrays.items()]
-    stored = sum(one.data.nbytes + (0 if one.scale is None else one.scale.nbytes) for one in packs)
+    stored = sum(
+        packed.data.nbytes + (0 if packed.scale is None else packed.scale.nbytes) for packed in packs
+    )
     used = sum(array.nbytes for array in arrays.values())
     reduction = _measure_reduction(model, frames, threads, source)
     if not packing:

@@ -53,7 +53,8 @@ def document(station: DescribedStation) -> dict[str, Any]:
     published = [topic for topic in TOPICS if not topic.name.startswith("cmd/")]
     models = dict.fromkeys(topic.payload for topic in published if not isinstance(topic.payload, str))
     schemas = payload_schemas([*models, CommandResponse])
-    requests = {_request_name(one): request_schema(CommandRequest, one.arguments) for one in station.commands}
+    arguments = {_request_name(command): command.arguments for command in station.commands}
+    requests = {name: request_schema(CommandRequest, model) for name, model in arguments.items()}
     return {
         "asyncapi": "3.0.0",
         "info": {
@@ -64,12 +65,12 @@ def document(station: DescribedStation) -> dict[str, Any]:
         "defaultContentType": "application/json",
         "channels": {
             **{_key(topic): _channel(station, topic) for topic in published},
-            **{f"cmd_{one.verb}": _request_channel(station, one) for one in station.commands},
+            **{f"cmd_{command.verb}": _request_channel(station, command) for command in station.commands},
             "cmd_response": _response_channel(station),
         },
         "operations": {
             **{f"send_{_key(topic)}": _sends(topic) for topic in published},
-            **{f"receive_{one.verb}": _receives(one) for one in station.commands},
+            **{f"receive_{command.verb}": _receives(command) for command in station.commands},
         },
         "components": {
             "schemas": {**schemas, **requests},
@@ -175,7 +176,7 @@ def payload_schemas(models: Iterable[type[BaseModel]]) -> dict[str, Any]:
     Every field is required, as it is always there. Fields that are not known are allowed: a later version adds some.
     """
     _, schema = models_json_schema([(model, "serialization") for model in models], ref_template=REFERENCE)
-    return {name: _draft_07(one) for name, one in schema["$defs"].items()}
+    return {name: _draft_07(model) for name, model in schema["$defs"].items()}
 
 
 def request_schema(request: type[BaseModel], arguments: type[BaseModel]) -> dict[str, Any]:
@@ -189,13 +190,13 @@ def _draft_07(schema: Any, *, keeps_closed: bool = False) -> Any:
     """Remove what only later drafts know, and the defaults and titles that pydantic adds."""
     read = partial(_draft_07, keeps_closed=keeps_closed)
     if isinstance(schema, list):
-        return [read(one) for one in schema]
+        return [read(item) for item in schema]
     if not isinstance(schema, dict):
         return schema
     kept = {}
     for key, value in schema.items():
         if key == "properties":
-            kept[key] = {name: read(one) for name, one in value.items()}
+            kept[key] = {name: read(item) for name, item in value.items()}
         elif key == "prefixItems":
             kept["items"] = read(value)
         elif key not in ("title", "default") and (keeps_closed or (key, value) != _CLOSED):
