@@ -46,14 +46,12 @@ def test_paths_are_relative_to_the_file(tmp_path: Path) -> None:
     assert config.store.path == tmp_path / "gelgate.db"
     assert config.device.options["recording"] == str(tmp_path / "presses")
     assert config.sinks[0].options["folder"] == str(tmp_path / "out")
-
-
-def test_paths_in_a_plugin_s_nested_table_are_relative_to_the_file_too(tmp_path: Path) -> None:
-    """Certificates travel with the configuration that names them."""
     sink = '[[sinks]]\nplugin = "mqtt"\noptions = { host = "broker", tls = { ca = "ca.pem" } }\n'
-    config = load_config(written(tmp_path, SOUND + sink))
-
-    assert config.sinks[1].options["tls"]["ca"] == str(tmp_path / "ca.pem")
+    several = load_config(
+        written(tmp_path, with_bundle('bundles = [{ path = "a", names = ["4711"] }]') + sink)
+    )
+    assert several.sinks[1].options["tls"]["ca"] == str(tmp_path / "ca.pem")
+    assert [one.path for one in several.inspection.bundles] == [tmp_path / "a"]
 
 
 def test_defaults_stand_in_one_place(tmp_path: Path) -> None:
@@ -64,23 +62,6 @@ def test_defaults_stand_in_one_place(tmp_path: Path) -> None:
     assert (config.station.prefix, config.station.station) == ("gelgate", "station")
 
 
-def test_an_unknown_key_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
-    """A typing error is named, not ignored."""
-    message = refusal(tmp_path, SOUND + "[gel]\nlimit_preses = 5\n")
-
-    assert "'gel.limit_preses' is not known; did you mean 'limit_presses'?" in message
-
-
-@pytest.mark.parametrize("level", ["", "two words", "a/b", "a+", "#", "$SYS", "x" * 65, "\x1f", "null\x00"])
-def test_a_topic_level_is_refused_as_the_topics_would_refuse_it(tmp_path: Path, level: str) -> None:
-    """What cannot be a level of a topic is a fault of the file, not a surprise when the first message is sent."""
-    table = f"[station]\nprefix = {json.dumps(level)}\n"
-    text = refusal(tmp_path, SOUND.replace("[station]\n", table))
-
-    assert "'station.prefix'" in text
-    assert "a topic level has 1 to 64 characters" in text
-
-
 def test_every_fault_is_told_at_once(tmp_path: Path) -> None:
     """Three faults, one report: the operator mends the file once."""
     text = SOUND.replace('site = "plant"', 'site = "plant one"').replace("version = 1", "version = 2")
@@ -88,11 +69,6 @@ def test_every_fault_is_told_at_once(tmp_path: Path) -> None:
 
     assert "has 3 fault(s)" in message
     assert all(key in message for key in ("'version'", "'station.site'", "'gel.limit_presses'"))
-
-
-def test_an_unknown_plugin_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
-    """A plugin is chosen by name, and a wrong name is told like a wrong key."""
-    assert "did you mean 'recorded'?" in refusal(tmp_path, SOUND.replace('"recorded"', '"recordet"'))
 
 
 def test_plugin_options_are_in_the_same_report(tmp_path: Path) -> None:
@@ -105,16 +81,51 @@ def test_plugin_options_are_in_the_same_report(tmp_path: Path) -> None:
     assert "'station.lime' is not known; did you mean 'line'?" in message
 
 
-@pytest.mark.parametrize(
-    ("text", "found"),
-    [
-        ("version = ", "cannot be read"),
-        ("", "'version' is missing"),
-        (SOUND.split("[[sinks]]")[0], "'sinks' is missing"),
-    ],
-)
-def test_a_broken_or_empty_file_is_refused(tmp_path: Path, text: str, found: str) -> None:
-    """Bad TOML and missing tables stop the start."""
+def with_bundle(line: str) -> str:
+    return SOUND.replace('bundle = "bundles/pz1"', line)
+
+
+LEVELS = ("", "two words", "a/b", "a+", "#", "$SYS", "x" * 65, "\x1f", "null\x00")
+STORES = (
+    "outbox_days = 200000", "outbox_days = inf", "outbox_days = nan", "outbox_days = 1e300", "outbox_mb = inf",
+    "outbox_mb = 1e-9", 'path = ":memory:"', 'path = ""', 'path = "file:x?mode=memory"',
+)  # fmt: skip
+BROKERS = (
+    "acknowledge_s = inf", "acknowledge_s = 1e12", "acknowledge_s = 1e-9", "retry_s = inf",
+    'client_id = "a\\u0000b"', 'username = "a\\u0007"', 'host = "a\\u001b[2J"',
+)  # fmt: skip
+REFUSED = [
+    ("version = ", "cannot be read"),
+    ("", "'version' is missing"),
+    (SOUND.split("[[sinks]]")[0], "'sinks' is missing"),
+    (SOUND + "[gel]\nlimit_preses = 5\n", "'gel.limit_preses' is not known; did you mean 'limit_presses'?"),
+    (SOUND.replace('"recorded"', '"recordet"'), "did you mean 'recorded'?"),
+    (with_bundle(""), "found no bundle, expected exactly one of bundle"),
+    (with_bundle('bundle = "a"\nbundle_folder = "b"'), "found bundle and bundle_folder, expected exactly one"),
+    (
+        with_bundle('bundles = [{ path = "a", names = ["x"] }, { path = "b", names = ["x"] }]'),
+        "the name 'x' is given to two bundles",
+    ),
+    *(
+        (SOUND.replace("[station]\n", f"[station]\nprefix = {json.dumps(level)}\n"), "a topic level has 1 to 64 chara")
+        for level in LEVELS
+    ),
+    *((f"{SOUND}[store]\n{line}\n", f"'store.{line.split(' ')[0]}'") for line in STORES),
+    *(
+        (f'{SOUND}[[sinks]]\nplugin = "mqtt"\noptions = {{ {line} }}\n', f"'sinks.1.options.{line.split(' ')[0]}'")
+        for line in BROKERS
+    ),
+    *(
+        (SOUND.replace('"recorded"', f'"{plugin}"').replace('"presses" }', f'"presses", pace = {pace} }}'),
+         "'device.options.pace'")
+        for plugin in ("recorded", "usb_mock") for pace in ("inf", "nan")
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "found"), REFUSED)
+def test_what_no_station_can_work_with_is_refused(tmp_path: Path, text: str, found: str) -> None:
+    """At the start, with the key: typing errors, topics that cannot be, attempts that would fail for ever."""
     assert found in refusal(tmp_path, text)
 
 
@@ -131,30 +142,6 @@ def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(ConfigError, match="cannot be read"):
         load_config(path)
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("", "found no bundle, expected exactly one of bundle"),
-        ('bundle = "a"\nbundle_folder = "b"', "found bundle and bundle_folder, expected exactly one"),
-        (
-            'bundles = [{ path = "a", names = ["x"] }, { path = "b", names = ["x"] }]',
-            "the name 'x' is given to two bundles",
-        ),
-    ],
-)
-def test_bundles_are_named_in_one_way(tmp_path: Path, line: str, words: str) -> None:
-    """And a name selects one of them."""
-    assert words in refusal(tmp_path, SOUND.replace('bundle = "bundles/pz1"', line))
-
-
-def test_several_bundles_are_relative_to_the_file(tmp_path: Path) -> None:
-    """As the single one is."""
-    line = 'bundles = [{ path = "a", names = ["4711"] }]'
-    table = load_config(written(tmp_path, SOUND.replace('bundle = "bundles/pz1"', line))).inspection
-
-    assert (table.bundle, [one.path for one in table.bundles]) == (None, [tmp_path / "a"])
 
 
 def test_the_tables_in_the_examples_comments_are_sound(tmp_path: Path) -> None:

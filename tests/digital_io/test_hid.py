@@ -61,23 +61,24 @@ def presses(options: PedalOptions, *reports: bytes) -> list[bool | None]:
     return [pedal.read(10**12) for _ in reports]
 
 
-def test_any_key_counts_and_a_repeated_report_does_not() -> None:
-    """Down, the same again, another key with it, up."""
-    reports = [keys(0x68), keys(0x68), keys(0x68, 5), keys()]
-
-    assert presses(PedalOptions(), *reports) == [True, False, None, None]
-
-
-def test_one_key_of_several_can_be_chosen() -> None:
-    """A pedal with three switches: the others do not count; a modifier has a usage too."""
-    assert presses(PedalOptions(key=5), keys(4), keys(4, 5), keys(5), keys(4)) == [True, False, None, None]
-    assert presses(PedalOptions(key=0xE1), keys(modifiers=2), keys()) == [True, False]
-
-
-def test_a_report_with_an_id_and_one_of_too_many_keys_are_read() -> None:
-    """Nine bytes have the id first; usage 1 in all places is no key."""
-    assert presses(PedalOptions(), bytes([1]) + keys(0x68), bytes([1]) + keys()) == [True, False]
-    assert presses(PedalOptions(), keys(1, 1, 1, 1, 1, 1)) == [None]
+@pytest.mark.parametrize(
+    ("options", "reports", "read"),
+    [
+        # Down, the same again, another key with it, up.
+        ({}, [keys(0x68), keys(0x68), keys(0x68, 5), keys()], [True, False, None, None]),
+        # Of a pedal with three switches the others do not count; a modifier has a usage too.
+        ({"key": 5}, [keys(4), keys(4, 5), keys(5), keys(4)], [True, False, None, None]),
+        ({"key": 0xE1}, [keys(modifiers=2), keys()], [True, False]),
+        # Nine bytes have the id first; usage 1 in all places is no key.
+        ({}, [bytes([1]) + keys(0x68), bytes([1]) + keys()], [True, False]),
+        ({}, [keys(1, 1, 1, 1, 1, 1)], [None]),
+    ],
+)
+def test_changes_of_a_pedal_are_read_from_its_reports(
+    options: dict[str, int], reports: list[bytes], read: list[bool | None]
+) -> None:
+    """Any key counts, or the one that is chosen; a repeated report does not."""
+    assert presses(PedalOptions.model_validate(options), *reports) == read
 
 
 def test_the_sensor_and_a_mouse_are_no_pedals() -> None:
@@ -108,22 +109,15 @@ def test_a_board_that_answers_otherwise_is_refused_and_released() -> None:
     assert bus.closings == 1
 
 
-def test_a_report_is_read_with_and_without_its_id() -> None:
-    """Nine bytes, or eight, as systems differ."""
+def test_a_board_is_known_by_name_and_by_its_report() -> None:
+    """Nine bytes or eight, as systems differ; the USB id is shared by many devices of one firmware library."""
     for report in (b"\0QWERT\0\0\x05", b"QWERT\0\0\x05"):
         ((_, port),) = discover_relays(Reports([RELAY_INFO], report), RelayOptions())
         assert (port.serial, port.refusal) == ("QWERT", None)
-
-
-def test_a_device_of_another_name_is_refused() -> None:
-    """The USB id is shared by many devices of one firmware library."""
     other = HidInfo(b"/dev/hidraw7", 0x16C0, 0x05DF, "Thermometer")
     ((_, port),) = discover_relays(Reports([other]), RelayOptions())
-
-    assert (
-        port.refusal
-        == "/dev/hidraw7: 'Thermometer' shares the USB id 16c0:05df; a board is named USBRelay1 to 8"
-    )
+    shared = "/dev/hidraw7: 'Thermometer' shares the USB id 16c0:05df; a board is named USBRelay1 to 8"
+    assert port.refusal == shared
 
 
 def test_two_boards_must_be_told_apart() -> None:

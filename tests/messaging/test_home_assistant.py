@@ -113,32 +113,24 @@ def rendered(template: str, value: dict[str, Any]) -> str:
     return jinja2.Environment(undefined=jinja2.StrictUndefined).from_string(template).render(value_json=value)
 
 
-@pytest.mark.parametrize(("messages", "shown"), [(HALTED, "online"), (LOST, "offline")])
-def test_a_station_that_is_gone_is_not_available(messages: list[Message], shown: str) -> None:
-    """From the last will of the state; a halted station is there, and says why it does not inspect."""
-    assert DEVICE["availability_topic"] == f"{ROOT}/state"
-    assert rendered(DEVICE["availability_template"], json.loads(messages[0].payload)) == shown
-
-
-def test_every_topic_is_one_of_the_station() -> None:
-    """And each entity has an id of its own, which is the same at every start."""
+def test_a_station_is_one_device_with_its_own_topics_and_words() -> None:
+    """Ids are the same at every start and of one site; no word that a station says is unknown; gone, it is offline."""
     own = {f"{ROOT}/{topic.name}" for topic in TOPICS}
-    entities = DEVICE["components"].values()
-
-    named = {value for one in entities for key, value in one.items() if key.endswith("_topic")}
+    entities = DEVICE["components"]
+    named = {value for one in entities.values() for key, value in one.items() if key.endswith("_topic")}
+    other = DescribedStation.of_root(ROOT.replace("plant", "site2"))
 
     assert named <= own
     assert f"{ROOT}/last/heatmap" in named
-    assert len({one["unique_id"] for one in entities}) == len(entities)
+    assert len({one["unique_id"] for one in entities.values()}) == len(entities)
     assert discovery(STATION) == DEVICE
-
-
-def test_two_stations_are_two_devices() -> None:
-    """A line with the same name at another site."""
-    other = DescribedStation.of_root(ROOT.replace("plant", "site2"))
-
     assert discovery_topic(other) != discovery_topic(STATION)
     assert discovery(other)["device"]["identifiers"] != DEVICE["device"]["identifiers"]
+    for component, words in (("verdict", Kind), ("cause", Cause), ("gel_state", GelState)):
+        assert {word.value for word in words} <= {*entities[component]["options"]}
+    assert DEVICE["availability_topic"] == f"{ROOT}/state"
+    for messages, shown in ((HALTED, "online"), (LOST, "offline")):
+        assert rendered(DEVICE["availability_template"], json.loads(messages[0].payload)) == shown
 
 
 def test_the_sink_announces_the_station_where_it_is_asked_to(
@@ -160,11 +152,3 @@ def test_the_sink_announces_the_station_where_it_is_asked_to(
 
     assert [message.topic for message in late.heard] == [discovery_topic(STATION, "ha")]
     assert json.loads(late.heard[0].payload) == DEVICE
-
-
-@pytest.mark.parametrize(
-    ("component", "words"), [("verdict", Kind), ("cause", Cause), ("gel_state", GelState)]
-)
-def test_every_word_that_a_station_says_is_known(component: str, words: Any) -> None:
-    """Home Assistant takes no other value of an enumeration."""
-    assert {word.value for word in words} <= {*DEVICE["components"][component]["options"]}

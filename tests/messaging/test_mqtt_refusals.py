@@ -5,7 +5,7 @@ import shutil
 import socket
 import subprocess
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -111,33 +111,25 @@ def test_mutual_tls_lets_in_who_has_a_certificate_and_nobody_else(
                 sink_to(broker, tls=others, acknowledge_s=1.0).send(Message("result", b"{}"))
 
 
-class FalseBroker:
-    """Accepts connections and answers each first packet with fixed bytes, or not at all."""
+@contextlib.contextmanager
+def false_broker(answer: bytes | None) -> Iterator[int]:
+    """A port that accepts connections, and answers each first packet with fixed bytes, or not at all."""
+    held: list[socket.socket] = []
 
-    def __init__(self, answer: bytes | None) -> None:
-        self._answer = answer
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.port = self._server.getsockname()[1]
-        self._held: list[socket.socket] = []
-        threading.Thread(target=self._serve, daemon=True).start()
+    def serve() -> None:
+        with contextlib.suppress(OSError):  # who asks may be gone already; the server ends
+            while True:
+                held.append(server.accept()[0])
+                held[-1].recv(1000)
+                if answer is not None:
+                    held[-1].sendall(answer)
 
-    def _serve(self) -> None:
-        while True:
-            try:
-                connection, _ = self._server.accept()
-            except OSError:
-                return
-            self._held.append(connection)
-            with contextlib.suppress(OSError):  # who asks may be gone already
-                connection.recv(1000)
-                if self._answer is not None:
-                    connection.sendall(self._answer)
-
-    def close(self) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=serve, daemon=True).start()
+        yield server.getsockname()[1]
         with contextlib.suppress(OSError):
-            self._server.shutdown(socket.SHUT_RDWR)
-        self._server.close()
-        for connection in self._held:
+            server.shutdown(socket.SHUT_RDWR)
+        for connection in held:
             connection.close()
 
 
@@ -155,12 +147,8 @@ class FalseBroker:
 def test_what_is_no_broker_or_refuses_is_said_in_a_sentence(answer: bytes | None, words: str) -> None:
     """Silence, another protocol, garbage and refusals all end in SinkUnavailable, with no exception in a thread."""
     limit_s = PATIENCE_S if words == "refuses the connection" else 0.3  # for what is silent, or seems so
-    false = FalseBroker(answer)
-    try:
-        with pytest.raises(SinkUnavailable, match=words):
-            Connection.open(Broker("127.0.0.1", false.port, "x", timeout_s=limit_s))
-    finally:
-        false.close()
+    with false_broker(answer) as port, pytest.raises(SinkUnavailable, match=words):
+        Connection.open(Broker("127.0.0.1", port, "x", timeout_s=limit_s))
 
 
 @pytest.mark.parametrize(

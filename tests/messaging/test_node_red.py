@@ -85,37 +85,30 @@ def answered(page: str, *messages: tuple[str, Any]) -> dict[str, Any]:
     return dict(json.loads(done.stdout))
 
 
-def test_the_page_shows_the_last_press() -> None:
-    """Verdict, ratio, gel and state, from the retained topics."""
-    shown = answered(
-        "page",
-        ("last/press", {"press_id": "x", "verdict": "fail", "score_ratio": 2.345, "part": "bolt"}),
-        ("gel", {"presses": 3, "limit_presses": 1000, "state": "good"}),
-        ("state", {"state": "ready", "reason": None}),
-        ("availability", "online"),
-    )["payload"]
-
-    assert (shown["verdict"], shown["ratio"], shown["part"]) == ("fail", "2.35", "bolt")
-    assert (shown["presses"], shown["limit"], shown["state"], shown["availability"]) == (
-        3,
-        1000,
-        "ready",
-        "online",
-    )
+VALUES = ("verdict", "ratio", "part", "presses", "limit", "state", "availability")
 
 
 @pytest.mark.parametrize(
-    ("press", "shown"),
+    ("messages", "shown"),
     [
-        ([], "no press yet"),
-        ([("last/press", {"press_id": "x", "verdict": None, "score_ratio": None})], "error"),
+        (
+            [
+                ("last/press", {"press_id": "x", "verdict": "fail", "score_ratio": 2.345, "part": "bolt"}),
+                ("gel", {"presses": 3, "limit_presses": 1000, "state": "good"}),
+                ("state", {"state": "ready", "reason": None}),
+                ("availability", "online"),
+            ],
+            ("fail", "2.35", "bolt", 3, 1000, "ready", "online"),
+        ),
+        ([], ("no press yet", "")),
+        ([("last/press", {"press_id": "x", "verdict": None, "score_ratio": None})], ("error", "")),
     ],
 )
-def test_a_page_without_a_verdict_says_so(press: list[tuple[str, Any]], shown: str) -> None:
-    """Before the first press, and after one that could not be scored."""
-    payload = answered("page", *press)["payload"]
+def test_the_page_shows_the_last_press(messages: list[tuple[str, Any]], shown: tuple[object, ...]) -> None:
+    """Verdict, ratio, gel and state from the retained topics; before the first press, and after one without a score."""
+    payload = answered("page", *messages)["payload"]
 
-    assert (payload["verdict"], payload["ratio"]) == (shown, "")
+    assert tuple(payload[name] for name in VALUES[: len(shown)]) == shown
 
 
 def test_the_picture_is_that_of_the_last_press_or_none() -> None:

@@ -24,13 +24,17 @@ from edge.store.press_store import Store
 @pytest.fixture
 def outbox(path: Path) -> Iterator[Outbox]:
     with Outbox(path) as opened:
+        opened.register(["mqtt"])
         yield opened
 
 
-def test_rows_are_sent_in_order_and_leave(store: Store, outbox: Outbox) -> None:
+@pytest.fixture
+def sink() -> ScriptedSink:
+    return ScriptedSink()
+
+
+def test_rows_are_sent_in_order_and_leave(store: Store, outbox: Outbox, sink: ScriptedSink) -> None:
     """Twenty presses, more than one batch: every result, in order, and then an empty outbox."""
-    sink = ScriptedSink()
-    outbox.register(["mqtt"])
     presses = [make_press(n) for n in range(20)]
     record(store, *presses)
 
@@ -40,10 +44,9 @@ def test_rows_are_sent_in_order_and_leave(store: Store, outbox: Outbox) -> None:
     assert outbox.status().rows == 0
 
 
-def test_a_sink_that_is_away_loses_nothing(store: Store, outbox: Outbox) -> None:
+def test_a_sink_that_is_away_loses_nothing(store: Store, outbox: Outbox, sink: ScriptedSink) -> None:
     """Away at first, and again in between: each result arrives, in order, and each change is reported once."""
-    sink, changes = ScriptedSink(), []
-    outbox.register(["mqtt"])
+    changes = []
     one = worker(outbox, sink, changes=changes)
     sink.is_away = True
     record(store, make_press(1))
@@ -103,10 +106,8 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
         assert one.counters.sent == len([m for m in sink.taken if m.topic != "state" and m.payload])
 
 
-def test_rows_that_waited_are_marked_as_replayed(store: Store, outbox: Outbox) -> None:
+def test_rows_that_waited_are_marked_as_replayed(store: Store, outbox: Outbox, sink: ScriptedSink) -> None:
     """Recorded before the start or while the sink was away: late. Recorded while it accepts messages: not."""
-    sink = ScriptedSink()
-    outbox.register(["mqtt"])
     record(store, make_press(1))
     one = worker(outbox, sink)
     drain(one)
@@ -124,10 +125,10 @@ def test_rows_that_waited_are_marked_as_replayed(store: Store, outbox: Outbox) -
     assert [r["is_replayed"] for r in sink.results()] == [True, False, True, True, False]
 
 
-def test_a_lost_acknowledgement_means_the_same_press_twice(store: Store, outbox: Outbox) -> None:
+def test_a_lost_acknowledgement_means_the_same_press_twice(
+    store: Store, outbox: Outbox, sink: ScriptedSink
+) -> None:
     """At least once: the repetition has the same id and, except for its mark, the same content."""
-    sink = ScriptedSink()
-    outbox.register(["mqtt"])
     one = worker(outbox, sink)
     drain(one)
     record(store, make_press(1))
@@ -139,10 +140,9 @@ def test_a_lost_acknowledgement_means_the_same_press_twice(store: Store, outbox:
     assert {**first, "is_replayed": True} == second
 
 
-def test_a_refused_row_does_not_block_the_queue(store: Store, outbox: Outbox) -> None:
+def test_a_refused_row_does_not_block_the_queue(store: Store, outbox: Outbox, sink: ScriptedSink) -> None:
     """It is counted and kept; within a minute it is offered again."""
-    sink, clock = ScriptedSink(), ManualClock()
-    outbox.register(["mqtt"])
+    clock = ManualClock()
     one = worker(outbox, sink, clock=clock)
     sink.refuses = {"huge"}
     store.record_press(make_press(1), lambda gel: [Message("huge", b"x"), Message("result", b"{}")])
@@ -177,10 +177,8 @@ def test_each_sink_goes_at_its_own_pace(store: Store, outbox: Outbox) -> None:
     assert outbox.status().rows == 0
 
 
-def test_retained_topics_never_go_back_in_time(store: Store, outbox: Outbox) -> None:
+def test_retained_topics_never_go_back_in_time(store: Store, outbox: Outbox, sink: ScriptedSink) -> None:
     """Through an outage in the middle of a batch, `last` and `gel` only become newer."""
-    sink = ScriptedSink()
-    outbox.register(["mqtt"])
     one = worker(outbox, sink)
     for n in range(0, 30, 3):
         record(store, *(make_press(n + k) for k in range(3)))
@@ -195,11 +193,12 @@ def test_retained_topics_never_go_back_in_time(store: Store, outbox: Outbox) -> 
     assert (lasts[-1], gels[-1]) == (make_press(29).time_ns, 30)
 
 
-def test_a_new_connection_hears_the_newest_retained_messages(store: Store, outbox: Outbox) -> None:
+def test_a_new_connection_hears_the_newest_retained_messages(
+    store: Store, outbox: Outbox, sink: ScriptedSink
+) -> None:
     """A broker that restarted without memory gets the delivered `gel`, not the one sent at the start."""
-    retained_state, sink = RetainedState(), ScriptedSink()
+    retained_state = RetainedState()
     retained_state.announce(Message("gel", b'{"presses":0}', retain=True))
-    outbox.register(["mqtt"])
     one = worker(outbox, sink, retained_state=retained_state)
     record(store, make_press(1), make_press(2))
     drain(one)
@@ -220,9 +219,11 @@ def test_a_slower_sink_does_not_turn_the_retained_messages_back() -> None:
     assert [m.payload for m in retained_state.all() if m.topic == "gel"] == [b"5"]
 
 
-def test_announcements_bypass_the_outbox_and_only_the_latest_counts(outbox: Outbox) -> None:
+def test_announcements_bypass_the_outbox_and_only_the_latest_counts(
+    outbox: Outbox, sink: ScriptedSink
+) -> None:
     """A state that changed twice while the sink was away is published once, with its current value."""
-    retained_state, sink = RetainedState(), ScriptedSink()
+    retained_state = RetainedState()
     one = worker(outbox, sink, retained_state=retained_state)
     sink.is_away = True
     for number, state in enumerate(("starting", "ready", "halted")):
@@ -235,21 +236,21 @@ def test_announcements_bypass_the_outbox_and_only_the_latest_counts(outbox: Outb
     assert outbox.newest() == 0
 
 
-def test_every_alarm_is_cleared_at_the_start(outbox: Outbox) -> None:
+def test_every_alarm_is_cleared_at_the_start(outbox: Outbox, sink: ScriptedSink) -> None:
     """An alarm retained from a process that died does not outlive it."""
-    sink = ScriptedSink()
 
     drain(worker(outbox, sink))
 
     assert {m.topic for m in sink.taken if m.retain and not m.payload} == {f"alarm/{name}" for name in ALARMS}
 
 
-def test_a_refused_announcement_does_not_block_the_rows(store: Store, outbox: Outbox) -> None:
+def test_a_refused_announcement_does_not_block_the_rows(
+    store: Store, outbox: Outbox, sink: ScriptedSink
+) -> None:
     """A broker that forbids the state topic still gets the results."""
-    retained_state, sink = RetainedState(), ScriptedSink()
+    retained_state = RetainedState()
     retained_state.announce(state_message(StatePayload(time_ns=0, state="ready")))
     sink.refuses = {"state"}
-    outbox.register(["mqtt"])
     one = worker(outbox, sink, retained_state=retained_state)
     record(store, make_press(1))
 

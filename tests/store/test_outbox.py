@@ -15,6 +15,7 @@ from edge.store.press_store import PressRecord, Store
 @pytest.fixture
 def outbox(path: Path) -> Iterator[Outbox]:
     with Outbox(path) as opened:
+        opened.register(["mqtt"])
         yield opened
 
 
@@ -63,7 +64,6 @@ def test_a_sink_taken_out_of_the_configuration_holds_nothing_back(store: Store, 
 
 def test_acknowledging_twice_or_late_is_harmless(store: Store, outbox: Outbox) -> None:
     """A row that has left has no entry in the table `settled`."""
-    outbox.register(["mqtt"])
     put(store, make_press(1), Message("result", b"1"))
 
     for _ in range(2):
@@ -76,7 +76,6 @@ def test_acknowledging_twice_or_late_is_harmless(store: Store, outbox: Outbox) -
 
 def test_a_refused_row_is_out_of_the_way_but_kept(store: Store, outbox: Outbox) -> None:
     """The queue goes on behind it, and it can be offered again."""
-    outbox.register(["mqtt"])
     for n in (1, 2):
         put(store, make_press(n), Message("result", b"%d" % n))
 
@@ -103,7 +102,6 @@ def test_a_retained_topic_keeps_its_newest_message_alone(store: Store, outbox: O
 
 def test_a_refused_retained_message_never_overtakes_a_newer_one(store: Store, outbox: Outbox) -> None:
     """A refused message is replaced by the next one of its topic, so the topic never shows an older one."""
-    outbox.register(["mqtt"])
     put(store, make_press(1), Message("last", b"1", retain=True))
     outbox.refuse(1, "mqtt", "not authorized")
     put(store, make_press(2), Message("last", b"2", retain=True))
@@ -116,7 +114,6 @@ def test_a_refused_retained_message_never_overtakes_a_newer_one(store: Store, ou
 
 def test_row_ids_are_never_used_again(store: Store, outbox: Outbox) -> None:
     """An empty outbox goes on counting, so `after` and the late mark keep their meaning."""
-    outbox.register(["mqtt"])
     put(store, make_press(1), Message("result", b"1"))
     outbox.acknowledge(1, "mqtt")
     put(store, make_press(2), Message("result", b"2"))
@@ -184,7 +181,6 @@ def test_of_equal_priority_the_oldest_goes_first(path: Path) -> None:
 
 def test_the_counted_size_is_that_of_the_rows(store: Store, outbox: Outbox) -> None:
     """The running total, kept by triggers, equals the sum after puts, replacements, acknowledgements and drops."""
-    outbox.register(["mqtt"])
     for n in range(20):
         store.record_press(make_press(n), messages_of(make_press(n), 500 + n))
     for row in outbox.pending("mqtt", 7):
