@@ -126,7 +126,7 @@ def _measure(
     if planned.warning:
         _warn(planned.warning)
     done = {row["key"]: Trial.of(row) for row in rows.read()}
-    with rows.held(), progress("trials", planned.total) as advance:
+    with rows.hold(), progress("trials", planned.total) as advance:
         return planned, run(planned, done, rows.append, advance)
 
 

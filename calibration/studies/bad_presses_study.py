@@ -16,19 +16,19 @@ from calibration.studies.harness.effects import COMPARED, effects, medians
 from calibration.studies.harness.material import Drawn, fit_cell, material
 from calibration.studies.harness.page import (
     Page,
-    compared_table,
     fractions_of,
     make_page,
+    medians_table,
     percent,
     seeds_of,
     table,
 )
-from calibration.studies.harness.presses import TEST_SEED, hold_out, opened, subset
+from calibration.studies.harness.presses import TEST_SEED, hold_out, open_presses, subset
 from calibration.studies.harness.rows import Rows
 from calibration.studies.harness.study import (
     Evaluation,
     Options,
-    chosen_places,
+    choose_places,
     make_cells,
     prepare,
     run_cells,
@@ -88,7 +88,7 @@ def mixed(nominal: NDArray[np.int64], bad: NDArray[np.int64], share: float, seed
 
 def study_bad_presses(options: Options) -> Rows:
     """Run the study; its rows are in the output folder. Errors: DatasetError, ConfigError, FitError, StoreError."""
-    places = chosen_places(opened(options.dataset), options.parts, options.position)
+    places = choose_places(open_presses(options.dataset), options.parts, options.position)
     shares = [{"bad": share} for share in BAD_SHARES]
     cells = [cell for place in places for cell in make_cells(STUDY, options, place, shares)]
     evaluate = BadPresses.of(options)
@@ -114,7 +114,7 @@ def _setup(rows: "pd.DataFrame") -> Iterator[str]:
     shares = sorted(rows["bad"].unique())
     conditions = [(f"{share:g}", "", percent(share)) for share in shares]
     yield f"Share of the nominal presses: {fractions_of(rows)}.\n"
-    yield from (compared_table(medians(rows, "bad"), {}, measure, conditions) for measure in COMPARED)
+    yield from (medians_table(medians(rows, "bad"), {}, measure, conditions) for measure in COMPARED)
     yield f"Change of AU-PRO@0.01 from {percent(shares[0])} to {percent(shares[-1])}.\n"
     found = effects(rows, "bad", shares[0], shares[-1], {}, ("", ""), ("aupro_001",))
     lines = [[e.method, e.part, f"{e.difference:+.4f}", e.ours] for e in found]

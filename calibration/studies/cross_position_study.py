@@ -18,23 +18,23 @@ from calibration.studies.harness.figures import shares_figure
 from calibration.studies.harness.material import Drawn, Material, Place, fit_cell, material
 from calibration.studies.harness.page import (
     Page,
-    compared_table,
     effects_table,
     fractions_of,
     make_page,
+    medians_table,
     paper_note,
     percent,
     seeds_of,
     table,
 )
-from calibration.studies.harness.presses import HeldOut, hold_out, opened, subset
-from calibration.studies.harness.published import published
+from calibration.studies.harness.presses import HeldOut, hold_out, open_presses, subset
+from calibration.studies.harness.published import paper_medians
 from calibration.studies.harness.rows import Rows
 from calibration.studies.harness.scoring import Scored, TestPresses, measures
 from calibration.studies.harness.study import (
     Evaluation,
     Options,
-    chosen_places,
+    choose_places,
     make_cells,
     prepare,
     run_cells,
@@ -142,7 +142,7 @@ def study_cross_position(options: Options, target: str | None = None) -> Rows:
     target: the target position, None is each part's second by name; parts with one position are left out. Errors:
     DatasetError, ConfigError, FitError, StoreError.
     """
-    places = crossed_places(opened(options.dataset), options, target)
+    places = find_pairs(open_presses(options.dataset), options, target)
     cells = cross_position_cells(places, options)
     evaluate = CrossPosition.of(options)
     found = prepare((place for cell in cells for place in evaluate.places(cell)), options)
@@ -152,7 +152,7 @@ def study_cross_position(options: Options, target: str | None = None) -> Rows:
     return run_cells(cells, evaluate, options, found)
 
 
-def crossed_places(dataset: Dataset, options: Options, target: str | None) -> list[tuple[str, str, str]]:
+def find_pairs(dataset: Dataset, options: Options, target: str | None) -> list[tuple[str, str, str]]:
     """(part, source, target) of every part with two positions.
 
     Errors: DatasetError where none has two, or a part that was asked for lacks a position.
@@ -161,7 +161,7 @@ def crossed_places(dataset: Dataset, options: Options, target: str | None) -> li
     for part, position in dataset.positions:
         known.setdefault(part, []).append(position)
     places = []
-    for part, source in chosen_places(dataset, options.parts, options.position):
+    for part, source in choose_places(dataset, options.parts, options.position):
         others = [position for position in known[part] if position != source]
         if target is not None and target not in others and part in options.parts:
             raise DatasetError(
@@ -197,11 +197,11 @@ def page(rows: "pd.DataFrame") -> Page:
 
 
 def _setup(rows: "pd.DataFrame") -> Iterator[str]:
-    paper, ours = published(STUDY), medians(rows, "target_fraction")
+    paper, ours = paper_medians(STUDY), medians(rows, "target_fraction")
     shares = sorted(rows["target_fraction"].unique())
     conditions = [(f"{share:g}", f"{share:g}", percent(share)) for share in shares]
     yield f"Share of the first position: {fractions_of(rows)}.\n"
-    yield from (compared_table(ours, paper, measure, conditions) for measure in COMPARED)
+    yield from (medians_table(ours, paper, measure, conditions) for measure in COMPARED)
     for before, after in _steps(shares):
         names = f"{before:g}", f"{after:g}"
         found = effects(rows, "target_fraction", before, after, paper, names)
@@ -210,7 +210,7 @@ def _setup(rows: "pd.DataFrame") -> Iterator[str]:
 
 
 def _steps(shares: list[float]) -> list[tuple[float, float]]:
-    """From none to the first share, and from there to the last."""
+    """Return pairs: from none to the first share, and from there to the last."""
     pairs = list(zip(shares, [*shares[1:2], *shares[-1:]], strict=False))
     return [(before, after) for before, after in pairs if before < after]
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 from calibration.studies.bad_presses_study import study_bad_presses
-from calibration.studies.cross_position_study import crossed_places, study_cross_position
+from calibration.studies.cross_position_study import find_pairs, study_cross_position
 from calibration.studies.good_fraction_study import FRACTIONS, SHOTS, study_good_fraction
-from calibration.studies.harness.presses import opened
+from calibration.studies.harness.presses import open_presses
 from calibration.studies.harness.rows import TIMES, Rows, read_rows
 from calibration.studies.harness.study import ROWS_FILE, Options
 from calibration.studies.report import write_report
@@ -32,23 +32,23 @@ def study_all(
     one must run. Errors: as the studies.
     """
     began = time.monotonic()
-    yield _timed("good-fraction", lambda: study_good_fraction(options, fractions=fractions, shots=shots))
+    yield _run_timed("good-fraction", lambda: study_good_fraction(options, fractions=fractions, shots=shots))
     for name, study in {
-        "cross-position": lambda: study_cross_position(_fitting(options, _crossed)),
+        "cross-position": lambda: study_cross_position(_fitting(options, _check_pairs)),
         "resolution": lambda: study_resolution(_fitting(options, fine_places), views, most_presses),
         "bad-presses": lambda: study_bad_presses(options),
     }.items():
         try:
-            yield _timed(name, study)
+            yield _run_timed(name, study)
         except DatasetError as error:
             yield f"{name}: left out: {error}"
     rows = options.output / ROWS_FILE
     yield from (f"page: {page}" for page in write_report(rows, options.output / "report"))
-    yield f"all: {_written(time.monotonic() - began)}; {_spent(read_rows(rows))}"
+    yield f"all: {_write_time(time.monotonic() - began)}; {_spent(read_rows(rows))}"
 
 
-def _crossed(options: Options) -> object:
-    return crossed_places(opened(options.dataset), options, None)
+def _check_pairs(options: Options) -> object:
+    return find_pairs(open_presses(options.dataset), options, None)
 
 
 def _fitting(options: Options, places: Callable[[Options], object]) -> Options:
@@ -66,20 +66,18 @@ def _fitting(options: Options, places: Callable[[Options], object]) -> Options:
 
 
 def _spent(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Of all cells: an interrupted run's clock shows only what it did itself."""
+    """Write the time of all cells: an interrupted run's clock shows only what it did itself."""
     seconds = sum(row[name] for row in rows for name in TIMES if row.get(name) is not None)
-    return f"its {len(rows)} cells took {_written(seconds)} of one core"
+    return f"its {len(rows)} cells took {_write_time(seconds)} of one core"
 
 
-def _timed(name: str, study: Callable[[], Rows]) -> str:
+def _run_timed(name: str, study: Callable[[], Rows]) -> str:
     start = time.monotonic()
     rows = [row for row in study().read() if row["study"] == name]
     failed = sum(row.get("error") is not None for row in rows)
-    return (
-        f"{name}: {len(rows)} rows, {failed} of them without a score, in {_written(time.monotonic() - start)}"
-    )
+    return f"{name}: {len(rows)} rows, {failed} of them without a score, in {_write_time(time.monotonic() - start)}"
 
 
-def _written(seconds: float) -> str:
+def _write_time(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"

@@ -35,14 +35,14 @@ from calibration.studies.harness.page import (
     split_table,
     table,
 )
-from calibration.studies.harness.presses import hold_out, opened, subset
+from calibration.studies.harness.presses import hold_out, open_presses, subset
 from calibration.studies.harness.published import stable_fraction
 from calibration.studies.harness.rows import TIMES, Rows
 from calibration.studies.harness.stable import STABLE_WITHIN, stable_from
 from calibration.studies.harness.study import (
     Evaluation,
     Options,
-    chosen_places,
+    choose_places,
     make_cells,
     prepare,
     run_cells,
@@ -98,7 +98,7 @@ class GoodFraction(Evaluation):
 
 
 def presses_in(cell: Cell, pool: int) -> int:
-    """How many presses a cell learns from. Errors: DatasetError for more shots than the pool has."""
+    """Return how many presses a cell learns from. Errors: DatasetError for more shots than the pool has."""
     settings = dict(cell.settings)
     if "fraction" in settings:
         return max(1, round(float(settings["fraction"]) * pool))
@@ -114,7 +114,7 @@ def study_good_fraction(
 ) -> Rows:
     """Run the study; its rows are in the output folder. Errors: DatasetError, ConfigError, FitError, StoreError."""
     sizes = [{"fraction": float(share)} for share in fractions], [{"shots": int(count)} for count in shots]
-    places = chosen_places(opened(options.dataset), options.parts, options.position)
+    places = choose_places(open_presses(options.dataset), options.parts, options.position)
     cells = [cell for place in places for cell in make_cells(STUDY, options, place, [*sizes[0], *sizes[1]])]
     if not cells:
         raise ConfigError("neither fractions nor shots are given, so there is nothing to study")
@@ -159,11 +159,18 @@ def _head(rows: "pd.DataFrame") -> str:
 
 
 def _setup(title: str, rows: "pd.DataFrame") -> str:
-    parts = [f"## {title}\n", _changed(rows), _plateaus(rows), _levels(rows), _shots(rows), _repeated(rows)]
+    parts = [
+        f"## {title}\n",
+        _name_changes(rows),
+        _plateaus(rows),
+        _levels(rows),
+        _shots(rows),
+        _repeated(rows),
+    ]
     return "\n".join(part for part in parts if part)
 
 
-def _changed(rows: "pd.DataFrame") -> str:
+def _name_changes(rows: "pd.DataFrame") -> str:
     if "changed" not in rows:
         return ""
     pairs = rows.dropna(subset=["changed"])[["method", "changed"]].drop_duplicates()
@@ -223,7 +230,7 @@ def _shots(rows: "pd.DataFrame") -> str:
 
 
 def _repeated(rows: "pd.DataFrame") -> str:
-    """Where ten seeds are one computation."""
+    """Name the cells of which all seeds are one computation."""
     same = same_in_every_seed(rows)
     lines = [
         [method, ", ".join(sorted(set(group["part"]))), ", ".join(_sizes(group)), int(group["seeds"].max())]
@@ -244,7 +251,7 @@ def _sizes(group: "pd.DataFrame") -> list[str]:
 
 
 def _splits(rows: "pd.DataFrame") -> str:
-    """With fractions alone: the shots are the same number of presses in both splits, of other specimens."""
+    """Compare the splits at fractions alone: shots are as many presses in both, of other specimens."""
     return split_table(rows.dropna(subset=["fraction"]), "fraction") if "fraction" in rows else ""
 
 
@@ -262,7 +269,7 @@ def _figures(rows: "pd.DataFrame") -> Iterator[tuple[str, Callable[[], "Figure"]
 
 
 def _complete(rows: "pd.DataFrame") -> str:
-    """What the complete study of a part takes, from the mean of a cell's processor seconds at every fraction."""
+    """Estimate the time of a part's complete study, from the mean processor seconds of a cell at every fraction."""
     lines, stages = [], list(TIMES)
     cells = rows.dropna(subset=["fraction", *stages])
     cells = cells.assign(seconds=cells[stages].sum(axis=1))
@@ -293,7 +300,7 @@ def _at(curve: Curve, x: float) -> str:
 
 
 def _spread(values: list[float]) -> list[float]:
-    """At most six of them, the first and the last included."""
+    """Choose at most six of them, the first and the last included."""
     count = min(6, len(values))
     return [values[round(k * (len(values) - 1) / max(1, count - 1))] for k in range(count)]
 

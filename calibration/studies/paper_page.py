@@ -13,12 +13,12 @@ from calibration.studies.harness.effects import (
     Agreement,
     Effect,
     agreement,
-    counted,
+    count_agreements,
     direction,
+    direction_of_paper,
     effects,
     medians,
-    published_direction,
-    written,
+    write_condition,
 )
 from calibration.studies.harness.intervals import is_drawn
 from calibration.studies.harness.page import (
@@ -30,7 +30,7 @@ from calibration.studies.harness.page import (
     section,
     table,
 )
-from calibration.studies.harness.published import published, source, stable_fraction
+from calibration.studies.harness.published import paper_medians, source, stable_fraction
 from calibration.studies.harness.stable import stable_from
 
 if TYPE_CHECKING:
@@ -54,8 +54,8 @@ class _Study:
     steps: tuple[tuple[str | float, str | float, str], ...]
 
     def paper_name(self, ours: str | float) -> str:
-        """What the paper's data call a condition of ours."""
-        return self.names.get(written(ours), written(ours))
+        """Return what the paper's data call a condition of ours."""
+        return self.names.get(write_condition(ours), write_condition(ours))
 
 
 _STUDIES = (
@@ -103,10 +103,10 @@ def page(rows: "pd.DataFrame") -> Page:
         found = [part for part in _setup(group, orders, directions) if part]
         if found:
             sections += [f"## {title}\n", *found]
-            counts.append([_short(group), counted(orders), counted(directions)])
+            counts.append([_short(group), count_agreements(orders), count_agreements(directions)])
             every[0].extend(orders)
             every[1].extend(directions)
-    counts.append(["**all**", *(f"**{counted(group)}**" for group in every)])
+    counts.append(["**all**", *(f"**{count_agreements(group)}**" for group in every)])
     heading = ["setup", "orders of two methods", "directions of an effect"]
     summary = f"## Summary\n\n{table(heading, counts)}"
     return Page("\n".join([*introduction, summary, *_summary_of_levels(scored), *sections]))
@@ -120,7 +120,7 @@ def _short(rows: "pd.DataFrame") -> str:
 def _summary_of_levels(rows: "pd.DataFrame") -> Iterator[str]:
     """AU-PRO@0.01 of each part with all presses, in the setups that find least and most, next to the paper's."""
     lines, name = [], good_fraction_study.STUDY
-    paper, full = published(name), rows[rows["study"] == name]
+    paper, full = paper_medians(name), rows[rows["study"] == name]
     full = full[full["fraction"] == 1.0] if "fraction" in full else full
     for part, group in full.groupby("part"):
         theirs = [
@@ -168,7 +168,7 @@ def _plateaus(rows: "pd.DataFrame") -> str:
 
 def _orders(rows: "pd.DataFrame", study: _Study, orders: list[Agreement]) -> str:
     """The order of the methods at each part and condition, with the pairs that have the same order."""
-    paper, lines = published(study.name), []
+    paper, lines = paper_medians(study.name), []
     every: list[Agreement] = []
     rows = rows[rows[study.column].isin(study.shown)]
     for (part, condition), group in rows.groupby(["part", study.column]):
@@ -183,20 +183,22 @@ def _orders(rows: "pd.DataFrame", study: _Study, orders: list[Agreement]) -> str
         pairs = list(_pairs(group, theirs))
         every += pairs
         ours = {m: float(group[group["method"] == m][_MEASURE].median()) for m in theirs}
-        lines.append([part, f"`{written(condition)}`", _order(ours), _order(theirs), counted(pairs)])
+        lines.append(
+            [part, f"`{write_condition(condition)}`", _order(ours), _order(theirs), count_agreements(pairs)]
+        )
     orders += every
     title = f"### {study.name}: order of the methods by {COMPARED[_MEASURE]}"
     heading = ["part", study.column.replace("_", " "), "here", "paper", "pairs"]
-    return section(f"{title}\n\nOf all pairs of methods: {counted(every)}.", heading, lines)
+    return section(f"{title}\n\nOf all pairs of methods: {count_agreements(every)}.", heading, lines)
 
 
 def _pairs(rows: "pd.DataFrame", theirs: dict[str, float]) -> Iterator[Agreement]:
-    """Whether each pair of methods has the paper's order."""
+    """Say whether each pair of methods has the paper's order."""
     seeds = {m: dict(zip(g["seed"], g[_MEASURE], strict=True)) for m, g in rows.groupby("method")}
     drawn = {row["method"] for row in rows.to_dict("records") if is_drawn(row)}
     for first, second in combinations(theirs, 2):
         ours, _ = direction(seeds[first], seeds[second], are_drawn=bool(drawn & {first, second}))
-        yield agreement(ours, published_direction(theirs[first], theirs[second]))
+        yield agreement(ours, direction_of_paper(theirs[first], theirs[second]))
 
 
 def _order(values: dict[str, float]) -> str:
@@ -205,23 +207,23 @@ def _order(values: dict[str, float]) -> str:
 
 
 def _levels(rows: "pd.DataFrame", study: _Study) -> str:
-    """Whether the simulated parts are easier or harder than the paper's, over the methods of both."""
-    paper, ours, lines = published(study.name), medians(rows, study.column), []
+    """Say whether the simulated parts are easier or harder than the paper's, over the methods of both."""
+    paper, ours, lines = paper_medians(study.name), medians(rows, study.column), []
     for part in sorted(set(rows["part"])):
         for condition in study.shown:
             for measure in COMPARED:
                 pairs = [
-                    (own[written(condition)], paper[key][study.paper_name(condition)])
+                    (own[write_condition(condition)], paper[key][study.paper_name(condition)])
                     for key, own in ours.items()
                     if key[1:] == (part, measure)
-                    and written(condition) in own
+                    and write_condition(condition) in own
                     and study.paper_name(condition) in paper.get(key, {})
                 ]
                 if pairs:
                     here, theirs = np.mean(pairs, axis=0)
                     word = "easier" if here > theirs else "harder"
                     shown = [f"{here:.3f}", f"{theirs:.3f}", f"{here - theirs:+.3f}"]
-                    lines.append([part, f"`{written(condition)}`", COMPARED[measure], *shown, word])
+                    lines.append([part, f"`{write_condition(condition)}`", COMPARED[measure], *shown, word])
     heading = ["part", study.column.replace("_", " "), "measure", "here", "paper", "difference", "ours is"]
     text = f"### {study.name}: level of the parts\n\nMeans over the methods of the medians."
     return section(text, heading, lines)
@@ -230,7 +232,7 @@ def _levels(rows: "pd.DataFrame", study: _Study) -> str:
 def _effects(rows: "pd.DataFrame", study: _Study, directions: list[Agreement]) -> Iterator[str]:
     for before, after, title in study.steps:
         names = study.paper_name(before), study.paper_name(after)
-        found = effects(rows, study.column, before, after, published(study.name), names)
+        found = effects(rows, study.column, before, after, paper_medians(study.name), names)
         known = [effect for effect in found if effect.paper is not None]
         directions += [effect.agreement for effect in known if effect.agreement is not None]
         if known:
@@ -239,7 +241,7 @@ def _effects(rows: "pd.DataFrame", study: _Study, directions: list[Agreement]) -
 
 def _differing(found: Sequence[Effect]) -> str:
     """The counts, and those of the effects that have another direction here."""
-    counts = counted(effect.agreement for effect in found)
+    counts = count_agreements(effect.agreement for effect in found)
     differ = [effect for effect in found if effect.agreement == "differ"]
     if differ:
         return f"Of all directions: {counts}. Those that differ:\n\n{directions_table(differ)}"

@@ -20,7 +20,7 @@ from edge.core.errors import ConfigError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["NEEDS", "Answer", "Question", "answered", "page", "recommended"]
+__all__ = ["NEEDS", "Answer", "Question", "answer_question", "page", "recommended"]
 
 Row = Mapping[str, Any]
 
@@ -57,12 +57,12 @@ class Question:
 
     @property
     def judgements(self) -> Mapping[str, str]:
-        """What the paper says of each method."""
+        """The paper's word on each method."""
         return {} if self.column is None else judgements(self.column)
 
     @property
     def command(self) -> str:
-        """What gives the rows."""
+        """The command that gives the rows."""
         words = [
             f"gelgate lab study {self.study} DATASET -o FOLDER",
             *(f"--part {part}" for part in self.parts),
@@ -108,7 +108,7 @@ class Answer:
 
     @property
     def then(self) -> str:
-        """What to take where the rows do not decide: the default of `gelgate fit` where it is close to the best."""
+        """The method to take where rows do not decide: the default of `gelgate fit` where it is close to the best."""
         if self.standing is None or not self.standing.rivals:
             return ""
         means = self.standing.means
@@ -162,7 +162,7 @@ def by_method(rows: Sequence[Row], measure: str) -> dict[str, Sample]:
 
 
 def gains(rows: Sequence[Row], measure: str, column: str, before: object, after: object) -> Samples:
-    """How much a measure rises from one condition to another, on the same part and seed."""
+    """Compute how much a measure rises from one condition to another, on the same part and seed."""
     old, new = (by_method([r for r in rows if r.get(column) == value], measure) for value in (before, after))
     return {method: new[method].minus(old[method]) for method in old.keys() & new.keys()}
 
@@ -178,7 +178,7 @@ def _at_all(rows: Sequence[Row], measure: str = "aupro_001") -> Samples:
 
 
 def _at_most_bad(rows: Sequence[Row]) -> Samples:
-    """Where few damaged presses can be learnt, a method with a large bank has no row of a large share."""
+    """Choose the largest share that all methods have: with few damaged presses a large bank has no row of it."""
     of_share = {share: [r for r in rows if r["bad"] == share] for share in {r["bad"] for r in rows}}
     methods = [{r["method"] for r in of_share[share]} for share in of_share]
     complete = [
@@ -266,7 +266,7 @@ NEEDS = tuple(dict.fromkeys(question.need for question in QUESTIONS))
 """What `--need` takes."""
 
 
-def answered(question: Question, rows: Sequence[Row]) -> Answer:
+def answer_question(question: Question, rows: Sequence[Row]) -> Answer:
     """The answer of rows of one mode, backbone and split; rows with an error count as missing."""
     own = [row for row in rows if row["study"] == question.study and row.get("error") is None]
     own = [row for row in own if not question.parts or row["part"] in question.parts]
@@ -283,7 +283,7 @@ def answered(question: Question, rows: Sequence[Row]) -> Answer:
 def recommended(rows: Sequence[Row], needs: Sequence[str] = ()) -> list[Answer]:
     """The answers to some needs, or to all."""
     asked = [question for need in needs or NEEDS for question in QUESTIONS if question.need == need]
-    return [answered(question, rows) for question in asked]
+    return [answer_question(question, rows) for question in asked]
 
 
 def page(rows: "pd.DataFrame") -> Page:

@@ -23,9 +23,9 @@ from calibration.studies.harness.figures import conditions_figure
 from calibration.studies.harness.material import Drawn, Material, Place, fit_cell, material
 from calibration.studies.harness.page import (
     Page,
-    compared_table,
     effects_table,
     make_page,
+    medians_table,
     paper_note,
     seeds_of,
     table,
@@ -36,17 +36,17 @@ from calibration.studies.harness.presses import (
     HeldOut,
     StudyPresses,
     hold_out,
-    opened,
+    open_presses,
     presses_of,
     subset,
 )
-from calibration.studies.harness.published import published
+from calibration.studies.harness.published import paper_medians
 from calibration.studies.harness.rows import Rows
 from calibration.studies.harness.scoring import Scored, TestPresses, measures
 from calibration.studies.harness.study import (
     Evaluation,
     Options,
-    chosen_places,
+    choose_places,
     make_cells,
     prepare,
     require_known,
@@ -198,7 +198,7 @@ def _in_common(
 def capped_presses(place: ViewPlace) -> tuple[StudyPresses, HeldOut, int]:
     """The presses that the study looks at, which of them are for the test, and the size of the pool without the cap."""
     view = VIEWS[place.view]
-    every = presses_of(opened(place.dataset, view.resolution), place.part, place.position)
+    every = presses_of(open_presses(place.dataset, view.resolution), place.part, place.position)
     held = hold_out(every, place.held_out, place.split)
     pool = subset(held.pool, place.most, TEST_SEED)
     rows = np.sort(np.concatenate([held.test, pool]))
@@ -209,7 +209,7 @@ def capped_presses(place: ViewPlace) -> tuple[StudyPresses, HeldOut, int]:
 
 
 def _fine_presses(place: Place) -> tuple[LabelledPress, ...]:
-    return opened(place.dataset, "hr").select(place.part, place.position).presses
+    return open_presses(place.dataset, "hr").select(place.part, place.position).presses
 
 
 def study_resolution(options: Options, views: Sequence[str] = (), most_presses: int = MOST_PRESSES) -> Rows:
@@ -236,8 +236,8 @@ def fine_places(options: Options) -> list[tuple[str, str]]:
 
     Errors: DatasetError where none has both, or a part that was asked for lacks one.
     """
-    dataset = opened(options.dataset)
-    places = chosen_places(dataset, options.parts, options.position)
+    dataset = open_presses(options.dataset)
+    places = choose_places(dataset, options.parts, options.position)
     both = [
         (part, position)
         for part, position in places
@@ -264,7 +264,7 @@ def page(rows: "pd.DataFrame") -> Page:
         f"Parts {', '.join(sorted(rows['part'].unique()))}; at most {int(rows['most_presses'].max())} nominal presses "
         f"in the pool, the same for every view; {int(rows['held_out'].max())} nominal presses and all defective ones "
         f"are scored. Medians over {seeds_of(rows, 'view')} seeds.\n\n{paper_note()}\n"
-        f"{table(['view', 'picture', 'inspected', 'in tiles'], map(_described, VIEWS))}\n"
+        f"{table(['view', 'picture', 'inspected', 'in tiles'], map(_describe, VIEWS))}\n"
         "Every view has the same normalisation of pixels: it is part of the trunk. The paper's low and high resolution "
         "differ in field of view, masks and share of damaged pixels; the common measures are computed in the field of "
         "view of `lr`, on the pixels and masks of 1280x720, for every view.\n"
@@ -281,7 +281,7 @@ def _views_of(rows: "pd.DataFrame") -> list[str]:
     return [view for view in VIEWS if view in set(rows["view"])]
 
 
-def _described(name: str) -> tuple[str, str, str, str]:
+def _describe(name: str) -> tuple[str, str, str, str]:
     view = VIEWS[name]
     scaled = view.view.scaled_to
     picture = "{}x{}".format(*view.view.size) + ("" if scaled is None else " scaled to {}x{}".format(*scaled))
@@ -294,16 +294,16 @@ def _described(name: str) -> tuple[str, str, str, str]:
 
 
 def _setup(rows: "pd.DataFrame") -> Iterator[str]:
-    paper, ours = published(STUDY), medians(rows, "view")
+    paper, ours = paper_medians(STUDY), medians(rows, "view")
     views, names = _views_of(rows), {"lr": "lr", "hr_tiled": "hr"}
     conditions = [(view, names.get(view, ""), f"`{view}`") for view in views]
-    yield from (compared_table(ours, paper, measure, conditions) for measure in COMPARED)
+    yield from (medians_table(ours, paper, measure, conditions) for measure in COMPARED)
     if {"lr", "hr_tiled"} <= set(views):
         found = effects(rows, "view", "lr", "hr_tiled", paper, ("lr", "hr"))
         yield effects_table(found, "From low resolution to high resolution in tiles, each on its own masks")
     yield "### Common field of view and masks\n"
     common = medians(rows, "view", _COMMON)
-    yield from (compared_table(common, {}, measure, conditions) for measure in _COMMON)
+    yield from (medians_table(common, {}, measure, conditions) for measure in _COMMON)
     for before, after, what in _CONTROLS:
         measured = effects(rows, "view", before, after, {}, ("", ""), ("aupro_001_common",))
         lines = [[e.method, e.part, f"{e.difference:+.4f}", e.ours] for e in measured]

@@ -35,20 +35,20 @@ def _by_setup(timed: "pd.DataFrame") -> str:
     """Every study of a setup, and all of them together."""
     lines = []
     for setup, group in timed.groupby(_SETUP):
-        lines += [[*setup, study, *_taken(own)] for study, own in group.groupby("study")]
-        lines.append([*setup, "**all**", *_taken(group)])
+        lines += [[*setup, study, *_summarise(own)] for study, own in group.groupby("study")]
+        lines.append([*setup, "**all**", *_summarise(group)])
     return table([*_SETUP, "study", *_HEADING], lines)
 
 
 def _by_part(timed: "pd.DataFrame") -> str:
     keys = ["study", "part", *_SETUP]
-    return table([*keys, *_HEADING], [[*names, *_taken(group)] for names, group in timed.groupby(keys)])
+    return table([*keys, *_HEADING], [[*names, *_summarise(group)] for names, group in timed.groupby(keys)])
 
 
 _HEADING = ["cells", "seconds of a cell, median", "minutes of one core", f"with {SEEDS} seeds"]
 
 
-def _taken(timed: "pd.DataFrame") -> list[str]:
+def _summarise(timed: "pd.DataFrame") -> list[str]:
     conditions = [name for name in ("study", "part", *_CONDITIONS) if name in timed]
     complete = SEEDS * timed.groupby(conditions, dropna=False)["seconds"].mean().sum()
     return [

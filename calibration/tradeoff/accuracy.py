@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from calibration.metrics import interval, pixel_measures, specimen_weights
 from calibration.metrics.summary import image_auroc_of, recall_at
 
-__all__ = ["FALSE_ALARMS", "MEASURES", "Truth", "measured"]
+__all__ = ["FALSE_ALARMS", "MEASURES", "Truth", "measure_accuracy"]
 
 FALSE_ALARMS: Final = 0.01
 """The false-positive rate of AU-PRO (pixels) and of the recall (presses)."""
@@ -48,7 +48,7 @@ class Truth:
         return cls(label, masks, np.concatenate([np.ones((1, label.size)), drawn]))
 
 
-def measured(
+def measure_accuracy(
     maps: Sequence[NDArray[np.float32]], scores: NDArray[np.floating[Any]], truth: Truth
 ) -> dict[str, dict[str, float | None]]:
     """Each measure with its value and the 95 % interval, low and high; None where it is undefined."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
-from calibration.tradeoff.accuracy import measured
+from calibration.tradeoff.accuracy import measure_accuracy
 from calibration.tradeoff.fitting import content_sha256, detector_of, trunk_of
 from calibration.tradeoff.plan import Run
 from calibration.tradeoff.point import VIEWS, OperatingPoint
@@ -54,7 +54,7 @@ def bundle_of(
     scorer = Scorer(fitted.bundle(), settings.threads)
     scored = [scorer.score(frame) for frame in seen.frames]
     maps = [on_common_grid(one.score_map) for one in scored]
-    accuracy = measured(maps, np.array([one.anomaly_score for one in scored]), run.truth)
+    accuracy = measure_accuracy(maps, np.array([one.anomaly_score for one in scored]), run.truth)
     return with_cards(fitted, accuracy, point, row)
 
 

@@ -28,7 +28,7 @@ def tradeoff(given: TradeoffArguments) -> None:
     from calibration.progress import progress
     from calibration.tradeoff.pick import pick
     from calibration.tradeoff.plan import Run
-    from calibration.tradeoff.run import measured_rows
+    from calibration.tradeoff.run import read_or_measure
     from edge.core.errors import ConfigError
     from edge.extras import needs
 
@@ -43,7 +43,7 @@ def tradeoff(given: TradeoffArguments) -> None:
     if given.point is not None:
         _write_bundle(given.point, run, given.bundle or Path(given.point), given.overwrite)
         return
-    rows = measured_rows(run, given.output, given.overwrite, given.peers, progress, typer.echo)
+    rows = read_or_measure(run, given.output, given.overwrite, given.peers, progress, typer.echo)
     _report(rows, given.output, given.picture)
     if limits.names:
         picked = pick(rows, limits)
@@ -57,7 +57,7 @@ def tradeoff(given: TradeoffArguments) -> None:
 
 
 def _require_sense(given: TradeoffArguments, has_limits: bool) -> None:
-    """Before any work. Errors: ConfigError."""
+    """Check the options before any work. Errors: ConfigError."""
     from calibration.tradeoff.rows import read_rows
     from edge.core.errors import ConfigError
 

@@ -100,7 +100,7 @@ def _round_numbers() -> Any:
 
 
 def _stairs(pairs: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Of (time, accuracy) those that no faster one reaches, by rising time."""
+    """Return those of (time, accuracy) that no faster one reaches, by rising time."""
     found: list[tuple[float, float]] = []
     for time, accuracy in sorted(pairs, key=lambda pair: (pair[0], -pair[1])):
         if not found or accuracy > found[-1][1]:

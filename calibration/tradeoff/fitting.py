@@ -99,12 +99,12 @@ def fit_points(
     for point in points:
         learner = reader.learner(*detector_of(point), seed)
         try:
-            yield _fitted(point, chosen, nominal, learner, features, seconds)
+            yield _fit(point, chosen, nominal, learner, features, seconds)
         except (FitError, NotScorable) as error:
             raise FitError(f"operating point {point.key}: {error}") from error
 
 
-def _fitted(
+def _fit(
     point: OperatingPoint,
     chosen: Chosen,
     nominal: NominalPresses,
@@ -159,7 +159,7 @@ def _facts(
 
 
 def content_sha256(manifest: Manifest) -> str:
-    """Of trunk, head and bank: everything that decides a score, and nothing that differs between two fits.
+    """Hash trunk, head and bank: everything that decides a score, and nothing that differs between two fits.
 
     A manifest also holds dates and measured times, so its own hash changes with every fit.
     """

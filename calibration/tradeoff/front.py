@@ -23,7 +23,7 @@ Float = NDArray[np.float64]
 
 
 def dominators(accuracy: Float, ratios: Float) -> list[list[int]]:
-    """For each point the points that dominate it; empty on the front.
+    """Return for each point the points that dominate it; empty on the front.
 
     accuracy: float64 (n,), NaN where undefined: such a point is dominated by every point with a value. ratios: float64
     (replicates, n), times of all points in the same replicates.

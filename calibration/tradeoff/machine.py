@@ -57,7 +57,7 @@ def fingerprint(threads: int) -> dict[str, Any]:
 
 
 def is_same_machine(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Whether times of two runs can be compared: same processor, cores, flags and threads."""
+    """Say whether times of two runs can be compared: same processor, cores, flags and threads."""
     return all(one.get(key) == other.get(key) for key in ("processor", "flags", "cores", "threads"))
 
 

@@ -12,7 +12,7 @@ from calibration.tradeoff.page import write_page
 from calibration.tradeoff.peers import require_models
 from calibration.tradeoff.plan import Run, RunSettings
 from calibration.tradeoff.rows import read_rows
-from calibration.tradeoff.run import measured_rows
+from calibration.tradeoff.run import read_or_measure
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,7 +43,7 @@ def tradeoff(
     if peers:
         require_models()
     run = Run.of(RunSettings(Path(dataset), **asked), methods, backbones)
-    rows = measured_rows(run, Path(output), overwrite, peers, show, print)
+    rows = read_or_measure(run, Path(output), overwrite, peers, show, print)
     write_page(rows, Path(output))
     return pd.json_normalize(rows)
 

@@ -144,7 +144,7 @@ def _notes(first: Row) -> Sequence[str]:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """One line per point on the front, fastest first."""
+    """Write one line per point on the front, fastest first."""
     front = sorted((row for row in rows if row["is_on_front"]), key=lambda row: float(row["ms"]["median"]))
     width = max((len(row["key"]) for row in front), default=5)
     lines = [

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.studies.harness.rows import ROW_FORMAT
-from calibration.tradeoff.accuracy import measured
+from calibration.tradeoff.accuracy import measure_accuracy
 from calibration.tradeoff.plan import Run
 from calibration.tradeoff.point import VIEWS
 from calibration.tradeoff.presses import Seen, see
@@ -75,10 +75,10 @@ def peers(run: Run, frames: Sequence[CameraFrame]) -> list[tuple[Row, Lane]]:
             f"--peers fits {PRESSES} presses, the dataset gives {len(seen.nominal)}; press more good parts"
         )
     normalise = _normaliser()
-    return [_fitted(method, run, seen, normalise, frames) for method in LAYERS]
+    return [_fit(method, run, seen, normalise, frames) for method in LAYERS]
 
 
-def _fitted(
+def _fit(
     method: str,
     run: Run,
     seen: Seen,
@@ -95,7 +95,7 @@ def _fitted(
     seconds = time.perf_counter() - start
     found = [_score(model, normalise(frame)) for frame in seen.frames]
     maps, scores = zip(*found, strict=True)
-    accuracy = measured(maps, np.array(scores), run.truth)
+    accuracy = measure_accuracy(maps, np.array(scores), run.truth)
     drawing = Drawing(VIEWS["lr"], frames, f"{run.chosen.part}/{run.chosen.position}", maps[0])
     row = _row(method, model, accuracy, seconds, nominal[0])
     profile, key = VIEWS["lr"].profile_name, row["key"]
@@ -200,7 +200,7 @@ def _weights(trunk: bytes) -> list[tuple[NDArray[np.float32], NDArray[np.float32
 
 
 def _normaliser() -> Callable[[NDArray[np.uint8]], Any]:
-    """From uint8 (h, w, 3) to a normalised float32 tensor (1, 3, h, w), as the trunk does inside its graph."""
+    """Return what makes uint8 (h, w, 3) a normalised float32 tensor (1, 3, h, w), as the trunk's graph does."""
     import torch
 
     from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD

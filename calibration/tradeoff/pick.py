@@ -47,7 +47,7 @@ class Limits:
     presses: int | None = None
 
     def excess(self, row: Row) -> dict[str, float]:
-        """How many times over each limit the point is; only those that it exceeds."""
+        """Return how many times over each limit the point is; only those that it exceeds."""
         found = {
             limit.name: limit.cost(row) / most
             for limit in _LIMITS
@@ -56,7 +56,7 @@ class Limits:
         return {name: times for name, times in found.items() if times > 1}
 
     def without(self, name: str) -> "Limits":
-        """The same without one limit."""
+        """Return the limits without one."""
         fields = {limit.field: getattr(self, limit.field) for limit in _LIMITS if limit.name != name}
         return Limits(**fields)
 
@@ -119,7 +119,7 @@ def _why(own: Sequence[Row], fitting: Sequence[Row], best: Row, limits: Limits) 
         f"{best['bank_bytes'] / 1e6:.3g} MB, {best['presses']} presses"
     )
     yield f"{len(fitting)} of {len(own)} points fit; this one is the most accurate of them"
-    yield from _refused(own, best, limits)
+    yield from _explain_refused(own, best, limits)
     binding = list(_binding(own, best, limits))
     yield from binding or ["no limit binds: without any of them the choice is the same"]
     others = [row for row in fitting if row is not best]
@@ -128,7 +128,7 @@ def _why(own: Sequence[Row], fitting: Sequence[Row], best: Row, limits: Limits) 
         yield f"the next that fits: {second['key']}, AU-PRO {_value(second):.3f}, {second['ms']['median']:.3g} ms"
 
 
-def _refused(own: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
+def _explain_refused(own: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
     """The more accurate points that are nearest to fitting."""
     better = [row for row in own if limits.excess(row) and _value(row) > _value(best)]
     for row in sorted(better, key=lambda row: max(limits.excess(row).values()))[:2]:

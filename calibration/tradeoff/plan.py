@@ -19,7 +19,7 @@ from edge import registry
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 
-__all__ = ["BACKBONES", "LEAST_ROUNDS", "PRESSES", "Run", "RunSettings", "chosen_points", "usual_points"]
+__all__ = ["BACKBONES", "LEAST_ROUNDS", "PRESSES", "Run", "RunSettings", "choose_points", "usual_points"]
 
 BACKBONES: Final = ("tactile_resnet18", "tactile_resnet18_int8")
 """The trunks of a run without others: the shipped one in float32 and in int8."""
@@ -70,7 +70,7 @@ def _of_method(method: str, backbones: Sequence[str]) -> Iterator[OperatingPoint
         yield from (OperatingPoint(method, first, view) for view in ("hr_tiles_0", "hr_tiles_56"))
 
 
-def chosen_points(
+def choose_points(
     backbones: Sequence[str], methods: Sequence[str], *, has_high_resolution: bool, most_presses: int
 ) -> tuple[OperatingPoint, ...]:
     """The usual points that this dataset allows. Errors: ConfigError for an unknown method, or for no point."""
@@ -143,7 +143,7 @@ class Run:
             most_scored=settings.most_scored,
             seed=settings.seed,
         )
-        points = chosen_points(
+        points = choose_points(
             tuple(backbones) or BACKBONES,
             tuple(methods) or registry.names("detectors"),
             has_high_resolution=bool(chosen.high),
@@ -160,7 +160,7 @@ class Run:
 
     @cached_property
     def truth(self) -> Truth:
-        """What is known of the scored presses."""
+        """Labels and masks of the scored presses, and how replicates draw them."""
         return Truth.of(
             self.chosen.label,
             masks_of(self.chosen),

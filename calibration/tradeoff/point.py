@@ -81,12 +81,12 @@ class OperatingPoint:
         names = [self.method, self.backbone, self.view, str(self.presses)]
         if self.mode != "corrected":
             names.append(self.mode)
-        return ".".join([*names, *(f"{name}={_written(value)}" for name, value in self.settings)])
+        return ".".join([*names, *(f"{name}={_write_value(value)}" for name, value in self.settings)])
 
     @property
     def overrides(self) -> dict[str, Any]:
         return dict(self.settings)
 
 
-def _written(value: Setting) -> str:
+def _write_value(value: Setting) -> str:
     return "+".join(map(str, value)) if isinstance(value, tuple) else str(value)

@@ -58,7 +58,7 @@ class Chosen:
         return [*empty_masks(where, defective, masks), *repeated_pictures(where, every, digests)]
 
     def sha256(self) -> str:
-        """Of the pictures and masks that are used, in their order: equal hashes mean equal presses."""
+        """Hash the pictures and masks that are used, in their order: equal hashes mean equal presses."""
         found = hashlib.sha256()
         for press in (*self.fitted, *self.scored):
             for file in (press.path, press.mask_file):
@@ -96,8 +96,8 @@ def choose_presses(
     good, defective = every.pictures.presses[: every.nominal], every.pictures.presses[every.nominal :]
     split = split_by_specimen(good, HELD_OUT, seed)
     rng = np.random.default_rng(seed)
-    fitted = _drawn(split.kept, most_fitted, rng)
-    scored = (*_drawn(split.held_out, most_scored, rng), *_drawn(defective, most_scored, rng))
+    fitted = _draw(split.kept, most_fitted, rng)
+    scored = (*_draw(split.held_out, most_scored, rng), *_draw(defective, most_scored, rng))
     high = _high(root, (*fitted, *scored), part, position)
     return Chosen(root, part, position, fitted, scored, high)
 
@@ -115,9 +115,7 @@ def _the_one(
     return found[0]
 
 
-def _drawn(
-    presses: Sequence[LabelledPress], most: int, rng: np.random.Generator
-) -> tuple[LabelledPress, ...]:
+def _draw(presses: Sequence[LabelledPress], most: int, rng: np.random.Generator) -> tuple[LabelledPress, ...]:
     return tuple(presses[k] for k in rng.permutation(len(presses))[:most])
 
 

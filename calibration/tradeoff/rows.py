@@ -16,14 +16,12 @@ Row = dict[str, Any]
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write all rows or none; numbers with six digits. Errors: GelgateError."""
-    write_atomically(
-        path, "".join(json.dumps(_rounded(row), allow_nan=False) + "\n" for row in rows).encode()
-    )
+    write_atomically(path, "".join(json.dumps(_round(row), allow_nan=False) + "\n" for row in rows).encode())
 
 
-def _rounded(value: Any) -> Any:
+def _round(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {name: _rounded(one) for name, one in value.items()}
+        return {name: _round(one) for name, one in value.items()}
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calibration.studies.harness.rows import ROW_FORMAT, ROWS_FILE, Rows
 from calibration.studies.harness.runner import Show
 from calibration.threads import one_blas_thread
-from calibration.tradeoff.accuracy import Truth, measured
+from calibration.tradeoff.accuracy import Truth, measure_accuracy
 from calibration.tradeoff.fitting import FittedPoint, content_sha256, fit_points
 from calibration.tradeoff.floor import Work, floor_ms, work_of
 from calibration.tradeoff.front import dominators
@@ -32,13 +32,13 @@ from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 from edge.model.bundle import Bundle
 from edge.model.bundle_writer import write_bundle
 
-__all__ = ["measure", "measured_rows", "require_same_run"]
+__all__ = ["measure", "read_or_measure", "require_same_run"]
 
 CAMERA_FRAMES: Final = 3
 """Different presses that are decoded and scored while timing."""
 
 
-def measured_rows(
+def read_or_measure(
     run: Run, output: Path, overwrite: bool, with_peers: bool, show: Show, say: Callable[[str], None]
 ) -> list[Row]:
     """Return the rows of the folder, measured where it has none.
@@ -73,7 +73,7 @@ def measure(run: Run, folder: Path, show: Show, *, with_peers: bool = False) -> 
     machine, dataset = fingerprint(settings.threads), chosen.sha256()
     _claim(folder, settings, dataset)
     finished = Rows(folder / "points.jsonl")
-    with finished.held():
+    with finished.hold():
         _fit_missing(run, folder, finished, show)
     found = {row["key"]: row for row in finished.read()}
     rows = [found[point.key] for point in points]
@@ -105,12 +105,12 @@ def measure(run: Run, folder: Path, show: Show, *, with_peers: bool = False) -> 
         "peak": asdict(peak),
         "rounds": times.rounds,
     }
-    complete = [row | _timed_row(k, row, times, peak) | common for k, row in enumerate(rows)]
+    complete = [row | _time_columns(k, row, times, peak) | common for k, row in enumerate(rows)]
     return with_front(complete, times.ratios)
 
 
 def require_same_run(rows: Sequence[Row], run: Run, file: Path) -> None:
-    """Errors: ConfigError where finished rows are of other presses, another seed or other points than wanted now."""
+    """Check finished rows. Errors: ConfigError where presses, seed or points are not those wanted now."""
     keys = {row["key"] for row in rows if not row.get("peer")}
     points = {point.key for point in run.points}
     wanted = {"presses": run.chosen.sha256(), "seed": run.settings.seed, "points": points}
@@ -152,19 +152,19 @@ def _fit_missing(run: Run, folder: Path, rows: Rows, show: Show) -> None:
     if not missing:
         return
     with show("operating points", len(run.points)) as advance:
-        for fitted in _fitted(missing, run.chosen, run.settings):
+        for fitted in _fit(missing, run.chosen, run.settings):
             _write_point(fitted, folder)
             rows.append(_accuracy_row(fitted, run.truth))
             advance(len(rows.done()))
 
 
-def _fitted(points: Iterable[OperatingPoint], chosen: Chosen, settings: RunSettings) -> Iterator[FittedPoint]:
-    def shared(point: OperatingPoint) -> tuple[int, str]:
+def _fit(points: Iterable[OperatingPoint], chosen: Chosen, settings: RunSettings) -> Iterator[FittedPoint]:
+    def group_key(point: OperatingPoint) -> tuple[int, str]:
         return list(VIEWS).index(point.view), point.backbone
 
-    for view, of_view in groupby(sorted(points, key=shared), key=lambda point: point.view):
+    for view, of_view in groupby(sorted(points, key=group_key), key=lambda point: point.view):
         seen = see(chosen, VIEWS[view])
-        for _, group in groupby(of_view, key=shared):
+        for _, group in groupby(of_view, key=group_key):
             yield from fit_points(list(group), chosen, seen, threads=settings.threads, seed=settings.seed)
 
 
@@ -179,7 +179,7 @@ def _write_point(fitted: FittedPoint, folder: Path) -> None:
 
 
 def _accuracy_row(fitted: FittedPoint, truth: Truth) -> Row:
-    """What does not depend on the machine's speed, and the seconds of the fit."""
+    """Return what does not depend on the machine's speed, and the seconds of the fit."""
     point, manifest = fitted.point, fitted.manifest
     assert manifest.backbone is not None
     stored = sum(entry.bytes_stored for entry in manifest.bank.values())
@@ -193,7 +193,7 @@ def _accuracy_row(fitted: FittedPoint, truth: Truth) -> Row:
         "settings": dict(point.settings),
         "presses": point.presses,
         "gel_share": point.presses / DEFAULT_LIMIT_PRESSES,
-        "accuracy": measured([on_common_grid(m) for m in fitted.maps], fitted.scores, truth),
+        "accuracy": measure_accuracy([on_common_grid(m) for m in fitted.maps], fitted.scores, truth),
         "bank_bytes": stored,
         "bank_bytes_unpacked": sum(entry.bytes_unpacked for entry in manifest.bank.values()),
         "trunk_bytes": manifest.backbone.trunk.size_bytes,
@@ -241,8 +241,8 @@ def _frames(points: Sequence[OperatingPoint], chosen: Chosen) -> dict[str, list[
     return {name: camera_frames(view, see(last, view).frames) for name, view in views.items()}
 
 
-def _timed_row(k: int, row: Row, times: PressTimes, peak: Peak) -> Row:
-    """What timing adds to a row."""
+def _time_columns(k: int, row: Row, times: PressTimes, peak: Peak) -> Row:
+    """Return what timing adds to a row."""
     floor, binds = floor_ms(Work(**row["work"]), peak)
     stages = {
         name: _plain({"median": times.stages[stage, k], "p95": times.stages_p95[stage, k]})

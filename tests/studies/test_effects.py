@@ -8,8 +8,8 @@ import pytest
 pd = pytest.importorskip("pandas", reason="SKIPPED, NOT TESTED: the extra `studies` brings pandas")
 
 from calibration.studies import cross_position_study, resolution_study  # noqa: E402
-from calibration.studies.harness.effects import agreement, direction, effects, published_direction  # noqa: E402
-from calibration.studies.harness.published import published  # noqa: E402
+from calibration.studies.harness.effects import agreement, direction, direction_of_paper, effects  # noqa: E402
+from calibration.studies.harness.published import paper_medians  # noqa: E402
 from calibration.studies.views import VIEWS  # noqa: E402
 
 
@@ -30,7 +30,7 @@ def test_directions_agree_or_differ() -> None:
     """An undecided one does neither."""
     assert agreement("up", "up") == agreement("down", "down") == "agree"
     assert agreement("up", "down") == "differ"
-    assert agreement("undecided", "up") == agreement("up", published_direction(0.5, 0.5)) == "undecided"
+    assert agreement("undecided", "up") == agreement("up", direction_of_paper(0.5, 0.5)) == "undecided"
 
 
 def rows(study: str, condition: str, levels: dict[Any, float], **more: Any) -> "pd.DataFrame":
@@ -55,7 +55,7 @@ FINE = rows("resolution", "view", dict(zip(VIEWS, (0.3, 0.5, 0.4, 0.5, 0.3), str
 
 def test_effects_are_set_next_to_the_papers() -> None:
     """Ours rises everywhere; the paper's AU-PRO of SPADE and InReaCh on PZ3 falls."""
-    found = effects(CROSSED, "target_fraction", 0.0, 0.05, published("cross-position"), ("0", "0.05"))
+    found = effects(CROSSED, "target_fraction", 0.0, 0.05, paper_medians("cross-position"), ("0", "0.05"))
 
     assert {effect.ours for effect in found} == {"up"}
     assert {(e.method, e.measure) for e in found if e.agreement == "differ"} == {
@@ -70,7 +70,10 @@ def test_every_number_in_brackets_is_the_papers(page: Any, table: "pd.DataFrame"
     study = table["study"][0]
     printed = {float(number) for number in re.findall(r"\((\d\.\d{4})\)", page.page(table).markdown)}
     known = {
-        round(v, 4) for key, values in published(study).items() if key[1] == "PZ3" for v in values.values()
+        round(v, 4)
+        for key, values in paper_medians(study).items()
+        if key[1] == "PZ3"
+        for v in values.values()
     }
 
     assert len(printed) > 10

@@ -5,11 +5,11 @@ from typing import Any
 
 import pandas as pd
 
-from calibration.studies.harness.published import published
+from calibration.studies.harness.published import paper_medians
 from calibration.studies.paper_page import page
 from calibration.studies.report import write_report
 
-PAPER = published("resolution")
+PAPER = paper_medians("resolution")
 METHODS = ("spade", "padim", "fapm", "inreach")
 
 

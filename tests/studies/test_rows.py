@@ -102,12 +102,12 @@ def test_a_file_of_something_else_is_refused(path: Path, line: str) -> None:
 def test_two_studies_do_not_write_to_one_file(path: Path) -> None:
     """The second one is refused while the first runs, and not afterwards."""
     with (
-        Rows(path).held(),
+        Rows(path).hold(),
         pytest.raises(ConfigError, match="another study is writing rows"),
-        Rows(path).held(),
+        Rows(path).hold(),
     ):
         pass
-    with Rows(path).held():
+    with Rows(path).hold():
         pass
 
 
@@ -115,7 +115,7 @@ def test_rows_added_since_the_file_was_opened_count(path: Path) -> None:
     """Another study may have ended in between."""
     mine = Rows(path)
     Rows(path).append({"key": "a"})
-    with mine.held():
+    with mine.hold():
         assert mine.done() == {"a"}
 
 

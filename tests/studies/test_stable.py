@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from calibration.studies.harness.published import published, stable_fraction
+from calibration.studies.harness.published import paper_medians, stable_fraction
 from calibration.studies.harness.rows import Rows
 from calibration.studies.harness.stable import STABLE_WITHIN, find_stable_fraction, stable_from
 from calibration.studies.harness.study import Options
@@ -78,7 +78,7 @@ def test_the_user_and_the_paper_come_first(tmp_path: Path) -> None:
 def test_the_published_numbers_are_complete() -> None:
     """Four methods on the parts of each study, with every condition; two numbers of its Tables 2 and 3."""
     crossed, fine, fraction = (
-        published(study) for study in ("cross-position", "resolution", "good-fraction")
+        paper_medians(study) for study in ("cross-position", "resolution", "good-fraction")
     )
 
     assert {part for _, part, _ in crossed} == {"PZ1", "PZ3"}

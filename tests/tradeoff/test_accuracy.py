@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.metrics.summary import recall_at
-from calibration.tradeoff.accuracy import MEASURES, Truth, measured
+from calibration.tradeoff.accuracy import MEASURES, Truth, measure_accuracy
 
 SCORES = np.array([1.0, 2.0, 3.0, 4.0, 3.5, 5.0, 6.0])
 IS_DEFECTIVE = np.array([False, False, False, False, True, True, True])
@@ -51,6 +51,6 @@ def test_a_perfect_map_has_every_measure_at_one() -> None:
         mask[2:4, 2:4] = True
     truth = Truth.of(np.arange(8) >= 4, masks, [str(k) for k in range(8)], 50, 0)
     scores = (np.arange(8) >= 4).astype(np.float64)
-    found = measured([mask.astype(np.float32) for mask in masks], scores, truth)
+    found = measure_accuracy([mask.astype(np.float32) for mask in masks], scores, truth)
     assert list(found) == list(MEASURES)
     assert all(one == pytest.approx({"value": 1.0, "low": 1.0, "high": 1.0}) for one in found.values())

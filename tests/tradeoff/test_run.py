@@ -11,7 +11,7 @@ from tradeoff_dataset import make_dataset
 
 from calibration.progress import progress
 from calibration.tradeoff.chosen_bundle import bundle_of
-from calibration.tradeoff.plan import LEAST_ROUNDS, Run, RunSettings, chosen_points, usual_points
+from calibration.tradeoff.plan import LEAST_ROUNDS, Run, RunSettings, choose_points, usual_points
 from calibration.tradeoff.point import VIEWS, OperatingPoint
 from calibration.tradeoff.presses import choose_presses, on_common_grid
 from calibration.tradeoff.rows import read_rows, write_rows
@@ -35,7 +35,9 @@ def run_of(dataset: Path, points: tuple[OperatingPoint, ...] = POINTS, **changed
 
 
 @pytest.fixture(scope="module")
-def measured(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
+def measure_accuracy(
+    dataset: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, list[dict[str, Any]]]:
     """The folder of a run, and its rows."""
     folder = tmp_path_factory.mktemp("run")
     return folder, measure(run_of(dataset), folder, progress)
@@ -145,7 +147,7 @@ def test_a_usual_run_has_sixty_points_and_no_two_alike() -> None:
 
     methods = tuple(registry.names("detectors"))
     points = usual_points(BACKBONES, methods)
-    few = chosen_points(BACKBONES, methods, has_high_resolution=False, most_presses=20)
+    few = choose_points(BACKBONES, methods, has_high_resolution=False, most_presses=20)
     assert len(few) >= 60
     assert len({point.key for point in points}) == len(points)
     assert {point.view for point in points} == set(VIEWS)

@@ -54,7 +54,7 @@ class Cell:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def setting(self, name: str) -> Setting:
-        """Errors: KeyError."""
+        """Return a setting. Errors: KeyError."""
         return dict(self.settings)[name]
 
     def columns(self) -> Mapping[str, Any]:

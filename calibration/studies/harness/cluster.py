@@ -22,7 +22,7 @@ Result = tuple[Cell, Mapping[str, Any]]
 
 def on_cluster(
     cells: Sequence[Cell],
-    evaluated: Callable[[Callable[[Cell], Mapping[str, Any]], Cell], Result],
+    evaluate_cell: Callable[[Callable[[Cell], Mapping[str, Any]], Cell], Result],
     evaluate: Callable[[Cell], Mapping[str, Any]],
     address: str,
 ) -> Iterator[Result]:
@@ -36,7 +36,7 @@ def on_cluster(
     with _client(address) as client:
         _check_versions(client, address)
         keys = [f"gelgate-{cell.key}" for cell in cells]
-        futures = client.map(partial(evaluated, evaluate), list(cells), key=keys, pure=False)
+        futures = client.map(partial(evaluate_cell, evaluate), list(cells), key=keys, pure=False)
         try:
             for future in _as_done(client, futures):
                 yield _result(client, future)
@@ -53,7 +53,7 @@ def on_cluster(
 
 
 def check_address(address: str) -> None:
-    """Errors: ConfigError for what is no address: a client made with it would try for half a minute to close."""
+    """Check an address. Errors: ConfigError: a client made with a wrong one would try to close for half a minute."""
     from distributed.comm import get_address_host_port, normalize_address
 
     try:
@@ -121,7 +121,7 @@ def _client(address: str) -> Any:
 
 
 def _check_versions(client: Any, address: str) -> None:
-    """Errors: ConfigError where the scheduler or a worker is without this program, or has another version of it."""
+    """Compare versions. Errors: ConfigError where scheduler or worker lack this program, or have another version."""
     own = version("gelgate")
     found = {"scheduler": _of_scheduler(client), **client.run(version, "gelgate", on_error="return")}
     wrong = sorted(f"{who}: {has}" for who, has in found.items() if has != own)

@@ -10,7 +10,7 @@ from edge.core.detector import Detector, Mode
 from edge.core.errors import ConfigError, FitError
 from edge.model.onnx_validation import output_names
 
-__all__ = ["overrides_for", "taps_of", "written"]
+__all__ = ["overrides_for", "taps_of", "write_overrides"]
 
 
 @lru_cache(maxsize=64)
@@ -22,7 +22,7 @@ def overrides_for(method: str, mode: Mode, backbone: str) -> dict[str, Any]:
     """
     detector = registry.detector(method)
     wanted = set(detector.taps(detector.parameters(mode)))
-    given = _given(backbone, tuple(sorted(wanted)))
+    given = _find_taps(backbone, tuple(sorted(wanted)))
     if wanted <= set(given):
         return {}
     if not {"taps", "grid_tap"} <= set(vars(detector.parameters(mode))):
@@ -33,7 +33,7 @@ def overrides_for(method: str, mode: Mode, backbone: str) -> dict[str, Any]:
     return {"taps": tuple(given), "grid_tap": given[len(given) // 2]}
 
 
-def written(overrides: Mapping[str, Any]) -> str:
+def write_overrides(overrides: Mapping[str, Any]) -> str:
     """Changed parameters as text for a row."""
     return "; ".join(
         f"{name} {', '.join(map(str, value)) if isinstance(value, tuple) else value}"
@@ -41,7 +41,7 @@ def written(overrides: Mapping[str, Any]) -> str:
     )
 
 
-def _given(backbone: str, wanted: tuple[str, ...]) -> list[str]:
+def _find_taps(backbone: str, wanted: tuple[str, ...]) -> list[str]:
     """The wanted taps if the backbone has them all, else those that it gives without being asked."""
     usual = open_trunk(backbone)
     given = output_names(usual.graph)

@@ -18,11 +18,11 @@ __all__ = [
     "Direction",
     "Effect",
     "agreement",
-    "counted",
+    "count_agreements",
     "direction",
+    "direction_of_paper",
     "effects",
     "medians",
-    "published_direction",
 ]
 
 COMPARED: Mapping[str, str] = {"pixel_auroc": "AUROC", "auprc": "AUPRC", "aupro_001": "AU-PRO@0.01"}
@@ -58,11 +58,13 @@ def medians(rows: "pd.DataFrame", condition: str, measures: Iterable[str] = COMP
         for (method, part, value), group in rows.dropna(subset=[measure]).groupby(
             ["method", "part", condition]
         ):
-            found.setdefault((method, part, measure), {})[written(value)] = float(group[measure].median())
+            found.setdefault((method, part, measure), {})[write_condition(value)] = float(
+                group[measure].median()
+            )
     return found
 
 
-def written(value: Hashable) -> str:
+def write_condition(value: Hashable) -> str:
     """A condition as text."""
     return f"{value:g}" if isinstance(value, int | float) else str(value)
 
@@ -84,13 +86,13 @@ def direction(
     return ("up" if mean.value > 0 else "down"), mean.value
 
 
-def published_direction(before: float, after: float) -> Direction:
+def direction_of_paper(before: float, after: float) -> Direction:
     """The direction of the paper's median; equal medians are undecided."""
     return "undecided" if before == after else "up" if after > before else "down"
 
 
 def agreement(ours: Direction, paper: Direction) -> Agreement:
-    """Whether two directions are the same."""
+    """Say whether two directions are the same."""
     if "undecided" in (ours, paper):
         return "undecided"
     return "agree" if ours == paper else "differ"
@@ -116,13 +118,13 @@ def effects(
             old, new = (_by_seed(group[group[condition] == value], measure) for value in (before, after))
             ours, difference = direction(old, new, are_drawn=are_drawn)
             theirs = paper.get((method, part, measure))
-            known = None if theirs is None else published_direction(*(theirs[name] for name in names))
+            known = None if theirs is None else direction_of_paper(*(theirs[name] for name in names))
             if np.isfinite(difference):
                 found.append(Effect(method, part, measure, ours, difference, known))
     return found
 
 
-def counted(agreements: Iterable[Agreement | None]) -> str:
+def count_agreements(agreements: Iterable[Agreement | None]) -> str:
     """Write `7 agree, 2 differ, 3 undecided`; None is not in the paper."""
     every = list(agreements)
     return ", ".join(f"{every.count(name)} {name}" for name in ("agree", "differ", "undecided"))

@@ -73,10 +73,10 @@ class FeatureCache:
         Errors: FitError, DatasetError; StoreError for a full disk.
         """
         entry = self.folder / _key(trunk, taps, pictures)
-        found = _opened(entry)
+        found = _open_entry(entry)
         if found is None:
-            self._extracted(entry, trunk, taps, pictures, progress, threads)
-            found = _opened(entry)
+            self._extract(entry, trunk, taps, pictures, progress, threads)
+            found = _open_entry(entry)
         if found is None:
             raise StoreError(
                 f"'{entry}' was written and cannot be read; see to the disk, or choose another --cache"
@@ -84,7 +84,7 @@ class FeatureCache:
         progress(1.0)
         return found
 
-    def _extracted(
+    def _extract(
         self,
         entry: Path,
         trunk: Trunk,
@@ -146,7 +146,7 @@ def _key(trunk: Trunk, taps: Sequence[str], pictures: PressPictures) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _opened(entry: Path) -> Taken | None:
+def _open_entry(entry: Path) -> Taken | None:
     """An entry; None where there is none, or a file of it is incomplete."""
     try:
         grid = GridEntry.model_validate_json((entry / _GRID_FILE).read_bytes()).grid()
@@ -158,7 +158,7 @@ def _opened(entry: Path) -> Taken | None:
 def _write(
     folder: Path, trunk: Trunk, taps: Sequence[str], pictures: PressPictures, progress: Progress, threads: int
 ) -> None:
-    """One .npy file per tap, written as a stream: a full disk is an error of a write, not of a memory map."""
+    """Write one .npy file per tap as a stream: a full disk is an error of a write, not of a memory map."""
     session = open_session(trunk.graph, threads, f"trunk '{trunk.id}'")
     grid = trunk_grid(session, tuple(sorted(taps)), pictures.view.shape, pictures.view.pixels_per_mm)
     with ExitStack() as stack:

@@ -44,7 +44,7 @@ def mean_interval(
 
 
 def is_drawn(row: Mapping[str, Any]) -> bool:
-    """Whether the seed of a row decided which presses its bank learnt.
+    """Say whether the seed of a row decided which presses its bank learnt.
 
     Where a bank learns all presses of the pool, other seeds are no other draws: they change at most what the method
     itself draws.

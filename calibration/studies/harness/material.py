@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from calibration.dataset.remarks import empty_masks, repeated_pictures
 from calibration.fitting.trunks import Trunk, open_trunk
 from calibration.studies.harness.cells import Cell
-from calibration.studies.harness.detector_settings import overrides_for, written
+from calibration.studies.harness.detector_settings import overrides_for, write_overrides
 from calibration.studies.harness.feature_cache import FeatureCache, Taken
-from calibration.studies.harness.presses import StudyPresses, opened, presses_of
+from calibration.studies.harness.presses import StudyPresses, open_presses, presses_of
 from calibration.studies.harness.scoring import Scored, TestPresses, fit_and_score
 from edge import registry
 from edge.core.detector import Nominal, Progress
@@ -42,7 +42,7 @@ class Place:
         return trunk
 
     def require_room(self) -> None:
-        """Errors: StoreError where the features of large pictures do not fit on the disk."""
+        """Check the disk. Errors: StoreError where the features of large pictures do not fit on the disk."""
 
     def covers(self, row: Mapping[str, Any]) -> bool:
         """Return whether a row of this study was made from what is here."""
@@ -50,7 +50,7 @@ class Place:
 
     def extract(self, progress: Progress = lambda fraction: None, threads: int = 1) -> "Material":
         """Return the material, its features from the cache. Errors: DatasetError, FitError, ConfigError, StoreError."""
-        presses = presses_of(opened(self.dataset), self.part, self.position)
+        presses = presses_of(open_presses(self.dataset), self.part, self.position)
         return Material(self, presses, *self.take(presses, progress, threads))
 
     def take(self, presses: StudyPresses, progress: Progress, threads: int) -> tuple[Trunk, Taken]:
@@ -137,5 +137,5 @@ def fit_cell(
         overrides=overrides,
         also=lambda scored: also(scored, tests),
     )
-    changed = {"changed": written(overrides)} if overrides else {}
+    changed = {"changed": write_overrides(overrides)} if overrides else {}
     return {**measured, **drawn[0].material.facts, **changed}

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from calibration.studies.harness.effects import COMPARED, Effect, Medians, counted
+from calibration.studies.harness.effects import COMPARED, Effect, Medians, count_agreements
 from calibration.studies.harness.published import source
 from calibration.studies.harness.rows import TIMES
 
@@ -18,12 +18,12 @@ __all__ = [
     "Page",
     "by_setup",
     "cells_table",
-    "compared_table",
     "cost_table",
     "directions_table",
     "effects_table",
     "fractions_of",
     "make_page",
+    "medians_table",
     "only_scored",
     "paper_note",
     "percent",
@@ -94,7 +94,7 @@ def section(text: str, heading: Sequence[str], lines: Sequence[Sequence[object]]
 
 
 def only_scored(rows: "pd.DataFrame") -> "pd.DataFrame":
-    """Without the cells that were refused."""
+    """Leave out the cells that were refused."""
     return rows[rows["error"].isna()] if "error" in rows else rows
 
 
@@ -115,7 +115,7 @@ def cells_table(rows: "pd.DataFrame", condition: str) -> str:
             mode,
             split,
             ", ".join(sorted(set(group["method"]))),
-            ", ".join(_named(group[condition].dropna().unique())),
+            ", ".join(_write_values(group[condition].dropna().unique())),
             seeds_of(group, condition),
             len(group),
         ]
@@ -126,12 +126,12 @@ def cells_table(rows: "pd.DataFrame", condition: str) -> str:
 
 
 def seeds_of(rows: "pd.DataFrame", condition: str) -> str:
-    """How many seeds the conditions have: `10`, or `1 to 3` where not all have as many."""
+    """Write how many seeds the conditions have: `10`, or `1 to 3` where not all have as many."""
     counts = rows.groupby(["part", *_SETUP, "method", condition])["seed"].nunique()
     return f"{counts.min()}" if counts.min() == counts.max() else f"{counts.min()} to {counts.max()}"
 
 
-def _named(values: Iterable[Any]) -> list[str]:
+def _write_values(values: Iterable[Any]) -> list[str]:
     return [f"{value:g}" if isinstance(value, float) else str(value) for value in sorted(values)]
 
 
@@ -141,14 +141,14 @@ def fractions_of(rows: "pd.DataFrame") -> str:
 
 
 def paper_note() -> str:
-    """What the numbers in brackets are."""
+    """Say what the numbers in brackets are."""
     return (
         f"In brackets: the paper's median ({source()}). It pressed real parts and had Wide-ResNet-50-2 with ImageNet "
         "weights, so orders and directions can be compared, and levels cannot.\n"
     )
 
 
-def compared_table(
+def medians_table(
     ours: Medians, paper: Medians, measure: str, conditions: Sequence[tuple[str, str, str]]
 ) -> str:
     """Medians over seeds of one measure. conditions: their names in our rows, in the paper's data, and on the page."""
@@ -169,11 +169,11 @@ def _both(ours: float | None, paper: float | None) -> str:
 
 def effects_table(found: Sequence[Effect], title: str) -> str:
     """Directions of an effect, ours and the paper's, with their counts."""
-    return f"{title}: {counted(effect.agreement for effect in found)}.\n\n{directions_table(found)}"
+    return f"{title}: {count_agreements(effect.agreement for effect in found)}.\n\n{directions_table(found)}"
 
 
 def directions_table(found: Sequence[Effect]) -> str:
-    """The same without title and counts."""
+    """Write the directions without title and counts."""
     lines = [
         [
             e.method,
@@ -191,7 +191,7 @@ def directions_table(found: Sequence[Effect]) -> str:
 
 
 def split_table(rows: "pd.DataFrame", condition: str, measure: str = "aupro_001") -> str:
-    """How much higher a measure is if presses, not specimens, are held out; empty without rows of both splits.
+    """Write how much higher a measure is if presses, not specimens, are held out; empty without rows of both splits.
 
     condition: the column that the study varies. Only cells that both splits have are compared.
     """
@@ -217,7 +217,7 @@ def split_table(rows: "pd.DataFrame", condition: str, measure: str = "aupro_001"
 
 
 def refusals(rows: "pd.DataFrame") -> str:
-    """What was not scored, and why; empty where every cell was."""
+    """List what was not scored, and why; empty where every cell was."""
     if "error" not in rows or rows["error"].isna().all():
         return ""
     bad = rows[rows["error"].notna()]

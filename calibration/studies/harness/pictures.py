@@ -81,7 +81,7 @@ class PressPictures:
 
     @cached_property
     def sha256(self) -> str:
-        """Of the files' bytes in order, and of the view."""
+        """The hash of the files' bytes in order, and of the view."""
         return hashlib.sha256(b"".join((repr(self.view).encode(), *self.digests))).hexdigest()
 
     @cached_property

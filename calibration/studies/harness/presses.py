@@ -15,7 +15,7 @@ from edge.core.errors import DatasetError
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.core.imaging.region import CENTRE_SIDE, Region
 
-__all__ = ["TEST_SEED", "HeldOut", "StudyPresses", "hold_out", "opened", "presses_of", "subset"]
+__all__ = ["TEST_SEED", "HeldOut", "StudyPresses", "hold_out", "open_presses", "presses_of", "subset"]
 
 TEST_SEED = 42
 """The paper's: the same test presses in every cell."""
@@ -35,7 +35,7 @@ class StudyPresses:
 
     @property
     def specimens(self) -> tuple[str | None, ...]:
-        """Of the nominal presses."""
+        """The pieces of the nominal presses."""
         return tuple(press.specimen for press in self.pictures.presses[: self.nominal])
 
     def tested(self, held: "HeldOut") -> NDArray[np.int64]:
@@ -49,7 +49,7 @@ class StudyPresses:
 
     @cached_property
     def masks(self) -> NDArray[np.bool_]:
-        """Of the defective presses, bool (n, h, w). Errors: DatasetError where all are empty."""
+        """The masks of the defective presses, bool (n, h, w). Errors: DatasetError where all are empty."""
         masks = self.pictures.masks(self.defective)
         if not masks.any():
             raise DatasetError(
@@ -67,7 +67,7 @@ class HeldOut:
     pool: NDArray[np.int64]
 
 
-def opened(root: Path, resolution: Resolution = "lr") -> Dataset:
+def open_presses(root: Path, resolution: Resolution = "lr") -> Dataset:
     """A dataset as a study sees it. Errors: DatasetError."""
     dataset = open_dataset(root, resolution)
     if dataset.layout != "mvtec":

@@ -6,7 +6,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-__all__ = ["judgements", "no_fixture", "published", "source", "stable_fraction"]
+__all__ = ["judgements", "no_fixture", "paper_medians", "source", "stable_fraction"]
 
 
 @cache
@@ -35,13 +35,13 @@ def no_fixture() -> tuple[str, ...]:
 
 
 def judgements(column: str) -> Mapping[str, str]:
-    """What the paper says of each method in a column of its Table 4, such as `strong advantage`."""
+    """Return what the paper says of each method in a column of its Table 4, such as `strong advantage`."""
     found: Mapping[str, str] = _data()["judgements"][column]
     return found
 
 
 @cache
-def published(study: str) -> Mapping[tuple[str, str, str], Mapping[str, float]]:
+def paper_medians(study: str) -> Mapping[tuple[str, str, str], Mapping[str, float]]:
     """(method, part, measure) to the paper's median at each condition of a study, such as `0.05` or `hr`."""
     return {
         (row["method"], row["part"], row["measure"]): row["values"]

@@ -48,7 +48,7 @@ class Rows:
         return read_rows(self.path, self._say)
 
     @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
+    def hold(self) -> Iterator[None]:
         """Within it no other process adds rows to the file. Errors: ConfigError if one does already."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("ab") as file:
@@ -77,10 +77,10 @@ class Rows:
             except OSError as error:
                 with contextlib.suppress(OSError):
                     file.truncate(before)
-                raise StoreError(self._refused(error)) from error
+                raise StoreError(self._say_refusal(error)) from error
         self._keys.add(str(row["key"]))
 
-    def _refused(self, error: OSError) -> str:
+    def _say_refusal(self, error: OSError) -> str:
         is_full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         why = "the disk is full" if is_full else f"the disk refuses ({error.strerror})"
         return (

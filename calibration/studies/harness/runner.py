@@ -41,8 +41,8 @@ def run(
     disk, or for workers that die again and again; ConfigError for a scheduler that does not answer; else what evaluate
     raises.
     """
-    with rows.held():
-        left = _left(cells, rows)
+    with rows.hold():
+        left = _find_left(cells, rows)
         done = len(cells) - len(left)
         with progress("cells", len(cells)) as advance:
             advance(done)
@@ -52,7 +52,7 @@ def run(
                 advance(done)
 
 
-def _left(cells: Sequence[Cell], rows: Rows) -> list[Cell]:
+def _find_left(cells: Sequence[Cell], rows: Rows) -> list[Cell]:
     done = rows.done()
     return [cell for cell in dict.fromkeys(cells) if cell.key not in done]
 
@@ -61,14 +61,14 @@ def _results(cells: list[Cell], evaluate: Evaluate, jobs: int, dask: str | None)
     if dask is not None:
         from calibration.studies.harness.cluster import on_cluster
 
-        return on_cluster(cells, evaluated, evaluate, dask)
+        return on_cluster(cells, evaluate_cell, evaluate, dask)
     if jobs == 1:
-        return (evaluated(evaluate, cell) for cell in cells)
+        return (evaluate_cell(evaluate, cell) for cell in cells)
     return _in_processes(cells, evaluate, jobs)
 
 
-def evaluated(evaluate: Evaluate, cell: Cell) -> Result:
-    """One cell's result, or its refusal."""
+def evaluate_cell(evaluate: Evaluate, cell: Cell) -> Result:
+    """Return one cell's result, or its refusal."""
     try:
         return cell, evaluate(cell)
     except (FitError, DatasetError, NotScorable) as error:
@@ -82,7 +82,7 @@ def _in_processes(cells: list[Cell], evaluate: Evaluate, jobs: int) -> Iterator[
 
     waiting, deaths = dict.fromkeys(cells), 0
     while waiting:
-        work = (delayed(evaluated)(evaluate, cell) for cell in tuple(waiting))
+        work = (delayed(evaluate_cell)(evaluate, cell) for cell in tuple(waiting))
         pool = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch="2*n_jobs")
         try:
             for cell, result in pool(work):

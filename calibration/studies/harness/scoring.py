@@ -22,7 +22,7 @@ from edge.core.errors import FitError, NotScorable
 from edge.model.packing import Packed, pack, unpack
 from edge.model.session import RUNTIME_ERRORS, open_session
 
-__all__ = ["MEASURES", "Scored", "TestPresses", "fit_and_score", "measures", "run_head", "scored"]
+__all__ = ["MEASURES", "Scored", "TestPresses", "fit_and_score", "measures", "run_head", "score_each"]
 
 MEASURES = ("aupro_001", "aupro_005", "auprc", "pixel_auroc", "image_auroc", "recall_001")
 """AU-PRO up to 1 % and 5 % false positives, average precision, AUROC by pixel and by press, and the share of defective
@@ -66,7 +66,7 @@ class Scored:
 
     @property
     def digest(self) -> str:
-        """Of maps and scores: two cells with the same one are the same computation."""
+        """The hash of maps and scores: two cells with the same one are the same computation."""
         found = hashlib.sha256(np.ascontiguousarray(self.maps).data)
         found.update(self.scores.tobytes())
         return found.hexdigest()[:16]
@@ -93,13 +93,13 @@ def fit_and_score(
     """
     parameters = detector.parameters(mode, **(overrides or {}))
     stages = _Stages()
-    with stages.timed("fit_s"):
+    with stages.time_stage("fit_s"):
         bank = detector.fit(nominal, grid, parameters, np.random.default_rng(seed), lambda fraction: None)
-    with stages.timed("score_s"):
-        packed = _packed(bank)
+    with stages.time_stage("score_s"):
+        packed = _pack_arrays(bank)
         head = detector.head(grid, bank, parameters)
-        result = scored(head, _unpacked(bank, packed), test, detector.name)
-    with stages.timed("measure_s"):
+        result = score_each(head, _unpack_arrays(bank, packed), test, detector.name)
+    with stages.time_stage("measure_s"):
         found = {**measures(result, test), **also(result)}
     return {
         **found,
@@ -120,14 +120,14 @@ class _Stages:
         self.seconds: dict[str, float] = {}
 
     @contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
+    def time_stage(self, stage: str) -> Iterator[None]:
         start, spent = time.perf_counter(), time.process_time()
         yield
         self.seconds[stage] = round(time.perf_counter() - start, 4)
         self.seconds[f"cpu_{stage}"] = round(time.process_time() - spent, 4)
 
 
-def scored(head: bytes, arrays: Mapping[str, NDArray[Any]], test: TestPresses, name: str) -> Scored:
+def score_each(head: bytes, arrays: Mapping[str, NDArray[Any]], test: TestPresses, name: str) -> Scored:
     """Score each press alone, as the gateway does. arrays: the bank as it is read from a bundle.
 
     Errors: FitError where the head does not run; NotScorable for a map that is not finite.
@@ -168,14 +168,14 @@ def _session(head: bytes, name: str) -> ort.InferenceSession:
     return open_session(head, 1, f"head of {name}")
 
 
-def _packed(bank: Bank) -> dict[str, Packed]:
+def _pack_arrays(bank: Bank) -> dict[str, Packed]:
     try:
         return {key: pack(array, bank.packing.get(key, "none")) for key, array in bank.arrays.items()}
     except ValueError as error:
         raise FitError(f"the bank cannot be stored: {error}") from error
 
 
-def _unpacked(bank: Bank, packed: Mapping[str, Packed]) -> dict[str, NDArray[Any]]:
+def _unpack_arrays(bank: Bank, packed: Mapping[str, Packed]) -> dict[str, NDArray[Any]]:
     return {key: unpack(array, bank.packing.get(key, "none")) for key, array in packed.items()}
 
 

@@ -31,7 +31,7 @@ __all__ = [
     "Evaluation",
     "Options",
     "check_same",
-    "chosen_places",
+    "choose_places",
     "make_cells",
     "prepare",
     "require_known",
@@ -77,7 +77,7 @@ class Options:
             check_address(self.dask)
         defaults = {
             "parts": (),
-            "methods": compared_methods(),
+            "methods": methods_to_compare(),
             "modes": ("corrected",),
             "backbones": (DEFAULT_BACKBONE,),
             "splits": ("press",),
@@ -100,7 +100,7 @@ class Options:
         return find_stable_fraction(self.output / ROWS_FILE, method, mode, backbone, split)
 
     def taps(self) -> dict[str, tuple[str, ...]]:
-        """By backbone, the taps that all methods read. Errors: ConfigError, FitError."""
+        """Return by backbone the taps that all methods read. Errors: ConfigError, FitError."""
         return {name: taps_of(self.methods, self.modes, name) for name in self.backbones}
 
 
@@ -123,19 +123,19 @@ class Evaluation:
         return Place(self.dataset, self.cache, *where, self.taps[cell.backbone])
 
 
-def compared_methods() -> tuple[str, ...]:
+def methods_to_compare() -> tuple[str, ...]:
     """Every detector but the baselines."""
     return tuple(n for n in registry.names("detectors") if not registry.detector(n).is_baseline)
 
 
 def require_known(what: str, given: Iterable[str], names: Iterable[str]) -> None:
-    """Errors: ConfigError, with the nearest name, for one that is not known."""
+    """Check names. Errors: ConfigError, with the nearest name, for one that is not known."""
     for name in given:
         if name not in (known := tuple(names)):
             raise ConfigError(f"no {what} is named '{name}'; {suggestion(name, known)}")
 
 
-def chosen_places(dataset: Dataset, parts: Sequence[str], position: str | None) -> list[tuple[str, str]]:
+def choose_places(dataset: Dataset, parts: Sequence[str], position: str | None) -> list[tuple[str, str]]:
     """(part, position) of each part: the position given, or its first by name. Errors: DatasetError."""
     known: dict[str, list[str]] = {}
     for part, place in dataset.positions:
@@ -211,7 +211,7 @@ def run_cells(
 
 
 def check_same(rows: Iterable[Mapping[str, Any]], materials: Sequence[Material], path: Path) -> None:
-    """Errors: ConfigError where rows of a place are from other pictures, another trunk or another program.
+    """Check rows. Errors: ConfigError where they are from other pictures, another trunk or another program.
 
     Other methods and the other mode read other layers: rows from the same trunk, cut after another one, are continued.
     """
@@ -237,7 +237,7 @@ def _cuts(place: Place) -> set[str]:
     asked: set[tuple[str, ...]] = {()}
     for mode in get_args(Mode):
         with suppress(FitError):  # a backbone without the layers of one mode has rows of the other only
-            asked.add(taps_of(compared_methods(), (mode,), place.backbone))
+            asked.add(taps_of(methods_to_compare(), (mode,), place.backbone))
     return {place.show(cut).sha256[:16] for taps in asked for cut in every_cut(place.backbone, taps)}
 
 
