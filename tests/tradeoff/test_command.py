@@ -2,34 +2,30 @@
 
 import json
 import shutil
-import sys
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from command_line import gelgate
 from tradeoff_rows import row
 
 from calibration.tradeoff.figure import front_sentence, svg
 from calibration.tradeoff.notebook import tradeoff, tradeoff_figure
 from calibration.tradeoff.plan import Run, RunSettings
 from calibration.tradeoff.rows import read_rows, write_rows
-from edge import cli
+from edge.cli import EXIT_MEANINGS
 from edge.core.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
+PADIM = ("--method", "padim", "--backbone", "tactile_resnet18")
 
 
-def called(
-    *words: object, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> tuple[int, str]:
+def tradeoff_of(*words: object) -> tuple[int, str]:
     """The exit code and everything printed."""
-    monkeypatch.setattr(sys, "argv", ["gelgate", "lab", "tradeoff", *map(str, words)])
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    said = capsys.readouterr()
-    return int(end.value.code or 0), said.out + said.err
+    ended = gelgate("lab", "tradeoff", *words)
+    return ended.code, ended.out + ended.err
 
 
 @pytest.fixture
@@ -44,12 +40,10 @@ def finished(dataset: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_rows_that_are_there_are_not_measured_again(
-    finished: Path, dataset: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_that_are_there_are_not_measured_again(finished: Path, dataset: Path) -> None:
     """The page and the picture are made from them, and the front is listed."""
-    words = (dataset, "-o", finished, "--method", "padim", "--backbone", "tactile_resnet18")
-    code, said = called(*words, "--picture", finished / "p.svg", capsys=capsys, monkeypatch=monkeypatch)
+    words = (dataset, "-o", finished, *PADIM)
+    code, said = tradeoff_of(*words, "--picture", finished / "p.svg")
     assert code == 0, said
     assert "--overwrite measures them again" in said
     assert (finished / "tradeoff.html").stat().st_size > 10_000
@@ -60,8 +54,6 @@ def test_what_may_be_a_mistake_in_the_dataset_is_said(
     finished: Path,
     dataset: Path,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """An empty mask, and a copy of a picture; the command goes on."""
     copy = Path(shutil.copytree(dataset, tmp_path / "copy"))
@@ -75,8 +67,8 @@ def test_what_may_be_a_mistake_in_the_dataset_is_said(
         [found | {"dataset_sha256": presses} for found in read_rows(finished / "rows.jsonl")],
     )
 
-    words = (copy, "-o", finished, "--method", "padim", "--backbone", "tactile_resnet18")
-    code, said = called(*words, capsys=capsys, monkeypatch=monkeypatch)
+    words = (copy, "-o", finished, *PADIM)
+    code, said = tradeoff_of(*words)
 
     assert code == 0, said
     assert "1 of the 4 defective presses of PZ9/pos1 has an empty mask" in said
@@ -92,59 +84,33 @@ def test_from_python_the_rows_are_a_frame(finished: Path, dataset: Path) -> None
     assert tradeoff_figure(finished).axes
 
 
-def test_a_loss_ends_with_its_own_exit_code(
-    finished: Path, dataset: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_loss_ends_with_its_own_exit_code(finished: Path, dataset: Path) -> None:
     """The point and the figure are named; without a loss the end is 0."""
-    words = (dataset, "-o", finished, "--method", "padim", "--backbone", "tactile_resnet18", "--check")
-    assert called(*words, finished / "rows.jsonl", capsys=capsys, monkeypatch=monkeypatch)[0] == 0
+    words = (dataset, "-o", finished, *PADIM, "--check")
+    assert tradeoff_of(*words, finished / "rows.jsonl")[0] == 0
     better = read_rows(finished / "rows.jsonl")
     better[0]["accuracy"]["pixel_auprc"]["value"] += 0.1
     write_rows(finished / "before.jsonl", better)
-    code, said = called(*words, finished / "before.jsonl", capsys=capsys, monkeypatch=monkeypatch)
+    code, said = tradeoff_of(*words, finished / "before.jsonl")
     assert code == 7
     assert f"{better[0]['key']}: AUPRC of pixels is 0.6000, it was 0.7000" in said
     assert f"1 loss against {finished / 'before.jsonl'}" in said
-    assert "gelgate lab tradeoff --check" in cli.EXIT_MEANINGS[7]
+    assert "gelgate lab tradeoff --check" in EXIT_MEANINGS[7]
 
 
-def test_limits_that_nothing_meets_are_one_sentence(
-    finished: Path, dataset: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_limits_that_nothing_meets_are_one_sentence(finished: Path, dataset: Path) -> None:
     """Exit code 3, the nearest point, no bundle."""
-    words = (
-        dataset,
-        "-o",
-        finished,
-        "--method",
-        "padim",
-        "--backbone",
-        "tactile_resnet18",
-        "--within",
-        "1ms",
-    )
-    code, said = called(*words, capsys=capsys, monkeypatch=monkeypatch)
+    words = (dataset, "-o", finished, *PADIM, "--within", "1ms")
+    code, said = tradeoff_of(*words)
     assert code == 3
     assert "points is within these limits; the nearest is padim.tactile_resnet18.lr.5" in said
     assert not (finished / "bundle").exists()
 
 
-def test_a_choice_writes_its_bundle_with_both_cards(
-    finished: Path, dataset: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_choice_writes_its_bundle_with_both_cards(finished: Path, dataset: Path) -> None:
     """The reasons are printed, and the manifest has accuracy and cost; the measured bank was another one, it says."""
-    words = (
-        dataset,
-        "-o",
-        finished,
-        "--method",
-        "padim",
-        "--backbone",
-        "tactile_resnet18",
-        "--presses",
-        "5",
-    )
-    code, said = called(*words, capsys=capsys, monkeypatch=monkeypatch)
+    words = (dataset, "-o", finished, *PADIM, "--presses", "5")
+    code, said = tradeoff_of(*words)
     assert code == 0, said
     assert "the limit on presses binds" in said
     assert "warning: the fit gave its bank more room" in said
@@ -171,12 +137,11 @@ def test_a_wrong_option_is_one_sentence(
     tmp_path: Path,
     words: tuple[str, ...],
     sentence: str,
-    capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Exit code 3 before any work."""
     monkeypatch.chdir(tmp_path)
-    code, said = called(dataset, *words, capsys=capsys, monkeypatch=monkeypatch)
+    code, said = tradeoff_of(dataset, *words)
     assert code == 3
     assert sentence in said
     assert len(said.strip().splitlines()) == 1
