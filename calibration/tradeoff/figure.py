@@ -174,16 +174,7 @@ def _legend(axes: "Axes", methods: Sequence[str], peers: Collection[str]) -> Non
     from matplotlib.lines import Line2D
 
     def entry(label: str, marker: str, face: str, edge: str, size: float = 6) -> Line2D:
-        return Line2D(
-            [],
-            [],
-            linestyle="",
-            marker=marker,
-            markerfacecolor=face,
-            markeredgecolor=edge,
-            markersize=size,
-            label=label,
-        )
+        return Line2D([], [], ls="", marker=marker, mfc=face, mec=edge, ms=size, label=label)
 
     entries = []
     for k, name in enumerate(methods):

@@ -75,7 +75,7 @@ class FeatureCache:
         entry = self.folder / _key(trunk, taps, pictures)
         found = _open_entry(entry)
         if found is None:
-            self._extract(entry, trunk, taps, pictures, progress, threads)
+            self._add(entry, lambda part: _write(part, trunk, taps, pictures, progress, threads))
             found = _open_entry(entry)
         if found is None:
             raise StoreError(
@@ -84,20 +84,12 @@ class FeatureCache:
         progress(1.0)
         return found
 
-    def _extract(
-        self,
-        entry: Path,
-        trunk: Trunk,
-        taps: Sequence[str],
-        pictures: PressPictures,
-        progress: Progress,
-        threads: int,
-    ) -> None:
+    def _add(self, entry: Path, write: Callable[[Path], None]) -> None:
         """Write an entry under another name, then give it its own."""
         shutil.rmtree(entry, ignore_errors=True)
         part = Path(tempfile.mkdtemp(prefix="part-", dir=self.folder))
         try:
-            _write(part, trunk, taps, pictures, progress, threads)
+            write(part)
             os.rename(part, entry)
         except GelgateError:
             raise
@@ -169,10 +161,9 @@ def _write(
             )
         for start in range(0, len(pictures), _AT_ONCE):
             stop = min(start + _AT_ONCE, len(pictures))
-            for tap, maps in extract(session, pictures.read(start, stop), grid, _ignored).items():
+            for tap, maps in extract(
+                session, pictures.read(start, stop), grid, lambda fraction: None
+            ).items():
                 files[tap].write(np.ascontiguousarray(maps).data)
             progress(stop / len(pictures))
     (folder / _GRID_FILE).write_text(GridEntry.of(grid).model_dump_json())
-
-
-_ignored: Callable[[float], None] = lambda fraction: None  # noqa: E731
