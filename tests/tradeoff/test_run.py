@@ -35,9 +35,7 @@ def run_of(dataset: Path, points: tuple[OperatingPoint, ...] = POINTS, **changed
 
 
 @pytest.fixture(scope="module")
-def measure_accuracy(
-    dataset: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, list[dict[str, Any]]]:
+def measured(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
     """The folder of a run, and its rows."""
     folder = tmp_path_factory.mktemp("run")
     return folder, measure(run_of(dataset), folder, progress)
