@@ -82,15 +82,16 @@ def test_a_hair_is_found_in_what_the_last_press_has_left() -> None:
     assert places.mean() < 0.005
 
 
-def test_dots_that_move_a_little_are_no_marks() -> None:
-    """A marker gel creeps by a hundredth of a millimetre between presses."""
+@pytest.mark.parametrize(("right", "down"), [(0.2, 0.0), (0.0, 0.2)])
+def test_dots_that_move_a_little_are_no_marks(right: float, down: float) -> None:
+    """A marker gel creeps by a hundredth of a millimetre between presses, here by twice that, either way."""
     dots = np.ones(SHAPE, np.float32)
     for x in range(12, 160, 20):
         for y in range(10, 120, 20):
             cv2.circle(dots, (x, y), 3, 0.3, -1, cv2.LINE_AA)
     soft = cv2.GaussianBlur(dots, (0, 0), 1.0)
     moved = cv2.warpAffine(
-        soft, np.array([[1, 0, 0.1], [0, 1, 0.05]]), (160, 120), borderMode=cv2.BORDER_REPLICATE
+        soft, np.array([[1, 0, right], [0, 1, down]]), (160, 120), borderMode=cv2.BORDER_REPLICATE
     )
 
     assert found(gel(1) * soft[..., None], gel(2) * moved[..., None]).mean() < 0.002
