@@ -237,7 +237,7 @@ def test_a_flood_is_refused_and_fills_no_table(bench: Bench) -> None:
 
 @pytest.mark.parametrize("garbage", ["unreadable", "off", "unsigned", "copies"])
 def test_garbage_keeps_nobody_out(bench: Bench, garbage: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Twenty a second over MQTT, for 50 s: each is answered, and signed requests and those of the page are done. The
+    """Twenty a second over MQTT, for 20 s: each is answered, and signed requests and those of the page are done. The
     log and the table of acts grow by the rate alone."""
     bench.signed("replace_gel", "copied", signed_ns=bench.clock.time_ns() + 10**9)
     copied_ns = bench.clock.time_ns() + 10**9
@@ -249,16 +249,16 @@ def test_garbage_keeps_nobody_out(bench: Bench, garbage: str, caplog: pytest.Log
     }
     answers: list[dict[str, Any]] = []
     garbage_answers: list[dict[str, Any]] = []
-    for second in range(50):
+    for second in range(20):
         garbage_answers += [send[garbage]() for _ in range(20)]
         answers.append(bench.signed("replace_gel", f"s{second}"))
         answers.append(bench.at_page("replace_gel", f"p{second}"))
         bench.clock.sleep(1)
 
-    assert [answer["status"] for answer in answers] == ["ok"] * 100
+    assert [answer["status"] for answer in answers] == ["ok"] * 40
     assert all(answer["error"] or answer["is_repeated"] for answer in garbage_answers)
-    assert sum(act.outcome == "refused" for act in bench.store.acts(2000)) <= 60 + 50
-    assert sum("refused" in line for line in caplog.messages) <= 60 + 50 + 1
+    assert sum(act.outcome == "refused" for act in bench.store.acts(2000)) <= 60 + 20
+    assert sum("refused" in line for line in caplog.messages) <= 60 + 20 + 1
 
 
 def test_refused_requests_do_not_push_acts_out_of_the_table(

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from station import station_config, two_parts, variant
@@ -134,20 +135,20 @@ def test_a_part_with_several_positions_needs_one(tmp_path: Path, recording: Path
         assert station.parts.selection.part == PartPosition("PZ0", "right")
 
 
-def test_two_bundles_for_one_position_are_refused(config: Path, folder: Path, bundle: Path) -> None:
-    """Which of them inspects would depend on their order."""
-    variant(bundle, folder / "c")
-    with pytest.raises(ConfigError, match=r"is for PZ0/pos1, as .*a is"):
-        SteppedStation(config)
-
-
-def test_a_bundle_for_another_reading_of_the_sensor_is_refused(
-    config: Path, folder: Path, bundle: Path
+@pytest.mark.parametrize(
+    ("part", "controls", "words"),
+    [
+        ("PZ0", {}, r"is for PZ0/pos1, as .*a is"),  # which of them inspects would depend on their order
+        # A switch between presses leaves the camera as it is.
+        ("PZ3", {"exposure": 7}, r"needs the sensor's controls \{'exposure': 7\}"),
+    ],
+)
+def test_a_bundle_that_cannot_stand_beside_the_others_is_refused(
+    config: Path, folder: Path, bundle: Path, part: str, controls: dict[str, int], words: str
 ) -> None:
-    """A switch between presses leaves the camera as it is."""
     profile = json.loads((bundle / "manifest.json").read_text())["profile"]
-    variant(bundle, folder / "c", part="PZ3", profile={**profile, "controls": {"exposure": 7}})
-    with pytest.raises(BundleMismatch, match=r"needs the sensor's controls \{'exposure': 7\}"):
+    variant(bundle, folder / "c", part=part, profile=profile | {"controls": profile["controls"] | controls})
+    with pytest.raises((BundleMismatch, ConfigError), match=words):
         SteppedStation(config)
 
 
@@ -164,56 +165,44 @@ def test_a_new_bundle_takes_over_at_a_reload(station: SteppedStation, folder: Pa
     assert station.parts.store.newest_revision(PZ0) == 2
 
 
+def spoil(path: Path) -> None:
+    """Change the last byte of the file, or of one in the folder; in the place of a manifest put a folder."""
+    file = next(path.iterdir()) if path.is_dir() else path
+    content = file.read_bytes()
+    file.unlink()
+    if file.name == "manifest.json":
+        file.mkdir()
+    else:
+        file.write_bytes(content[:-1] + b"!")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("head.onnx", "head.onnx has SHA-256"),
+        ("trunk.onnx", "trunk.onnx has SHA-256"),
+        ("bank", ".npy has SHA-256"),
+        ("manifest.json", "manifest.json cannot be read (Is a directory)"),
+    ],
+)
 def test_the_last_good_bundle_stays_when_the_new_one_fails(
-    station: SteppedStation, folder: Path, bundle: Path
+    station: SteppedStation, folder: Path, bundle: Path, name: str, words: str
 ) -> None:
-    """With the alarm `bundle`, which ends with a good one; the other new bundle of the same reload is used."""
+    """The next start would refuse it, so the reload does: alarm `bundle`, which ends with a good one. The other new
+    bundle of the same reload is used."""
     selection = station.parts.selection
     old = selection.inspector
-    (folder / "a" / "head.onnx").write_bytes(b"cut")
-    manifest = json.loads((folder / "a" / "manifest.json").read_text())
-    (folder / "a" / "manifest.json").write_text(json.dumps({**manifest, "revision": 5}))
+    spoil(folder / "a" / name)
     variant(bundle, folder / "b", part="PZ1", revision=7)
     reloaded(station)
 
     assert selection.inspector is old
     assert selection.bundles[PZ1].bundle.manifest.revision == 7
-    assert "head.onnx has SHA-256" in str(station.alarm("bundle"))
-
+    assert words in str(station.alarm("bundle"))
     variant(bundle, folder / "a", revision=5)
     reloaded(station)
     assert selection.inspector.bundle.manifest.revision == 5
     assert station.alarm("bundle") is None
-
-
-@pytest.mark.parametrize("name", ["head.onnx", "trunk.onnx", "bank"])
-def test_a_reload_notices_a_file_that_changed_under_its_manifest(
-    station: SteppedStation, folder: Path, name: str
-) -> None:
-    """The next start would refuse it, so the reload does: alarm `bundle`, and the open one goes on."""
-    old = station.parts.selection.inspector
-    path = folder / "a" / name
-    file = next(path.iterdir()) if path.is_dir() else path
-    file.write_bytes(file.read_bytes()[:-1] + b"!")
-    reloaded(station)
-
-    assert station.parts.selection.inspector is old
-    assert f"{file.name} has SHA-256" in str(station.alarm("bundle"))
-
-
-def test_a_folder_in_the_place_of_a_manifest_spoils_its_own_bundle_alone(
-    station: SteppedStation, folder: Path, bundle: Path
-) -> None:
-    """The alarm names it, its earlier bundle goes on, and the other new bundle is used."""
-    old = station.parts.selection.inspector
-    (folder / "a" / "manifest.json").unlink()
-    (folder / "a" / "manifest.json").mkdir()
-    variant(bundle, folder / "b", part="PZ1", revision=7)
-    reloaded(station)
-
-    assert station.parts.selection.inspector is old
-    assert station.parts.selection.bundles[PZ1].bundle.manifest.revision == 7
-    assert "manifest.json cannot be read (Is a directory)" in str(station.alarm("bundle"))
 
 
 def test_info_names_the_parts_that_a_reload_brings(
@@ -296,51 +285,33 @@ def test_a_trunk_that_no_bundle_uses_any_more_is_forgotten(config: Path) -> None
     assert (digest in trunks, "another" in trunks) == (True, False)
 
 
-def test_an_unexpected_fault_while_bundles_are_opened_is_an_alarm(station: SteppedStation) -> None:
+def test_an_unexpected_fault_while_bundles_are_opened_is_an_alarm() -> None:
     """The bundles' thread does not end by it: the next reload is served."""
-    outcomes: list[Opened | Exception] = [
-        RuntimeError("no such thing"),
-        Opened(station.parts.selection.bundles, {}),
-    ]
-
-    def opened(in_use: BundleSet) -> Opened:
-        outcome = outcomes.pop(0)
-        if isinstance(outcome, Exception):
-            raise outcome
-        return outcome
-
-    stage = BundleStage(opened)
-    stage.request(BundleSet())
-    stage.step()
-    assert "no such thing" in str(stage.take())
-    stage.request(BundleSet())
-    stage.step()
-    assert isinstance(stage.take(), Opened)
-    assert stage.take() is None
+    opened = Opened(BundleSet(), {})
+    stage = BundleStage(Mock(side_effect=[RuntimeError("no such thing"), opened]))
+    for _ in range(2):
+        stage.request(BundleSet())
+        stage.step()
+        found, after = stage.take(), stage.take()
+        assert found is opened or "no such thing" in str(found)
+        assert after is None
+    assert found is opened
 
 
 def test_every_reload_is_in_the_table_of_acts(station: SteppedStation) -> None:
-    """With the bundles that are open after it."""
-    reloaded(station)
-    act = station.parts.store.acts()[0]
-    digest = station.parts.selection.inspector.bundle.digest
-
-    assert (act.who, act.verb, act.outcome) == ("the gateway", "open_bundles", "done")
-    assert act.after is not None
-    assert act.after["bundles"]["PZ0/pos1"] == digest
-
-
-def test_the_outcome_of_a_reload_is_recorded_when_the_database_accepts_it(station: SteppedStation) -> None:
-    """The new bundles are used meanwhile; their row of the table of acts is not lost."""
-    station.loop.step(None)
+    """With the bundles that are open after it, once the database accepts the row; they are used meanwhile."""
+    station.turn()
     with station.refusing("acts"):
         reloaded(station)
         assert station.loop.is_halted
         assert station.parts.store.acts() == []
     station.turn(3)
+    (act,) = station.parts.store.acts()
 
     assert not station.loop.is_halted
-    assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]
+    assert (act.who, act.verb, act.outcome) == ("the gateway", "open_bundles", "done")
+    digest = station.parts.selection.inspector.bundle.digest
+    assert (act.after or {})["bundles"]["PZ0/pos1"] == digest
 
 
 def test_a_selection_that_cannot_be_recorded_is_not_made(config: Path) -> None:

@@ -1,9 +1,8 @@
 """A press anywhere through the gateway: its verdict, what its result states of the pose, and its rejection."""
 
-import json
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +17,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press
 from edge.core.registration.pose import Pose
 from edge.core.sink_context import Place
-from edge.gateway.recorder import Recorder
+from edge.gateway.recorder import PressReport, Recorder
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
 from edge.store.press_store import Store
@@ -30,76 +29,62 @@ def inspector() -> Inspector:
     return Inspector(Scorer(registered().bundle(), 1), SystemClock())
 
 
-def _inspected(inspector: Inspector, rgb: NDArray[np.uint8]) -> Press:
+def inspect(inspector: Inspector, rgb: NDArray[np.uint8]) -> Press:
     payload = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 98])[1]
     return inspector.inspect(CameraFrame(payload.tobytes(), 0, 0, True), Touch(0.1))
 
 
-def _published(tmp_path: Path, inspector: Inspector, inspection: Press) -> dict[str, Any]:
-    """The fields of the result as a subscriber reads them."""
-    store = Store(tmp_path / "presses.db")
-    try:
+Record = Callable[[Press], PressReport]
+
+
+@pytest.fixture
+def record(tmp_path: Path, inspector: Inspector) -> Iterator[Record]:
+    """Records a press; gives its report, with the result that a subscriber reads and its picture."""
+    with Store(tmp_path / "presses.db") as store:
         recorder = Recorder(store, "SIM1", Place("site", "line", "station"), SystemClock())
-        press = replace(inspection, press_id=new_ulid(0), bundle_id=inspector.bundle.digest)
-        return dict(json.loads(recorder.record(recorder.prepare(press, inspector)).result.encode()))
-    finally:
-        store.close()
+        ids = {"bundle_id": inspector.bundle.digest}
+        yield lambda press: recorder.record(
+            recorder.prepare(replace(press, press_id=new_ulid(0), **ids), inspector)  # type: ignore[arg-type]
+        )
 
 
 def test_a_press_anywhere_passes_and_its_result_states_where_it_lay(
-    tmp_path: Path, inspector: Inspector
+    record: Record, inspector: Inspector
 ) -> None:
-    """Shift and turn between two presses are those that the formula gave, in mm and degrees."""
+    """Shift and turn between two presses are those that the formula gave, in mm and degrees; finding them is a stage of
+    its own next to trunk and head."""
     here, there = Pose(-4.0, 6.0, 0.5), Pose(8.0, 1.0, 1.25)
-    found = [_inspected(inspector, parts.press(parts.BLOCK, pose, seed=9)) for pose in (here, there)]
-    poses = [_published(tmp_path, inspector, one)["pose"] for one in found]
+    found = [inspect(inspector, parts.press(parts.BLOCK, pose, seed=9)) for pose in (here, there)]
+    first, second = (record(press).result.pose for press in found)
 
-    assert [one.word for one in found] == ["pass", "pass"]
-    assert poses[1]["turn_deg"] - poses[0]["turn_deg"] == pytest.approx(np.degrees(0.75), abs=0.5)
-    assert poses[0]["match"] > 0.9
-    assert 0 < poses[0]["x_sd_mm"] < 0.1
-
-
-def test_the_share_of_the_part_that_left_the_field_is_published(tmp_path: Path, inspector: Inspector) -> None:
-    """A part at the rim states what was not judged; one in the middle states nothing unseen."""
-    presses = (parts.press(parts.BLOCK, Pose(x)) for x in (0.0, 30.0))
-    results = [_published(tmp_path, inspector, _inspected(inspector, rgb)) for rgb in presses]
-    middle, rim = (result["pose"]["unseen_share"] for result in results)
-
-    assert middle < 0.05 < rim
+    assert [press.word for press in found] == ["pass", "pass"]
+    assert [list(press.latency_ms) for press in found] == [["decode", "registration", "trunk", "head"]] * 2
+    assert first is not None
+    assert second is not None
+    assert second.turn_deg - first.turn_deg == pytest.approx(np.degrees(0.75), abs=0.5)
+    assert first.match > 0.9
+    assert 0 < first.x_sd_mm < 0.1
 
 
-def test_a_press_whose_pose_is_not_found_is_rejected(tmp_path: Path, inspector: Inspector) -> None:
+def test_the_share_of_the_part_that_left_the_field_is_published_and_dark(
+    record: Record, inspector: Inspector
+) -> None:
+    """A part at the rim states what was not judged, and the same press without its registration is drawn brighter; one
+    in the middle states nothing unseen."""
+    middle, rim = (inspect(inspector, parts.press(parts.BLOCK, Pose(x))) for x in (0.0, 30.0))
+    shares = [report.result.pose and report.result.pose.unseen_share for report in map(record, (middle, rim))]
+    pictures = [record(press).heatmap_png or b"" for press in (rim, replace(rim, registered=None))]
+    dark, bright = (cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) for png in pictures)
+
+    assert (shares[0] or 0) < 0.05 < (shares[1] or 0)
+    assert float(np.mean(dark)) < float(np.mean(bright)) - 1
+
+
+def test_a_press_whose_pose_is_not_found_is_rejected(record: Record, inspector: Inspector) -> None:
     """Another part is no pass and no fail: the reason and a sentence are published."""
-    inspection = _inspected(inspector, parts.press(parts.OTHER, Pose(3.0, -2.0, 0.4)))
-    result = _published(tmp_path, inspector, inspection)
+    press = inspect(inspector, parts.press(parts.OTHER, Pose(3.0, -2.0, 0.4)))
+    result = record(press).result
 
-    assert inspection.word == "rejected"
-    assert result["reason"].startswith("no_pose: the part is not recognised")
-    assert result["pose"] is None
-
-
-def test_the_time_of_registration_is_published(inspector: Inspector) -> None:
-    """It is a stage of its own next to trunk and head."""
-    found = _inspected(inspector, parts.press(parts.BLOCK, Pose()))
-
-    assert list(found.latency_ms) == ["decode", "registration", "trunk", "head"]
-
-
-def test_places_that_were_not_judged_are_dark_in_the_picture(tmp_path: Path, inspector: Inspector) -> None:
-    """The same press without its registration is drawn brighter."""
-    inspection = _inspected(inspector, parts.press(parts.BLOCK, Pose(30.0)))
-    store = Store(tmp_path / "presses.db")
-    try:
-        recorder = Recorder(store, "SIM1", Place("site", "line", "station"), SystemClock())
-        pictures = [
-            recorder.prepare(replace(inspection, press_id=new_ulid(0), **change), inspector).heatmap_png
-            for change in ({}, {"registered": None})
-        ]
-    finally:
-        store.close()
-    dark, bright = (cv2.imdecode(np.frombuffer(png or b"", np.uint8), cv2.IMREAD_COLOR) for png in pictures)
-
-    assert dark is not None
-    assert bright is not None
-    assert float(dark.mean()) < float(bright.mean()) - 1
+    assert press.word == "rejected"
+    assert str(result.reason).startswith("no_pose: the part is not recognised")
+    assert result.pose is None

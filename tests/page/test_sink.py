@@ -26,48 +26,46 @@ from plugins.sinks.page import PageOptions, PageSink, plugin
 
 
 def test_it_shows_the_newest_of_everything(sink: PageSink) -> None:
-    """State, gel and alarms as they are now; an alarm that is over is gone."""
+    """As JSON, for programs too, under the name of the topic; null for what has not come yet. An alarm that is over is
+    gone."""
+    assert asked(sink.port, "/state.json") is None
     for message in (
-        state("starting"),
-        state("ready"),
+        *(state("starting"), state("ready"), info(), gel(801, GelState.DUE), stats(mqtt="up"), reference()),
         alarm_message(AlarmPayload(time_ns=T0_NS, alarm="gel", text="the gel is due")),
         alarm_message(AlarmPayload(time_ns=T0_NS, alarm="disk", text="little room")),
         alarm_cleared("disk"),
-        gel(801, GelState.DUE),
+        *press(1),
     ):
         sink.send(message)
-
     station = asked(sink.port, "/station.json")
 
     assert station["place"] == "plant/line1/press2"
-    assert station["state"]["state"] == "ready"
-    assert [alarm["text"] for alarm in station["alarms"].values()] == ["the gel is due"]
+    assert station["state"]["state"] == asked(sink.port, "/state.json")["state"] == "ready"
+    assert asked(sink.port, "/alarms.json") == station["alarms"]
+    assert {name: alarm["text"] for name, alarm in station["alarms"].items()} == {"gel": "the gel is due"}
     assert station["alarms"]["gel"]["what_to_do"] == ADVICE["gel"]
-    assert station["gel"]["presses"] == 801
+    assert asked(sink.port, "/gel.json")["presses"] == station["gel"]["presses"] == 801
+    assert asked(sink.port, "/reference.json")["charts"][0]["measure"] == "score"
+    assert asked(sink.port, "/info.json")["parts"] == ["bolt/pos1", "nut/pos1"]
+    assert asked(sink.port, "/stats.json")["receivers"] == {"mqtt": "up"}
+    assert station | {"presses": asked(sink.port, "/presses.json")} == asked(sink.port, "/live.json")
 
 
 def test_presses_are_newest_first_each_with_its_picture(sink: PageSink) -> None:
-    """A press without a picture says so."""
-    for message in (*press(1), *press(2, picture=None), *press(3, picture=b"\x89PNG3")):
-        sink.send(message)
-
-    presses = asked(sink.port, "/presses.json")
-
-    assert [(one["gel_presses"], one["has_picture"]) for one in presses] == [(3, True), (2, False), (1, True)]
-    assert ask(sink.port, f"/pictures/{presses[0]['press_id']}.png") == (200, b"\x89PNG3")
-    assert ask(sink.port, f"/pictures/{presses[1]['press_id']}.png")[0] == 404
-
-
-def test_what_it_keeps_is_bounded(sink: PageSink) -> None:
-    """The newest results, and the pictures of fewer."""
+    """What it keeps is bounded: the newest results, and the pictures of fewer. A press without a picture says so."""
     for n in range(1, MOST_PRESSES + 20):
-        for message in press(n):
+        for message in press(n, picture=None if n == MOST_PRESSES else b"\x89PNG%d" % n):
             sink.send(message)
-
     presses = asked(sink.port, "/presses.json")
 
-    assert len(presses) == MOST_PRESSES
-    assert [one["has_picture"] for one in presses] == [n < MOST_PICTURES for n in range(MOST_PRESSES)]
+    assert [one["gel_presses"] for one in presses] == list(range(MOST_PRESSES + 19, 19, -1))
+    pictured = [n for n, one in enumerate(presses) if one["has_picture"]]
+    assert (len(pictured), 19 in pictured) == (MOST_PICTURES, False)
+    assert ask(sink.port, f"/pictures/{presses[0]['press_id']}.png") == (
+        200,
+        b"\x89PNG%d" % (MOST_PRESSES + 19),
+    )
+    assert ask(sink.port, f"/pictures/{presses[19]['press_id']}.png")[0] == 404
 
 
 @pytest.mark.parametrize(
@@ -85,23 +83,6 @@ def test_what_it_keeps_is_bounded(sink: PageSink) -> None:
 def test_nothing_else_is_served(sink: PageSink, path: str, method: str, host: str, status: int) -> None:
     """No file of the machine, no other method, and nothing to a page of others."""
     assert ask(sink.port, path, method, Host=host)[0] == status
-
-
-def test_everything_that_is_shown_is_there_as_json(sink: PageSink) -> None:
-    """For programs, under the name of the topic; null for what has not come yet."""
-    assert asked(sink.port, "/state.json") is None
-    for message in (state("ready"), info(), gel(801, GelState.DUE), stats(mqtt="up"), *press(1)):
-        sink.send(message)
-    sink.send(reference())
-
-    assert asked(sink.port, "/state.json")["state"] == "ready"
-    assert asked(sink.port, "/reference.json")["charts"][0]["measure"] == "score"
-    assert asked(sink.port, "/info.json")["parts"] == ["bolt/pos1", "nut/pos1"]
-    assert asked(sink.port, "/gel.json")["presses"] == 801
-    assert asked(sink.port, "/stats.json")["receivers"] == {"mqtt": "up"}
-    assert asked(sink.port, "/alarms.json") == {}
-    live = asked(sink.port, "/live.json")
-    assert {**asked(sink.port, "/station.json"), "presses": asked(sink.port, "/presses.json")} == live
 
 
 def test_a_browser_that_waits_is_answered_when_something_comes(sink: PageSink) -> None:

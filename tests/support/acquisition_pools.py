@@ -15,8 +15,6 @@ from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.model.session import open_session
 
-__all__ = ["PROFILE", "SIZES", "Pool", "Sizes", "made_frames", "pool"]
-
 PROFILE = profile("cropped_lr")
 SIDE = 80
 TAPS = ("layer1", "layer2")

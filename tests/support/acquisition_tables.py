@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from calibration.acquisition.coverage import ROUND, Goal
 
-__all__ = ["ROWS", "read_rows", "tables", "write_rows"]
-
 ROWS = Path(__file__).resolve().parents[1] / "bench" / "acquisitions.jsonl"
 PROMISED = Goal().presses
 POOL = 40

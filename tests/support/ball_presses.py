@@ -17,17 +17,6 @@ from calibration.simulator.renderer import Renderer
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
 from calibration.simulator.streams import Streams
 
-__all__ = [
-    "PLACES_MM",
-    "RADIUS_MM",
-    "UNSEEN",
-    "frames",
-    "nominal",
-    "renderer",
-    "without_free_gel",
-    "write_frames",
-]
-
 U8 = NDArray[np.uint8]
 
 RADIUS_MM = 2.0

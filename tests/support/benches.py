@@ -30,8 +30,6 @@ from plugins.devices.v4l2.sensor import V4l2Sensor
 from plugins.overviews import oak, virtual_overview
 from plugins.sinks import jsonl, memory, mqtt
 
-__all__ = ["DEVICES", "FILM_SIZE", "OVERVIEWS", "SINKS", "Make", "film"]
-
 BenchT = TypeVar("BenchT")
 Make = Callable[[], AbstractContextManager[BenchT]]
 

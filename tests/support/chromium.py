@@ -8,8 +8,6 @@ from typing import Any, Final
 
 import pytest
 
-__all__ = ["BROWSER_MS", "chromium", "wait_until"]
-
 # On a busy machine a browser takes long to start.
 BROWSER_MS: Final = 120_000
 

@@ -10,8 +10,6 @@ from unittest import mock
 
 from edge.cli import main
 
-__all__ = ["Outcome", "gelgate", "ran"]
-
 
 @dataclass(frozen=True)
 class Outcome:

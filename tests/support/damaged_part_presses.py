@@ -16,8 +16,6 @@ from calibration.simulator.plan import PRESS_CYCLE_S
 from calibration.simulator.pose import HeightField, Pose, pose_jitter, sample
 from calibration.simulator.renderer import Exposure
 
-__all__ = ["DamagedPartPresses", "DamagedPress", "with_damage"]
-
 
 def with_damage(part: HeightField, damage: Damage, placed: Pose) -> HeightField:
     """The part with damage whose spot is in the millimetres of the picture, not of the part."""

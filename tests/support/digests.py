@@ -3,8 +3,6 @@
 import hashlib
 from pathlib import Path
 
-__all__ = ["digests"]
-
 
 def digests(folder: Path) -> dict[str, str]:
     """Return the SHA-256 of every file below the folder, by its place there."""

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from edge.model.session import saturates
 
-__all__ = ["needs_emulator", "processor_kind", "run_on_haswell"]
-
 _ROOT = Path(__file__).parents[2]
 _EMULATOR = shutil.which("qemu-x86_64") if platform.machine() == "x86_64" else None
 _RUN = """

@@ -9,19 +9,6 @@ import onnxruntime as ort
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal, ScoreMaps
 from edge.model.packing import pack
 
-__all__ = [
-    "RESNET18",
-    "SMALL",
-    "fit",
-    "grid",
-    "hard_presses",
-    "parity",
-    "presses_of",
-    "run_head",
-    "stored_bytes",
-    "with_spot",
-]
-
 SMALL = {"layer1": (6, 8, 8), "layer2": (8, 4, 4), "layer3": (10, 2, 2)}
 """Taps of a toy trunk on a 32x32 frame."""
 

@@ -8,8 +8,6 @@ from edge.core.detector import ScoreMaps
 from edge.model.session import open_session
 from export.importers.contract import Imported
 
-__all__ = ["scores_of"]
-
 
 def scores_of(model: Imported, frames: NDArray[np.uint8]) -> ScoreMaps:
     """Maps (n, h, w) and scores (n,), frame by frame."""

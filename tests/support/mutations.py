@@ -15,8 +15,6 @@ import numpy as np
 from plugins.reading.foreign import Record
 from plugins.reading.isolated import BASE_BYTES
 
-__all__ = ["as_little_memory_as_the_reader", "changed_bytes", "changed_value", "with_canary"]
-
 _VALUES: list[Any] = [
     None, True, -1, 0, 2**40, float("nan"), "", "text", [], {}, [[]], np.zeros(0), np.zeros((2, 2, 2, 2)),
     np.full(3, np.inf), np.array(7), Record("torch.nn.modules.x.Y", [1], {"a": 1}),

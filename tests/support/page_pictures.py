@@ -24,8 +24,6 @@ from edge.page.changes import Changes
 from edge.page.server import PageServer
 from edge.page.shown import Shown
 
-__all__ = ["SCENES", "Scene", "picture_of", "served"]
-
 TOKEN: Final = "correct-horse"
 
 # The press of the README's picture, as it is written there.

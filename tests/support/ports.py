@@ -2,8 +2,6 @@
 
 import socket
 
-__all__ = ["free_port"]
-
 _reserved: list[socket.socket] = []
 
 

@@ -21,8 +21,6 @@ from edge import registry
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 
-__all__ = ["DEPTH_MM", "PROFILE", "REGION", "Bench", "dome_bench", "dome_config", "dome_presses", "write"]
-
 PROFILE = profile("cropped_lr")
 REGION = Region(112, 72, 96, 96)
 DEPTH_MM = 0.3

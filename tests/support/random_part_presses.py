@@ -17,8 +17,6 @@ from calibration.simulator.sensor_appearance import SENSORS
 from calibration.simulator.simulate import paper_scenes
 from calibration.simulator.streams import Streams
 
-__all__ = ["RandomPartPresses"]
-
 # As most of the analogues are pressed.
 DEPTH_MM = 0.4
 

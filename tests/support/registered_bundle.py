@@ -15,8 +15,6 @@ from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["PROFILE", "PlaceDetector", "fitted", "nominal", "registered"]
-
 PROFILE = SensorProfile("turned", (parts.SIDE, parts.SIDE), (0.0, 0.0), (parts.SIDE, parts.SIDE), 1, 15.77)
 
 

@@ -9,8 +9,6 @@ from station import FPS, HEADER, Motion, gel, jpeg
 
 from edge.recording.format import RecordingWriter
 
-__all__ = ["MARK", "scarred_recording"]
-
 MARK = (136, 112, 8)
 """Left, top and side of a small mark under the part: one cell of the tiny detector."""
 

@@ -10,8 +10,6 @@ from edge.core.ports import Message
 from edge.messaging.sink_worker import RetainedState, SinkWorker
 from edge.store.outbox import Outbox
 
-__all__ = ["ScriptedSink", "drain", "worker"]
-
 
 class ScriptedSink:
     """Accepts messages; a test can make it unreachable, lose an acknowledgement or refuse a topic."""

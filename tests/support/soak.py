@@ -37,8 +37,6 @@ from edge.messaging.validation import StationsCheck
 from edge.store.integrity import check_database
 from edge.store.outbox import Outbox
 
-__all__ = ["FAULTS", "Outcome", "soak"]
-
 PRESSES = 6  # of the recording that each round plays
 # Far more than any round needs; only a gateway that hangs comes to this.
 ROUND_S = 120.0

@@ -12,8 +12,6 @@ from calibration.progress import Advance
 from calibration.studies.harness.cells import Cell
 from edge.core.errors import FitError
 
-__all__ = ["Counted", "DiesOnce", "Interrupted", "KillsScheduler", "cells", "dies", "quiet", "seeds_of"]
-
 
 def cells(count: int) -> list[Cell]:
     """Cells that differ in their seed."""

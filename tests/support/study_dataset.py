@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["study_dataset"]
-
 LR, HR = (320, 240), (1280, 720)
 
 

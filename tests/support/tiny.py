@@ -30,23 +30,6 @@ from edge.model.manifest import (
 )
 from edge.model.manifest_facts import GIVEN
 
-__all__ = [
-    "PROFILE",
-    "REGION",
-    "TINY",
-    "TINY_BACKBONE",
-    "TinyBackbone",
-    "TinyDetector",
-    "TinyParameters",
-    "presses",
-    "tiny_bank",
-    "tiny_facts",
-    "tiny_files",
-    "tiny_graphs",
-    "tiny_grid",
-    "tiny_trunk",
-]
-
 PROFILE = SensorProfile("tiny", (48, 40), (0.0, 0.0), (48, 40), 1, 15.77)
 REGION = Region(8, 4, 32, 32)
 

@@ -8,8 +8,6 @@ from calibration.fitting.fit import FitConfig
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 
-__all__ = ["config", "presses"]
-
 
 def presses(n: int, **changes: object) -> NominalPresses:
     frames = tiny.presses(n)

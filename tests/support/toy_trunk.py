@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from edge.model.session import open_session
 from plugins.onnx_builder import Graph
 
-__all__ = ["features_of", "toy_trunk"]
-
 
 def toy_trunk(taps: Mapping[str, tuple[int, int]], seed: int = 0) -> bytes:
     """Frames to taps, positive. taps: name to (channels, stride); `avgpool` gives one cell."""

@@ -12,20 +12,6 @@ from numpy.typing import NDArray
 
 from edge.core.registration.pose import Pose
 
-__all__ = [
-    "BALL",
-    "BLOCK",
-    "CROSS",
-    "OTHER",
-    "SENSOR",
-    "SIDE",
-    "anywhere",
-    "free_gel",
-    "poses",
-    "press",
-    "slopes",
-]
-
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 Bumps = Sequence[tuple[float, float, float, float]]

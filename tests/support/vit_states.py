@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["WIDTH", "random_vit", "save_safetensors"]
-
 WIDTH = 128
 State = dict[str, NDArray[np.float32]]
 
