@@ -92,8 +92,7 @@ def _changes(shown: "BrokerStation", settings: "PageSettings", secret_file: Path
     from edge.config.secret_file import read_secret
     from edge.core.errors import ConfigError
     from edge.messaging.command_payloads import SHORTEST_SECRET
-    from edge.page.access import TokenGate
-    from edge.page.changes import Changes
+    from edge.page.changes import Changes, TokenGate
     from edge.page.from_broker import page_requests
 
     clock = SystemClock()

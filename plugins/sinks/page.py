@@ -13,8 +13,7 @@ from edge.core.errors import SinkRejected
 from edge.core.plugins import SinkPlugin
 from edge.core.ports import Clock, Message
 from edge.core.sink_context import Station
-from edge.page.access import TokenGate
-from edge.page.changes import Changes
+from edge.page.changes import Changes, TokenGate
 from edge.page.server import PageServer
 from edge.page.settings import PageSettings
 from edge.page.shown import Shown

@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from edge.clock import ManualClock
-from edge.page.access import MOST_ADDRESSES, WRONG_PER_MINUTE, Access, TokenGate, change_refusal
+from edge.page.access import Access
+from edge.page.changes import MOST_ADDRESSES, WRONG_PER_MINUTE, TokenGate, change_refusal
 
 OWN = {"host": "gateway:8080", "content-type": "application/json"}
 PLANT = Access((ip_network("192.168.1.0/24"), ip_network("fd00::/8")), ("gateway.plant",))

@@ -26,8 +26,8 @@ from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_mess
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_broker import Broker, Outgoing, Received
 from edge.messaging.mqtt_connection import Connection
-from edge.page.access import Access, TokenGate
-from edge.page.changes import Changes
+from edge.page.access import Access
+from edge.page.changes import Changes, TokenGate
 from edge.page.from_broker import BrokerStation, page_requests
 from edge.page.server import PageServer
 from edge.store.press_store import Store

@@ -19,8 +19,8 @@ from edge.core.sink_context import PageRequests
 from edge.core.verdict import Kind
 from edge.messaging.alarm_payload import AlarmPayload, alarm_message
 from edge.messaging.command_payloads import CommandResponse
-from edge.page.access import Access, TokenGate
-from edge.page.changes import Changes
+from edge.page.access import Access
+from edge.page.changes import Changes, TokenGate
 from edge.page.server import PageServer
 from edge.page.shown import Shown
 
