@@ -19,7 +19,7 @@ from edge.core.sink_context import PageRequests, Station
 from edge.gateway.command_policy import CommandPolicy
 from edge.gateway.commands import Change, Commands
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
-from edge.page.access import WRONG_PER_MINUTE
+from edge.page.changes import WRONG_PER_MINUTE
 from edge.store.press_store import Store
 from plugins.sinks.page import PageOptions, PageSink
 
