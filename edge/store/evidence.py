@@ -1,14 +1,18 @@
-"""The presses of a database and what the ledger says of their archive. Reads only, also while a gateway runs."""
+"""The presses of a database, what the ledger says of their archive, and the archive to read. Nothing is written."""
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from edge.core.errors import ArchiveError
 from edge.store.database import open_read_only
 from edge.store.ledger_chain import head
+from edge.store.press_archive import OBJECTS, PRESSES, ArchivedPress, Digest
 
-__all__ = ["KnownPress", "find_press", "presses_since"]
+__all__ = ["ArchiveFolder", "KnownPress", "find_press", "presses_since"]
 
 _COLUMNS = "number, press_id, time_ns, evidence"
 
@@ -69,3 +73,54 @@ def _describe(database: Path) -> str:
     return f"database {database} (ledger {ledger_id}, {presses} presses" + (
         f", {first} to {last})" if presses else ")"
     )
+
+
+class ArchiveFolder:
+    """An archive to read. Errors of every method: ArchiveError, which says what is gone or damaged."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def press(self, press_id: str, evidence: bytes | None) -> ArchivedPress:
+        """The record of a press. evidence: its SHA-256 by the ledger."""
+        if evidence is None:
+            raise ArchiveError(
+                f"press {press_id} was never archived: it has no judged frame, or the archive was off or without room"
+            )
+        path = self.folder / PRESSES / f"{press_id}.json"
+        data = _read(path, f"press {press_id}")
+        if hashlib.sha256(data).digest() != evidence:
+            raise ArchiveError(
+                f"{path} is not what the ledger says of press {press_id}: it was changed, or is of another database; "
+                "take it from a backup"
+            )
+        try:
+            return ArchivedPress.model_validate_json(data)
+        except ValidationError as error:
+            raise ArchiveError(
+                f"{path} cannot be read by this version ({error.errors()[0]['msg']}); use the version that wrote it"
+            ) from error
+
+    def read(self, digest: Digest, what: str) -> bytes:
+        """The bytes of this SHA-256. what: in words, for errors."""
+        path = self.folder / OBJECTS / digest
+        data = _read(path, what)
+        if hashlib.sha256(data).hexdigest() != digest:
+            raise ArchiveError(
+                f"{what} is damaged: {path} has another SHA-256 than its name; take it from a backup"
+            )
+        return data
+
+
+def _read(path: Path, what: str) -> bytes:
+    if path.is_fifo():
+        raise ArchiveError(f"{what} cannot be read: {path} is a named pipe; take the file from a backup")
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise ArchiveError(
+            f"{what} is gone: {path} is not there; only the newest presses are kept ([archive]), older ones are in "
+            "backups of the folder, which --archive names"
+        ) from None
+    except OSError as error:
+        raise ArchiveError(f"{what} cannot be read: {path}: {error.strerror}; check its rights") from error

@@ -15,12 +15,11 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
-from edge.core.errors import ArchiveError
 from edge.store.ulid import is_ulid
 
-__all__ = ["ArchiveFolder", "ArchivedPress", "PressArchive"]
+__all__ = ["OBJECTS", "PRESSES", "ArchivedPress", "Digest", "PressArchive", "list_presses"]
 
 OBJECTS: Final = "objects"
 PRESSES: Final = "presses"
@@ -81,51 +80,6 @@ class ArchivedPress(BaseModel):
     def encode(self) -> bytes:
         """The record's file."""
         return self.model_dump_json().encode()
-
-
-class ArchiveFolder:
-    """An archive to read. Errors of every method: ArchiveError, which says what is gone or damaged."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def press(self, press_id: str, evidence: bytes | None) -> ArchivedPress:
-        """The record of a press. evidence: its SHA-256 by the ledger."""
-        if evidence is None:
-            raise ArchiveError(
-                f"press {press_id} was never archived: it has no judged frame, or the archive was off or without room"
-            )
-        path = self.folder / PRESSES / f"{press_id}.json"
-        data = _read(path, f"press {press_id}")
-        if hashlib.sha256(data).digest() != evidence:
-            raise ArchiveError(
-                f"{path} is not what the ledger says of press {press_id}: it was changed, or is of another database; "
-                "take it from a backup"
-            )
-        try:
-            return ArchivedPress.model_validate_json(data)
-        except ValidationError as error:
-            raise ArchiveError(
-                f"{path} cannot be read by this version ({error.errors()[0]['msg']}); use the version that wrote it"
-            ) from error
-
-    def read(self, digest: Digest, what: str) -> bytes:
-        """The bytes of this SHA-256. what: in words, for errors."""
-        path = self.folder / OBJECTS / digest
-        data = _read(path, what)
-        if hashlib.sha256(data).hexdigest() != digest:
-            raise ArchiveError(
-                f"{what} is damaged: {path} has another SHA-256 than its name; take it from a backup"
-            )
-        return data
-
-    def press_ids(self) -> list[str]:
-        """List the presses whose record is there, oldest first."""
-        try:
-            names = [entry.name for entry in os.scandir(self.folder / PRESSES) if entry.is_file()]
-        except OSError:
-            return []
-        return sorted(name[:-5] for name in names if name.endswith(".json") and is_ulid(name[:-5]))
 
 
 class PressArchive:
@@ -208,25 +162,20 @@ class PressArchive:
             self._sizes.pop(digest, None)
 
 
+def list_presses(folder: Path) -> list[str]:
+    """List the presses whose record is there, oldest first."""
+    try:
+        names = [entry.name for entry in os.scandir(folder / PRESSES) if entry.is_file()]
+    except OSError:
+        return []
+    return sorted(name[:-5] for name in names if name.endswith(".json") and is_ulid(name[:-5]))
+
+
 def _records(folder: Path) -> Iterator[tuple[str, tuple[Digest, ...]]]:
     """Press ids and their objects: every digest in the record, so that one of a newer version keeps its objects."""
-    for press_id in ArchiveFolder(folder).press_ids():
+    for press_id in list_presses(folder):
         record = (folder / PRESSES / f"{press_id}.json").read_bytes()
         yield press_id, tuple(digest.decode() for digest in _DIGEST.findall(record))
-
-
-def _read(path: Path, what: str) -> bytes:
-    if path.is_fifo():
-        raise ArchiveError(f"{what} cannot be read: {path} is a named pipe; take the file from a backup")
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise ArchiveError(
-            f"{what} is gone: {path} is not there; only the newest presses are kept ([archive]), older ones are in "
-            "backups of the folder, which --archive names"
-        ) from None
-    except OSError as error:
-        raise ArchiveError(f"{what} cannot be read: {path}: {error.strerror}; check its rights") from error
 
 
 def _write(path: Path, data: bytes) -> None:

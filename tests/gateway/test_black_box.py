@@ -18,8 +18,9 @@ from station import station_config, variant
 from stepped_station import SteppedStation
 
 from edge.gateway.recorder import PressReport
+from edge.store.evidence import ArchiveFolder
 from edge.store.integrity import check_database
-from edge.store.press_archive import ArchivedPress, ArchiveFolder, PressArchive
+from edge.store.press_archive import ArchivedPress, PressArchive, list_presses
 
 
 class Played:
@@ -232,7 +233,7 @@ def test_only_the_newest_presses_are_kept(tmp_path: Path, recording: Path, bundl
     """What only older ones used goes with them; their rows stay, and replay says what is gone."""
     played, _ = play(station_config(tmp_path, recording, bundle, tables="[archive]\npresses = 1\n"))
 
-    assert ArchiveFolder(played.archive).press_ids() == [played.ids[2]]
+    assert list_presses(played.archive) == [played.ids[2]]
     assert {path.name for path in played.objects.iterdir()} == set(played.record(2).objects)
     said = played.replay(played.ids[0]).err
     assert f"press {played.ids[0]} is gone" in said
@@ -244,7 +245,7 @@ def test_the_size_is_kept_as_well(tmp_path: Path, recording: Path, bundle: Path)
     played, _ = play(station_config(tmp_path, recording, bundle, tables="[archive]\nmb = 1\n"))
 
     assert 0 < sum(path.stat().st_size for path in played.objects.iterdir()) <= 1_000_000
-    assert played.ids[2] in ArchiveFolder(played.archive).press_ids()
+    assert played.ids[2] in list_presses(played.archive)
 
 
 def test_a_press_that_is_larger_than_the_archive_is_kept(tmp_path: Path, made: Played) -> None:
@@ -252,7 +253,7 @@ def test_a_press_that_is_larger_than_the_archive_is_kept(tmp_path: Path, made: P
     press, archive = made.record(0), PressArchive(tmp_path / "small", 10, 1)
     for press_id in made.ids[:2]:
         archive.keep(press.model_copy(update={"press_id": press_id}), {press.frame: b"frame"})
-        assert ArchiveFolder(tmp_path / "small").press_ids() == [press_id]
+        assert list_presses(tmp_path / "small") == [press_id]
 
 
 def test_an_archive_that_is_off_keeps_nothing(tmp_path: Path, recording: Path, bundle: Path) -> None:

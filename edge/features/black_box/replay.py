@@ -24,7 +24,8 @@ from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
 from edge.model.inspector import Inspector
 from edge.model.machine import fingerprint, how_they_differ
 from edge.model.scorer import Scorer
-from edge.store.press_archive import ArchivedPress, ArchiveFolder
+from edge.store.evidence import ArchiveFolder
+from edge.store.press_archive import ArchivedPress
 
 __all__ = ["Bundles", "Replayed", "replayed"]
 
