@@ -10,7 +10,6 @@ from ports import free_port
 from station import station_config
 from stepped_station import SteppedStation
 
-from edge.core.errors import ConfigError
 from edge.gateway.metrics import METRICS, Metrics, serve_metrics
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, alarm_message
 from edge.messaging.payload_base import Payload
@@ -118,13 +117,3 @@ def test_a_page_of_others_and_slow_clients_are_no_readers(port: int) -> None:
         assert ask(port, "/metrics", Host="attacker.example")[0] == 403
         assert ask(port, "/")[0] == 404
         assert "process_open_fds" in ask(port, "/metrics")[1].decode()
-
-
-def test_a_port_that_is_taken_is_one_sentence(port: int) -> None:
-    """Another gateway on the same machine."""
-    with (
-        serve_metrics(port),
-        pytest.raises(ConfigError, match=rf"metrics.port {port} cannot be served .* choose another port"),
-        serve_metrics(port),
-    ):
-        pass

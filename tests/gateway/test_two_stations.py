@@ -9,10 +9,9 @@ from stepped_station import SteppedStation
 
 from edge.clock import ManualClock
 from edge.config import load_config
-from edge.core.errors import DeviceBusy, DeviceLost, DeviceNotFound
+from edge.core.errors import DeviceLost, DeviceNotFound
 from edge.gateway.preflight import preflight
 from edge.store.press_store import Store
-from plugins.devices.usb_mock import UsbMock, UsbMockOptions
 from plugins.devices.uvc.identity import choose, discover
 from plugins.devices.uvc.stream import UvcSensor
 from plugins.devices.virtual.bus import VirtualBus
@@ -62,23 +61,6 @@ def test_a_station_that_names_no_serial_refuses_to_choose(
     assert "2 sensors are plugged in (" in fault.text
     assert RIGHT in fault.text
     assert "name one by its serial" in fault.text
-
-
-def test_one_sensor_is_read_by_one_station(recording: Path) -> None:
-    """Another serial of the same recording is another sensor."""
-    plugin, clock = UsbMock(), ManualClock()
-
-    def options(serial: str) -> UsbMockOptions:
-        return UsbMockOptions(recording=recording, pace=0, serial=serial)
-
-    first, second = plugin.open(options(LEFT), clock), plugin.open(options(RIGHT), clock)
-    try:
-        assert (first.identity.serial, second.identity.serial) == (LEFT, RIGHT)
-        with pytest.raises(DeviceBusy, match="in use by process"):
-            plugin.open(options(LEFT), clock)
-    finally:
-        first.close()
-        second.close()
 
 
 def test_two_sensors_of_one_bus_deliver_their_own_frames(tmp_path: Path) -> None:
