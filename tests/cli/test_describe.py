@@ -87,12 +87,6 @@ def test_it_is_printed_or_written(config: Path, tmp_path: Path, capsys: pytest.C
     assert json.loads(printed)["device"]["name"] == "plant/line/press2"
 
 
-def test_a_missing_configuration_is_a_refusal(tmp_path: Path) -> None:
-    """One sentence with the file."""
-    with pytest.raises(ConfigError, match=r"gone\.toml"):
-        describe(tmp_path / "gone.toml")
-
-
 @pytest.fixture
 def broker() -> Iterator[LocalBroker]:
     if "mosquitto" not in available_brokers():
@@ -108,20 +102,17 @@ def leaves(broker: LocalBroker, root: str, payload: bytes) -> None:
     connection.close()
 
 
-@pytest.mark.parametrize("form", ["asyncapi", "homeassistant", "node-red"])
-def test_the_address_of_the_broker_is_enough(
-    config: Path, broker: LocalBroker, form: str, tmp_path: Path
-) -> None:
-    """The same file as from the configuration of the station, with the broker that was named."""
+def test_the_address_of_the_broker_is_enough(config: Path, broker: LocalBroker, tmp_path: Path) -> None:
+    """The same files as from the configuration of the station, with the broker that was named."""
     address = f'host = "{broker.host}", port = {broker.port}, '
     config.write_text(CONFIG.replace('host = "broker.plant", tls = {}, ', address), encoding="utf-8")
     station = describe_station(load_config(config))
     leaves(broker, station.root, asyncapi_message(station).payload)
     leaves(broker, station.root.replace("press2", "press3"), b"{")
 
-    describe(form=Format(form), host=broker.host, port=broker.port, output=tmp_path / "made")
-
-    assert (tmp_path / "made").read_text(encoding="utf-8") == text(config, form)
+    for form in ("asyncapi", "homeassistant", "node-red"):
+        describe(form=Format(form), host=broker.host, port=broker.port, output=tmp_path / form)
+        assert (tmp_path / form).read_text(encoding="utf-8") == text(config, form)
 
 
 def test_a_broker_without_one_station_is_refused_in_a_sentence(config: Path, broker: LocalBroker) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from breakable_station import Bench
-from command_line import gelgate
+from command_line import gelgate, ran
 
 pytest.importorskip("cryptography", reason="signatures need the extra `signing`")
 
@@ -48,18 +48,13 @@ def test_required_of_nobody_is_a_fault(bench: Bench) -> None:
 
 
 def test_inspect_and_verify_name_the_maker(bench: Bench, keys: Path) -> None:
-    """Without keys the signature is not checked, which is said; with them it is."""
-    gelgate("bundle", "sign", "bundle", "--key", "line4.key")
-    assert "not checked" in gelgate("bundle", "inspect", "bundle").out
-    assert "signed by 'line4'" in gelgate("bundle", "inspect", "bundle", "--keys", "trusted").out
-    assert "signed by 'line4'" in gelgate("bundle", "verify", "bundle", "--keys", "trusted").out
-
-
-def test_verify_fails_without_the_signature_that_it_was_asked_for(bench: Bench, keys: Path) -> None:
-    """Exit code 5."""
-    done = gelgate("bundle", "verify", "bundle", "--keys", "trusted")
-    assert done.code == 5
-    assert "not signed" in done.err
+    """Not signed: exit code 5. Without keys the signature is not checked, which is said; with them it is."""
+    unsigned = gelgate("bundle", "verify", "bundle", "--keys", "trusted")
+    assert (unsigned.code, "not signed" in unsigned.err) == (5, True)
+    ran("bundle", "sign", "bundle", "--key", "line4.key")
+    assert "not checked" in ran("bundle", "inspect", "bundle")
+    for verb in ("inspect", "verify"):
+        assert "signed by 'line4'" in ran("bundle", verb, "bundle", "--keys", "trusted")
 
 
 def test_a_damaged_bundle_is_not_signed(bench: Bench, keys: Path) -> None:
@@ -70,19 +65,12 @@ def test_a_damaged_bundle_is_not_signed(bench: Bench, keys: Path) -> None:
     assert not (Path("bundle") / "manifest.sig").exists()
 
 
-def test_keys_show_the_fingerprints_that_others_print(bench: Bench, keys: Path) -> None:
-    """Of one file and of a folder."""
-    assert (
-        gelgate("bundle", "keys", "show", "trusted").out
-        == gelgate("bundle", "keys", "show", "trusted/line4.pub").out
-    )
-    assert "line4" in gelgate("bundle", "keys", "show", "trusted").out
-
-
-def test_a_key_that_exists_is_not_replaced(bench: Bench, keys: Path) -> None:
-    """One sentence, and the key stays."""
+def test_keys_are_shown_and_never_replaced(bench: Bench, keys: Path) -> None:
+    """The fingerprints of a folder are those of its files."""
+    shown = ran("bundle", "keys", "show", "trusted")
+    assert shown == ran("bundle", "keys", "show", "trusted/line4.pub")
+    assert "line4" in shown
     before = Path("line4.key").read_bytes()
     done = gelgate("bundle", "keys", "new", "line4")
-    assert done.code == 3
-    assert "not replaced" in done.sentence()
+    assert (done.code, "not replaced" in done.sentence()) == (3, True)
     assert Path("line4.key").read_bytes() == before

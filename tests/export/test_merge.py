@@ -10,6 +10,7 @@ import onnxruntime as ort
 import pytest
 import tiny
 from command_line import ran
+from registered_bundle import registered
 
 from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.model.bundle import Bundle, GoldenFrame
@@ -70,11 +71,13 @@ def test_merge_writes_the_file_and_a_bundle_around_it(bundle: Bundle, tmp_path: 
     assert merge_bundle(good, tmp_path / "again.onnx") < 1e-6
 
 
-def test_a_single_graph_has_nothing_to_merge(bundle: Bundle, tmp_path: Path) -> None:
-    """The sentence says what to copy instead."""
+def test_what_cannot_be_merged_is_refused(bundle: Bundle, tmp_path: Path) -> None:
+    """A single graph, with what to copy instead; a bundle that registers its presses, as other programs do not."""
     merge_bundle(bundle, tmp_path / "single", as_bundle=True)
     with pytest.raises(BundleMismatch, match=r"copy its detector\.onnx"):
         merged_graph(Bundle.load(tmp_path / "single"))
+    with pytest.raises(BundleMismatch, match="fit it again with --register never"):
+        merged_graph(registered().bundle())
 
 
 def test_a_graph_that_scores_otherwise_is_not_written(

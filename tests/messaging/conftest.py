@@ -102,19 +102,20 @@ def sink_to() -> Iterator[Callable[..., MqttSink]]:
     opened: list[MqttSink] = []
 
     def make(
-        broker: LocalBroker, on_command: Callable[[str, bytes], bytes] | None = None, **options: object
+        broker: LocalBroker | ScriptedBroker,
+        on_command: Callable[[str, bytes], bytes] | None = None,
+        station: Station | None = None,
+        **options: object,
     ) -> MqttSink:
-        station = Station(
+        usual = Station(
             ROOT,
             client_id="press2",
             will=Message("state", b'{"state":"lost"}', retain=True),
             birth=lambda: [Message("state", b'{"state":"ready"}', retain=True)],
             on_command=on_command,
         )
-        chosen = MqttOptions.model_validate(
-            {"host": broker.host, "port": broker.port, "retry_s": 1.0, "acknowledge_s": PATIENCE_S, **options}
-        )
-        opened.append(plugin.open(chosen, station))
+        address = {"host": "127.0.0.1", "port": broker.port, "retry_s": 1.0, "acknowledge_s": PATIENCE_S}
+        opened.append(plugin.open(MqttOptions.model_validate({**address, **options}), station or usual))
         return opened[-1]
 
     yield make

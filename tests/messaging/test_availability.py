@@ -1,7 +1,7 @@
 """The plain topic `availability`: what a dashboard reads of a station that comes, goes and disappears."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 
 import pytest
@@ -14,8 +14,7 @@ from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker
 from edge.messaging.mqtt_connection import Connection
 from edge.messaging.status_payloads import availability_message
-from plugins.sinks.mqtt import MqttSink, plugin
-from plugins.sinks.mqtt_options import MqttOptions
+from plugins.sinks.mqtt import MqttSink
 
 from .conftest import PATIENCE_S, ROOT, Listener
 
@@ -28,27 +27,6 @@ STATION = Station(
     offline=availability_message(is_online=False),
     birth=lambda: [availability_message(is_online=True)],
 )
-
-
-@pytest.fixture
-def open_sink() -> Iterator[Opens]:
-    """Opens sinks of a station with both wills, and closes them at the end."""
-    opened: list[MqttSink] = []
-
-    def make(broker: LocalBroker | ScriptedBroker, **options: object) -> MqttSink:
-        given = {
-            "host": "127.0.0.1",
-            "port": broker.port,
-            "retry_s": 1.0,
-            "acknowledge_s": PATIENCE_S,
-            **options,
-        }
-        opened.append(plugin.open(MqttOptions.model_validate(given), STATION))
-        return opened[-1]
-
-    yield make
-    for sink in opened:
-        sink.close()
 
 
 @pytest.fixture
@@ -84,12 +62,12 @@ def lose_the_second_connection(broker: LocalBroker, sink: MqttSink) -> None:
 
 
 def test_a_station_that_disappears_is_offline(
-    any_broker: tuple[LocalBroker, str], open_sink: Opens, listen: Listen
+    any_broker: tuple[LocalBroker, str], sink_to: Opens, listen: Listen
 ) -> None:
-    """The broker publishes it by itself when both connections end without a word; back again, it is online."""
+    """The broker says so when both connections end without a word; back again, it is online, and that is retained."""
     broker, protocol = any_broker
     listener = listen(broker)
-    sink = open_sink(broker, protocol=protocol)
+    sink = sink_to(broker, station=STATION, protocol=protocol)
     listener.wait_for(says(b"online"))
     sink.send(Message("result", b"{}"))  # returns when the connection is in use
 
@@ -97,17 +75,9 @@ def test_a_station_that_disappears_is_offline(
     sink._connection.abandon("the cable is pulled")
 
     listener.wait_for(says(b"online", b"offline", b"online"))
-
-
-def test_it_is_retained(mosquitto: LocalBroker, open_sink: Opens, listen: Listen) -> None:
-    """A dashboard that comes later sees it at once, as plain text."""
-    open_sink(mosquitto)
-    listen(mosquitto).wait_for(says(b"online"))
-
-    late = listen(mosquitto, client_id="late")
-
+    late = listen(broker, client_id="late")
     late.wait_for(says(b"online"))
-    assert [m.retain for m in late.heard if m.topic.endswith("/availability")] == [True]
+    assert late.heard[0].retain
 
 
 def test_a_second_connection_that_is_lost_alone_is_opened_again(
@@ -124,10 +94,10 @@ def test_a_second_connection_that_is_lost_alone_is_opened_again(
     assert stepped_sink._connection is first
 
 
-def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, open_sink: Opens, listen: Listen) -> None:
+def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, sink_to: Opens, listen: Listen) -> None:
     """Both connections say goodbye: what the station has said last stays."""
     listener = listen(mosquitto)
-    sink = open_sink(mosquitto)
+    sink = sink_to(mosquitto, station=STATION)
     listener.wait_for(says(b"online"))
 
     sink.close()
@@ -139,21 +109,21 @@ def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, open_sink: O
 
 
 def test_without_the_second_connection_the_topic_is_empty(
-    mosquitto: LocalBroker, open_sink: Opens, listen: Listen
+    mosquitto: LocalBroker, sink_to: Opens, listen: Listen
 ) -> None:
     """With the option off nothing says online: no one could say offline later."""
     listener = listen(mosquitto)
 
-    sink = open_sink(mosquitto, availability=False)
+    sink = sink_to(mosquitto, station=STATION, availability=False)
 
     listener.wait_for(lambda heard: heard.payloads("availability") == [b""])
     assert list(sink.faults) == []
 
 
-def test_a_broker_that_refuses_the_second_connection_is_a_fault(open_sink: Opens) -> None:
+def test_a_broker_that_refuses_the_second_connection_is_a_fault(sink_to: Opens) -> None:
     """The rest works, the topic is empty, and the sentence names the client id and the option."""
     with ScriptedBroker(connects=["accept", "refuse"]) as broker:
-        sink = open_sink(broker, protocol="5")
+        sink = sink_to(broker, station=STATION, protocol="5")
 
         sink.send(Message("result", b"{}"))
 

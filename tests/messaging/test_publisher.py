@@ -1,5 +1,6 @@
 """The publisher: a thread for each sink, which ends in time and keeps what was not sent."""
 
+import os
 import random
 import threading
 from collections.abc import Iterator
@@ -147,15 +148,22 @@ def test_a_sink_that_never_comes_back_does_not_hold_up_the_end(
     PublisherLock(path).close()
 
 
-def test_a_second_publisher_of_the_same_database_is_refused(store: Store, path: Path) -> None:
-    """Two would change the order of messages; when the first has ended the second may start."""
+def test_one_process_publishes_from_a_database_by_whatever_name(store: Store, path: Path) -> None:
+    """Two would change the order of messages; a second hard link is a second journal, which SQLite cannot bear."""
+    link, second = path.with_name("link.db"), path.with_name("second.db")
+    link.symlink_to(path)
     first = publisher(path, mqtt=ScriptedSink())
 
-    with pytest.raises(StoreError, match="another gelgate process publishes"):
-        publisher(path, mqtt=ScriptedSink())
+    for name in (path, link):
+        with pytest.raises(StoreError, match="another gelgate process publishes"):
+            publisher(name, mqtt=ScriptedSink())
     first.stop()
     first.stop()
-    publisher(path, mqtt=ScriptedSink()).stop()
+    publisher(link, mqtt=ScriptedSink()).stop()
+    os.link(path, second)
+    for name in (path, second):
+        with pytest.raises(StoreError, match="has 2 names"):
+            PublisherLock(name)
 
 
 def test_a_fault_in_a_plugin_is_logged_and_retried(

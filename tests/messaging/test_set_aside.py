@@ -109,3 +109,23 @@ def test_closings_while_nothing_waits_suggest_a_second_client_with_the_same_id(
 
     (fault,) = sink.faults
     assert "another client uses the client id 'press2'" in fault
+
+
+def test_a_birth_that_breaks_once_does_not_keep_the_sink_down_for_ever(
+    scripted: ScriptedBroker, stepped: Stepped
+) -> None:
+    """An unexpected error in a function of the station: the connection is made again."""
+    births = iter([RuntimeError("unexpected"), []])
+
+    def birth() -> list[Message]:
+        answer = next(births)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    sink = stepped(scripted, station=Station(ROOT, "unexpected", birth=birth))
+
+    assert sink.step() is not None
+    assert sink.step() is None
+    sink.send(RESULT)
+    assert next(births, None) is None

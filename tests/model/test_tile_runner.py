@@ -4,15 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import ran
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from typer.testing import CliRunner
 
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
-from edge.cli import build
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.tiles import tiling
@@ -213,11 +212,7 @@ def test_the_most_typical_frame_is_one_of_them() -> None:
 def test_a_bundle_survives_writing(fitted: Fitted, tmp_path: Path) -> None:
     """Written and loaded it skips the same tiles, says so, and its golden frames agree."""
     loaded = Bundle.load(write_bundle(tmp_path / "pin.zip", fitted.files))
-    shown = (
-        CliRunner()
-        .invoke(build(), ["bundle", "inspect", str(tmp_path / "pin.zip")], catch_exceptions=False)
-        .output
-    )
+    shown = ran("bundle", "inspect", tmp_path / "pin.zip")
     assert "8 of 64, 4 of them run only when a press touches them" in shown
     scorer = Scorer(loaded)
     assert scorer.check_golden() <= loaded.manifest.tolerance.around(1.0)
@@ -250,11 +245,6 @@ def test_a_wrong_layout_is_refused(bundle: Bundle, change: dict[str, object], sa
     entry["tiles"] |= change
     with pytest.raises(ValidationError, match=says):
         GridEntry.model_validate(entry)
-
-
-def test_skipping_needs_the_picture_of_the_free_gel(bundle: Bundle) -> None:
-    """A manifest with untouched tiles and without free_gel is refused."""
-    entry = bundle.manifest.model_dump()
-    entry["free_gel"] = None
+    manifest = bundle.manifest.model_dump() | {"free_gel": None}  # skipping needs its picture
     with pytest.raises(ValidationError, match="free_gel"):
-        type(bundle.manifest).model_validate(entry)
+        type(bundle.manifest).model_validate(manifest)

@@ -3,12 +3,11 @@
 import json
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from full_disk import room_for
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_recordings import PRODUCT, SERIAL, jpeg, write_recording
@@ -181,30 +180,16 @@ def test_another_recording_is_not_continued(
     assert len(list((tmp_path / "r" / "frames").iterdir())) == 5
 
 
-WRITE_UNTIL_FULL = """
-import pathlib, resource, signal, sys
-from edge.core.errors import StoreError
-from edge.recording.format import RecordingHeader, RecordingWriter
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-folder, size, beyond_index = pathlib.Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
-writer = RecordingWriter(folder, RecordingHeader("p", "s", (64, 48), 25.0))
-writer.add(b"a" * size, 0)
-writer.add(b"b" * size, 1)
-resource.setrlimit(resource.RLIMIT_FSIZE, ((folder / "index.jsonl").stat().st_size + beyond_index,) * 2)
-try:
-    writer.add(b"c" * size, 2)
-except StoreError as error:
-    print(error)
-"""
-
-
 @pytest.mark.parametrize(("size", "beyond_index"), [(5000, 500), (10, 20), (10, 0)])
 def test_a_full_disk_keeps_what_was_recorded(tmp_path: Path, size: int, beyond_index: int) -> None:
     """No room for the frame, for the end of its line, or for its line at all: a clear error, and two frames play."""
     folder = tmp_path / "r"
-    command = [sys.executable, "-c", WRITE_UNTIL_FULL, str(folder), str(size), str(beyond_index)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "stops after 2 frames" in done.stdout
+    with RecordingWriter(folder, HEADER) as writer:
+        writer.add(b"a" * size, 0)
+        writer.add(b"b" * size, 1)
+        room = (folder / "index.jsonl").stat().st_size + beyond_index
+        with room_for(room), pytest.raises(StoreError, match="stops after 2 frames"):
+            writer.add(b"c" * size, 2)
     recording = Recording.open(folder)
     assert [entry.frame.payload for entry in recording] == [b"a" * size, b"b" * size]
     assert not recording.is_cut
