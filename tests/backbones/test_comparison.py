@@ -1,6 +1,6 @@
 """The backbones for comparison: their weights and their graphs."""
 
-from importlib.metadata import PackageNotFoundError, distribution
+from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
@@ -24,22 +24,13 @@ from plugins.backbones.efficientnet_lite0 import (
 from plugins.backbones.random import RandomBackbone, wide_resnet50_2_random
 
 
-@pytest.fixture
-def package() -> str:
-    try:
-        distribution(PACKAGE)
-    except PackageNotFoundError:
-        pytest.skip("SKIPPED, NOT TESTED: the extra `comparison` brings the weights")
-    return PACKAGE
-
-
 def run(trunk: bytes, rgb: np.ndarray[Any, Any]) -> dict[str, np.ndarray[Any, Any]]:
     session = ort.InferenceSession(trunk, providers=["CPUExecutionProvider"])
     names = [output.name for output in session.get_outputs()]
     return dict(zip(names, session.run(names, {"frames": rgb}), strict=True))
 
 
-def test_lite0_answers_as_every_trunk_does(package: str) -> None:
+def test_lite0_answers_as_every_trunk_does(package: None) -> None:
     """Frames uint8 of any size to taps at strides 4, 8 and 16."""
     found = run(efficientnet_lite0.trunk(), np.full((2, 64, 96, 3), 128, np.uint8))
 
@@ -54,7 +45,7 @@ def test_lite0_answers_as_every_trunk_does(package: str) -> None:
 
 @pytest.mark.train
 @pytest.mark.parametrize(("tap", "moved"), [("layer1", 3), ("layer2", 7), ("layer3", 15)])
-def test_lite0_is_the_original_network_on_a_moved_picture(package: str, tap: str, moved: int) -> None:
+def test_lite0_is_the_original_network_on_a_moved_picture(package: None, tap: str, moved: int) -> None:
     """Away from the border, the features are those of the network with TensorFlow's padding, within 1e-4."""
     import torch
 
@@ -101,7 +92,7 @@ def _original(torch: Any, x: Any, last: int) -> Any:
 
 
 @pytest.mark.train
-def test_the_file_is_read_as_torch_reads_it(package: str) -> None:
+def test_the_file_is_read_as_torch_reads_it(package: None) -> None:
     """Every weight, bit for bit."""
     import torch
 

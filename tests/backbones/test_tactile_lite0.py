@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from calibration.training.joined_trunk import TACTILE_SCALE, main
 from calibration.training.package import MOST_BYTES
 from edge import registry
 from edge.core.errors import ConfigError
-from plugins.backbones.efficientnet_lite0 import PACKAGE, efficientnet_lite0
+from plugins.backbones.efficientnet_lite0 import efficientnet_lite0
 from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD
 from plugins.backbones.tactile import tactile_resnet18
 from plugins.backbones.tactile_lite0 import tactile_lite0
@@ -27,14 +26,6 @@ FACTS = json.loads((HOME / "tactile_lite0.json").read_text())
 EVALUATION = json.loads((HOME / "tactile_lite0_evaluation.json").read_text())
 TAPS = ["layer1", "layer2", "layer3"]
 FRAMES = np.random.default_rng(0).integers(0, 256, (2, 64, 96, 3), dtype=np.uint8)
-
-
-@pytest.fixture
-def package() -> None:
-    try:
-        distribution(PACKAGE)
-    except PackageNotFoundError:
-        pytest.skip("SKIPPED, NOT TESTED: the extra `comparison` brings the weights")
 
 
 def run(trunk: bytes) -> list[np.ndarray[Any, Any]]:

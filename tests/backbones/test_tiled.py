@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pytest
-from presses import fitted, head_scores, largest_error
+from heads import fit, head_scores, largest_error
 from typer.testing import CliRunner
 
 from calibration.fitting.features import extract, trunk_grid
@@ -55,7 +55,7 @@ def test_the_fit_finds_the_layout_in_the_trunk() -> None:
     assert grid.taps["layer1"] == (64, 32, 64)
     features = extract(trunk, frames(7), grid, lambda fraction: None)
     train, query = ({tap: value[part] for tap, value in features.items()} for part in (slice(5), slice(5, 7)))
-    bank = fitted(padim, padim.parameters(), Nominal(train), grid)
+    bank = fit(padim, padim.parameters(), Nominal(train), grid)
     oracle = padim.reference_score(query, grid, bank, padim.parameters())
     assert oracle.score_map.shape == (2, 96, 160)
     assert largest_error(head_scores(padim, padim.parameters(), query, bank, grid), oracle) < 1e-4
@@ -69,7 +69,7 @@ def test_the_full_frame_needs_nothing_of_its_own() -> None:
     assert grid.taps["layer1"] == (64, 24, 40)
     features = extract(trunk, frames(6), grid, lambda fraction: None)
     parameters = padim.parameters(taps=TAPS[:2], grid_tap="layer2", rank=4)
-    bank = fitted(padim, parameters, Nominal(features), grid)
+    bank = fit(padim, parameters, Nominal(features), grid)
     oracle = padim.reference_score(features, grid, bank, parameters)
     assert largest_error(head_scores(padim, parameters, features, bank, grid), oracle) < 1e-4
 
@@ -84,9 +84,9 @@ def test_neighbours_end_at_a_tile() -> None:
     parameters = padim.parameters(
         grid_tap="layer1", neighbours=1, is_balanced=False, projection="all", is_sampled=False
     )
-    before = fitted(padim, parameters, Nominal(train), grid)
+    before = fit(padim, parameters, Nominal(train), grid)
     train["layer1"][:, :, :, :16] += 100
-    after = fitted(padim, parameters, Nominal(train), grid)
+    after = fit(padim, parameters, Nominal(train), grid)
     moved = np.abs(after.arrays["mean"] - before.arrays["mean"])[:, :64].max(axis=1).reshape(32, 64)
     assert (moved[:, :16] > 99).all()
     assert (moved[:, 16:] == 0).all()

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from heads import stored as stored_bank
 from heads import stored_bytes
-from presses import stored as stored_bank
 
 from calibration.benchmark.evaluation import random_trunk
 from calibration.benchmark.presses import development_trial

@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from heads import fit, hard_presses, parity, presses_of, run_head, with_spot
+from heads import fit, hard_presses, head_scores, largest_error, parity, presses_of, run_head, with_spot
 from heads import grid as small_grid
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from presses import fitted, head_scores, largest_error
 
 from calibration.fitting.features import extract, trunk_grid
 from edge import registry
@@ -68,7 +67,7 @@ def error(method: str, mode: str, topology: str, touched: np.ndarray | None = No
     detector = registry.detector(method)
     nominal, asked, grid = seen(topology)
     parameters = detector.parameters(mode, **CHOICES.get((method, mode, topology), {}))
-    bank = fitted(detector, parameters, Nominal(nominal, touched), grid)
+    bank = fit(detector, parameters, Nominal(nominal, touched), grid)
     oracle = detector.reference_score(asked, grid, bank, parameters)
     assert oracle.score[1] > oracle.score[0]
     return largest_error(head_scores(detector, parameters, asked, bank, grid), oracle)

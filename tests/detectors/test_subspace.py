@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from presses import LIKE_RESNET, features, fitted, head_scores, largest_error, stored
+from heads import LIKE_RESNET, features, fit, head_scores, largest_error, stored
 
 from edge.core.detector import Features, Nominal
 from plugins.detectors.baselines.subspace import subspace
@@ -26,7 +26,7 @@ def test_the_published_form_is_a_pca_residual() -> None:
     )
     parameters = subspace.parameters("paper", sigma=0.0)
     train = features(20, seed=1)
-    bank = fitted(subspace, parameters, Nominal(train))
+    bank = fit(subspace, parameters, Nominal(train))
     pca = decomposition.PCA(0.99, svd_solver="full").fit(cells(train))
     x = cells(QUERY)
     expected = np.linalg.norm(x - pca.inverse_transform(pca.transform(x)), axis=1).reshape(3, 6, 6)
@@ -52,7 +52,7 @@ def test_the_published_form_is_a_pca_residual() -> None:
 def test_the_graph_equals_the_oracle(n: int, scale: float, choice: dict[str, Any]) -> None:
     """Within 1e-4 of float64 from one press to many and at every scale, also with the bank as stored."""
     parameters = subspace.parameters(**choice)
-    bank = fitted(subspace, parameters, Nominal(features(n, seed=1, scale=scale)))
+    bank = fit(subspace, parameters, Nominal(features(n, seed=1, scale=scale)))
     query = features(3, seed=7, scale=scale)
     oracle = subspace.reference_score(query, LIKE_RESNET, bank, parameters)
     assert largest_error(head_scores(subspace, parameters, query, stored(bank)), oracle) < 1e-4
@@ -61,7 +61,7 @@ def test_the_graph_equals_the_oracle(n: int, scale: float, choice: dict[str, Any
 def test_position_does_not_matter() -> None:
     """Presses moved by complete cells of the coarsest tap have the same scores, moved with them."""
     parameters = subspace.parameters(sigma=0.0, grid_tap="layer1")
-    bank = fitted(subspace, parameters, Nominal(features(20, seed=1)))
+    bank = fit(subspace, parameters, Nominal(features(20, seed=1)))
     moved = {
         tap: np.roll(value, {"layer1": 4, "layer2": 2, "layer3": 1}[tap], axis=3)
         for tap, value in QUERY.items()
@@ -73,7 +73,7 @@ def test_position_does_not_matter() -> None:
 def test_identical_descriptors_have_no_span() -> None:
     """All cells equal: rank 0, a warning, and the distance to the one descriptor; itself at 0."""
     flat = {tap: np.full((3, *shape), 0.7, np.float32) for tap, shape in LIKE_RESNET.taps.items()}
-    bank = fitted(subspace, subspace.parameters(), Nominal(flat))
+    bank = fit(subspace, subspace.parameters(), Nominal(flat))
     assert bank.facts["rank"] == 0
     assert bank.facts["warnings"]
     assert head_scores(subspace, subspace.parameters(), flat, bank).score.max() < 1e-3
@@ -83,6 +83,6 @@ def test_identical_descriptors_have_no_span() -> None:
 def test_the_span_never_fills_the_space() -> None:
     """With as many directions requested as there are channels, one is left out, so that scores are not all 0."""
     parameters = subspace.parameters(projection="random", channels=7, variance=1.0)
-    bank = fitted(subspace, parameters, Nominal(features(30, seed=1)))
+    bank = fit(subspace, parameters, Nominal(features(30, seed=1)))
     assert bank.facts["rank"] == 6
     assert head_scores(subspace, parameters, QUERY, bank).score.min() > 0.01

@@ -2,7 +2,7 @@
 
 import numpy as np
 import tiny
-from presses import LIKE_RESNET, features, fitted
+from heads import LIKE_RESNET, features, fit
 from tiny_fit import config
 
 from calibration.fitting.features import extract, feature_warnings, trunk_grid
@@ -43,7 +43,7 @@ def test_one_channel_that_hides_the_others_is_named() -> None:
             cells = slice(4 >> part, 8 >> part)
             asked[tap][5:, :6, cells, cells] += 2
         parameters = padim.parameters()
-        bank = fitted(padim, parameters, Nominal(nominal))
+        bank = fit(padim, parameters, Nominal(nominal))
         scores = padim.reference_score(asked, LIKE_RESNET, bank, parameters).score
         margins.append(scores[5:].min() / scores[:5].max())
         said = feature_warnings(Nominal(nominal), LIKE_RESNET)

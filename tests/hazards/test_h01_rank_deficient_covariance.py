@@ -7,7 +7,7 @@ under the root). With the ridge left out of `weights` in `_fit_local`, the compa
 
 import numpy as np
 import pytest
-from presses import LIKE_RESNET, features, fitted, head_scores, largest_error
+from heads import LIKE_RESNET, features, fit, head_scores, largest_error
 
 from edge.core.detector import Features, Nominal
 from plugins.detectors.padim import padim
@@ -37,7 +37,7 @@ def test_below_at_and_above_full_rank(n: int) -> None:
     """N = 2, 3, d-1, d, d+1, 3d: oracle, graph and dense inversion are equal; rank and ridge are facts."""
     parameters = padim.parameters("paper", channels=D, sigma=0.0)
     train, query = features(n, seed=1), features(2, seed=2)
-    bank = fitted(padim, parameters, Nominal(train))
+    bank = fit(padim, parameters, Nominal(train))
     oracle = padim.reference_score(query, LIKE_RESNET, bank, parameters)
     expected = parameters.smoothing(LIKE_RESNET, (12, 12))(dense(train, query, bank.facts["ridge"]))
     np.testing.assert_allclose(oracle.score_map, expected, rtol=1e-5)
@@ -49,7 +49,7 @@ def test_eigenvalues_a_million_million_times_the_ridge() -> None:
     """Features at 1e4 against a ridge of 0.02: a nominal press still scores within 1e-4 of float64 in float32."""
     parameters = padim.parameters("paper", channels=D, sigma=0.0)
     train = features(3 * D, seed=1, scale=1e4)
-    bank = fitted(padim, parameters, Nominal(train))
+    bank = fit(padim, parameters, Nominal(train))
     query = {tap: value[:2] for tap, value in train.items()}
     oracle = padim.reference_score(query, LIKE_RESNET, bank, parameters)
     assert largest_error(head_scores(padim, parameters, query, bank), oracle) < 1e-4

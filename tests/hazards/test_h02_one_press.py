@@ -9,7 +9,7 @@ without isfinite in `harness.scoring.run_head` the last.
 import numpy as np
 import pytest
 import tiny
-from presses import LIKE_RESNET, features, fitted, head_scores
+from heads import LIKE_RESNET, features, fit, head_scores
 
 from calibration.studies.harness.scoring import run_head
 from edge.core.detector import Nominal
@@ -25,7 +25,7 @@ def test_one_press_is_defined() -> None:
     """N = 1: the distance is |delta| / sqrt(ridge), the press itself scores 0, and the bank's facts warn."""
     parameters = padim.parameters("paper", channels=40, sigma=0.0)
     train = features(1, seed=1)
-    bank = fitted(padim, parameters, Nominal(train))
+    bank = fit(padim, parameters, Nominal(train))
     squared = sum(
         np.kron(((QUERY[tap] - train[tap]) ** 2).sum(axis=1), np.ones((1, k, k)))
         for tap, k in (("layer1", 1), ("layer2", 2), ("layer3", 4))
@@ -44,7 +44,7 @@ def test_a_fit_refuses_what_is_not_finite(detector: object, bad: float) -> None:
     train["layer2"][1, 0, 0, 0] = bad
     p = detector.parameters(taps=("layer1", "layer2"))  # type: ignore[attr-defined]
     with pytest.raises(FitError, match=r"not finite in nominal presses \[1\]"):
-        fitted(detector, p, Nominal(train))  # type: ignore[attr-defined]
+        fit(detector, p, Nominal(train))  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -54,7 +54,7 @@ def test_nothing_hides_a_nan_from_the_gateway(detector: object, bad: float) -> N
     parameters = detector.parameters(taps=("layer1", "layer2"))  # type: ignore[attr-defined]
     touched = np.zeros((48, 48), bool)
     touched[20:30, 20:30] = True
-    bank = fitted(detector, parameters, Nominal(features(6, seed=1), touched))
+    bank = fit(detector, parameters, Nominal(features(6, seed=1), touched))
     for tap, place in (("layer1", (0, 0)), ("layer1", (6, 6)), ("layer2", (5, 5))):
         query = {name: value.copy() for name, value in QUERY.items()}
         query[tap][0, 0, *place] = bad

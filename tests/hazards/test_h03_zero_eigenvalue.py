@@ -6,7 +6,7 @@ Guards: at most N-1 directions, and none below 1e-14 of the largest (`lowrank.RE
 
 import numpy as np
 import pytest
-from presses import LIKE_RESNET, features, fitted, head_scores, largest_error
+from heads import LIKE_RESNET, features, fit, head_scores, largest_error
 
 from edge.core.detector import Nominal
 from plugins.detectors.common.lowrank import mahalanobis_squared, spectrum
@@ -70,7 +70,7 @@ def test_a_wide_channel_leaves_the_others_their_directions(n: int, d: int, times
 def test_identical_presses_score_finitely(parameters: object) -> None:
     """Equal presses: no direction, they score 0, others a finite distance, and the graph equals the oracle."""
     same = {tap: np.repeat(value, 5, axis=0) for tap, value in features(1, seed=1).items()}
-    bank = fitted(padim, parameters, Nominal(same))
+    bank = fit(padim, parameters, Nominal(same))
     query = features(2, seed=7)
     oracle = padim.reference_score(query, LIKE_RESNET, bank, parameters)  # type: ignore[arg-type]
     assert largest_error(head_scores(padim, parameters, query, bank), oracle) < 1e-5
@@ -85,7 +85,7 @@ def test_dead_channels_and_constant_frames(frame: float) -> None:
     train["layer2"][:, :5] = frame
     train["layer3"][:] = frame
     for parameters in (padim.parameters(), padim.parameters("paper", channels=40)):
-        bank = fitted(padim, parameters, Nominal(train))
+        bank = fit(padim, parameters, Nominal(train))
         query = features(2, seed=7)
         oracle = padim.reference_score(query, LIKE_RESNET, bank, parameters)
         assert largest_error(head_scores(padim, parameters, query, bank), oracle) < 1e-5

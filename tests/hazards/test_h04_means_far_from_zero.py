@@ -8,7 +8,7 @@ whatever the method (`features.feature_warnings`). Checked by removal: with floa
 
 import numpy as np
 import pytest
-from presses import LIKE_RESNET, features, fitted, head_scores, largest_error, stored
+from heads import LIKE_RESNET, features, fit, head_scores, largest_error, stored
 
 from calibration.fitting.features import feature_warnings
 from edge.core.detector import Features, Nominal
@@ -24,7 +24,7 @@ def raised(maps: Features, offset: float) -> Features:
 def test_a_stored_bank_keeps_features_far_from_zero(offset: float) -> None:
     """Features of 0.3 around 1e4: the graph with the stored bank is within 1 % of the oracle with the unstored one."""
     p = padim.parameters()
-    bank = fitted(padim, p, Nominal(raised(features(20, seed=1), offset)))
+    bank = fit(padim, p, Nominal(raised(features(20, seed=1), offset)))
     asked = raised(features(2, seed=7), offset)
     expected = padim.reference_score(asked, LIKE_RESNET, bank, p)
     assert largest_error(head_scores(padim, p, asked, stored(bank)), expected) < 0.01
@@ -34,7 +34,7 @@ def test_a_stored_bank_keeps_features_far_from_zero(offset: float) -> None:
 def test_the_graph_is_the_oracle_far_from_zero(detector: object) -> None:
     """All features raised by 300, a thousand times their variation: the graph keeps the oracle's map to 0.1 %."""
     p = detector.parameters()  # type: ignore[attr-defined]
-    bank = fitted(detector, p, Nominal(raised(features(20, seed=1), 300)))
+    bank = fit(detector, p, Nominal(raised(features(20, seed=1), 300)))
     asked = raised(features(2, seed=7), 300)
     expected = detector.reference_score(asked, LIKE_RESNET, bank, p)  # type: ignore[attr-defined]
     assert largest_error(head_scores(detector, p, asked, bank), expected) < 1e-3

@@ -9,8 +9,7 @@ PatchCore).
 
 import numpy as np
 import pytest
-from heads import fit, grid, presses_of, run_head, with_spot
-from presses import stored
+from heads import fit, grid, presses_of, run_head, stored, with_spot
 
 from edge.core.detector import Nominal
 from edge.core.errors import FitError

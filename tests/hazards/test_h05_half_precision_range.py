@@ -6,7 +6,7 @@ With the squared distances cast to float16 before the root in `padim.head` both 
 """
 
 import pytest
-from presses import LIKE_RESNET, features, fitted, head_scores, largest_error, stored
+from heads import LIKE_RESNET, features, fit, head_scores, largest_error, stored
 
 from edge.core.detector import Nominal
 from plugins.detectors.padim import padim
@@ -18,7 +18,7 @@ def test_a_bank_of_large_or_tiny_features_survives_storage(scale: float, packing
     """Means of 1e6 and of 1e-6 come back from float16 within the bound that holds at scale 1."""
     for mode in ("corrected", "paper"):
         parameters = padim.parameters(mode, packing=packing)
-        bank = fitted(padim, parameters, Nominal(features(20, seed=1, scale=scale)))
+        bank = fit(padim, parameters, Nominal(features(20, seed=1, scale=scale)))
         query = features(2, seed=7, scale=scale)
         oracle = padim.reference_score(query, LIKE_RESNET, bank, parameters)
         assert largest_error(head_scores(padim, parameters, query, stored(bank)), oracle) < 0.02
@@ -28,7 +28,7 @@ def test_a_bank_of_large_or_tiny_features_survives_storage(scale: float, packing
 def test_a_far_outlier_has_a_finite_score(outlier: float) -> None:
     """A press a million times brighter than any nominal one: a distance far beyond 256 (its square exceeds float16)."""
     parameters = padim.parameters()
-    bank = stored(fitted(padim, parameters, Nominal(features(20, seed=1))))
+    bank = stored(fit(padim, parameters, Nominal(features(20, seed=1))))
     query = features(2, seed=7, scale=outlier)
     found = head_scores(padim, parameters, query, bank)
     assert found.score.min() > 256

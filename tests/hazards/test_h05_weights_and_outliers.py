@@ -7,8 +7,7 @@ with squared distances limited to float16's 65504 in `emit_group_nearest` the fi
 
 import numpy as np
 import pytest
-from heads import fit, grid, presses_of, run_head
-from presses import stored
+from heads import fit, grid, presses_of, run_head, stored
 
 from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.fapm import fapm

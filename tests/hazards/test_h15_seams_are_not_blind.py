@@ -8,7 +8,7 @@ fails. With the map's mean in `Smoothing.score_maps` the test of dilution fails.
 
 import numpy as np
 import pytest
-from presses import features, fitted, head_scores, largest_error
+from heads import features, fit, head_scores, largest_error
 
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.imaging.tiles import tiling
@@ -40,7 +40,7 @@ def defect_at(row: int, column: int) -> Features:
 
 @pytest.fixture(scope="module")
 def bank() -> object:
-    return fitted(padim, PARAMETERS, Nominal(features(20, GRID, seed=1)), GRID)
+    return fit(padim, PARAMETERS, Nominal(features(20, GRID, seed=1)), GRID)
 
 
 def test_a_defect_is_seen_wherever_it_lies(bank: object) -> None:
@@ -71,10 +71,10 @@ def test_the_graph_equals_the_oracle_on_tiles(detector: object, choice: dict[str
     touched[40:70, 30:150] = True
     parameters = detector.parameters(**{"taps": ("layer1", "layer2")} | choice)  # type: ignore[attr-defined]
     for mask in (None, touched):
-        fit = fitted(detector, parameters, Nominal(features(12, GRID, seed=1), mask), GRID)
+        bank = fit(detector, parameters, Nominal(features(12, GRID, seed=1), mask), GRID)
         query = features(2, GRID, seed=3)
-        oracle = detector.reference_score(query, GRID, fit, parameters)  # type: ignore[attr-defined]
-        assert largest_error(head_scores(detector, parameters, query, fit, GRID), oracle) < 2e-6
+        oracle = detector.reference_score(query, GRID, bank, parameters)  # type: ignore[attr-defined]
+        assert largest_error(head_scores(detector, parameters, query, bank, GRID), oracle) < 2e-6
 
 
 def test_one_defective_tile_is_not_diluted(bank: object) -> None:
@@ -100,8 +100,8 @@ def test_equal_tiles_give_the_map_of_one_piece() -> None:
 
     train, query = features(9, whole, seed=1), features(2, whole, seed=2)
     parameters = type(choice)(**{**choice.__dict__, "is_balanced": False})
-    one = padim.reference_score(query, whole, fitted(padim, parameters, Nominal(train), whole), parameters)
+    one = padim.reference_score(query, whole, fit(padim, parameters, Nominal(train), whole), parameters)
     many = padim.reference_score(
-        mosaic(query), tiled, fitted(padim, parameters, Nominal(mosaic(train)), tiled), parameters
+        mosaic(query), tiled, fit(padim, parameters, Nominal(mosaic(train)), tiled), parameters
     )
     np.testing.assert_allclose(many.score_map, one.score_map, rtol=1e-5)

@@ -8,7 +8,7 @@ as the middle.
 
 import numpy as np
 import pytest
-from presses import fitted
+from heads import fit
 
 from edge.core.detector import Features, Grid, Nominal
 from plugins.backbones.random import random_state
@@ -51,7 +51,7 @@ def test_the_border_differs_from_the_middle() -> None:
 def test_an_even_surface_has_an_even_map(detector: object) -> None:
     """On nominal content the border scores like the middle, though its features differ from those of the middle."""
     p = detector.parameters()  # type: ignore[attr-defined]
-    bank = fitted(detector, p, Nominal(TRAIN), GRID)
+    bank = fit(detector, p, Nominal(TRAIN), GRID)
     found = detector.reference_score(QUERY, GRID, bank, p).score_map  # type: ignore[attr-defined]
     assert 0.67 < border_to_middle(found) < 1.4
 
@@ -59,7 +59,7 @@ def test_an_even_surface_has_an_even_map(detector: object) -> None:
 def test_one_mean_for_all_places_sees_a_border() -> None:
     """PaDiM with the mean of a cell in the middle everywhere: the border scores higher."""
     p = padim.parameters()
-    bank = fitted(padim, p, Nominal(TRAIN), GRID)
+    bank = fit(padim, p, Nominal(TRAIN), GRID)
     mean = bank.arrays["mean"]
     arrays = {**bank.arrays, "mean": np.broadcast_to(mean[12 * 24 + 12], mean.shape)}
     assert border_to_middle(padim.reference_score(QUERY, GRID, type(bank)(arrays), p).score_map) > 1.5
@@ -78,5 +78,5 @@ def test_a_bank_without_the_border_sees_it(detector: object) -> None:
             for here, there in ((edge, ring), (-1 - edge, -1 - ring)):
                 maps[..., here] = maps[..., there]
     p = detector.parameters()  # type: ignore[attr-defined]
-    bank = fitted(detector, p, Nominal(inside), GRID)
+    bank = fit(detector, p, Nominal(inside), GRID)
     assert border_to_middle(detector.reference_score(QUERY, GRID, bank, p).score_map) > 1.5  # type: ignore[attr-defined]

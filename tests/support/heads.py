@@ -1,4 +1,4 @@
-"""Synthetic feature maps, and a detector's graph compared with its oracle."""
+"""Feature maps without a trunk, heads run as the gateway runs them, and a graph compared with its oracle."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 import onnxruntime as ort
 
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal, ScoreMaps
-from edge.model.packing import pack
+from edge.model.packing import pack, unpack
 
 SMALL = {"layer1": (6, 8, 8), "layer2": (8, 4, 4), "layer3": (10, 2, 2)}
 """Taps of a toy trunk on a 32x32 frame."""
@@ -15,10 +15,25 @@ SMALL = {"layer1": (6, 8, 8), "layer2": (8, 4, 4), "layer3": (10, 2, 2)}
 RESNET18 = {"layer1": (64, 56, 56), "layer2": (128, 28, 28), "layer3": (256, 14, 14)}
 """The taps of a real trunk on the default region."""
 
+LIKE_RESNET = Grid((48, 48), {"layer1": (8, 12, 12), "layer2": (12, 6, 6), "layer3": (20, 3, 3)}, 15.77)
+"""Three taps in a ResNet's proportions: strides 4, 8 and 16, 40 channels together."""
+
 
 def grid(taps: Mapping[str, tuple[int, int, int]] = SMALL) -> Grid:
     side = 4 * next(iter(taps.values()))[1]
     return Grid((side, side), taps, 15.77)
+
+
+def features(n: int, grid: Grid = LIKE_RESNET, seed: int = 0, scale: float = 1.0) -> Features:
+    """n presses after a ReLU: a pattern that all share, and a deviation of 30 % of its own, float32."""
+    shared = np.random.default_rng(99)
+    rng = np.random.default_rng(seed)
+    return {
+        tap: (np.maximum(shared.normal(0.5, 1, shape) + rng.normal(0, 0.3, (n, *shape)), 0) * scale).astype(
+            np.float32
+        )
+        for tap, shape in grid.taps.items()
+    }
 
 
 def presses_of(
@@ -64,7 +79,9 @@ def with_spot(features: Features, fraction: float = 0.5, amount: float = 5.0) ->
     return found
 
 
-def fit(detector: Detector, parameters: Any, shown: Features | Nominal, at: Grid, seed: int = 0) -> Bank:
+def fit(
+    detector: Detector, parameters: Any, shown: Features | Nominal, at: Grid = LIKE_RESNET, seed: int = 0
+) -> Bank:
     nominal = shown if isinstance(shown, Nominal) else Nominal(shown)
     return detector.fit(nominal, at, parameters, np.random.default_rng(seed), lambda fraction: None)
 
@@ -73,6 +90,15 @@ def stored_bytes(bank: Bank) -> int:
     """Bytes of a bank as a bundle keeps it."""
     packed = [pack(array, bank.packing.get(name, "none")) for name, array in bank.arrays.items()]
     return sum(each.data.nbytes + (0 if each.scale is None else each.scale.nbytes) for each in packed)
+
+
+def stored(bank: Bank) -> Bank:
+    """The bank as it comes back from storage in its packing."""
+    arrays = {}
+    for name, array in bank.arrays.items():
+        packing = bank.packing.get(name, "none")
+        arrays[name] = unpack(pack(array, packing), packing)
+    return Bank(arrays, bank.packing, bank.facts)
 
 
 def run_head(head: bytes, features: Features, bank: Bank, threads: int = 1) -> dict[str, np.ndarray]:
@@ -85,6 +111,21 @@ def run_head(head: bytes, features: Features, bank: Bank, threads: int = 1) -> d
     feed = {name: features[name] if name in features else bank.arrays[name] for name in wanted}
     names = [o.name for o in session.get_outputs()]
     return dict(zip(names, session.run(names, feed), strict=True))
+
+
+def head_scores(
+    detector: Detector, parameters: Any, query: Features, bank: Bank, grid: Grid = LIKE_RESNET
+) -> ScoreMaps:
+    """What the detector's graph answers, in the shape of the oracle's answer."""
+    found = run_head(detector.head(grid, bank, parameters), query, bank)
+    return ScoreMaps(found["score_map"], found["score"])
+
+
+def largest_error(found: ScoreMaps, expected: ScoreMaps) -> float:
+    """The largest error of map and score, relative to the largest value of the map."""
+    scale = float(np.abs(expected.score_map).max()) or 1.0
+    apart = (np.abs(found.score_map - expected.score_map), np.abs(found.score - expected.score))
+    return max(float(each.max()) for each in apart) / scale
 
 
 def parity(

@@ -1,7 +1,7 @@
 """Operations appended to a graph."""
 
 import numpy as np
-import onnx
+import onnx.parser
 import onnxruntime as ort
 import pytest
 
@@ -36,32 +36,25 @@ def test_a_result_is_replaced_by_what_is_appended() -> None:
 
 
 def test_a_reduction_has_its_axes() -> None:
-    """Each press has its own largest value."""
-    more = extend_head(
-        doubling(), {"score": "old"}, {}, [Operation("ReduceMax", ("x",), "score", axes=(1, 2))]
-    )
+    """Each press has its own largest value. The inputs are named, those that were added too."""
+    largest = Operation("ReduceMax", ("x",), "score", axes=(1, 2))
+    more = extend_head(doubling(), {"score": "old"}, {"factor": (1, 1)}, [largest])
     x = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
-    assert ort.InferenceSession(more).run(["score"], {"x": x})[0] == pytest.approx([5, 11])
+    fed = {"x": x, "factor": np.ones((1, 1), np.float32)}
+    assert ort.InferenceSession(more).run(["score"], fed)[0] == pytest.approx([5, 11])
+    assert head_inputs(more) == ["x", "factor"]
 
 
 def test_a_graph_inside_a_node_is_refused() -> None:
     """It may read a value by the old name."""
-    branch = onnx.helper.make_graph(
-        [onnx.helper.make_node("Identity", ["y"], ["z"])],
-        "branch",
-        [],
-        [onnx.helper.make_tensor_value_info("z", onnx.TensorProto.FLOAT, None)],
-    )
-    node = onnx.helper.make_node("If", ["is"], ["out"], then_branch=branch, else_branch=branch)
-    graph = onnx.helper.make_graph(
-        [node], "g", [onnx.helper.make_tensor_value_info("is", onnx.TensorProto.BOOL, [])], []
-    )
-    model = onnx.helper.make_model(graph).SerializeToString()
+    model = onnx.parser.parse_model("""
+        < ir_version: 8, opset_import: ["" : 17] >
+        g (bool is) => (float out) {
+            out = If (is) <
+                then_branch = a () => (float z) { z = Identity (y) },
+                else_branch = b () => (float z) { z = Identity (y) }
+            >
+        }
+    """).SerializeToString()
     with pytest.raises(FitError, match="a graph of its own"):
         extend_head(model, {"y": "old"}, {}, [])
-
-
-def test_the_inputs_are_named() -> None:
-    """Those that were added too."""
-    more = extend_head(doubling(), {}, {"factor": (1, 1)}, [])
-    assert head_inputs(more) == ["x", "factor"]

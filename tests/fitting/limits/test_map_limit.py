@@ -124,17 +124,13 @@ def test_a_graph_of_an_older_opset_is_not_extended() -> None:
 
 
 def test_another_bank_takes_over_the_limit() -> None:
-    """A bank of a fold gets the arrays of the complete bundle; without arrays nothing changes."""
+    """A bank of a fold gets the arrays of the complete bundle; without arrays nothing changes. A detector
+    with an array of that name is refused, not overwritten."""
     arrays = limit_arrays(learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.3, 1.5))
     bank = Bank({"rows": np.ones((2, 2), np.float32)})
     head, limited = limit_like({**arrays, "rows": np.zeros(1)}, raw_head(), bank)
     assert limited.arrays.keys() == {"rows", *arrays}
     assert head == head_with_limit(raw_head(), arrays)
     assert limit_like({"rows": np.zeros(1)}, raw_head(), bank) == (raw_head(), bank)
-
-
-def test_an_array_of_the_detector_keeps_its_name() -> None:
-    """A detector with an array `limit_grid` is refused, not overwritten."""
-    arrays = limit_arrays(learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.3, 1.5))
     with pytest.raises(FitError, match="has an array 'limit_grid'"):
         limit_like(arrays, raw_head(), Bank({"limit_grid": np.ones((1, 1), np.float32)}))
