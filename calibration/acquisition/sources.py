@@ -130,20 +130,19 @@ def from_frames(
     for frame, piece in frames:
         pieces[frame.sequence] = piece
         for found in finder.feed(frame):
-            where = f"{name}#{found.frame.sequence}"
+            shown = found.frame if isinstance(found, FoundPress) else found
+            where = f"{name}#{shown.sequence}"
             try:
-                rgb = decode(found.frame, profile).rgb
+                rgb = decode(shown, profile).rgb
             except FrameCorrupt as error:
                 yield LeftOut(f"press {where} cannot be read: {error}")
                 continue
             if isinstance(found, FoundPress):
-                known = pieces.get(found.frame.sequence)
-                yield Press(
-                    where, found.frame.payload, None if known is None else str(known), rgb, found.mask
-                )
-                pieces = {key: kept for key, kept in pieces.items() if key > found.frame.sequence}
+                known = pieces.get(shown.sequence)
+                yield Press(where, shown.payload, None if known is None else str(known), rgb, found.mask)
+                pieces = {key: kept for key, kept in pieces.items() if key > shown.sequence}
             else:
-                yield FreeGel(found.frame.payload, rgb)
+                yield FreeGel(shown.payload, rgb)
 
 
 WAIT_S = 0.2

@@ -1,7 +1,7 @@
-"""A bundle carried over to another gel of its sensor by a few presses: the bank stays, its limit is found again.
+"""A bundle carried over to another gel of its sensor by a few presses: the bank stays, its threshold is found again.
 
-The trunk and the bank hold what the part looks like, and lose little by a new gel; the scores shift, so the limit, the
-coarse colours, the free gel and the golden frames are those of the new gel. docs/gel.md has the measurements.
+The trunk and the bank hold what the part looks like, and lose little by a new gel; the scores shift, so the threshold,
+the coarse colours, the free gel and the golden frames are those of the new gel. docs/gel.md has the measurements.
 """
 
 from collections.abc import Sequence
@@ -45,12 +45,15 @@ _OF_OLD_GEL: Final = (CARD, "press_again")
 
 @dataclass(frozen=True)
 class CarryConfig:
-    """gel_id: the new gel, where it is known. revision: of the new bundle. threads: of the scorer."""
+    """How a bundle is carried over."""
 
     created: str
     gel_id: str | None = None
+    """The new gel, where it is known."""
     revision: int | None = None
+    """Its number, of the new bundle."""
     threads: int = 2
+    """Threads of the scorer."""
 
 
 def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -> Fitted:

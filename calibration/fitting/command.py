@@ -332,7 +332,7 @@ def summarise(fitted: "Fitted", output: Path) -> None:
     )
 
     manifest = fitted.manifest
-    limit, cost = manifest.threshold, manifest.cost
+    threshold, cost = manifest.threshold, manifest.cost
     for warning in manifest.provenance.warnings:
         typer.echo(f"warning: {warning}", err=True)
     facts = manifest.facts
@@ -341,14 +341,14 @@ def summarise(fitted: "Fitted", output: Path) -> None:
         "backbone": choice_sentence(facts, BACKBONE_CHOICE),
         "registration": facts.get("registration"),
         "augmentation": choice_sentence(facts, AUGMENTATION),
-        f"threshold {limit.value:.5g}": limit.method,
+        f"threshold {threshold.value:.5g}": threshold.method,
         "limit": choice_sentence(facts, LIMIT),
         "missing relief": choice_sentence(facts, MISSING),
     }
     for what, sentence in sentences.items():
         if sentence:
             typer.echo(f"{what}: {sentence}")
-    typer.echo(f"false alarms: {promise(limit)}")
+    typer.echo(f"false alarms: {promise(threshold)}")
     if cost:
         typer.echo(
             f"a frame takes {cost.trunk_ms:.1f} + {cost.head_ms:.1f} ms (trunk + head, {cost.threads} threads); "

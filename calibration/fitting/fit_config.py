@@ -19,18 +19,7 @@ __all__ = ["FitConfig"]
 
 @dataclass(frozen=True)
 class FitConfig:
-    """The settings of a fit.
-
-    overrides: the detector's parameters that differ from the mode's. alpha: the requested false-alarm rate.
-    threshold: a value to use instead of one found from presses. seed: fixes every random choice. folds: banks fitted
-    to find the threshold, each about as costly as the bank itself; below ten presses each is held out alone.
-    with_trunk: False leaves it to the store. is_scattered: accepts contacts that lie anywhere, also for a method that
-    compares place with place. limit: `chosen` by the damage that it finds, or `plain`, one for all places; the mode
-    `paper` always has the plain one. register: whether presses are brought to one pose, `auto` where it pays. augment:
-    whether the bank also learns rendered copies of the presses, `auto` where there are few. revision: see `Facts`.
-    gel_id: the gel of the presses, where it is known. choice_facts: why this method and this trunk were chosen, for the
-    manifest; empty where they were named.
-    """
+    """The settings of a fit."""
 
     part: str
     position: str
@@ -40,19 +29,34 @@ class FitConfig:
     trunk: Trunk
     mode: Mode = "corrected"
     overrides: Mapping[str, object] = field(default_factory=dict)
+    """The detector's parameters that differ from the mode's."""
     alpha: float = 0.05
+    """The requested false-alarm rate."""
     threshold: float | None = None
+    """A value to use instead of one found from presses."""
     seed: int = 0
+    """Fixes every random choice."""
     threads: int = 2
     folds: int = 5
+    """Banks fitted to find the threshold, each about as costly as the bank itself; below ten presses each is held out
+    alone."""
     with_trunk: bool = True
+    """Whether the trunk is in the bundle, or left to the store."""
     is_scattered: bool = False
+    """Whether contacts may lie anywhere, also for a method that compares place with place."""
     limit: Literal["chosen", "plain"] = "chosen"
+    """`chosen` by the damage that it finds, or `plain`, one for all places; the mode `paper` always has the plain
+    one."""
     revision: int | None = None
+    """The bundle's number, see `Facts`."""
     register: Register = "never"
+    """Whether presses are brought to one pose, `auto` where it pays."""
     augment: Augment = "never"
+    """Whether the bank also learns rendered copies of the presses, `auto` where there are few."""
     gel_id: str | None = None
+    """The gel of the presses, where it is known."""
     choice_facts: Mapping[str, Any] = field(default_factory=dict)
+    """Why this method and this trunk were chosen, for the manifest; empty where they were named."""
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)

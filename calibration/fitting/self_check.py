@@ -89,16 +89,16 @@ def room_warnings(room: float) -> list[str]:
 
 
 def black_warnings(
-    score: float, limit: ThresholdEntry, is_refused: bool, apart: Sequence[str] = ()
+    score: float, threshold: ThresholdEntry, is_refused: bool, apart: Sequence[str] = ()
 ) -> list[str]:
     """Warn where a black frame, which shows no press, scores like a sound press.
 
     score: its anomaly score. is_refused: whether the gateway refuses it for its colours. apart: the sentences on
     outliers, which may be the reason. Errors: FitError where it would pass.
     """
-    if score > limit.value:
+    if score > threshold.value:
         return []
-    found = f"a black frame scores {score:.4g}, below the threshold of {limit.value:.4g}"
+    found = f"a black frame scores {score:.4g}, below the threshold of {threshold.value:.4g}"
     if is_refused:
         return [f"{found}: it is refused for its colours alone"]
     why = apart or ("look for nominal pictures that are no presses, press more, or fit another method",)

@@ -26,11 +26,13 @@ MOST_METADATA = 500
 
 @dataclass(frozen=True)
 class Trunk:
-    """A trunk to fit on. id: the backbone's name, or the file's. facts: what the manifest records of its weights."""
+    """A trunk to fit on."""
 
     id: str
+    """The backbone's name, or the file's."""
     graph: bytes
     facts: dict[str, Any] = field(default_factory=dict)
+    """What the manifest records of its weights."""
 
     @property
     def sha256(self) -> str:

@@ -20,11 +20,13 @@ _EDGE_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of damage. shape: the simulator's defect, whose severity 1 is `largest_mm` deep. sign: -1 raises it."""
+    """One kind of damage."""
 
     shape: str
+    """The simulator's defect, whose severity 1 is `largest_mm` deep."""
     largest_mm: float
     sign: int = 1
+    """-1 where it is raised."""
 
 
 KINDS: Mapping[str, Kind] = {
@@ -47,10 +49,11 @@ class Spot:
 
 @dataclass(frozen=True)
 class Damage:
-    """Damage of one kind and size at one spot. size_mm: its depth, or a bump's height."""
+    """Damage of one kind and size at one spot."""
 
     kind: str
     size_mm: float
+    """Its depth, or a bump's height."""
     spot: Spot
 
     def defect(self) -> Defect:

@@ -35,14 +35,12 @@ _LOWEST_PERCENT = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """The light of one station in its inspected region.
-
-    free: the gel without contact, float32 (h, w, 3) levels of the region.
-    """
+    """The light of one station in its inspected region."""
 
     profile: SensorProfile
     region: Region
     free: F32
+    """The gel without contact, float32 (h, w, 3) levels of the region."""
 
     @cached_property
     def field(self) -> Field:

@@ -29,10 +29,11 @@ _HIGHEST_PERCENT = 98.0
 
 @dataclass(frozen=True, eq=False)
 class EditedPress:
-    """One press into which damage is rendered. rgb: uint8 (h, w, 3) of the station's region."""
+    """One press into which damage is rendered."""
 
     station: Station
     rgb: U8
+    """The press, uint8 (h, w, 3) of the station's region."""
 
     @cached_property
     def surface(self) -> F32:

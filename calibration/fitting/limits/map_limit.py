@@ -108,13 +108,14 @@ def _sample_middles(blur: Float, cells: int) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """What nominal presses show at each place, before a limit is known. middle, spread: float64 (rows, columns)."""
+    """What nominal presses show at each place, before a limit is known."""
 
     kind: LimitKind
     around: Window | None
     places: Window | None
     middle: Float
     spread: Float
+    """Middle and spread of each cell, float64 (rows, columns)."""
 
     def contrast(self, maps: Maps) -> Float:
         """Subtract the surroundings from raw maps (n, h, w), float64."""
@@ -141,11 +142,13 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class MapLimit:
-    """A limit for every place. grid: float64 (rows, columns), (1, 1) without places; guard: of raw values."""
+    """A limit for every place."""
 
     of: Spread
     grid: Float
+    """The limit of each cell, float64 (rows, columns); (1, 1) without places."""
     guard: float
+    """A raw value above this fails, whatever surrounds it."""
 
     def relate(self, maps: Maps) -> Float:
         """Return raw maps (n, h, w) in units of the limit, float64."""

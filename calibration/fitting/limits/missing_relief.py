@@ -41,10 +41,12 @@ TINY = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Pooled:
-    """Presses over their contact. means: features, float64 (n, channels). contact: how many cells, float64 (n,)."""
+    """Presses over their contact."""
 
     means: Float
+    """Mean features, float64 (n, channels)."""
     contact: Float
+    """Cells in contact, float64 (n,)."""
 
     def __getitem__(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> "Pooled":
         return Pooled(self.means[rows], self.contact[rows])
@@ -71,24 +73,26 @@ def pool(features: Floating, free: Float, level: float) -> Pooled:
 
 @dataclass(frozen=True, eq=False)
 class MissingRelief:
-    """What tells a smoother press from a nominal one.
-
-    tap: whose features are read. free: float64 (channels, 1, 1), of the free gel. level: the distance from it at which
-    a cell touches half. weights: float64 (channels,), and middle: see above. weakest: the least contact, in cells.
-    expected: float64 (rows, columns), the mean contact of nominal presses. rows, columns: float64 (h, rows) and
-    (w, columns), which bring the tap's cells to the score map. unit: the score at the limit.
-    """
+    """What tells a smoother press from a nominal one."""
 
     tap: str
+    """The tap whose features are read."""
     free: Float
+    """Features of the free gel, float64 (channels, 1, 1)."""
     level: float
+    """The distance from the free gel at which a cell touches half."""
     weights: Float
+    """With `middle` as above, float64 (channels,)."""
     middle: float
     weakest: float
+    """The least contact, in cells."""
     expected: Float
+    """The mean contact of nominal presses, float64 (rows, columns)."""
     rows: Float
     columns: Float
+    """With `rows`, (h, rows) and (w, columns): they bring the tap's cells to the score map."""
     unit: float = 1.0
+    """The score at the limit."""
 
     def __post_init__(self) -> None:
         if not (self.level > 0 and self.weakest > 0 and self.unit > 0):

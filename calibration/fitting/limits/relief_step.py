@@ -145,11 +145,13 @@ def choose_relief(
 @dataclass(frozen=True, eq=False)
 class _HeldOut:
     """Roughness by directions learnt without the press, 0 in the middle; of nominal ones the lower of that and of the
-    final direction's, which knows them. nominal: float64 (n,); same, smoother: float64 (kinds, m)."""
+    final direction's, which knows them."""
 
     nominal: Float
+    """Of nominal presses, (n,)."""
     same: Float
     smoother: Float
+    """As `same`, of changed presses, (kinds, m)."""
 
     @property
     def limit(self) -> float:
@@ -161,17 +163,18 @@ class _HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """Everything pooled over the contact. press: which nominal press each changed one was, (m,). cells: the scatter of
-    single touched cells, (channels, channels)."""
+    """Everything pooled over the contact."""
 
     free: Float
     level: float
     expected: Float
     nominal: Pooled
     press: NDArray[np.int64]
+    """Which nominal press each changed one was, (m,)."""
     same: tuple[Pooled, ...]
     smoother: tuple[Pooled, ...]
     cells: Float
+    """The scatter of single touched cells, (channels, channels)."""
 
     @classmethod
     def of(cls, nominal: Nominal, changed: ChangedPresses, take: Take, tap: str) -> "_Evidence":

@@ -43,14 +43,14 @@ View = tuple[SensorProfile, Region]
 
 @dataclass(frozen=True, eq=False)
 class PoseChoice:
-    """learnt: None where presses are scored as they lie. why: a sentence for the operator, empty for nothing to say.
-
-    separated: image AUROC of rendered damage, as the presses are scored; None where it was not measured.
-    """
+    """How presses come to the bank."""
 
     learnt: LearntPose | None
+    """None where presses are scored as they lie."""
     why: str = ""
+    """A sentence for the operator, empty for nothing to say."""
     separated: float | None = None
+    """Image AUROC of rendered damage, as the presses are scored; None where it was not measured."""
 
     @property
     def facts(self) -> dict[str, str]:

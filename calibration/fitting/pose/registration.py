@@ -40,15 +40,15 @@ _LEAST_SEEN = 0.3
 
 @dataclass(frozen=True, eq=False)
 class LearntPose:
-    """part: what the gateway needs. registered: every nominal press, in the bank's pose.
-
-    frames: uint8 (n, h, w, 3), the same presses; where one has left the field it shows another press, so that the bank
-    sees how much presses differ there.
-    """
+    """What nominal presses teach of their pose."""
 
     part: PartInPose
+    """What the gateway needs."""
     registered: tuple[Registered, ...]
+    """Every nominal press, in the bank's pose."""
     frames: U8
+    """Uint8 (n, h, w, 3), the same presses; where one has left the field it shows another press, so that the bank sees
+    how much presses differ there."""
 
 
 def learn_pose(frames: U8, free: U8) -> LearntPose:

@@ -49,10 +49,12 @@ _MOST_SD = 2.5
 
 @dataclass(frozen=True)
 class Augmentation:
-    """each: copies of every press, 0 for none. why: a sentence for the manifest, empty for nothing to say."""
+    """How many copies of the presses a bank learns, and why."""
 
     each: int = 0
+    """Copies of every press, 0 for none."""
     why: str = ""
+    """A sentence for the manifest, empty for nothing to say."""
 
     @property
     def facts(self) -> dict[str, dict[str, Any]]:

@@ -65,26 +65,27 @@ _EACH = ("names", "specimens", "touches", "reliefs")
 
 @dataclass(frozen=True)
 class NominalPresses:
-    """Nominal presses of one position, cut to the inspected region.
-
-    frames: uint8 (n, h, w, 3) RGB. names, specimens: one each per press, specimen None when unknown. touches: area and
-    centroid in the picture, empty when there is no free gel to compare with. touched: bool (h, w), the union of what
-    the presses touch with a margin of 1 mm. no_contact: uint8 (m, h, w, 3), the free gel. left_out: names of presses
-    found and left out. free_view: the free gel as contact detection sees it, uint8 (120, 160, 3).
-    reliefs: the share of the view in which each press shows an imprint's fine structure, empty when there is no free
-    gel. faults: parts of the sources that could not be read or found, a sentence each.
-    """
+    """Nominal presses of one position, cut to the inspected region."""
 
     frames: NDArray[np.uint8]
+    """Pictures, uint8 (n, h, w, 3) RGB."""
     names: tuple[str, ...]
     specimens: tuple[str | None, ...] = ()
+    """The piece of each press, None where it is unknown."""
     touches: tuple[Touch, ...] = ()
+    """Area and centroid in the picture, empty when there is no free gel to compare with."""
     touched: NDArray[np.bool_] | None = None
+    """What the presses touch with a margin of 1 mm, bool (h, w)."""
     no_contact: NDArray[np.uint8] | None = None
+    """The free gel, uint8 (m, h, w, 3)."""
     left_out: tuple[str, ...] = ()
+    """Names of presses found and left out."""
     free_view: NDArray[np.uint8] | None = None
+    """The free gel as contact detection sees it, uint8 (120, 160, 3)."""
     reliefs: tuple[float, ...] = ()
+    """The share of the view in which each press shows an imprint's fine structure, empty when there is no free gel."""
     faults: tuple[str, ...] = ()
+    """Parts of the sources that could not be read or found, a sentence each."""
 
     def __post_init__(self) -> None:
         if self.frames.ndim != 4 or self.frames.shape[3] != 3 or self.frames.dtype != np.uint8:
@@ -258,7 +259,7 @@ def _read_recording(folder: Path, gathered: _Gathered) -> None:
                 piece = None if specimens[number] is None else str(specimens[number])
                 gathered.add(rgb, f"{folder.name}#{number}", piece, (found.mask, found.relief or 0.0))
             elif len(gathered.free) < MAX_NO_CONTACT:
-                gathered.free.append(decode(found.frame, gathered.profile).rgb)
+                gathered.free.append(decode(found, gathered.profile).rgb)
     if finder.detector.newest is None:
         gathered.refused.append(why_unread(folder, recording, finder.detector))
     gathered.faults += _incomplete(recording, finder.settled, finder.detector)

@@ -13,27 +13,18 @@ from edge.core.contact.table import State
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["FoundFreeGel", "FoundPress", "PressFinder"]
+__all__ = ["FoundPress", "PressFinder"]
 
 
 @dataclass(frozen=True, eq=False)
 class FoundPress:
-    """The settled frame of a press.
-
-    mask: where it touches, bool (120, 160), and relief: the share of the view in which it shows fine structure; None
-    where the free gel is not known.
-    """
+    """The settled frame of a press."""
 
     frame: CameraFrame
     mask: NDArray[np.bool_] | None
+    """Where it touches, bool (120, 160); None where the free gel is not known."""
     relief: float | None
-
-
-@dataclass(frozen=True)
-class FoundFreeGel:
-    """The last frame of the free gel before a press."""
-
-    frame: CameraFrame
+    """The share of the view in which it shows fine structure; None where the free gel is not known."""
 
 
 class PressFinder:
@@ -44,17 +35,17 @@ class PressFinder:
         self.settled = 0
         self._last_free: CameraFrame | None = None
 
-    def feed(self, frame: CameraFrame) -> Iterator[FoundPress | FoundFreeGel]:
-        """Yield what this frame completes."""
+    def feed(self, frame: CameraFrame) -> Iterator[FoundPress | CameraFrame]:
+        """Yield a press that this frame completes, and the last frame of the free gel before one."""
         for event in self.detector.feed(frame).events:
             yield from self._find(event)
         if self.detector.tracker.state in (State.BASELINE, State.NO_CONTACT):
             self._last_free = self.detector.newest
 
-    def _find(self, event: Event) -> Iterator[FoundPress | FoundFreeGel]:
+    def _find(self, event: Event) -> Iterator[FoundPress | CameraFrame]:
         if isinstance(event, PressSettled) and event.frame is not None:
             self.settled += 1
             found = event.findings
             yield FoundPress(event.frame, found.mask if found else None, found.relief.area if found else None)
         elif isinstance(event, PressBegan | ReferenceReady) and self._last_free is not None:
-            yield FoundFreeGel(self._last_free)
+            yield self._last_free

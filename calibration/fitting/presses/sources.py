@@ -21,17 +21,16 @@ DEFAULT_POSITION = "default"
 
 @dataclass(frozen=True)
 class Sources:
-    """The sources of nominal presses, with their part and position.
-
-    paths: recordings, folders of pictures, and single pictures. specimens: of the pictures of datasets. held_out: the
-    specimens of a dataset that are kept for its evaluation.
-    """
+    """The sources of nominal presses, with their part and position."""
 
     part: str
     position: str
     paths: tuple[Path, ...]
+    """Recordings, folders of pictures, and single pictures."""
     specimens: Mapping[Path, str | None] = field(default_factory=dict)
+    """The specimen of each picture of a dataset."""
     held_out: tuple[str, ...] = ()
+    """The specimens of a dataset that are kept for its evaluation."""
 
 
 def is_dataset(source: Path) -> bool:
