@@ -49,19 +49,13 @@ def fit_noise(
     """
     found: list[list[float]] = []
     for (one, other), (free, free_too) in zip(pairwise(changes), pairwise(untouched), strict=True):
-        found.append([_sd(_fine(plane)[free & free_too]) / 2**0.5 for plane in one - other])
+        fine = [plane - cv2.GaussianBlur(plane, (0, 0), _NOISE_SMOOTH_PX) for plane in one - other]
+        middle = [float(np.median(np.abs(plane[free & free_too]))) for plane in fine]
+        found.append([_SD_OF_MAD * each / 2**0.5 for each in middle])
     # Half of the variance grows with the light (`camera.noise`).
     growth = np.sqrt(0.5 * np.array(level) / NOISE_LEVEL + 0.5)
     red, green, blue = (np.median(np.array(found), axis=0) / growth).tolist()
     return (red, green, blue)
-
-
-def _fine(plane: F32) -> F32:
-    return plane - cv2.GaussianBlur(plane, (0, 0), _NOISE_SMOOTH_PX)
-
-
-def _sd(values: F32) -> float:
-    return _SD_OF_MAD * float(np.median(np.abs(values)))
 
 
 def marker_dots(planes: F32) -> Mask:

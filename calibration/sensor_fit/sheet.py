@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.sensor_fit.result import Judged
-from calibration.simulator.field_of_view import F32
 
 __all__ = ["calibration_sheet"]
 
@@ -26,7 +25,8 @@ def calibration_sheet(judged: Sequence[Judged]) -> U8:
 def _row(one: Judged) -> U8:
     difference = 128 + _MAGNIFIED * (one.simulated - one.real)
     gap = np.full((one.real.shape[1], _GAP_PX, 3), _PAPER, np.uint8)
-    pictures = [_picture(planes) for planes in (one.real, one.simulated, difference)]
+    planes = (one.real, one.simulated, difference)
+    pictures = [np.clip(np.rint(each), 0, 255).transpose(1, 2, 0).astype(np.uint8) for each in planes]
     row = np.hstack([pictures[0], gap, pictures[1], gap, pictures[2]])
     title = np.full((_TITLE_PX, row.shape[1], 3), _PAPER, np.uint8)
     text = (
@@ -34,7 +34,3 @@ def _row(one: Judged) -> U8:
     )
     cv2.putText(title, text, (4, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (235, 235, 235), 1, cv2.LINE_AA)
     return np.vstack([title, row])
-
-
-def _picture(planes: F32) -> U8:
-    return np.asarray(np.clip(np.rint(planes), 0, 255).transpose(1, 2, 0), np.uint8)

@@ -157,16 +157,12 @@ def outputs(scene: Scene, plan: PressPlan) -> dict[str, Path]:
 
 def _write_piece(task: _Task) -> int:
     with reproducible_opencv():
-        return _write_presses(task)
-
-
-def _write_presses(task: _Task) -> int:
-    for plan in task.presses:
-        paths = {kind: task.folder / path for kind, path in outputs(task.scene, plan).items()}
-        if all(path.is_file() for path in paths.values()):
-            continue
-        for kind, picture in press_pictures(task.scene, plan, task.seed):
-            _write(paths[kind], _png(picture))
+        for plan in task.presses:
+            paths = {kind: task.folder / path for kind, path in outputs(task.scene, plan).items()}
+            if all(path.is_file() for path in paths.values()):
+                continue
+            for kind, picture in press_pictures(task.scene, plan, task.seed):
+                _write(paths[kind], _png(picture))
     return len(task.presses)
 
 

@@ -63,12 +63,8 @@ class Damage:
 
     def relief(self, x_mm: F32, y_mm: F32) -> F32:
         """The change of the part's height in mm at points of the region, float32 like them."""
-        changed = Damaged(_flat, self.defect())(x_mm, y_mm)
+        changed = Damaged(lambda x, y: np.zeros_like(x), self.defect())(x_mm, y_mm)
         return np.asarray(KINDS[self.kind].sign * changed, np.float32)
-
-
-def _flat(x_mm: F32, y_mm: F32) -> F32:
-    return np.zeros_like(x_mm)
 
 
 def surroundings(damage: Damage, field: Field) -> NDArray[np.bool_]:

@@ -64,7 +64,8 @@ def head_with_relief(head: bytes, tap: str, arrays: Mapping[str, NDArray[Any]]) 
     shapes = {name: arrays[name].shape for name in ARRAYS}
     renamed = {_MAP: _OWN_MAP, _SCORE: _OWN_SCORE}
     try:
-        return extend_head(head, renamed, shapes, _operations(tap), _CONSTANTS)
+        # The operations of `MissingRelief.score_map`.
+        return extend_head(head, renamed, shapes, [*_cells(tap), *_press(), *_map()], _CONSTANTS)
     except FitError as error:
         raise FitError(f"missing relief cannot be appended to the head: {error}") from error
 
@@ -80,11 +81,6 @@ def relieve_like(
     if not arrays:
         return head, bank
     return head_with_relief(head, facts[MISSING]["tap"], arrays), bank_with(bank, arrays)
-
-
-def _operations(tap: str) -> list[Operation]:
-    """List the operations of `MissingRelief.score_map`."""
-    return [*_cells(tap), *_press(), *_map()]
 
 
 def _cells(tap: str) -> list[Operation]:

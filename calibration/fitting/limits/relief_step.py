@@ -226,7 +226,10 @@ class _Evidence:
         changes = [kind.means[rows] - base for kind in self.same]
         within = within + _CONDITIONS * np.mean([_scatter(change) for change in changes], axis=0)
         smoother = np.mean([kind.means[rows] - base for kind in self.smoother], axis=(0, 1))
-        weights = -np.linalg.solve(within + _least(within), smoother)
+        eye = np.eye(len(within))
+        # Regular where a channel never changes.
+        least = 1e-6 * float(np.trace(within)) / len(within) * eye + 1e-12 * eye
+        weights = -np.linalg.solve(within + least, smoother)
         weights = weights / max(float(np.sqrt(weights @ within @ weights)), float(np.finfo(np.float32).tiny))
         return weights, float(np.median(means @ weights))
 
@@ -243,8 +246,3 @@ def _touched_cells(maps: Floating, free: Float, level: float) -> Float:
 
 def _scatter(rows: Float) -> Float:
     return np.asarray(rows.T @ rows / max(len(rows) - 1, 1))
-
-
-def _least(within: Float) -> Float:
-    """Keeps a scatter regular where a channel never changes."""
-    return 1e-6 * float(np.trace(within)) / len(within) * np.eye(len(within)) + 1e-12 * np.eye(len(within))

@@ -26,7 +26,6 @@ from edge.model.tile_runner import most_typical
 __all__ = ["PoseChoice", "Register", "choose_pose", "pose_spread_mm"]
 
 U8 = NDArray[np.uint8]
-F32 = NDArray[np.float32]
 
 Register = Literal["auto", "never", "always"]
 
@@ -111,18 +110,14 @@ def _learn(presses: NominalPresses) -> LearntPose:
 
 def pose_spread_mm(learnt: LearntPose, pixels_per_mm: float) -> float:
     """The median over presses of how far the part's places lie from where they lie in the median press, in mm."""
-    places = np.argwhere(learnt.part.learnt & find_relief(_template_slopes(learnt)))[::97, ::-1].astype(
-        np.float64
-    )
-    size = learnt.part.learnt.shape[1], learnt.part.learnt.shape[0]
+    part = learnt.part
+    slopes = part.colours.slopes(FreeLight(part.free).find_change(part.template))
+    places = np.argwhere(part.learnt & find_relief(slopes))[::97, ::-1].astype(np.float64)
+    size = part.learnt.shape[1], part.learnt.shape[0]
     matrices = [one.pose.matrix(size) for one in learnt.registered]
     moved = np.stack([places @ m[:, :2].T + m[:, 2] for m in matrices])
     away = np.linalg.norm(moved - np.median(moved, axis=0), axis=2).mean(axis=1)
     return float(np.median(away)) / pixels_per_mm
-
-
-def _template_slopes(learnt: LearntPose) -> F32:
-    return learnt.part.colours.slopes(FreeLight(learnt.part.free).find_change(learnt.part.template))
 
 
 def _proof(

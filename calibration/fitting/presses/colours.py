@@ -52,17 +52,15 @@ def nominal_colours(frames: NDArray[np.uint8]) -> ColourEntry | None:
     mean = cells.mean(axis=0)
     if mean.mean() < QualitySettings().black_level:
         return None
-    spread = max(colour_distance(one, _mean_of_others(mean, one, len(cells))) for one in cells)
+    n = len(cells)
+    others = [(mean * n - one) / (n - 1) if n > 1 else mean for one in cells]
+    spread = max(colour_distance(one, rest) for one, rest in zip(cells, others, strict=True))
     rounded = np.round(mean, 2).tolist()
     return ColourEntry(
         cells=tuple(tuple((r, g, b) for r, g, b in row) for row in rounded),
         spread=round(spread, 4),
         limit=round(max(LEAST_LIMIT, LIMIT_FACTOR * spread), 4),
     )
-
-
-def _mean_of_others(mean: NDArray[np.float64], one: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-    return (mean * n - one) / (n - 1) if n > 1 else mean
 
 
 def colour_warnings(colours: ColourEntry | None) -> list[str]:

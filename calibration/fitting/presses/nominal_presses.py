@@ -206,8 +206,11 @@ def read_presses(
     files = list_pictures([source for source in sources if not is_recording(source)], pattern)
     files = [path for path in files if not any(path.samefile(one) for one in free_files)]
     for path, picture in _pictures(files, profile, resize):
-        gathered.add(picture, _name(path), specimens.get(path) or specimen_of(path), contact(picture))
-    _require_left_out(gathered)
+        piece = specimens.get(path) or specimen_of(path)
+        gathered.add(picture, f"{path.parent.name}/{path.name}", piece, contact(picture))
+    for name in sorted(gathered.unwanted - set(gathered.left_out)):
+        known = [press.name for press in gathered.presses]
+        raise FitError(f"no press is named '{name}' to be left out; {suggestion(name, known)}")
     if not gathered.presses and gathered.refused:
         raise FitError("no press was found: " + "; ".join(gathered.refused))
     if not gathered.presses:
@@ -216,13 +219,6 @@ def read_presses(
             "folder of pictures"
         )
     return gathered.finish()
-
-
-def _require_left_out(gathered: _Gathered) -> None:
-    """Check the names to leave out. Errors: FitError with the nearest name for an unknown one."""
-    for name in sorted(gathered.unwanted - set(gathered.left_out)):
-        known = [press.name for press in gathered.presses]
-        raise FitError(f"no press is named '{name}' to be left out; {suggestion(name, known)}")
 
 
 def gather_presses(
@@ -380,7 +376,3 @@ def touched_union(
     side = 2 * round(TOUCHED_MARGIN_MM * profile.pixels_per_mm) + 1
     margin = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     return np.asarray(cv2.dilate(seen, margin), np.bool_)
-
-
-def _name(path: Path) -> str:
-    return f"{path.parent.name}/{path.name}"

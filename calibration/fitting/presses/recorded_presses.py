@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.contact.events import Event, PressBegan, PressSettled, ReferenceReady
+from edge.core.contact.events import PressBegan, PressSettled, ReferenceReady
 from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.table import State
@@ -38,14 +38,11 @@ class PressFinder:
     def feed(self, frame: CameraFrame) -> Iterator[FoundPress | CameraFrame]:
         """Yield a press that this frame completes, and the last frame of the free gel before one."""
         for event in self.detector.feed(frame).events:
-            yield from self._find(event)
+            if isinstance(event, PressSettled) and event.frame is not None:
+                self.settled += 1
+                seen = event.findings
+                yield FoundPress(event.frame, seen.mask if seen else None, seen.relief.area if seen else None)
+            elif isinstance(event, PressBegan | ReferenceReady) and self._last_free is not None:
+                yield self._last_free
         if self.detector.tracker.state in (State.BASELINE, State.NO_CONTACT):
             self._last_free = self.detector.newest
-
-    def _find(self, event: Event) -> Iterator[FoundPress | CameraFrame]:
-        if isinstance(event, PressSettled) and event.frame is not None:
-            self.settled += 1
-            found = event.findings
-            yield FoundPress(event.frame, found.mask if found else None, found.relief.area if found else None)
-        elif isinstance(event, PressBegan | ReferenceReady) and self._last_free is not None:
-            yield self._last_free

@@ -70,9 +70,11 @@ def scatter_warnings(
         return _unregistered_warnings(presses, profile, detector)
     if scatter is None or scatter <= SCATTERED_MM:
         return []
+    methods = [registry.detector(name) for name in registry.names("detectors")]
+    other = [one.name for one in methods if not (one.compares_places or one.is_baseline)]
     found = (
         f"half of the contacts lie more than {scatter:.1f} mm from their common middle: {detector.name} compares place "
-        f"with place and will pass damage; hold the part at one place, or fit {' or '.join(_indifferent())}"
+        f"with place and will pass damage; hold the part at one place, or fit {' or '.join(other)}"
     )
     if not is_scattered:
         registered = f" ({why_unregistered}; see --register)" if why_unregistered else ""
@@ -92,9 +94,3 @@ def _unregistered_warnings(presses: NominalPresses, profile: SensorProfile, dete
         f"of the free gel they are not registered: {detector.name} compares place with place and will pass damage; "
         "give the free gel with --no-contact, or a recording that shows it"
     ]
-
-
-def _indifferent() -> list[str]:
-    """The methods that score a press at any place."""
-    methods = (registry.detector(name) for name in registry.names("detectors"))
-    return [one.name for one in methods if not (one.compares_places or one.is_baseline)]

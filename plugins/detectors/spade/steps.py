@@ -26,18 +26,14 @@ class Steps:
 
 
 def relative_floor(layer: NDArray[np.floating]) -> float:
-    """A part of the mean nominal length, so that scaled features give the same map."""
-    return LENGTH_FLOOR * _mean_length(layer)
+    """Return a part of the mean length of a cell's descriptor, so that scaled features give the same map."""
+    lengths = [np.sqrt(np.square(press, dtype=np.float64).sum(axis=0)).mean() for press in layer]
+    return LENGTH_FLOOR * float(np.mean(lengths))
 
 
 def keep_gallery(gallery: NDArray[np.floating]) -> NDArray[np.floating]:
     """Every cell."""
     return gallery.reshape(-1, gallery.shape[3])
-
-
-def _mean_length(layer: NDArray[np.floating]) -> float:
-    """The mean Euclidean length of a cell's descriptor, of features (n, c, h, w)."""
-    return float(np.mean([np.sqrt(np.square(press, dtype=np.float64).sum(axis=0)).mean() for press in layer]))
 
 
 CORRECTED = Steps(relative_floor, keep_gallery, lambda graph, bank, size: bank)
