@@ -86,6 +86,7 @@ def conformal_threshold(
         margin = max(FLOOR_MARGIN * float(ordered[-1] - np.median(ordered)), slack)
         value = float(ordered[-1]) + margin
         method = f"{kind}: largest of {len(ordered)} scores plus {margin:.4g}"
+    high = np.flatnonzero(found > value).tolist()
     return ThresholdEntry(
         value=value,
         method=method,
@@ -94,23 +95,15 @@ def conformal_threshold(
         nominal_scores=tuple(map(float, ordered)),
         pieces=pieces,
         rate_range=rate_range(pieces, alpha),
-        by_press=_promised(found > value),
-        by_piece=_promised(_of_pieces(found > value, keys)) if pieces < len(found) else None,
+        by_press=_promise(len(high), len(found)),
+        by_piece=_promise(len({keys[k] for k in high}), pieces) if pieces < len(found) else None,
     )
 
 
-def _promised(is_alarm: NDArray[np.bool_]) -> RatePromise:
-    """The rates that the alarms among these trials still allow. is_alarm: of each trial, (n,)."""
-    alarms, trials = int(is_alarm.sum()), len(is_alarm)
-    return RatePromise(
-        trials=trials, alarms=alarms, rate=upper_rate(alarms, trials, CONFIDENCE), confidence=CONFIDENCE
-    )
-
-
-def _of_pieces(is_alarm: NDArray[np.bool_], keys: Sequence[str]) -> NDArray[np.bool_]:
-    """Tell whether any press of a piece is above the threshold, (pieces,)."""
-    high = {key for key, alarm in zip(keys, is_alarm, strict=True) if alarm}
-    return np.array([key in high for key in dict.fromkeys(keys)])
+def _promise(alarms: int, trials: int) -> RatePromise:
+    """Return the rates that so many alarms among these trials still allow."""
+    rate = upper_rate(alarms, trials, CONFIDENCE)
+    return RatePromise(trials=trials, alarms=alarms, rate=rate, confidence=CONFIDENCE)
 
 
 def _rank(pieces: Sequence[str], alpha: float) -> int | None:

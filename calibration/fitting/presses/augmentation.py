@@ -94,7 +94,9 @@ def plan_copies(
     is_useful = mode != "paper" and n <= FEW and (n < MIN_PRESSES or method not in _NO_GAIN)
     if augment == "never" or not n or (augment == "auto" and not is_useful):
         return Augmentation()
-    why = _hindrance(presses, is_registered)
+    why = "the presses are registered, and lie in one pose already" if is_registered else ""
+    if presses.no_contact is None:
+        why = "they need a picture of the free gel; give one with --no-contact, or a recording that shows it"
     if why and augment == "always":
         raise FitError(f"no copies of the presses can be added: {why}")
     if why:
@@ -107,12 +109,6 @@ def plan_copies(
         f"{_MOST_SD * _SHIFT_MM:.1f} mm, turned by up to {_MOST_SD * _TURN_DEG:.1f} degrees, tilted, and pressed "
         "deeper and lighter",
     )
-
-
-def _hindrance(presses: NominalPresses, is_registered: bool) -> str:
-    if presses.no_contact is None:
-        return "they need a picture of the free gel; give one with --no-contact, or a recording that shows it"
-    return "the presses are registered, and lie in one pose already" if is_registered else ""
 
 
 def render_copies(

@@ -114,7 +114,10 @@ class PatchBank:
         rotation = Rotation(arrays["mean"], arrays.get("basis"))
         rows = rotation(self.descriptor.numpy(features, grid, self._scales(arrays), dtype), dtype)
         rows = rows.reshape(len(features[self.descriptor.taps[0]]), -1, rows.shape[2])
-        return self._append_place(rows, grid).astype(dtype, copy=False)
+        if self.position_weight:
+            places = np.broadcast_to(self._places(grid), (*rows.shape[:-1], 2))
+            rows = np.concatenate([rows, places], axis=-1)
+        return rows.astype(dtype, copy=False)
 
     def distances(
         self, features: Features, grid: Grid, arrays: Mapping[str, NDArray[Any]], is_squared: bool
@@ -193,12 +196,6 @@ class PatchBank:
             down, across = (edge / size for edge, size in zip(edges, grid.frame, strict=True))
         places = split(np.stack(np.meshgrid(down, across, indexing="ij"))[None], grid)
         return np.asarray(self.position_weight * places.transpose(0, 2, 3, 1).reshape(-1, 2))
-
-    def _append_place(self, rows: NDArray[np.floating], grid: Grid) -> NDArray[np.floating]:
-        if not self.position_weight:
-            return rows
-        places = np.broadcast_to(self._places(grid), (*rows.shape[:-1], 2))
-        return np.concatenate([rows, places], axis=-1)
 
 
 def _press(features: Features, taps: tuple[str, ...], press: int) -> Features:
