@@ -114,7 +114,7 @@ def _simulated(folder: Path, seed: int) -> tuple[Path, Path]:
 def _fit(nominal: Path, path: Path) -> Path:
     import datetime
 
-    from calibration.fitting.fit import FitConfig, fit_bundle
+    from calibration.fitting.fit import FitConfig, fit_files
     from calibration.fitting.presses.nominal_presses import read_presses
     from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
     from calibration.progress import Stages
@@ -130,7 +130,8 @@ def _fit(nominal: Path, path: Path) -> Path:
     presses = read_presses([nominal], sensor, region)
     with Stages() as report:
         today = datetime.date.today().isoformat()
-        return fit_bundle(path, presses, config, created=today, report=report, overwrite=True).resolve()
+        fitted = fit_files(presses, config, created=today, report=report)
+    return fitted.write(path, overwrite=True).resolve()
 
 
 @dataclass

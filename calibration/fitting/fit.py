@@ -72,7 +72,7 @@ from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions, open_session
 from edge.model.tile_runner import most_typical, untouched_tiles
 
-__all__ = ["FitConfig", "Fitted", "fit_bundle", "fit_files"]
+__all__ = ["FitConfig", "Fitted", "fit_files"]
 
 Float = NDArray[np.float64]
 
@@ -88,34 +88,16 @@ class Fitted:
         """Load it through the same checks as from disk. loaded: see `Bundle.load`."""
         return Bundle.in_memory(self.manifest, self.files, loaded=loaded)
 
-
-def fit_bundle(
-    path: Path,
-    presses: NominalPresses,
-    config: FitConfig,
-    *,
-    created: str,
-    report: Report = lambda stage, fraction: None,
-    overwrite: bool = False,
-) -> Path:
-    """Fit and write a bundle, a folder or (name ending in .zip) a zip; complete or not at all.
-
-    created: the date for the provenance. Errors: FitError, ConfigError, FileExistsError, OSError.
-    """
-    if path.exists() and not overwrite:
-        raise FileExistsError(f"{path} exists already; choose another name or allow it to be replaced")
-    fitted = fit_files(presses, config, created=created, report=report)
-    report("write", 0.0)
-    write_bundle(path, fitted.files, overwrite=overwrite)
-    report("write", 1.0)
-    return path
+    def write(self, path: Path, *, overwrite: bool = False) -> Path:
+        """Write a folder or (name ending in .zip) a zip, complete or not at all. Errors: FileExistsError, OSError."""
+        return write_bundle(path, self.files, overwrite=overwrite)
 
 
 @one_blas_thread()
 def fit_files(
     presses: NominalPresses, config: FitConfig, *, created: str, report: Report = lambda stage, fraction: None
 ) -> Fitted:
-    """Fit a bundle in memory. Errors as `fit_bundle`."""
+    """Fit a bundle in memory. created: the date for the provenance. Errors: FitError, ConfigError."""
     watch = _Watch(report)
     plan = _plan_fit(presses, config)
     with watch.time("features"):

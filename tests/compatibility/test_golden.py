@@ -29,7 +29,7 @@ from stepped_station import SteppedStation
 from toy_trunk import toy_trunk
 from typer.main import get_command
 
-from calibration.fitting.fit import FitConfig, fit_bundle
+from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import Trunk
 from edge import registry
@@ -371,7 +371,7 @@ def fitted(method: str, folder: Path) -> Path:
         "pin", "top", sensor, Region.full((SIDE, SIDE)), detector, Trunk("toy", toy_trunk(taps))
     )
     names = tuple(f"press {number}" for number in range(10))
-    return fit_bundle(folder, NominalPresses(presses(10, 1), names), config, created="2026-01-01")
+    return fit_files(NominalPresses(presses(10, 1), names), config, created="2026-01-01").write(folder)
 
 
 def maps_of(bundle: Path) -> dict[str, NDArray[np.float32]]:

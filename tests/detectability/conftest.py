@@ -8,7 +8,7 @@ import pytest
 from pressed_dome import PROFILE, REGION, Bench, dome_bench, dome_config, write
 
 from calibration.fitting.damage.imprint import Station
-from calibration.fitting.fit import fit_bundle
+from calibration.fitting.fit import fit_files
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.simulator.reproducible_math import reproducible_opencv
 
@@ -39,6 +39,5 @@ def pictures(bench: Bench, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def fitted(pictures: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bundle of padim on the eight learnt presses."""
     presses = read_presses([pictures / "learnt"], PROFILE, REGION, no_contact=[pictures / "free"])
-    return fit_bundle(
-        tmp_path_factory.mktemp("fitted") / "bundle", presses, dome_config(), created="2026-01-01"
-    )
+    fitted = fit_files(presses, dome_config(), created="2026-01-01")
+    return fitted.write(tmp_path_factory.mktemp("fitted") / "bundle")

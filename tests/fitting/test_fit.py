@@ -10,7 +10,7 @@ import pytest
 import tiny
 from tiny_fit import config, presses
 
-from calibration.fitting.fit import fit_bundle, fit_files
+from calibration.fitting.fit import fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.scatter import scatter_warnings
 from calibration.fitting.trunks import Trunk
@@ -240,7 +240,8 @@ def test_equal_presses_and_seed_give_an_equal_bundle() -> None:
 @pytest.mark.parametrize("packing", ["none", "float16", "int8"])
 def test_golden_frames_hold_on_the_written_bundle(tmp_path: Path, packing: str) -> None:
     """Two nominal frames and a marked one are scored again after loading, whatever the packing."""
-    path = fit_bundle(tmp_path / "bolt.zip", presses(8), config(overrides={"packing": packing}), created="")
+    fitted = fit_files(presses(8), config(overrides={"packing": packing}), created="")
+    path = fitted.write(tmp_path / "bolt.zip")
     bundle = Bundle.load(path)
     assert len(bundle.golden) == 3
     assert bundle.golden[2].score > bundle.manifest.threshold.value
@@ -249,7 +250,7 @@ def test_golden_frames_hold_on_the_written_bundle(tmp_path: Path, packing: str) 
 
 def test_a_bundle_without_its_trunk_is_written_and_found(tmp_path: Path) -> None:
     """The zip is small; the store holds the trunk under its hash."""
-    path = fit_bundle(tmp_path / "bolt.zip", presses(4), config(with_trunk=False), created="")
+    path = fit_files(presses(4), config(with_trunk=False), created="").write(tmp_path / "bolt.zip")
     (tmp_path / "trunks").mkdir()
     (tmp_path / "trunks" / f"{Trunk('', tiny.tiny_trunk()).sha256}.onnx").write_bytes(tiny.tiny_trunk())
     assert Scorer(Bundle.load(path)).check_golden() == 0.0
@@ -267,28 +268,6 @@ def test_the_detector_is_given_touch_and_free_gel() -> None:
         np.testing.assert_array_equal(nominal.touched, area)
         assert nominal.no_contact is not None
         assert nominal.no_contact["layer1"].shape == (2, 3, 4, 4)
-
-
-@pytest.mark.parametrize("stage", ["features", "bank", "threshold", "golden", "write"])
-def test_an_interrupt_at_any_stage_leaves_nothing(tmp_path: Path, stage: str) -> None:
-    """Ctrl-C while it works: no bundle and no half of one."""
-
-    def report(now: str, fraction: float) -> None:
-        if now == stage and fraction == (0.0 if stage == "write" else 1.0):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fit_bundle(tmp_path / "bolt", presses(4), config(), created="", report=report)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_existing_bundle_is_refused_before_the_work(tmp_path: Path) -> None:
-    """A fit that cannot be written is refused before the work."""
-    (tmp_path / "bolt").mkdir()
-    with pytest.raises(FileExistsError, match="exists already"):
-        fit_bundle(
-            tmp_path / "bolt", presses(4), config(), created="", report=lambda s, f: pytest.fail("it began")
-        )
 
 
 def test_presses_that_lie_anywhere_are_refused_by_the_methods_that_mind() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from station import JSONL, station_config
 
-from calibration.fitting.fit import FitConfig, fit_bundle
+from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.presses.scatter import scatter_warnings
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
@@ -51,12 +51,8 @@ def station(unit: Path, real_tactile: Path, tmp_path_factory: pytest.TempPathFac
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
     nominal = [unit / "6.310mm" / str(k) / "gelsight.png" for k in NOMINAL]
     presses = read_presses(nominal, PROFILE, REGION, no_contact=[unit / "background.png"])
-    bundle = fit_bundle(
-        folder / "ball",
-        presses,
-        FitConfig("ball", "any", PROFILE, REGION, detector, trunk, folds=2),
-        created="test",
-    )
+    config = FitConfig("ball", "any", PROFILE, REGION, detector, trunk, folds=2)
+    bundle = fit_files(presses, config, created="test").write(folder / "ball")
     tested = [unit / "6.310mm" / str(k) / "gelsight.png" for k in TESTED]
     plan = PressLift(lead_frames=20, free_frames=12, press_frames=10, noise=CopyNoise(1.5, seed=1))
     record_images(

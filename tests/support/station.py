@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 from tiny import TINY, tiny_trunk
 
-from calibration.fitting.fit import FitConfig, fit_bundle
+from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.trunks import Trunk
 from edge.core.imaging.known_profiles import profile
@@ -89,7 +89,7 @@ def small_bundle(
     sensor = sensor or profile("cropped_lr")
     region = Region.centre(sensor.size)
     config = FitConfig("PZ0", "pos1", sensor, region, TINY, Trunk("tiny", tiny_trunk()), threshold=threshold)
-    return fit_bundle(folder, read_presses([nominal], sensor, region), config, created="2026-01-01")
+    return fit_files(read_presses([nominal], sensor, region), config, created="2026-01-01").write(folder)
 
 
 CONFIG = """
