@@ -32,10 +32,11 @@ _LIFTED, _LIFTED_MM, _SPARE_MM = 1.5, 0.3, 0.9
 
 @dataclass(frozen=True)
 class Window:
-    """A square of pixels that may reach beyond the picture. x, y: its first column and row."""
+    """A square of pixels that may reach beyond the picture."""
 
     x: int
     y: int
+    """Its first column and row."""
     side: int
     """In pixels."""
 

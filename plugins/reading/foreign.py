@@ -24,23 +24,28 @@ Content = Any
 
 @dataclass
 class Record:
-    """An object of a foreign class. kind: the class, `package.module.Class`. args: of its constructor. state: what its
-    pickle keeps, usually a table of attributes."""
+    """An object of a foreign class."""
 
     kind: str
+    """The class, `package.module.Class`."""
     args: list[Content] = field(default_factory=list)
+    """The arguments of its constructor."""
     state: Content = None
+    """What its pickle keeps, usually a table of attributes."""
 
 
 @dataclass(frozen=True)
 class Foreign:
-    """A foreign file that was read. path: the file. form: what kind of file it is, in words. content: what it holds.
-    isolation: how the reader was kept from the rest of the machine, one sentence."""
+    """A foreign file that was read."""
 
     path: Path
+    """The file."""
     form: str
+    """What kind of file it is, in words."""
     content: Content
+    """What it holds."""
     isolation: str = ""
+    """How the reader was kept from the rest of the machine, one sentence."""
 
     def table(self) -> Mapping[Any, Content]:
         """Give the content as a table, empty where it is not one."""

@@ -23,10 +23,12 @@ BATCH, STEP = 1024, 0.9
 
 
 class Coreset(NamedTuple):
-    """rows: int64 (m,), in the order of picking. radius: how far any row is from its nearest pick, plain distance."""
+    """A few rows, picked by k-centre."""
 
     rows: NDArray[np.int64]
+    """The rows in the order of picking, int64 (m,)."""
     radius: float
+    """How far any row is from its nearest pick, plain distance."""
 
 
 def k_centre(

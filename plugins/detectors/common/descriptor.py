@@ -35,11 +35,12 @@ BAND = 16
 
 
 class Band(NamedTuple):
-    """Neighbouring rows of one tap's part of a binned descriptor. channels: the ones they need.
-    weights: (rows, channels, 3, 3)."""
+    """Neighbouring rows of one tap's part of a binned descriptor."""
 
     channels: slice
+    """The channels that they need."""
     weights: NDArray[np.float64]
+    """Weights of the convolution, (rows, channels, 3, 3)."""
 
 
 @cache

@@ -19,10 +19,12 @@ CHUNK = 1024
 
 
 class Nearest(NamedTuple):
-    """The nearest rows. distances: (q, k), plain Euclidean, rising. indices: int64 (q, k), rows of the bank."""
+    """The nearest rows."""
 
     distances: NDArray[np.float64]
+    """Plain Euclidean, rising, (q, k)."""
     indices: NDArray[np.int64]
+    """Rows of the bank, int64 (q, k)."""
 
 
 def nearest(

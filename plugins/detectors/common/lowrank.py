@@ -29,15 +29,14 @@ ITERATIONS = 2
 
 
 class Spectrum(NamedTuple):
-    """Mean and thin eigenpairs of a covariance, for one or many sets of samples.
-
-    mean: (..., d). values: (..., r) falling, 0 where a set has fewer than r directions. basis: (..., r, d), orthonormal
-    rows, 0 where the value is 0.
-    """
+    """Mean and thin eigenpairs of a covariance, for one or many sets of samples."""
 
     mean: NDArray[np.float64]
+    """The mean, (..., d)."""
     values: NDArray[np.float64]
+    """Eigenvalues (..., r), falling, 0 where a set has fewer than r directions."""
     basis: NDArray[np.float64]
+    """Orthonormal rows (..., r, d), 0 where the value is 0."""
 
 
 def spectrum(samples: NDArray[np.floating], rank: int | None = None, ddof: int = 1) -> Spectrum:

@@ -19,10 +19,12 @@ __all__ = ["Rotation", "emit_rotation", "fit_rotation"]
 
 @dataclass(frozen=True)
 class Rotation:
-    """mean: (c,). basis: (d, c) with orthonormal rows (zero rows where the samples span less), None for all c."""
+    """Leading directions of descriptors, and their mean."""
 
     mean: NDArray[np.float32]
+    """The mean, (c,)."""
     basis: NDArray[np.float32] | None
+    """Orthonormal rows, (d, c) (zero rows where the samples span less), None for all c."""
 
     @property
     def width(self) -> int:

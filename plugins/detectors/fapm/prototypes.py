@@ -28,11 +28,13 @@ __all__ = [
 
 
 class Layout(NamedTuple):
-    """One layer's places. cell: int64 (groups,), the cell of each group. groups: int64 (g, s), the places that share a
-    bank; the last cell of an axis repeats its border where the grid ends inside it."""
+    """One layer's places."""
 
     cell: NDArray[np.int64]
+    """The cell of each group, int64 (groups,)."""
     groups: NDArray[np.int64]
+    """The places that share a bank, int64 (g, s); the last cell of an axis repeats its border where the grid ends
+    inside it."""
 
     def only(self, chosen: NDArray[np.bool_]) -> "Layout":
         """The chosen groups."""
@@ -52,25 +54,29 @@ def cell_layout(shape: tuple[int, int], side: int, is_shared: bool) -> Layout:
 
 
 class Prototypes(NamedTuple):
-    """The chosen rows. mean: float32 (g, c). rows: float32 (g, far, c), centred, in the order of picking; a group that
-    is not far has the first `near` of them, and zeros. is_far: bool (g,). apart: float64 (g, s * n), the distance of
-    each nominal row to the kept prototypes of other presses, infinite where there are none."""
+    """The chosen rows."""
 
     mean: NDArray[np.float32]
+    """The mean of each group, float32 (g, c)."""
     rows: NDArray[np.float32]
+    """Centred, in the order of picking, float32 (g, far, c); a group that is not far has `near` of them, and zeros."""
     near: int
     is_far: NDArray[np.bool_]
+    """Whether a group is far, bool (g,)."""
     apart: NDArray[np.float64]
+    """Float64 (g, s * n): the distance of each nominal row to the kept prototypes of other presses, infinite where
+    there are none."""
 
 
 class _Learnt(NamedTuple):
-    """mean, rows, apart: as in `Prototypes`, for one number of prototypes. radius: float64 (g, s), how far the rows of
-    a place are from the prototypes."""
+    """What one number of prototypes gives."""
 
     mean: NDArray[np.float32]
     rows: NDArray[np.float32]
     radius: NDArray[np.float64]
+    """How far the rows of a place are from the prototypes, float64 (g, s)."""
     apart: NDArray[np.float64]
+    """As in `Prototypes`, for one number of prototypes."""
 
 
 def choose_prototypes(

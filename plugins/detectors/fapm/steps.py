@@ -19,13 +19,15 @@ Cells = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Steps:
-    """above: row and column of fine sub-patches to those of the coarse one whose distance is added. shift, emit_shift:
-    subtracted from distances (n, k) before exp. least_weighted: with fewer neighbours a score has no weight."""
+    """The steps in which a publication differs by a defect."""
 
     above: Callable[[Cells, Cells], tuple[Cells, Cells]]
+    """Row and column of fine sub-patches to those of the coarse one whose distance is added."""
     shift: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     emit_shift: Callable[[Graph, Value], Value]
+    """Subtracted from distances (n, k) before exp."""
     least_weighted: int
+    """With fewer neighbours a score has no weight."""
 
 
 def quadrant(row: Cells, column: Cells) -> tuple[Cells, Cells]:

@@ -20,12 +20,13 @@ STRAY_QUANTILE = 0.99
 
 
 class Channels(NamedTuple):
-    """Elements of channels, sorted by channel. key: the channel, realisation * cells + its patch. press, patch: whose
-    descriptor the element is."""
+    """Elements of channels, sorted by channel."""
 
     key: NDArray[np.int64]
+    """The channel, realisation * cells + its patch."""
     press: NDArray[np.int64]
     patch: NDArray[np.int64]
+    """Press and patch whose descriptor the element is."""
 
 
 def associate(

@@ -16,49 +16,56 @@ ROUNDING = 1e-6
 
 
 class Match(NamedTuple):
-    """For each patch of a press, its nearest patch of a realisation. squared: float32 (cells,). patch: int64 (cells,).
-    is_mutual: whether that patch's nearest is this one."""
+    """For each patch of a press, its nearest patch of a realisation."""
 
     squared: NDArray[np.float32]
+    """The squared distance, float32 (cells,)."""
     patch: NDArray[np.int64]
+    """The nearest patch, int64 (cells,)."""
     is_mutual: NDArray[np.bool_]
+    """Whether that patch's nearest is this one."""
 
 
 class Nearest(NamedTuple):
-    """Both directions between a press and each of k realisations, by the product. there: int64 (k, cells), for each
-    patch of the press the nearest of the realisation. away: float32 (k, cells), its squared distance. back: float32
-    (k, cells), for each patch of the realisation the distance to the nearest patch of the press. lengths: float32
-    (k, cells), the sum of the squared lengths of both patches at each place."""
+    """Both directions between a press and each of k realisations, by the product."""
 
     there: NDArray[np.int64]
+    """Int64 (k, cells), for each patch of the press the nearest of the realisation."""
     away: NDArray[np.float32]
+    """Float32 (k, cells), its squared distance."""
     back: NDArray[np.float32]
+    """Float32 (k, cells), for each patch of the realisation the distance to the nearest patch of the press."""
     lengths: NDArray[np.float32]
+    """Float32 (k, cells), the sum of the squared lengths of both patches at each place."""
 
 
 class Joined(NamedTuple):
-    """A press and one realisation, with exact distances. squared: float32 (cells,), distances. there: int64 (cells,),
-    for each patch of the press its nearest of the realisation. back: the other direction, -1 for none."""
+    """A press and one realisation, with exact distances."""
 
     squared: NDArray[np.float32]
+    """Squared distances, float32 (cells,)."""
     there: NDArray[np.int64]
+    """Int64 (cells,), for each patch of the press its nearest of the realisation."""
     back: NDArray[np.int64]
+    """The other direction, -1 for none."""
 
 
 @dataclass(frozen=True)
 class Steps:
-    """prefer: which of equally near patches is the nearest. is_taken: which patches join this realisation instead of
-    the best so far. member: opener and matched patch to the channel's key and its member. is_near: which members stay,
-    by their distance from the mean, the channel's limit and the stray distance. is_tight: which channels stay, by their
-    root mean square distance and the stray distance. has_fallback: whether every patch is the bank where no channel
-    remains."""
+    """The steps in which a publication differs by a defect."""
 
     prefer: Callable[[NDArray[np.float32], NDArray[np.float32], Nearest, Joined], Joined]
+    """Which of equally near patches is the nearest."""
     is_taken: Callable[[Match, NDArray[np.float32]], NDArray[np.bool_]]
+    """Which patches join this realisation instead of the best so far."""
     member: Callable[[NDArray[np.int64], NDArray[np.int64], int], tuple[NDArray[np.int64], NDArray[np.int64]]]
+    """Opener and matched patch to the channel's key and its member."""
     is_near: Callable[[NDArray[np.float64], NDArray[np.float64], float], NDArray[np.bool_]]
+    """Which members stay, by their distance from the mean, the channel's limit and the stray distance."""
     is_tight: Callable[[NDArray[np.float64], float], NDArray[np.bool_]]
+    """Which channels stay, by their root mean square distance and the stray distance."""
     has_fallback: bool
+    """Whether every patch is the bank where no channel remains."""
 
 
 def squared_distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -16,13 +16,14 @@ LENGTH_FLOOR = 1e-6
 
 @dataclass(frozen=True)
 class Steps:
-    """length_floor: layer (n, c, h, w) to the number added to a length before the division by it. gallery:
-    (presses, h, w, c) to the rows (m, c) that are searched where there is no window. emit_gallery: the same in a graph,
-    of (m, presses * h * w, c) with (h, w, c)."""
+    """The steps in which a publication differs by a defect."""
 
     length_floor: Callable[[NDArray[np.floating]], float]
+    """Layer (n, c, h, w) to the number added to a length before the division by it."""
     gallery: Callable[[NDArray[np.floating]], NDArray[np.floating]]
+    """(presses, h, w, c) to the rows (m, c) that are searched where there is no window."""
     emit_gallery: Callable[[Graph, Value, tuple[int, int, int]], Value]
+    """The same in a graph, of (m, presses * h * w, c) with (h, w, c)."""
 
 
 def relative_floor(layer: NDArray[np.floating]) -> float:

@@ -91,13 +91,14 @@ def _cost(cells: tuple[int, int], side: int, window: int) -> int:
 
 
 class Tables(NamedTuple):
-    """The blocks of the cells of which rows are stored. queries: int64 (blocks, q), flat cells. reached: int64
-    (blocks, r), indices of stored rows, or their number where a cell has none. back: int64 (stored,), the index of each
-    stored cell in the flattened queries."""
+    """The blocks of the cells of which rows are stored."""
 
     queries: NDArray[np.int64]
+    """Int64 (blocks, q), flat cells."""
     reached: NDArray[np.int64]
+    """Int64 (blocks, r), indices of stored rows, or their number where a cell has none."""
     back: NDArray[np.int64]
+    """Int64 (stored,), the index of each stored cell in the flattened queries."""
 
     @classmethod
     def of(cls, blocks: Blocks, stored: NDArray[np.int64]) -> "Tables":
