@@ -117,13 +117,6 @@ def test_the_direct_packages_of_the_extras_are_on_the_page() -> None:
     assert names == set(EXTRAS)
 
 
-def test_the_product_declares_its_own_licence() -> None:
-    """The metadata, the licence's text and the page agree."""
-    assert PROJECT["license"] == "Apache-2.0"
-    assert "Version 2.0, January 2004" in (ROOT / "LICENSE").read_text(encoding="utf-8")
-    assert "Apache License, Version 2.0" in PAGE
-
-
 def test_the_newest_version_in_the_changes_is_the_products() -> None:
     """CHANGELOG.md starts with the version of the package."""
     versions = re.findall(r"^## (\S+?),? ", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)

@@ -117,22 +117,22 @@ def _closed(message: Received) -> Received:
     return replace(message, payload=json.dumps(document).encode())
 
 
+def until(is_so: Callable[[], object]) -> None:
+    """Wait until that is so, or far longer than any round needs."""
+    deadline = time.monotonic() + ROUND_S
+    while not is_so() and time.monotonic() < deadline:
+        time.sleep(0.01)
+
+
 def play(config: Path, empties_outbox: bool) -> None:
     """A gateway process: play the recording to its end, or until SIGTERM."""
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     loaded = load_config(config)
-    with Gateway.open(loaded, SystemClock()) as gateway:
+    with Gateway.open(loaded, SystemClock()) as gateway, Outbox(loaded.store.path) as outbox:
         gateway.run(stop)
         if empties_outbox:
-            _await_delivery(loaded.store.path)
-
-
-def _await_delivery(database: Path) -> None:
-    with Outbox(database) as outbox:
-        deadline = time.monotonic() + ROUND_S
-        while outbox.status().rows and time.monotonic() < deadline:
-            time.sleep(0.02)
+            until(lambda: not outbox.status().rows)
 
 
 class Bench:
@@ -159,9 +159,8 @@ class Bench:
 
     def wait_for_press(self) -> None:
         """Until this round's gateway has recorded one more press."""
-        before, deadline = self.presses(), time.monotonic() + ROUND_S
-        while self.presses() == before and time.monotonic() < deadline:
-            time.sleep(0.01)
+        before = self.presses()
+        until(lambda: self.presses() != before)
 
     def some_time(self) -> None:
         """So that a fault comes at another moment each time."""
@@ -177,33 +176,34 @@ class Bench:
             connection.execute(statement)
 
 
-def _kill_the_gateway(bench: Bench) -> None:
+def kill_the_gateway(bench: Bench) -> ForkServerProcess:
     process = bench.start()
     bench.wait_for_press()
     bench.some_time()
     process.kill()
-    _end(process)
+    return process
 
 
-def _stop_the_gateway(bench: Bench) -> None:
+def stop_the_gateway(bench: Bench) -> ForkServerProcess:
     process = bench.start()
     bench.wait_for_press()
     bench.some_time()
     process.terminate()
-    _end(process)
+    return process
 
 
-def _restart_the_broker(bench: Bench) -> None:
+def restart_the_broker(bench: Bench) -> ForkServerProcess:
     """The gateway goes on without it; the subscriber is back before the next gateway sends."""
     process = bench.start()
     bench.wait_for_press()
     bench.broker.stop()
-    _end(process)
+    end(process)
     bench.broker.start()
     bench.subscriber.wait()
+    return process
 
 
-def _freeze_the_broker(bench: Bench) -> None:
+def freeze_the_broker(bench: Bench) -> ForkServerProcess:
     process = bench.start()
     bench.some_time()
     pid = bench.broker.pid
@@ -214,10 +214,10 @@ def _freeze_the_broker(bench: Bench) -> None:
         bench.some_time()
     finally:
         os.kill(pid, signal.SIGCONT)
-    _end(process)
+    return process
 
 
-def _refuse_writes(bench: Bench) -> None:
+def refuse_writes(bench: Bench) -> ForkServerProcess:
     bench.execute(
         "CREATE TRIGGER IF NOT EXISTS no BEFORE INSERT ON presses BEGIN SELECT RAISE(FAIL, 'no room'); END"
     )
@@ -225,31 +225,24 @@ def _refuse_writes(bench: Bench) -> None:
     bench.some_time()
     time.sleep(1.0)
     bench.execute("DROP TRIGGER no")
-    _end(process)
+    return process
 
 
-def _unplug_the_sensor(bench: Bench) -> None:
-    _end(bench.start(f"unplug@{bench.rng.randint(40, 80)}:0.3"))
-
-
-def _damage_frames(bench: Bench) -> None:
-    first = bench.rng.randint(40, 80)
-    _end(bench.start(f"drop@{first}", f"truncate@{first + 3}"))
-
-
-FAULTS: dict[str, Callable[[Bench], None]] = {
-    "no fault": lambda bench: _end(bench.start()),  # first: it makes the database
-    "gateway killed": _kill_the_gateway,
-    "gateway stopped": _stop_the_gateway,
-    "broker restarted": _restart_the_broker,
-    "broker frozen": _freeze_the_broker,
-    "writes refused": _refuse_writes,
-    "sensor unplugged": _unplug_the_sensor,
-    "frames damaged": _damage_frames,
+FAULTS: dict[str, Callable[[Bench], ForkServerProcess]] = {
+    "no fault": lambda bench: bench.start(),  # first: it makes the database
+    "gateway killed": kill_the_gateway,
+    "gateway stopped": stop_the_gateway,
+    "broker restarted": restart_the_broker,
+    "broker frozen": freeze_the_broker,
+    "writes refused": refuse_writes,
+    "sensor unplugged": lambda bench: bench.start(f"unplug@{bench.rng.randint(40, 80)}:0.3"),
+    "frames damaged": lambda bench: bench.start(
+        f"drop@{(first := bench.rng.randint(40, 80))}", f"truncate@{first + 3}"
+    ),
 }
 
 
-def _end(process: ForkServerProcess) -> None:
+def end(process: ForkServerProcess) -> None:
     """Errors: TimeoutError for a gateway that hangs."""
     process.join(ROUND_S)
     if process.is_alive():
@@ -266,23 +259,16 @@ def soak(folder: Path, rounds: int, seed: int = 0, say: Callable[[str], None] = 
         try:
             for number in range(rounds):
                 name = list(FAULTS)[number % len(FAULTS)]
-                FAULTS[name](bench)
+                end(FAULTS[name](bench))
                 outcome.faults[name] += name != "no fault"
                 say(f"{number + 1}/{rounds}  {name}: {bench.presses()} presses made")
-            _end(bench.start(empties_outbox=True))
-            _await(lambda: len(bench.subscriber.results) >= bench.presses())
+            end(bench.start(empties_outbox=True))
+            until(lambda: len(bench.subscriber.results) >= bench.presses())
         finally:
             bench.subscriber.close()
         outcome.faults += Counter()  # without zeros
         _judge(bench, outcome)
     return outcome
-
-
-def _await(is_so: Callable[[], bool], within_s: float = 60.0) -> None:
-    """The last messages may still be on their way from the broker."""
-    deadline = time.monotonic() + within_s
-    while not is_so() and time.monotonic() < deadline:
-        time.sleep(0.02)
 
 
 def _judge(bench: Bench, outcome: Outcome) -> None:
@@ -306,13 +292,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="gelgate-soak-") as folder:
         outcome = soak(Path(folder), given.rounds, given.seed, lambda line: print(line, flush=True))
     print(outcome)
-    if (
-        outcome.lost
-        or outcome.doubled
-        or outcome.findings
-        or outcome.undescribed
-        or outcome.counted != outcome.made
-    ):
+    faults = (outcome.lost, outcome.doubled, outcome.findings, outcome.undescribed)
+    if any(faults) or outcome.counted != outcome.made:
         raise SystemExit(1)
 
 
