@@ -7,6 +7,7 @@ from typing import Any
 import jsonschema
 import page_messages
 import pytest
+from recorded_presses import GEL, result, unscored
 
 from edge.core.gel_life import GelState
 from edge.core.verdict import Kind
@@ -15,7 +16,7 @@ from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_mess
 from edge.messaging.command_payloads import CommandResponse
 from edge.messaging.descriptions.asyncapi import asyncapi_message, document
 from edge.messaging.descriptions.station import DescribedStation, ServedCommand
-from edge.messaging.result_payload import DefectPlace, ResultPayload, press_messages
+from edge.messaging.result_payload import DefectPlace, press_messages
 from edge.messaging.status_payloads import (
     GelPayload,
     InfoPayload,
@@ -29,12 +30,10 @@ from edge.messaging.status_payloads import (
 )
 from edge.messaging.topics import TOPICS
 from edge.messaging.validation import DocumentCheck
-from edge.store.gel_ledger import GelRecord
 
 PUBLISHED = json.loads(
     (Path(__file__).parent / "published" / "asyncapi-3.0.0.json").read_text(encoding="utf-8")
 )
-PRESS_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
 ROOT = "gelgate/plant/line1/press2/gel/v1"
 STATION = DescribedStation(
     ROOT,
@@ -42,15 +41,6 @@ STATION = DescribedStation(
     "0.2.0",
     [ServedCommand(one.verb, one.arguments, one.help, is_signed=one.verb == "relearn") for one in COMMANDS],
 )
-RESULT: dict[str, Any] = {
-    "time_ns": 1_769_860_800_000_250_999,
-    "press_id": PRESS_ID,
-    "part": "bolt",
-    "sensor_serial": "2BNN4ZE7",
-    "gel_id": "2BNN4ZE7-1",
-    "gel_presses": 801,
-    "gel_limit_presses": 1000,
-}
 
 
 @pytest.fixture(scope="module")
@@ -126,18 +116,16 @@ MESSAGES = [
     ),
     asyncapi_message(STATION),
     *press_messages(
-        ResultPayload(
-            **RESULT, verdict=Kind.FAIL, score=2.5, threshold=1.0, mm_per_pixel=(0.06, 0.06), latency_ms={"total": 1.5},
+        result(
+            verdict=Kind.FAIL, score=2.5, threshold=1.0, mm_per_pixel=(0.06, 0.06), latency_ms={"total": 1.5},
             defects=[DefectPlace(box_px=(1, 2, 3, 4), box_mm=(0.1, 0.2, 0.3, 0.4), centroid_px=(1.5, 2.5),
                                  centroid_mm=(0.1, 0.2), area_mm2=0.5, score=2.5)],
         ),
-        GelRecord("2BNN4ZE7", "2BNN4ZE7-1", 801, 1000, 0.8, 0),
+        GEL,
         b"\x89PNG\r\n\x1a\n...",
         b"\xff\xd8\xff...",
     ),
-    *press_messages(
-        ResultPayload(**RESULT, error="saturated"), GelRecord("2BNN4ZE7", "2BNN4ZE7-1", 801, 1000, 0.8, 0)
-    ),
+    *press_messages(unscored(), GEL),
 ]  # fmt: skip
 
 
@@ -151,7 +139,7 @@ def test_what_the_station_sends_is_as_described(check: DocumentCheck) -> None:
 
 
 def changed(**changes: Any) -> bytes:
-    content = json.loads(ResultPayload(**RESULT, verdict=Kind.PASS, score=0.5, threshold=1.0).encode())
+    content = json.loads(result().encode())
     content.update(changes)
     return json.dumps({key: value for key, value in content.items() if value != "MISSING"}).encode()
 

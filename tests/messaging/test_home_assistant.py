@@ -4,11 +4,12 @@
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jinja2
 import pytest
+from recorded_presses import GEL, result, unscored
 
 from edge.core.gel_life import GelState
 from edge.core.gel_scars.causes import Cause
@@ -18,7 +19,7 @@ from edge.core.verdict import Kind
 from edge.messaging.descriptions.home_assistant import discovery, discovery_topic
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.local_broker import LocalBroker
-from edge.messaging.result_payload import ResultPayload, press_messages
+from edge.messaging.result_payload import press_messages
 from edge.messaging.status_payloads import (
     GelPayload,
     StatePayload,
@@ -28,7 +29,6 @@ from edge.messaging.status_payloads import (
     stats_message,
 )
 from edge.messaging.topics import TOPICS
-from edge.store.gel_ledger import GelRecord
 from plugins.sinks.mqtt import plugin
 from plugins.sinks.mqtt_options import MqttOptions
 
@@ -38,29 +38,14 @@ STATION = DescribedStation.of_root(ROOT)
 DEVICE = discovery(STATION)
 
 
-def result(**outcome: Any) -> list[Message]:
-    fields = {"press_id": "01ARZ3NDEKTSV4RRFFQ69G5FAV", "part": "bolt", "sensor_serial": "S", "gel_id": "S-1"}
-    payload = ResultPayload(time_ns=10**18, gel_presses=801, gel_limit_presses=1000, **fields, **outcome)
-    return list(press_messages(payload, GelRecord("S", "S-1", 801, 1000, 0.8, 0)))
-
-
-FAILED = result(
-    verdict=Kind.FAIL, score=2.5, threshold=1.0, score_ratio=2.5, cause=Cause.GEL, blind_share=0.02
+AT = {"time_ns": 10**18}
+FAILED = press_messages(
+    result(**AT, verdict=Kind.FAIL, score=2.5, score_ratio=2.5, cause=Cause.GEL, blind_share=0.02), GEL
 )
-PASSED = result(verdict=Kind.PASS, score=0.5, threshold=1.0, score_ratio=0.5)
-NO_SCORE = result(error="saturated")
-WORN = [
-    gel_message(
-        GelPayload(
-            time_ns=1,
-            sensor_serial="S",
-            gel_id="S-1",
-            presses=1003,
-            limit_presses=1000,
-            state=GelState.REPLACE,
-        )
-    )
-]
+PASSED = press_messages(result(**AT, score_ratio=0.5), GEL)
+NO_SCORE = press_messages(unscored(), GEL)
+USED = {"sensor_serial": "S", "gel_id": "S-1", "presses": 1003, "limit_presses": 1000}
+WORN = [gel_message(GelPayload(time_ns=1, **USED, state=GelState.REPLACE))]
 HALTED = [state_message(StatePayload(time_ns=1, state="halted", reason="no sensor"))]
 LOST = [state_message(StatePayload(time_ns=1, state="lost"))]
 
@@ -96,7 +81,9 @@ def stats(**more: Any) -> list[Message]:
         ("unsent", stats(outbox_rows=3), "3"),
     ],
 )
-def test_each_entity_shows_what_the_station_says(component: str, messages: list[Message], shown: str) -> None:
+def test_each_entity_shows_what_the_station_says(
+    component: str, messages: Sequence[Message], shown: str
+) -> None:
     """From the topic that it names. Home Assistant reads `None` as "unknown"."""
     entity = DEVICE["components"][component]
     by_topic = {

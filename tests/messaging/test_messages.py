@@ -3,44 +3,23 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import pytest
 from pydantic import ValidationError
+from recorded_presses import GEL, PRESS_ID, result
 
 from edge.clock import SystemClock
 from edge.core.errors import ConfigError
 from edge.core.ports import Message
 from edge.core.sink_context import Station, topic_root
-from edge.core.verdict import Kind
 from edge.gateway.command_policy import CommandPolicy
 from edge.gateway.commands import Change, Commands
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, alarm_message
 from edge.messaging.payload_base import as_replayed, iso_time
 from edge.messaging.result_payload import ResultPayload, heatmap_message, press_messages
 from edge.messaging.topics import TOPICS
-from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import Store
 from edge.store.ulid import is_ulid, new_ulid
-
-PRESS_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
-GEL = GelRecord("2BNN4ZE7", "2BNN4ZE7-1", 801, 1000, 0.8, 0)
-
-
-def result(**changes: object) -> ResultPayload:
-    fields: dict[str, Any] = {
-        "time_ns": 1_769_860_800_000_250_999,
-        "press_id": PRESS_ID,
-        "part": "bolt",
-        "verdict": Kind.PASS,
-        "score": 0.5,
-        "threshold": 1.0,
-        "sensor_serial": "2BNN4ZE7",
-        "gel_id": "2BNN4ZE7-1",
-        "gel_presses": 801,
-        "gel_limit_presses": 1000,
-    }
-    return ResultPayload(**{**fields, **changes})
 
 
 def test_the_reference_names_every_topic_a_press_publishes() -> None:

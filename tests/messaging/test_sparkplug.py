@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from recorded_presses import GEL, result
 
 from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.ports import Message
@@ -16,7 +17,7 @@ from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_mess
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Outgoing
 from edge.messaging.payload_base import as_replayed
-from edge.messaging.result_payload import ResultPayload, press_messages
+from edge.messaging.result_payload import press_messages
 from edge.messaging.status_payloads import (
     InfoPayload,
     StatePayload,
@@ -26,7 +27,6 @@ from edge.messaging.status_payloads import (
     stats_message,
 )
 from edge.messaging.topics import TOPICS
-from edge.store.gel_ledger import GelRecord
 from plugins.sinks.sparkplug import SparkplugOptions, SparkplugSink, plugin
 from plugins.sinks.sparkplug_metrics import (
     _FIELDS,
@@ -42,24 +42,8 @@ from .conftest import PATIENCE_S, ROOT, Listener
 
 NODE = "line1-press2"
 STATE = state_message(StatePayload(time_ns=10**18, state="ready"))
-FAILED = list(
-    press_messages(
-        ResultPayload(
-            time_ns=10**18,
-            press_id="01ARZ3NDEKTSV4RRFFQ69G5FAV",
-            part="bolt",
-            verdict=Kind.FAIL,
-            score=2.5,
-            threshold=1.0,
-            score_ratio=2.5,
-            sensor_serial="S",
-            gel_id="S-1",
-            gel_presses=801,
-            gel_limit_presses=1000,
-        ),
-        GelRecord("S", "S-1", 801, 1000, 0.8, 0),
-        b"\x89PNG",
-    )
+FAILED = press_messages(
+    result(time_ns=10**18, verdict=Kind.FAIL, score=2.5, score_ratio=2.5), GEL, b"\x89PNG"
 )
 Open = Callable[[LocalBroker], SparkplugSink]
 Listen = Callable[..., Listener]

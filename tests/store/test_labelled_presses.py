@@ -23,18 +23,10 @@ KEY = PieceKey("2BNN4ZE7", "bolt", "crest", "M1")
 
 def reference(press: PressRecord, **fields: object) -> ReferencePress:
     imprint = Imprint(2.0, 9.0, 7.0, None, 1.0)
+    scores = (press.verdict, press.score, press.threshold)
     return ReferencePress(
-        press.press_id,
-        press.time_ns,
-        "2BNN4ZE7-1",
-        "b1",
-        "pass",
-        press.verdict,
-        press.score,
-        press.threshold,
-        imprint,
-        **fields,  # type: ignore[arg-type]
-    )
+        press.press_id, press.time_ns, "2BNN4ZE7-1", "b1", "pass", *scores, imprint, **fields
+    )  # type: ignore[arg-type]
 
 
 def test_a_reference_press_counts_on_the_gel_and_not_in_the_history(store: Store, path: Path) -> None:

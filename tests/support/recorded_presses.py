@@ -2,17 +2,34 @@
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from edge.core.ports import Message
 from edge.core.verdict import Kind
 from edge.messaging.result_payload import ResultPayload, press_messages
+from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import MakeMessages, PressRecord, Recorded, Store
 from edge.store.ulid import new_ulid
 
 SERIAL = "2BNN4ZE7"
 T0 = 1_780_000_000 * 10**9  # 2026, a plausible clock
+PRESS_ID = "01ARZ3NDEKTSV4RRFFQ69G5FAV"
+GEL = GelRecord(SERIAL, f"{SERIAL}-1", 801, 1000, 0.8, 0)
+
+
+def result(**changes: Any) -> ResultPayload:
+    """Return the result of a press that passed, with changes."""
+    numbers = {"time_ns": 1_769_860_800_000_250_999, "score": 0.5, "threshold": 1.0}
+    gel = {"sensor_serial": SERIAL, "gel_id": GEL.gel_id, "gel_presses": 801, "gel_limit_presses": 1000}
+    passed = {"press_id": PRESS_ID, "part": "bolt", "verdict": Kind.PASS}
+    return ResultPayload(**{**numbers, **gel, **passed, **changes})
+
+
+def unscored() -> ResultPayload:
+    """Return the result of a press that could not be scored."""
+    return result(verdict=None, score=None, threshold=None, error="saturated")
 
 
 def make_press(n: int, verdict: str = "pass", serial: str = SERIAL, **fields: object) -> PressRecord:

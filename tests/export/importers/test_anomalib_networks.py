@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from anomalib_files import interpreter, made_by_anomalib
-from command_line import gelgate
+from command_line import gelgate, ran
 from numpy.typing import NDArray
 from station import gel, jpeg, station_config
 
@@ -61,12 +61,6 @@ def pressed(tmp_path_factory: pytest.TempPathFactory) -> Pressed:
     return Pressed(folder, folder / "recording")
 
 
-def ran(*arguments: object) -> str:
-    done = gelgate(*arguments)
-    assert done.code == 0, done.err
-    return done.out
-
-
 def results(folder: Path) -> list[dict[str, Any]]:
     """The payloads of the presses, in their order."""
     lines = [
@@ -87,8 +81,8 @@ def test_the_gateway_gives_the_scores_of_the_network(name: str, pressed: Pressed
     made = made_by_anomalib(pressed.folder, {name: dict(options)}, size, interpreter())
     expected = np.load(made / f"{name}.npz")["exported_score"].astype(np.float64)
     wrap = (
-        "wrap", made / f"{name}_onnx" / "model.onnx", pressed.nominal, "-o", tmp_path / "bundle", "--part", "bolt",
-        "--licence", "own", "--profile", "cropped_lr", "--region", "full",
+        "bundle", "wrap", made / f"{name}_onnx" / "model.onnx", pressed.nominal, "-o", tmp_path / "bundle",
+        "--part", "bolt", "--licence", "own", "--profile", "cropped_lr", "--region", "full",
     )  # fmt: skip
 
     first = gelgate(*wrap)

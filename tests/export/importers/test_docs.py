@@ -31,19 +31,26 @@ def commands(title: str) -> list[list[str]]:
     return [shlex.split(line)[1:] for block in blocks for line in block.splitlines()]
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files that the page names."""
-    monkeypatch.chdir(tmp_path)
-    press_recording(tmp_path / "presses", PRESSES)
-    press_recording(tmp_path / "recording", PRESSES, dented=[2], seed=1)
-    shutil.copy(SMALL / "padim.ckpt", tmp_path / "padim.ckpt")
+    home = tmp_path_factory.mktemp("files")
+    press_recording(home / "presses", PRESSES)
+    press_recording(home / "recording", PRESSES, dented=[2], seed=1)
+    shutil.copy(SMALL / "padim.ckpt", home / "padim.ckpt")
     trunk = toy_trunk({"layer1": (4, 8), "layer2": (4, 16), "layer3": (4, 32)})
-    (tmp_path / "trunk.onnx").write_bytes(trunk)
+    (home / "trunk.onnx").write_bytes(trunk)
     rng = np.random.default_rng(0)
     cov = np.einsum("pdn,pen->dep", rng.random((784, 3, 9)), rng.random((784, 3, 9)))
     cov = (cov + cov.transpose(1, 0, 2)) / 2 + 20 * np.eye(3)[:, :, None]
-    (tmp_path / "train_bracket.pkl").write_bytes(pickle.dumps([rng.random((3, 784)), cov]))
+    (home / "train_bracket.pkl").write_bytes(pickle.dumps([rng.random((3, 784)), cov]))
+    return home
+
+
+@pytest.fixture
+def folder(files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with copies of them."""
+    monkeypatch.chdir(shutil.copytree(files, tmp_path, dirs_exist_ok=True))
     return tmp_path
 
 
@@ -72,24 +79,17 @@ def test_from_the_papers_pickles_to_a_bundle(folder: Path) -> None:
 
 
 def test_from_python(folder: Path) -> None:
-    """A notebook ends with a bundle, whose manifest has licence, source and losses."""
-    made = import_padim(
-        "padim.ckpt", "presses", "bracket.zip", part="bracket", licence="own", profile="cropped_lr"
-    )
+    """A notebook ends with a bundle, whose manifest has licence, source and losses; another method's is refused."""
+    given = {"part": "bracket", "licence": "own", "profile": "cropped_lr"}
+    with pytest.raises(ConfigError, match=r"padim\.ckpt is PaDiM of anomalib .* use import_padim"):
+        import_spade("padim.ckpt", "presses", "bracket.zip", **given)
+    assert not (folder / "bracket.zip").exists()
+    made = import_padim("padim.ckpt", "presses", "bracket.zip", **given)
 
     manifest = Bundle.load(made.path).manifest
     assert manifest.facts["licence"] == "own"
     assert manifest.facts["imported"]["source"].startswith("PaDiM of anomalib")
     assert "rank correlation 1.0000" in made.losses.words()
-
-
-def test_a_file_of_another_method_is_refused(folder: Path) -> None:
-    """`import_spade` of a PaDiM names the function that takes it, and writes nothing."""
-    with pytest.raises(ConfigError, match=r"padim\.ckpt is PaDiM of anomalib .* use import_padim"):
-        import_spade(
-            "padim.ckpt", "presses", "bracket.zip", part="bracket", licence="own", profile="cropped_lr"
-        )
-    assert not (folder / "bracket.zip").exists()
 
 
 def test_a_licence_that_is_not_stated_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
