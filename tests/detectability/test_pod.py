@@ -100,32 +100,31 @@ def test_single_hits_and_misses_are_trials_too() -> None:
     assert fit_pod(low.tolist(), high.tolist(), 1.0).a90_mm == pytest.approx(expected, rel=1e-3)
 
 
-def test_a_size_that_parts_finds_from_misses_is_said() -> None:
-    """Every trial is explained by a step between 0.05 and 0.06: a90 is the upper end, and the bound lies above it."""
-    found = fit_pod([0.05] * 8, [0.06] * 8, 0.4)
-    assert (found.state, found.a90_mm) == ("separated", pytest.approx(0.06))
-    assert found.a90_95_mm is not None
-    assert 0.06 < found.a90_95_mm < 0.1
-    assert found.median_mm is None
-
-
-def test_a_size_that_is_both_missed_and_found_parts_nothing() -> None:
-    """Two trials found at the largest size and six missed at it: no step, and no a90 within the sizes."""
-    found = fit_pod([0.142] * 2 + [0.16] * 6, [0.16] * 2 + [math.inf] * 6, 0.16)
-    assert (found.state, found.a90_mm, found.a90_95_mm) == ("fitted", None, None)
-
-
-def test_nothing_found_is_blind_and_few_trials_are_few() -> None:
-    """No size found is blind, whatever the number of trials above the least; below it nothing is claimed."""
-    assert fit_pod([0.4] * 8, [math.inf] * 8, 0.4).state == "blind"
-    few = fit_pod([0.01] * (MIN_TRIALS - 1), [0.02] * (MIN_TRIALS - 1), 0.4)
-    assert (few.state, few.a90_mm, few.a90_95_mm) == ("too few", None, None)
-
-
-def test_no_size_beyond_the_largest_is_claimed() -> None:
-    """With half of the damage never found, neither a90 nor its bound is within the sizes tried."""
-    found = fit_pod([0.02] * 4 + [0.4] * 4, [0.025] * 4 + [math.inf] * 4, 0.4)
-    assert (found.state, found.found, found.a90_mm, found.a90_95_mm) == ("fitted", 4, None, None)
+@pytest.mark.parametrize(
+    ("low", "high", "largest", "state", "a90"),
+    [
+        # A step between 0.05 and 0.06 explains every trial: a90 is its upper end.
+        ([0.05] * 8, [0.06] * 8, 0.4, "separated", pytest.approx(0.06)),
+        # Found twice at the largest size and missed there six times: no step, and no a90 within the sizes.
+        ([0.142] * 2 + [0.16] * 6, [0.16] * 2 + [math.inf] * 6, 0.16, "fitted", None),
+        # Half of the damage is never found.
+        ([0.02] * 4 + [0.4] * 4, [0.025] * 4 + [math.inf] * 4, 0.4, "fitted", None),
+        ([0.4] * 8, [math.inf] * 8, 0.4, "blind", None),
+        ([0.01] * (MIN_TRIALS - 1), [0.02] * (MIN_TRIALS - 1), 0.4, "too few", None),
+    ],
+)
+def test_what_no_curve_fits_is_said(
+    low: list[float], high: list[float], largest: float, state: str, a90: object
+) -> None:
+    """No size beyond the largest is claimed, and nothing of few trials. The bound of a step lies above it."""
+    found = fit_pod(low, high, largest)
+    assert (found.state, found.a90_mm) == (state, a90)
+    if state == "separated":
+        assert found.median_mm is None
+        assert found.a90_95_mm is not None
+        assert 0.06 < found.a90_95_mm < 0.1
+    else:
+        assert found.a90_95_mm is None
 
 
 def test_twelve_hits_at_one_size_do_not_show_it_and_thirteen_do() -> None:

@@ -11,6 +11,15 @@ from plugins.detectors.common import coreset
 from plugins.detectors.common.coreset import greedy_from_distances, k_centre
 
 
+def greedy(points: np.ndarray, count: int, start: int) -> tuple[list[int], float]:
+    """The picks by all distances, and how far the farthest row is from them."""
+    picks, distance = [start], np.square(points - points[start]).sum(axis=1)
+    while len(picks) < min(count, len(points)) and distance.max() > 0:
+        picks.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.square(points - points[picks[-1]]).sum(axis=1))
+    return picks, float(np.sqrt(distance.max()))
+
+
 @settings(max_examples=30, deadline=None)
 @given(
     st.sampled_from([(256, 0.9), (2, 0.5), (1, 0.99)]),
@@ -30,13 +39,9 @@ def test_the_lazy_coreset_is_the_full_one(
     start = int(rng.integers(n))
     with mock.patch.object(coreset, "BATCH", sizes[0]), mock.patch.object(coreset, "STEP", sizes[1]):
         found = k_centre(points, count, start)
-    picks = [start]
-    distance = np.square(points - points[start]).sum(axis=1)
-    while len(picks) < min(count, n) and distance.max() > 0:
-        picks.append(int(distance.argmax()))
-        distance = np.minimum(distance, np.square(points - points[picks[-1]]).sum(axis=1))
+    picks, radius = greedy(points, count, start)
     assert found.rows.tolist() == picks
-    assert found.radius == pytest.approx(np.sqrt(distance.max()))
+    assert found.radius == pytest.approx(radius)
     squared = np.square(points[:, None] - points[None]).sum(axis=2)
     small = greedy_from_distances(squared[None], count, start)[0]
     assert small[: len(picks)].tolist() == picks
@@ -48,13 +53,10 @@ def test_any_copy_of_a_repeated_row_may_be_picked_and_no_other_row() -> None:
     rng = np.random.default_rng(0)
     points = rng.normal(size=(400, 8)).repeat(2, axis=0)
     found = k_centre(points, 60, 5)
-    picks, distance = [5], np.square(points - points[5]).sum(axis=1)
-    while len(picks) < 60:
-        picks.append(int(distance.argmax()))
-        distance = np.minimum(distance, np.square(points - points[picks[-1]]).sum(axis=1))
+    picks, radius = greedy(points, 60, 5)
 
     np.testing.assert_array_equal(points[found.rows], points[picks])
-    assert found.radius == pytest.approx(np.sqrt(distance.max()))
+    assert found.radius == pytest.approx(radius)
 
 
 def test_the_search_ends_where_every_row_equals_a_pick() -> None:

@@ -1,5 +1,7 @@
 """Nearest rows: exact where the product form fails, and independent of chunks and order."""
 
+from functools import cache
+
 import numpy as np
 import onnxruntime
 import pytest
@@ -42,17 +44,22 @@ def test_an_empty_bank_is_refused() -> None:
         nearest(np.zeros((1, 2)), np.zeros((0, 2)))
 
 
-@pytest.mark.parametrize("rows", [1, 2, 31, 64, 65, 200])
-def test_a_halved_bank_is_brute_force(rows: int) -> None:
-    """The nearest of any number of rows, also of fewer than a run or a half; one graph for all."""
-    rng = np.random.default_rng(rows)
-    queries, bank = rng.normal(size=(50, 16)), rng.normal(size=(rows, 16))
+@cache
+def halved() -> onnxruntime.InferenceSession:
+    """The nearest row of a bank in halves; one graph for all."""
     graph = Graph("halved")
     memory = HalvedBank(graph, graph.input("bank", ("m", 16)))
     graph.output("d", memory.nearest(graph.input("q", ("q", 16))), ("q",))
-    session = onnxruntime.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
+    return onnxruntime.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
+
+
+@pytest.mark.parametrize("rows", [1, 2, 31, 64, 65, 200])
+def test_a_halved_bank_is_brute_force(rows: int) -> None:
+    """The nearest of any number of rows, also of fewer than a run or a half."""
+    rng = np.random.default_rng(rows)
+    queries, bank = rng.normal(size=(50, 16)), rng.normal(size=(rows, 16))
     feed = {"q": queries.astype(np.float32), "bank": bank.astype(np.float32)}
-    np.testing.assert_allclose(session.run(None, feed)[0], brute(queries, bank).min(axis=1), rtol=1e-5)
+    np.testing.assert_allclose(halved().run(None, feed)[0], brute(queries, bank).min(axis=1), rtol=1e-5)
 
 
 def test_a_halved_bank_measures_a_rival_from_each_half() -> None:
@@ -62,13 +69,9 @@ def test_a_halved_bank_measures_a_rival_from_each_half() -> None:
     nudge = np.zeros(16)
     nudge[0] = 1.0
     bank = np.random.default_rng(1).normal(size=(64, 16))
-    graph = Graph("halved")
-    memory = HalvedBank(graph, graph.input("bank", ("m", 16)))
-    graph.output("d", memory.nearest(graph.input("q", ("q", 16))), ("q",))
-    session = onnxruntime.InferenceSession(graph.serialise(), providers=["CPUExecutionProvider"])
     for near, other in ((3, 40), (40, 3)):
         bank[near], bank[other] = far + 0.1 * nudge, far - 0.2 * nudge
         query = far.astype(np.float32)[None]
-        (found,) = session.run(None, {"q": query, "bank": bank.astype(np.float32)})
+        (found,) = halved().run(None, {"q": query, "bank": bank.astype(np.float32)})
         expected = brute(query, bank.astype(np.float32)).min()
         np.testing.assert_allclose(found, expected, rtol=1e-6)

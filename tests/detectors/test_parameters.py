@@ -1,8 +1,6 @@
 """Parameters of every method: what is refused, in one sentence, and what a published defect adds."""
 
 import json
-import re
-from pathlib import Path
 
 import pytest
 
@@ -11,7 +9,6 @@ from edge.core.errors import FitError
 from plugins.detectors.common.parameters import Parameters
 
 METHODS = ("padim", "spade", "fapm", "inreach", "patchcore", "subspace")
-DETECTORS = Path(__file__).resolve().parents[2] / "plugins" / "detectors"
 OWN = ("padim", "spade", "fapm", "inreach")
 
 
@@ -96,16 +93,3 @@ def test_the_corrected_parameters_know_no_published_defect(method: str) -> None:
         p = detector.parameters(**{name: published.model_fields[name].default})
         assert type(p) is published
         assert {key: value for key, value in p if key not in defects} == dict(detector.parameters())
-
-
-@pytest.mark.parametrize("method", OWN)
-def test_a_method_reads_without_its_published_defects(method: str) -> None:
-    """In a method's folder only paper.py names a switch of a published defect."""
-    detector = registry.detector(method)
-    corrected, published = type(detector.parameters()), type(detector.parameters("paper"))
-    defects = published.model_fields.keys() - corrected.model_fields.keys()
-    files = [file for file in (DETECTORS / method).glob("*.py") if file.name != "paper.py"]
-    assert len(files) >= 4
-    for file in files:
-        words = set(re.findall(r"\w+", file.read_text(encoding="utf-8")))
-        assert not words & defects, file.name

@@ -8,12 +8,12 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 import torch
+from command_line import gelgate
 
 from calibration.quantise import quantise_graph
 from calibration.training import package as packaging
 from calibration.training.network import TrunkNetwork
 from calibration.training.train_config import STAGES
-from edge import cli
 from plugins.backbones.resnet import build_trunk
 
 
@@ -63,33 +63,24 @@ def test_int8_keeps_inputs_outputs_and_features(trunk: TrunkNetwork, monkeypatch
     assert max(packaging.feature_errors(half, plain).values()) < 0.005
 
 
-def command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["gelgate", "lab", "train-backbone", *words])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return int(ended.value.code or 0)
-
-
-def test_command_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file and --set give the recipe: one small step runs, a second start in the same folder is refused, and a
     missing torch names the extra.
     """
-    recipe = tmp_path / "small.toml"
+    recipe, run = tmp_path / "small.toml", tmp_path / "run"
     recipe.write_text("steps = 1\npairs = 1\nside = 32\n")
-    small = (str(tmp_path / "run"), "--recipe", str(recipe), "--set", "side=64", "--device", "cpu")
-    assert command(monkeypatch, *small, "--set", "side=100") == 3
-    assert "'side' is 100" in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()
-    assert command(monkeypatch, *small) == 0
-    assert "step 1/1" in capsys.readouterr().err
-    assert command(monkeypatch, *small) == 3
-    assert "already holds a run" in capsys.readouterr().err
-    assert command(monkeypatch, *small, "--resume", "--set", "seed=1") == 3
-    assert "seed: 1, not 0" in capsys.readouterr().err
+    small = ("lab", "train-backbone", run, "--recipe", recipe, "--set", "side=64", "--device", "cpu")
+    odd = gelgate(*small, "--set", "side=100")
+    assert (odd.code, "'side' is 100" in odd.err, run.exists()) == (3, True, False)
+    for words, code, said in (
+        ((), 0, "step 1/1"),
+        ((), 3, "already holds a run"),
+        (("--resume", "--set", "seed=1"), 3, "seed: 1, not 0"),
+    ):
+        done = gelgate(*small, *words)
+        assert (done.code, said in done.err) == (code, True)
     for name in [n for n in sys.modules if n.startswith("calibration.training.t")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "torch", None)
-    assert command(monkeypatch, *small) == 3
-    assert "pip install 'gelgate[train]'" in capsys.readouterr().err
+    bare = gelgate(*small)
+    assert (bare.code, "pip install 'gelgate[train]'" in bare.err) == (3, True)
