@@ -33,7 +33,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[SteppedStation, li
     """The station, and its alarm about the gel after each press, and after a change of gel."""
     folder = tmp_path_factory.mktemp("speck")
     nominal = scarred_recording(
-        folder / "nominal", 12, marks={}, on_part=lambda frame, press: with_pin(frame, SOUND)
+        folder / "nominal", 6, marks={}, motion=BRIEF, on_part=lambda frame, press: with_pin(frame, SOUND)
     )
     film = scarred_recording(
         folder / "film", PRESSES, marks={SPECK_FROM: [SPECK]}, motion=BRIEF, levels=LEVELS, on_part=with_pin
