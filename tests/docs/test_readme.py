@@ -19,7 +19,7 @@ PAGES = [
     *sorted((ROOT / "firmware_notes").glob("*.md")),
 ]
 PRINTED = "printed from the program"
-APP = typer.main.get_command(build())
+APP: Any = typer.main.get_command(build())
 TARGETS = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
 
 
@@ -50,38 +50,19 @@ def fault(line: str) -> str | None:
     words = shlex.split(line.partition(" > ")[0])
     if words[0] == "make":
         return None if all(word in TARGETS for word in words[1:]) else "no such target"
-    command: Any = APP
-    for position, word in enumerate(words[1:], 1):
-        if not hasattr(command, "commands"):
-            return option_fault(command, words[position:])
-        if word in ("--help", "VERB"):
+    command, words = APP, words[1:]
+    while hasattr(command, "commands"):
+        if not words or words[0] in ("VERB", *(name for one in command.params for name in one.opts)):
             return None
-        if word in [name for one in command.params for name in one.opts]:
-            return None
-        if word not in command.commands:
-            return f"no command '{word}'"
-        command = command.commands[word]
-    return None
-
-
-def option_fault(command: Any, words: list[str]) -> str | None:
-    """Every option exists and has its value; there are as many arguments as the command takes."""
-    options = {name: one for one in command.params for name in (*one.opts, *one.secondary_opts)}
-    arguments = 0
-    rest = iter(words)
-    for word in rest:
-        if not word.startswith("-"):
-            arguments += 1
-        elif word.partition("=")[0] == "--help":
-            continue
-        elif word.partition("=")[0] not in options:
-            return f"no option {word}"
-        elif "=" not in word and not getattr(options[word], "is_flag", False) and next(rest, None) is None:
-            return f"{word} without its value"
-    takes = [one for one in command.params if one.param_type_name == "argument"]
-    if arguments > len(takes) and not any(one.nargs == -1 for one in takes):
-        return f"{arguments} arguments, it takes {len(takes)}"
-    return None
+        if words[0] not in command.commands:
+            return f"no command '{words[0]}'"
+        command, words = command.commands[words[0]], words[1:]
+    try:
+        parser = command.make_parser(command.context_class(command))
+        left = parser.parse_args([word for word in words if word != "--help"])[1]
+    except Exception as error:  # noqa: BLE001 - of the library that typer has inside
+        return str(error)
+    return f"arguments that it does not take: {left}" if left else None
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
