@@ -1,6 +1,5 @@
 """The weighted table equals scikit-learn on repeated images, and AUPIMO equals a search over thresholds."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -40,13 +39,6 @@ def test_a_weight_is_a_repetition(levels: int) -> None:
         )
         expected = aupro([maps[i] for i in chosen], [masks[i] for i in chosen], 0.05)
         assert table.aupro[row] == pytest.approx(expected, abs=1e-12)
-
-
-@pytest.mark.parametrize("measure", [auroc, average_precision])
-def test_each_score_has_one_label(measure: Callable[[Array, Array], float | None]) -> None:
-    """Unequal lengths are refused in a sentence."""
-    with pytest.raises(ValueError, match=r"each score has one label: found \(3,\) scores and \(2,\) labels"):
-        measure(np.arange(3.0), np.array([True, False]))
 
 
 def test_blocks_do_not_change_the_value(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,7 +125,10 @@ def test_one_class_has_no_measure(is_defect: bool) -> None:
 
 
 @pytest.mark.parametrize("limit", [0.0, 1.1])
-def test_a_limit_outside_its_range_is_refused(limit: float) -> None:
-    """It is a false-positive rate."""
+def test_what_has_no_measure_is_refused(limit: float) -> None:
+    """An integration limit is a false-positive rate; each score has one label."""
     with pytest.raises(ValueError, match="an integration limit is in"):
         pool_measures(np.zeros((1, 2, 2)), np.zeros((1, 2, 2), np.bool_), (limit,))
+    for measure in (auroc, average_precision):
+        with pytest.raises(ValueError, match=r"each score has one label: found \(3,\) scores and \(2,\)"):
+            measure(np.arange(3.0), np.array([True, False]))
