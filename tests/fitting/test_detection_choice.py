@@ -40,44 +40,33 @@ def config() -> FitConfig:
 @pytest.fixture(scope="module")
 def random_weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("trunk") / "random.onnx"
-    path.write_bytes(build_trunk(random_state("resnet18"), "resnet18", ("layer1",)))
+    path.write_bytes(build_trunk(random_state("resnet18"), "resnet18", ("layer1", "layer2", "layer3")))
     return path
 
 
-def test_the_trunk_that_sees_more_is_chosen(
+def test_the_pair_that_sees_more_is_chosen(
     presses: NominalPresses, config: FitConfig, random_weights: Path
 ) -> None:
-    """Trained weights and not random ones, with the figures of both; one that cannot be tried is named. The fit keeps
-    the sentence in the manifest, and says nothing of a method that was named."""
-    candidates = Candidates(("padim",), (str(random_weights), TACTILE, "nothing"))
+    """Trained weights and not random ones, with the figures of all methods on both; a trunk that cannot be tried is
+    named. The configuration has the method and a trunk that it can read; the manifest keeps both sentences."""
+    candidates = Candidates(("padim", "subspace"), (str(random_weights), TACTILE, "nothing"))
     chosen = choose_detection(presses, config, candidates)
-    assert chosen.trunk.id == TACTILE
-    facts = chosen.choice_facts["backbone_choice"]
-    why, left_out = facts["why"].split("; nothing", 1)
-    assert why.startswith(f"{TACTILE}: of rendered damage and pieces of relief in the nominal presses its")
-    assert left_out == " was not tried: no backbone is named 'nothing'; " + KNOWN
-    assert {kind for of in facts["found"].values() for kind in of} == set(KINDS)
-    seen = {name: np.mean(list(of.values())) for name, of in facts["found"].items()}
-    assert seen[TACTILE] > seen["random.onnx"] > 0
-    fitted = fit_files(presses, replace(chosen, threshold=9.0), created="").manifest.facts
-    assert choice_sentence(fitted, BACKBONE_CHOICE) == facts["why"]
-    assert choice_sentence(fitted, METHOD_CHOICE) == ""
-
-
-def test_the_method_that_sees_more_is_chosen(presses: NominalPresses, config: FitConfig) -> None:
-    """The configuration has it and a trunk that it can read; the manifest has the figures of all on every trunk."""
-    candidates = Candidates(("padim", "subspace"), (TACTILE,))
-    chosen = choose_detection(presses, config, candidates)
-    facts = chosen.choice_facts["method_choice"]
-    seen = {method: np.mean(list(of[TACTILE].values())) for method, of in facts["found"].items()}
-    assert set(seen) == set(candidates.methods)
-    assert facts["chosen"] == chosen.detector.name == max(seen, key=lambda method: seen[method])
     taps = chosen.detector.taps(chosen.detector.parameters("corrected"))
     assert chosen.trunk.graph == open_trunk(TACTILE, taps).graph
+    method, backbone = (chosen.choice_facts[name] for name in ("method_choice", "backbone_choice"))
+    why, left_out = backbone["why"].split("; nothing", 1)
+    assert why.startswith(f"{TACTILE}: of rendered damage and pieces of relief in the nominal presses its")
+    assert left_out == " was not tried: no backbone is named 'nothing'; " + KNOWN
+    assert {kind for of in backbone["found"].values() for kind in of} == set(KINDS)
+    trunks = {name: np.mean(list(of.values())) for name, of in backbone["found"].items()}
+    assert trunks[TACTILE] > trunks["random.onnx"] > 0
+    methods = {name: np.mean(list(of[TACTILE].values())) for name, of in method["found"].items()}
+    assert set(methods) == set(candidates.methods)
+    assert method["chosen"] == chosen.detector.name == max(methods, key=lambda name: methods[name])
     fitted = fit_files(presses, replace(chosen, threshold=9.0), created="").manifest
-    assert fitted.method == facts["chosen"]
-    assert choice_sentence(fitted.facts, METHOD_CHOICE) == facts["why"]
-    assert choice_sentence(fitted.facts, BACKBONE_CHOICE) == ""
+    assert fitted.method == method["chosen"]
+    assert choice_sentence(fitted.facts, METHOD_CHOICE) == method["why"]
+    assert choice_sentence(fitted.facts, BACKBONE_CHOICE) == backbone["why"]
 
 
 class SaidSeen(DamageJudge):
@@ -125,6 +114,11 @@ def test_method_and_trunk_are_chosen_together(config: FitConfig) -> None:
     assert trunk.startswith(f"{LITE}: ")
     assert f"{TACTILE} 0.500, {LITE} 0.600" in trunk
     assert chosen.choice_facts["backbone_choice"]["found"][LITE] == dict.fromkeys(KINDS, 0.6)
+    named = Comparison(config, Candidates(("padim",), (TACTILE, LITE)))
+    named.run(
+        SaidSeen({("padim", trunk): seen(0.5) for trunk in (TACTILE, LITE)}), lambda stage, fraction: None
+    )
+    assert "method_choice" not in named.choose().choice_facts
 
 
 def test_what_cannot_be_tried_is_left_out_and_said(config: FitConfig) -> None:
