@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 import tiny
-from station import press_recording, small_bundle
 from threadpoolctl import threadpool_info, threadpool_limits
 from tiny_fit import config, presses
 
 from calibration.evaluate.scoring import evaluate_bundle
 from calibration.fitting.fit import fit_files
 from calibration.threads import one_blas_thread
+from edge.model.bundle_writer import write_bundle
 from export.finish import WrapConfig, wrap_files
 
 
@@ -67,10 +67,10 @@ def test_wrap_uses_one() -> None:
 
 def test_evaluate_uses_one(tmp_path: Path) -> None:
     """While it scores; the metrics are under the same limit."""
-    bundle = small_bundle(tmp_path / "pz0", press_recording(tmp_path / "nominal", 12, seed=1))
+    bundle = write_bundle(tmp_path / "tiny", tiny.tiny_files()[1])
     good = tmp_path / "bolt" / "test" / "good"
     good.mkdir(parents=True)
-    cv2.imwrite(str(good / "bolt_test_s001_p01.png"), np.full((240, 320, 3), 120, np.uint8))
+    cv2.imwrite(str(good / "bolt_test_s001_p01.png"), np.full((40, 48, 3), 120, np.uint8))
     seen: set[int] = set()
 
     @contextmanager
