@@ -6,16 +6,16 @@ Run by `make test-subscribers`, which installs them. Ours are the station and th
 import json
 import os
 import shutil
-import socket
 import subprocess
 import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
+from ports import free_port
 from station import MQTT, press_recording, small_bundle, station_config
 
 from edge.cli.describe import Format, text_at
@@ -66,6 +66,13 @@ def _until(is_so: Callable[[], object], within_s: float = WITHIN_S) -> None:
         time.sleep(0.2)
 
 
+def run(words: Sequence[object], given: bytes = b"", cwd: Path | None = None) -> bytes:
+    """Return what a program prints that is given this. Errors: AssertionError with its complaint where it fails."""
+    done = subprocess.run(list(map(str, words)), cwd=cwd, input=given, capture_output=True, timeout=120)
+    assert done.returncode == 0, done.stderr.decode()
+    return done.stdout
+
+
 @pytest.fixture(scope="module")
 def installed() -> Path:
     if not (INSTALLED / "node_modules" / "node-red").is_dir() or shutil.which("node") is None:
@@ -81,18 +88,11 @@ def dashboard(
     started = time.monotonic()
     folder = tmp_path_factory.mktemp("node-red")
     (folder / "flows.json").write_text(text_at(address_of(broker), ALL, Format.NODE_RED), encoding="utf-8")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
-    program = installed / "node_modules" / "node-red" / "red.js"
+    port, program = free_port(), installed / "node_modules" / "node-red" / "red.js"
+    words = ["node", program, "-u", folder, "-p", str(port), "flows.json"]
     with (folder / "log").open("wb") as log:
-        server = subprocess.Popen(
-            ["node", program, "-u", folder, "-p", str(port), "flows.json"],
-            stdout=log,
-            stderr=log,
-            cwd=folder,
-            env={**os.environ, "HOME": str(folder)},
-        )
+        own = os.environ | {"HOME": str(folder)}
+        server = subprocess.Popen(words, stdout=log, stderr=log, cwd=folder, env=own)
     address = f"http://127.0.0.1:{port}/gelgate/site/line/station"
     try:
         _until(lambda: b"PASS" in get(address).upper() or server.poll() is not None)
@@ -148,15 +148,7 @@ def test_a_client_of_node_reads_everything_from_the_broker(
     broker: LocalBroker, config: Path, installed: Path
 ) -> None:
     """Nothing but the address: the document names the topics that it has just received."""
-    done = subprocess.run(
-        ["node", "-e", READ, str(broker.port)],
-        cwd=installed,
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-    )
-    heard = json.loads(done.stdout)
+    heard = json.loads(run(["node", "-e", READ, broker.port], cwd=installed))
     document = json.loads(heard[f"{ROOT}/asyncapi"])
     addresses = {channel["address"] for channel in document["channels"].values()}
 
@@ -189,11 +181,7 @@ def test_a_decoder_of_others_reads_our_sparkplug_payload(installed: Path) -> Non
         Metric("none", DataType.STRING, None, 1),
     ]
 
-    done = subprocess.run(
-        ["node", "-e", DECODE], cwd=installed, input=encode(sent, 1, 7), capture_output=True, check=True
-    )
-
-    read = json.loads(done.stdout)
+    read = json.loads(run(["node", "-e", DECODE], cwd=installed, given=encode(sent, 1, 7)))
     assert read["seq"] == 7
     assert [(one["name"], one["value"], one["type"], one["late"]) for one in read["metrics"]] == [
         ("n", 801, "Int64", False),
@@ -234,16 +222,6 @@ def test_home_assistant_accepts_the_discovery_message(
         pytest.skip(f"SKIPPED, NOT TESTED: Home Assistant is not installed at {python}")
     message = text_at(address_of(broker), ALL, Format.HOME_ASSISTANT)
 
-    done = subprocess.run(
-        [python, "-c", CHECK, tmp_path],
-        input=message,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-
-    assert done.returncode == 0, done.stderr
-    version, entities = done.stdout.split()
+    version, entities = run([python, "-c", CHECK, tmp_path], given=message.encode()).decode().split()
     assert int(entities) == len(json.loads(message)["components"])
     print(f"\naccepted by Home Assistant {version}")
