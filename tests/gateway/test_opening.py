@@ -3,11 +3,12 @@
 import random
 import socket
 import threading
-from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
+from ports import free_port
 from station import MQTT, station_config
 from stepped_station import SteppedStation
 
@@ -21,37 +22,25 @@ from edge.messaging.sink_worker import RetainedState
 from edge.store.press_store import Store
 
 
-@pytest.fixture
-def broker() -> Iterator[socket.socket]:
-    """A listener that detects a connection."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(0.3)
-        yield server
-
-
-def test_a_second_gateway_never_reaches_the_broker(
-    tmp_path: Path, recording: Path, bundle: Path, broker: socket.socket
-) -> None:
+def test_a_second_gateway_never_reaches_the_broker(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """Both have one client id: a connection of the second would disconnect the first from its broker."""
-    config = load_config(station_config(tmp_path, recording, bundle, sinks=MQTT % broker.getsockname()[1]))
-    first = PublisherLock(config.store.path)
-    try:
-        with pytest.raises(StoreError, match="another gelgate process publishes"):
-            Gateway.open(config, SystemClock())
-        with pytest.raises(TimeoutError):
-            broker.accept()
-    finally:
-        first.close()
+    with socket.create_server(("127.0.0.1", 0)) as broker:
+        broker.settimeout(0.3)
+        sinks = MQTT % broker.getsockname()[1]
+        config = load_config(station_config(tmp_path, recording, bundle, sinks=sinks))
+        with closing(PublisherLock(config.store.path)):
+            with pytest.raises(StoreError, match="another gelgate process publishes"):
+                Gateway.open(config, SystemClock())
+            with pytest.raises(TimeoutError):
+                broker.accept()
 
 
 def test_a_sink_that_cannot_be_opened_closes_those_before_it(
-    tmp_path: Path, recording: Path, bundle: Path, broker: socket.socket
+    tmp_path: Path, recording: Path, bundle: Path
 ) -> None:
     """The first sink's threads end, and the database is free again."""
     second = MQTT.replace("port = %d", 'username = "u", password_file = "/nowhere/password"')
-    config = load_config(
-        station_config(tmp_path, recording, bundle, sinks=MQTT % broker.getsockname()[1] + second)
-    )
+    config = load_config(station_config(tmp_path, recording, bundle, sinks=MQTT % free_port() + second))
     before = set(threading.enumerate())
     with pytest.raises(ConfigError, match="password file /nowhere/password cannot be read"):
         Gateway.open(config, SystemClock())
