@@ -2,16 +2,12 @@
 
 import numpy as np
 import pytest
-from ball_presses import PLACES_MM, RADIUS_MM, UNSEEN, frames, renderer
+from ball_presses import PLACES_MM, RADIUS_MM, UNSEEN, frames, planes, renderer
 
 from calibration.sensor_fit.ball import Ball, ball_height, find_circle
 from calibration.sensor_fit.prediction import predict, window_around
-from calibration.simulator.field_of_view import F32, LR, grids
+from calibration.simulator.field_of_view import LR, grids
 from calibration.simulator.renderer import Renderer
-
-
-def planes(rgb: np.ndarray) -> F32:
-    return rgb.transpose(2, 0, 1).astype(np.float32)
 
 
 def test_a_disc_is_found_where_it_is() -> None:

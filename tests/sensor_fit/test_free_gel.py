@@ -4,16 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ball_presses import UNSEEN, renderer
+from ball_presses import UNSEEN, planes, renderer
 
 from calibration.sensor_fit.free_gel import fit_noise, has_markers, marker_dots
 from calibration.simulator.camera import noise
-from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.field_of_view import LR
 from calibration.simulator.renderer import Renderer
-
-
-def planes(rgb: np.ndarray) -> F32:
-    return rgb.transpose(2, 0, 1).astype(np.float32)
 
 
 def test_the_noise_that_was_added_is_found() -> None:

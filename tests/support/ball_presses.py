@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.sensor_fit.ball import Ball, ball_height
 from calibration.simulator.effects import DEFAULT_EFFECTS
-from calibration.simulator.field_of_view import LR, grids
+from calibration.simulator.field_of_view import F32, LR, grids
 from calibration.simulator.gel import Gel
 from calibration.simulator.renderer import Renderer
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
@@ -62,6 +62,10 @@ def frames(
         height = ball_height(Ball(x, y, depth_mm * (1 + 0.1 * (number % 3))), RADIUS_MM, *grids(LR))
         pressed.append(one.press(lambda _x, _y, height=height: height, 0.0, ("ball", number)))  # type: ignore[misc]
     return pressed
+
+
+def planes(rgb: U8) -> F32:
+    return rgb.transpose(2, 0, 1).astype(np.float32)
 
 
 def nominal(shown: Sequence[U8]) -> NominalPresses:
