@@ -1,7 +1,6 @@
 """`gelgate watch`: one line per verdict, each press once, heatmaps on disk."""
 
 import json
-import re
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -91,9 +90,11 @@ def listen(
 
 @each_broker
 def test_each_press_is_given_once_and_its_picture_is_saved(broker: LocalBroker, tmp_path: Path) -> None:
-    """A repeated result is left out; the watch ends after the last wanted press's picture."""
+    """A repeated result is left out; the watch ends after the last wanted press's picture. No other topic is a file."""
     run = speak(
         broker,
+        ("heatmap/../../escape", b"x"),
+        ("heatmap/escape", b"x"),
         ("result", result(0)),
         (f"heatmap/{IDS[0]}", b"png0"),
         ("result", result(0, is_replayed=True)),
@@ -109,6 +110,7 @@ def test_each_press_is_given_once_and_its_picture_is_saved(broker: LocalBroker, 
         f"{IDS[0]}.png": b"png0",
         f"{IDS[1]}.png": b"png1",
     }
+    assert not list(tmp_path.rglob("*escape*"))
 
 
 def test_what_cannot_be_read_is_told_and_left_out(broker: LocalBroker) -> None:
@@ -133,37 +135,6 @@ def test_what_cannot_be_read_is_told_and_left_out(broker: LocalBroker) -> None:
     assert [kind for kind, _ in heard] == ["state", "alarm", "result"]
     assert heard[-1][1]["press_id"] == IDS[3]
     assert len([sentence for sentence in messages if "cannot be read" in sentence]) == len(payloads)
-
-
-def test_the_cause_of_a_fail_is_in_its_line() -> None:
-    """Gel or part is the first question; a pass has none."""
-    failed = json.loads(result(0, verdict="fail", cause="gel", cause_text="the free gel shows a mark there"))
-
-    assert "cause gel: the free gel shows a mark there" in describe(failed, "s")
-    assert "cause" not in describe(json.loads(result(0)), "s")
-
-
-def test_terminal_escapes_in_a_payload_are_shown_and_not_obeyed() -> None:
-    """A reason that clears the screen or sets the title."""
-    line = printable(describe(json.loads(result(0, reason="\x1b]0;owned\x07\x1b[2J\u009b")), "a\x1bb"))
-
-    assert "\x1b" not in line
-    assert "\u009b" not in line
-    assert "\\x1b]0;owned\\x07" in line
-
-
-def test_a_heatmap_can_only_be_saved_under_a_press_id(tmp_path: Path, broker: LocalBroker) -> None:
-    """A topic that is not a press id never becomes a file name."""
-    run = speak(
-        broker,
-        ("heatmap/../../escape", b"x"),
-        ("heatmap/escape", b"x"),
-        ("result", result(0, heatmap_topic=None)),
-    )
-
-    listen(broker, run, save=tmp_path / "maps", count=1)
-
-    assert not list(tmp_path.rglob("*escape*"))
 
 
 def test_no_broker_is_a_sentence() -> None:
@@ -205,9 +176,34 @@ def test_a_line_says_what_a_person_wants_to_know() -> None:
         "2026-01-31 21:00:00+09:00  gelgate/plant/line1/press2  bolt  top  FAIL  score 2.5 > 1"
         "  gel 12/1000  31.3 ms  (late)"
     )
-    unscored = json.loads(result(0, verdict=None, score=None, error="saturated", latency_ms={}))
-    assert re.search(r"ERROR  saturated  gel 12/1000$", describe(unscored, "s"))
     assert describe({"time_ns": 1 << 70}, "s") == "?  s  ?  ERROR  gel ?/?"
+
+
+@pytest.mark.parametrize(
+    ("changes", "has", "has_not"),
+    [
+        (
+            {"verdict": None, "score": None, "error": "saturated", "latency_ms": {}},
+            "ERROR  saturated  gel 12/1000",
+            "ms",
+        ),
+        (
+            {"cause": "gel", "cause_text": "the free gel shows a mark"},
+            "cause gel: the free gel shows a mark",
+            "late",
+        ),
+        ({}, "FAIL", "cause"),
+        # A reason that clears the screen or sets the title is shown and not obeyed.
+        ({"reason": "\x1b]0;owned\x07\x1b[2J\u009b"}, "\\x1b]0;owned\\x07", "\x1b"),
+        ({"reason": "\u009b2J"}, "2J", "\u009b"),
+    ],
+)
+def test_a_line_is_complete_and_harmless(changes: dict[str, object], has: str, has_not: str) -> None:
+    """What there is no value for is left out."""
+    line = printable(describe(json.loads(result(0, **changes)), "s"))
+
+    assert has in line
+    assert has_not not in line
 
 
 def test_the_command_prints_json_and_counts(broker: LocalBroker, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,12 +26,6 @@ def test_v1_and_v2_are_told_apart_by_the_hash() -> None:
     assert check_release("0" * 64, "V1", "resnet18", "a.pth").startswith("V1 (stated")
 
 
-def test_every_release_is_a_network_that_can_be_exported() -> None:
-    """Eight digits each, of the three networks."""
-    assert {release.topology for release in RELEASES.values()} == {"resnet18", "resnet50", "wide_resnet50_2"}
-    assert all(len(key) == 8 and release_of(key + "0" * 56) == one for key, one in RELEASES.items())
-
-
 PUBLISHED = {
     "resnet18": {"f37072fd": "V1", "5c106cde": "V1"},
     "resnet50": {"0676ba61": "V1", "19c8e357": "V1", "11ad3fa6": "V2"},
@@ -46,6 +40,7 @@ def test_releases_are_those_that_torchvision_publishes() -> None:
     for digits, release in RELEASES.items():
         found[release.topology][digits] = release.version
     assert found == PUBLISHED
+    assert all(release_of(digits + "0" * 56) == one for digits, one in RELEASES.items())
     assert release_of("32ee1156" + 56 * "0") is None
 
 
@@ -62,15 +57,8 @@ def test_units_preprocessing_is_opencvs_resize() -> None:
 
 def test_encoders_have_licences() -> None:
     """Sparsh's is not for commercial use, the others are."""
-    assert {name: is_non_commercial(one.licence) for name, one in ENCODERS.items()} == {
-        "tvl": False,
-        "t3": False,
-        "sparsh": True,
-        "unit": False,
-    }
-    with pytest.raises(
-        ConfigError, match="no touch encoder is named 'anytouch'; known: tvl, t3, sparsh, unit"
-    ):
+    assert [name for name, one in ENCODERS.items() if is_non_commercial(one.licence)] == ["sparsh"]
+    with pytest.raises(ConfigError, match="is named 'anytouch'; known: tvl, t3, sparsh, unit"):
         encoder("anytouch")
 
 
@@ -81,16 +69,16 @@ def test_a_licence_is_one_short_line(text: str | None) -> None:
         stated_licence(text, "a file")
 
 
-@pytest.mark.parametrize("licence", ["CC-BY-NC-4.0", "CC BY-NC-SA 4.0", "Non-commercial", "research only"])
-def test_licences_that_forbid_commercial_use(licence: str) -> None:
-    """By the letters NC as a word, or in words."""
-    assert is_non_commercial(licence)
-
-
-@pytest.mark.parametrize("licence", ["MIT", "Apache-2.0", "BSD-3-Clause", "own, for Nancy GmbH"])
-def test_licences_that_allow_it(licence: str) -> None:
-    """NC inside a word says nothing."""
-    assert not is_non_commercial(licence)
+@pytest.mark.parametrize(
+    ("licences", "expected"),
+    [
+        (("CC-BY-NC-4.0", "CC BY-NC-SA 4.0", "Non-commercial", "research only"), True),
+        (("MIT", "Apache-2.0", "BSD-3-Clause", "own, for Nancy GmbH"), False),
+    ],
+)
+def test_licences_that_forbid_commercial_use(licences: tuple[str, ...], expected: bool) -> None:
+    """By the letters NC as a word, or in words; inside a word they say nothing."""
+    assert [is_non_commercial(licence) for licence in licences] == [expected] * len(licences)
 
 
 def manifest(**facts: object) -> Manifest:

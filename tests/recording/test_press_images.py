@@ -15,7 +15,7 @@ from edge.recording.from_images import CopyNoise, PressLift, images_in, record_i
 
 def make(folder: Path, plan: PressLift, *, suffix: str = ".jpg", presses: int = 2) -> Recording:
     source = folder / "images"
-    source.mkdir()
+    source.mkdir(parents=True)
     for number in range(presses):
         (source / f"press{number}{suffix}").write_bytes(jpeg(number, suffix=suffix))
     reference = folder / f"free{suffix}"
@@ -31,13 +31,13 @@ def test_lift_press_lift_press_lift(tmp_path: Path) -> None:
     assert states == ["free"] * 2 + ["press"] * 3 + ["free"] * 2 + ["press"] * 3 + ["free"] * 2
     assert recording[2].label == {"state": "press", "press": 0, "source": "press0.jpg", "copy": 0}
     assert recording[9].label == {"state": "press", "press": 1, "source": "press1.jpg", "copy": 2}
-
-
-def test_the_first_lift_is_longer_by_the_lead(tmp_path: Path) -> None:
-    """Only the first lift is longer, because a gateway learns the free gel from it."""
-    recording = make(tmp_path, PressLift(lead_frames=4, free_frames=1, press_frames=1))
-    states = [frame.label["state"] for frame in recording if frame.label]
+    led = make(
+        tmp_path / "led", PressLift(lead_frames=4, free_frames=1, press_frames=1)
+    )  # to learn the free gel from
+    states = [frame.label["state"] for frame in led if frame.label]
     assert states == ["free"] * 5 + ["press", "free", "press", "free"]
+    assert led.times_ns()[:3] == [0, 53_333_333, 106_666_667]  # 18.75 frames a second
+    assert led.header.nominal_fps == 25.0  # as the sensor advertises
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
@@ -78,13 +78,6 @@ def test_noise_has_its_strength_and_its_seed(tmp_path: Path) -> None:
     noisy = cv2.imdecode(np.frombuffer(takes[0], np.uint8), cv2.IMREAD_COLOR).astype(np.float64)
     # 36,864 values: their deviation is known to 2 / sqrt(2 * 36864) = 0.007; rounding adds 1/12 to the variance.
     assert noisy.std() == pytest.approx(np.sqrt(4 + 1 / 12), abs=0.03)
-
-
-def test_frames_are_a_period_apart(tmp_path: Path) -> None:
-    """18.75 frames a second; nominal 25, as the sensor advertises."""
-    recording = make(tmp_path, PressLift(free_frames=1, press_frames=1))
-    assert recording.times_ns()[:3] == [0, 53_333_333, 106_666_667]
-    assert recording.header.nominal_fps == 25.0
 
 
 def test_images_are_taken_in_counting_order(tmp_path: Path) -> None:
