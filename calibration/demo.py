@@ -136,9 +136,10 @@ def _fit(nominal: Path, path: Path) -> Path:
 
 @dataclass
 class _Tally:
-    """The verdicts against the truth of the simulation. damaged: press number to whether it is damaged."""
+    """The verdicts against the truth of the simulation."""
 
     damaged: dict[int, bool]
+    """Press number to whether it is damaged."""
     kinds: dict[int, str]
     verdicts: list[str] = field(default_factory=list)
     gel: str = ""

@@ -43,15 +43,17 @@ _MEASURE = "aupro_001"
 
 @dataclass(frozen=True)
 class _Study:
-    """A study with published medians. column: what it varies. names: its conditions, ours to the paper's (empty: the
-    same). shown: the conditions of ours at which orders and levels are compared. steps: the effects that are compared,
-    as pairs of our conditions."""
+    """A study with published medians."""
 
     name: str
     column: str
+    """What it varies."""
     names: dict[str, str]
+    """Its conditions, ours to the paper's (empty: the same)."""
     shown: tuple[str | float, ...]
+    """The conditions of ours at which orders and levels are compared."""
     steps: tuple[tuple[str | float, str | float, str], ...]
+    """The effects that are compared, as pairs of our conditions."""
 
     def paper_name(self, ours: str | float) -> str:
         """Return what the paper's data call a condition of ours."""

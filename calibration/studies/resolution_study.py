@@ -89,12 +89,13 @@ _CONTROLS = (
 
 @dataclass(frozen=True)
 class ViewPlace(Place):
-    """A place in one view. most: presses of the pool."""
+    """A place in one view."""
 
     view: str
     split: Split
     held_out: int
     most: int
+    """Presses of the pool."""
 
     def __str__(self) -> str:
         return f"{self.part}/{self.position}, {self.view}, on {self.backbone}"
@@ -128,10 +129,12 @@ class ViewPlace(Place):
 
 @dataclass(frozen=True)
 class Seen(Material):
-    """The presses of one part in one view. held: rows of them. pool: presses without the cap."""
+    """The presses of one part in one view."""
 
     held: HeldOut
+    """Rows of them."""
     pool: int
+    """Presses without the cap."""
 
     @cached_property
     def common(self) -> NDArray[np.bool_]:

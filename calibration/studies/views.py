@@ -37,9 +37,10 @@ _HR_PIXELS_PER_MM = LR_PIXELS_PER_MM * _ACROSS
 
 @dataclass(frozen=True)
 class StudyView:
-    """A view with its pictures and whether the trunk sees it in tiles. resolution: of the files that are read."""
+    """A view with its pictures and whether the trunk sees it in tiles."""
 
     resolution: Resolution
+    """Of the files that are read."""
     view: View
     is_tiled: bool = False
 

@@ -28,12 +28,14 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Truth:
-    """What is known of the scored presses. masks: bool (h, w) each. weights: float64 (replicates + 1, presses), the
-    first row ones, then how often each press counts in a replicate drawn by piece."""
+    """What is known of the scored presses."""
 
     label: NDArray[np.bool_]
     masks: Sequence[NDArray[np.bool_]]
+    """bool (h, w) each."""
     weights: Float
+    """float64 (replicates + 1, presses), the first row ones, then how often each press counts in a replicate drawn by
+    piece."""
 
     @classmethod
     def of(

@@ -37,16 +37,18 @@ TILE = 224
 class FittedPoint:
     """A point with its bundle and what it gives on the scored presses.
 
-    files: of a bundle without its trunk and without golden frames. maps: float32 (n, h, w) of the region, scores:
-    float64 (n,). features_s, bank_s: seconds for the trunk over the fitted presses, and for the bank.
+    features_s, bank_s: seconds for the trunk over the fitted presses, and for the bank.
     """
 
     point: OperatingPoint
     trunk: Trunk
     manifest: Manifest
     files: Mapping[str, bytes]
+    """Of a bundle without its trunk and without golden frames."""
     maps: NDArray[np.float32]
+    """float32 (n, h, w) of the region."""
     scores: NDArray[np.float64]
+    """float64 (n,)."""
     features_s: float
     bank_s: float
 

@@ -31,12 +31,13 @@ LIBRARIES: Final = ("gelgate", "numpy", "onnxruntime", "opencv-contrib-python-he
 class Peak:
     """The fastest that this machine was seen to be: operations and bytes per second.
 
-    A multiplication and an addition are two operations. bytes_per_s: read and written together, by one thread.
+    A multiplication and an addition are two operations.
     """
 
     float32_per_s: float
     int8_per_s: float
     bytes_per_s: float
+    """Read and written together, by one thread."""
 
 
 def fingerprint(threads: int) -> dict[str, Any]:

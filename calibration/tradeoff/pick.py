@@ -39,12 +39,14 @@ def _quantity(option: str, text: str, units: dict[str, float], example: str) -> 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a point may cost; None where there is no limit. within_ms: the upper end of the interval of a press's median
-    time. under_bytes: the bank as stored. presses: nominal presses of the fit."""
+    """What a point may cost; None where there is no limit."""
 
     within_ms: float | None = None
+    """The upper end of the interval of a press's median time."""
     under_bytes: float | None = None
+    """The bank as stored."""
     presses: int | None = None
+    """Nominal presses of the fit."""
 
     def excess(self, row: Row) -> dict[str, float]:
         """Return how many times over each limit the point is; only those that it exceeds."""

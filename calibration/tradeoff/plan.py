@@ -100,10 +100,7 @@ MOST_SCORED: Final = 40
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What a run depends on.
-
-    most_fitted: presses that the largest fit takes. minutes: after them no new round of timing begins.
-    """
+    """What a run depends on."""
 
     dataset: Path
     part: str | None = None
@@ -113,8 +110,10 @@ class RunSettings:
     rounds: int = 25
     replicates: int = 200
     most_fitted: int = 40
+    """Presses that the largest fit takes."""
     most_scored: int = MOST_SCORED
     minutes: float = 15.0
+    """After them no new round of timing begins."""
 
     def __post_init__(self) -> None:
         if self.rounds < LEAST_ROUNDS:

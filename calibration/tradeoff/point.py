@@ -18,14 +18,12 @@ HR_PROFILE: Final = "mini_hr"
 
 @dataclass(frozen=True)
 class View:
-    """How a press is seen: a profile's picture, the centre of the gel in it, in one piece or in tiles.
-
-    overlap: least overlap of neighbouring tiles in pixels, None without tiles. All views show the same part of the gel.
-    """
+    """How a press is seen: a profile's picture, the centre of the gel in it, in one piece or in tiles."""
 
     name: str
     profile_name: str
     overlap: int | None = None
+    """Least overlap of neighbouring tiles in pixels, None without tiles. All views show the same part of the gel."""
 
     @property
     def profile(self) -> SensorProfile:
@@ -54,18 +52,16 @@ VIEWS: Final = {
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """One way to inspect a part.
-
-    settings: parameters of the detector that differ from its mode's, sorted by name. presses: nominal presses of the
-    fit; the first ones of a fixed order, so that more presses contain fewer.
-    """
+    """One way to inspect a part."""
 
     method: str
     backbone: str
     view: str = "lr"
     presses: int = 20
+    """Nominal presses of the fit; the first ones of a fixed order, so that more presses contain fewer."""
     mode: Mode = "corrected"
     settings: tuple[tuple[str, Setting], ...] = ()
+    """Parameters of the detector that differ from its mode's, sorted by name."""
 
     def __post_init__(self) -> None:
         if self.view not in VIEWS:

@@ -26,18 +26,17 @@ HELD_OUT = 0.4
 
 @dataclass(frozen=True)
 class Chosen:
-    """The presses of one part and position, named by their files in low resolution.
-
-    fitted: in the order in which fits take them. scored: good ones of other pieces, then defective ones.
-    high: the same presses at high resolution, by the low-resolution file; empty where the dataset has none.
-    """
+    """The presses of one part and position, named by their files in low resolution."""
 
     root: Path
     part: str
     position: str
     fitted: tuple[LabelledPress, ...]
+    """In the order in which fits take them."""
     scored: tuple[LabelledPress, ...]
+    """Good ones of other pieces, then defective ones."""
     high: dict[Path, LabelledPress]
+    """The same presses at high resolution, by the low-resolution file; empty where the dataset has none."""
 
     @property
     def label(self) -> NDArray[np.bool_]:
@@ -68,10 +67,12 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Seen:
-    """The chosen presses in one view. nominal: the fitted ones. frames: the scored ones, uint8 (n, h, w, 3)."""
+    """The chosen presses in one view."""
 
     nominal: NominalPresses
+    """The fitted ones."""
     frames: NDArray[np.uint8]
+    """The scored ones, uint8 (n, h, w, 3)."""
 
 
 def choose_presses(

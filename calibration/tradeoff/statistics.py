@@ -19,20 +19,21 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PressTimes:
-    """Times of n points. stages, stages_p95: milliseconds (stages, n). ms: of a press, the sum of its stages' medians,
-    with low and high, (3, n). p95: of a press, (n,), the median and how far above their median the point's own
-    rounds reach: medians are pooled over points, so a percentile of its own rounds alone can be below them. ratio:
-    of a press to the bare trunk, (3, n) as ms. ratios: the ratio in each replicate, (replicates, n), all points
-    with the same rounds. bare: median ms.
-    """
+    """Times of n points. stages, stages_p95: milliseconds (stages, n)."""
 
     stages: Float
     stages_p95: Float
     ms: Float
+    """Of a press, the sum of its stages' medians, with low and high, (3, n)."""
     p95: Float
+    """Of a press, (n,), the median and how far above their median the point's own rounds reach: medians are pooled over
+    points, so a percentile of its own rounds alone can be below them."""
     ratio: Float
+    """Of a press to the bare trunk, (3, n) as ms."""
     ratios: Float
+    """The ratio in each replicate, (replicates, n), all points with the same rounds."""
     bare: float
+    """Median ms."""
     rounds: int
 
 

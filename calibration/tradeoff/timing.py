@@ -40,14 +40,14 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Samples:
-    """Milliseconds. stages: float64 (stages, rounds, points). bare: (rounds, points), the trunk run just before.
-
-    groups: per stage an id for each point, int64 (stages, points); points with equal ids did the same work.
-    """
+    """Milliseconds."""
 
     stages: Float
+    """float64 (stages, rounds, points)."""
     bare: Float
+    """(rounds, points), the trunk run just before."""
     groups: NDArray[np.int64]
+    """Per stage an id for each point, int64 (stages, points); points with equal ids did the same work."""
 
     @property
     def rounds(self) -> int:

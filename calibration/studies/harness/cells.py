@@ -23,21 +23,24 @@ Split = Literal["press", "specimen"]
 class Cell:
     """One independent unit of a study: what is fitted and what is scored.
 
-    study: the study's name, such as `good-fraction`. part, position: as in the dataset. method: the detector's name.
-    backbone: an installed backbone or a trunk .onnx file, as given by the user. split: how test presses are
-    held out, `press` or `specimen`. seed: fixes every random choice of the cell. settings: what else the study varies,
-    as pairs in the order of their names.
+    part, position: as in the dataset.
     """
 
     study: str
+    """The study's name, such as `good-fraction`."""
     part: str
     position: str
     method: str
+    """The detector's name."""
     mode: Mode
     backbone: str
+    """An installed backbone or a trunk .onnx file, as given by the user."""
     split: Split
+    """How test presses are held out, `press` or `specimen`."""
     seed: int
+    """Fixes every random choice of the cell."""
     settings: tuple[tuple[str, Setting], ...] = ()
+    """What else the study varies, as pairs in the order of their names."""
 
     def __post_init__(self) -> None:
         if self.split not in get_args(Split):

@@ -21,10 +21,11 @@ Values = Mapping[tuple[str, int], float]
 
 @dataclass(frozen=True)
 class Sample:
-    """A measure of one method. same: the parts on which every seed learns the same presses."""
+    """A measure of one method."""
 
     values: Values
     same: frozenset[str] = field(default_factory=frozenset)
+    """The parts on which every seed learns the same presses."""
 
     def minus(self, other: "Sample") -> "Sample":
         """The differences on the parts and seeds that both have; a draw of either is a draw of the difference."""
@@ -38,13 +39,14 @@ Samples = Mapping[str, Sample]
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean and its 95 % interval, nan where there is none. parts; draws: the least number on a part."""
+    """A mean and its 95 % interval, nan where there is none."""
 
     value: float
     low: float
     high: float
     parts: int
     draws: int
+    """The least number of draws on a part."""
 
     @property
     def has_interval(self) -> bool:
@@ -53,15 +55,13 @@ class Mean:
 
 @dataclass(frozen=True)
 class Standing:
-    """Methods in order of their mean, the best first.
-
-    best: the method that is better than all others, None if the values do not decide; then `why` says why not. rivals:
-    those that cannot be distinguished from the first.
-    """
+    """Methods in order of their mean, the best first."""
 
     means: Mapping[str, Mean]
     best: str | None
+    """The method that is better than all others, None if the values do not decide; then `why` says why not."""
     rivals: tuple[str, ...]
+    """Those that cannot be distinguished from the first."""
     why: str
 
 

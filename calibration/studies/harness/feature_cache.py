@@ -33,10 +33,11 @@ _AT_ONCE = 16
 
 @dataclass(frozen=True)
 class Taken:
-    """Features and their geometry. features: tap to float32 (n, c, h, w), memory-mapped and read-only."""
+    """Features and their geometry."""
 
     grid: Grid
     features: Features
+    """Tap to float32 (n, c, h, w), memory-mapped and read-only."""
 
     def each(
         self, rows: Sequence[int] | NDArray[np.int64], taps: Sequence[str]

@@ -25,7 +25,7 @@ __all__ = ["Drawn", "Material", "Place", "fit_cell", "material"]
 
 @dataclass(frozen=True)
 class Place:
-    """What identifies material. taps: those that are extracted, of all methods together."""
+    """What identifies material."""
 
     dataset: Path
     cache: Path
@@ -33,6 +33,7 @@ class Place:
     position: str
     backbone: str
     taps: tuple[str, ...]
+    """Those that are extracted, of all methods together."""
 
     def __str__(self) -> str:
         return f"{self.part}/{self.position} on {self.backbone}"
@@ -62,11 +63,12 @@ class Place:
 
 @dataclass(frozen=True)
 class Material:
-    """Presses with the features of all of them. trunk: the one that gave the features."""
+    """Presses with the features of all of them."""
 
     place: Place
     presses: StudyPresses
     trunk: Trunk
+    """The one that gave the features."""
     taken: Taken
 
     def test(self, rows: NDArray[np.int64], taps: Sequence[str]) -> TestPresses:

@@ -21,12 +21,13 @@ __all__ = ["LR_VIEW", "PressPictures", "View"]
 class View:
     """How a press is shown: pictures of `size`, scaled to `scaled_to` if that is given, cut to the region.
 
-    size, scaled_to: (width, height). pixels_per_mm: of the picture that the trunk sees.
+    size, scaled_to: (width, height).
     """
 
     size: tuple[int, int]
     region: Region
     pixels_per_mm: float
+    """Of the picture that the trunk sees."""
     scaled_to: tuple[int, int] | None = None
 
     @property

@@ -34,16 +34,16 @@ _FALSE_ALARMS = 0.01
 
 @dataclass(frozen=True)
 class TestPresses:
-    """What is scored. features: tap to a map (1, c, h, w) of each press, in memory or in a file.
-
-    masks: bool (n, h, w). is_defective: bool (n,).
-    """
+    """What is scored."""
 
     __test__ = False  # no test case of pytest
 
     features: Mapping[str, Sequence[NDArray[np.float32]]]
+    """Tap to a map (1, c, h, w) of each press, in memory or in a file."""
     masks: NDArray[np.bool_]
+    """bool (n, h, w)."""
     is_defective: NDArray[np.bool_]
+    """bool (n,)."""
 
     def __len__(self) -> int:
         return len(self.is_defective)

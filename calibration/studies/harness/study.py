@@ -46,16 +46,17 @@ Say = Callable[[str], None]
 class Options:
     """What a study is asked for. Empty methods, modes, backbones and splits become the defaults.
 
-    cache: of features; None is a folder in the output. position: the reference position, None is each part's first.
-    fraction: of the pool, in (0, 1], that every method learns from; None is each method's stable one. Errors:
-    ConfigError for an unknown method, mode or split, an output that is a file, what is no address, or a missing extra.
+    Errors: ConfigError for an unknown method, mode or split, an output that is a file, what is no address, or a missing
+    extra.
     """
 
     dataset: Path
     output: Path
     cache: Path | None = None
+    """Of features; None is a folder in the output."""
     parts: tuple[str, ...] = ()
     position: str | None = None
+    """The reference position, None is each part's first."""
     methods: tuple[str, ...] = ()
     modes: tuple[Mode, ...] = ()
     backbones: tuple[str, ...] = ()
@@ -63,6 +64,7 @@ class Options:
     seeds: int = 10
     held_out: int = 20
     fraction: float | None = None
+    """Of the pool, in (0, 1], that every method learns from; None is each method's stable one."""
     jobs: int = 1
     dask: str | None = None
     show: Show = progress
@@ -106,11 +108,12 @@ class Options:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Evaluates the cells of a study. taps: by backbone, those that are extracted for all cells."""
+    """Evaluates the cells of a study."""
 
     dataset: Path
     cache: Path
     taps: Mapping[str, tuple[str, ...]]
+    """By backbone, those that are extracted for all cells."""
 
     @classmethod
     def of(cls, options: Options) -> Self:
