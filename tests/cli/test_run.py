@@ -39,13 +39,8 @@ def started(bench: Bench, stdin: int) -> "subprocess.Popen[str]":
     """Start a gateway on presses that do not end; return it once it has seen a frame."""
     config = bench.config()
     config.write_text(config.read_text().replace('"presses" }', '"presses", loop = true }'))
-    running = subprocess.Popen(
-        [GELGATE, "run", "--config", config],
-        stdin=stdin,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    command, pipe = [GELGATE, "run", "--config", config], subprocess.PIPE
+    running = subprocess.Popen(command, stdin=stdin, stdout=pipe, stderr=pipe, text=True)
     wait_for(bench, "gel", running)
     return running
 

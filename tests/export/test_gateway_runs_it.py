@@ -37,18 +37,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (home / "model.onnx").write_bytes(onnx.parser.parse_model(NETWORK).SerializeToString())
     nominal = press_recording(home / "nominal", 12, seed=1)
     press_recording(home / "presses", 3, dented=[1], seed=2)
-    ran(
-        "bundle",
-        "wrap",
-        home / "model.onnx",
-        nominal,
-        "-o",
-        home / "bundle",
-        "--part",
-        "PZ0",
-        "--licence",
-        "own",
-    )
+    words = ("-o", home / "bundle", "--part", "PZ0", "--licence", "own")
+    ran("bundle", "wrap", home / "model.onnx", nominal, *words)
     return home
 
 

@@ -67,12 +67,8 @@ def presses(frames: NDArray[np.uint8] = FRAMES) -> NominalPresses:
 def checked(ready: Adapted) -> Adapted:
     assert ready.parity is not None
     ready.parity.raise_if_different()
-    assert [result.name for result in ready.parity.results] == [
-        "input",
-        "map",
-        "score",
-        "order of the presses",
-    ]
+    names = [result.name for result in ready.parity.results]
+    assert names == ["input", "map", "score", "order of the presses"]
     return ready
 
 
@@ -241,17 +237,8 @@ def test_the_command_adapts_compares_and_records(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / "good" / f"{k}.png"), frame)
     (tmp_path / "model.onnx").write_bytes(anomalib_like(64))
 
-    words = (
-        "bundle",
-        "wrap",
-        tmp_path / "model.onnx",
-        tmp_path / "good",
-        "-o",
-        tmp_path / "b",
-        "--part",
-        "bolt",
-    )
-    words = (*words, "--profile", "cropped_lr")
+    options = ("-o", tmp_path / "b", "--part", "bolt", "--profile", "cropped_lr")
+    words = ("bundle", "wrap", tmp_path / "model.onnx", tmp_path / "good", *options)
     assert "licence of the graph" in gelgate(*words).sentence()
     ran(*words, "--licence", "Apache-2.0", "--report", tmp_path / "report")
     manifest = Bundle.load(tmp_path / "b").manifest

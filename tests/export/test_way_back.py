@@ -114,13 +114,8 @@ def stages(tmp_path: Path) -> dict[str, NDArray[np.generic]]:
     cells = planes.reshape(4, 3, 4, 8, 4, 8).mean(axis=(3, 5))
     distance = np.linalg.norm(cells - 0.5, axis=1)
     score_map = distance.repeat(8, axis=1).repeat(8, axis=2)
-    return {
-        "frames": frames,
-        "layer1": cells,
-        "cell": distance[:, None],
-        "map": score_map,
-        "score": score_map.max(axis=(1, 2)),
-    }
+    taps = {"frames": frames, "layer1": cells, "cell": distance[:, None]}
+    return {**taps, "map": score_map, "score": score_map.max(axis=(1, 2))}
 
 
 def parity(folder: Path, stages: dict[str, NDArray[np.generic]], *more: object) -> Outcome:

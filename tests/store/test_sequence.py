@@ -10,10 +10,6 @@ from edge.store.backup import migrate
 from edge.store.press_store import Store
 
 
-def no_messages(recorded: object) -> list[object]:
-    return []
-
-
 @pytest.fixture
 def old_database(path: Path) -> Path:
     """One that a program wrote which published no sequence numbers: three presses on two gels."""
