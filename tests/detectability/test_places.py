@@ -18,6 +18,8 @@ def test_places_divide_the_region_evenly() -> None:
         for column in range(4):
             covered[GRID.pixels(Place(row, column))] += 1
     assert (covered == 1).all()
+    with pytest.raises(ValueError, match="positive"):
+        PlaceGrid(GRID.field, 0.0)
 
 
 def test_a_place_is_of_the_contact_where_half_of_the_presses_touch_it() -> None:
@@ -40,8 +42,3 @@ def test_spots_are_where_the_press_touches() -> None:
         assert contact[row, column]
     assert len({spot.turn_rad for spot in spots if spot}) == 50
     assert GRID.spot(contact, Place(1, 1), rng) is None
-
-
-def test_a_spacing_is_positive() -> None:
-    with pytest.raises(ValueError, match="positive"):
-        PlaceGrid(GRID.field, 0.0)
