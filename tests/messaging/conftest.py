@@ -152,6 +152,10 @@ def stepped() -> Iterator[Callable[..., MqttSink]]:
         sink.close()
 
 
+SinkTo = Callable[..., MqttSink]
+Listen = Callable[..., Listener]
+
+
 def sent(sink: MqttSink, message: Message, timeout_s: float = PATIENCE_S) -> None:
     """Send, trying again while the broker is away."""
     deadline = time.monotonic() + timeout_s

@@ -16,10 +16,7 @@ from edge.messaging.mqtt_connection import Connection
 from edge.messaging.status_payloads import availability_message
 from plugins.sinks.mqtt import MqttSink
 
-from .conftest import PATIENCE_S, ROOT, Listener
-
-Opens = Callable[..., MqttSink]
-Listen = Callable[..., Listener]
+from .conftest import PATIENCE_S, ROOT, Listen, Listener, SinkTo
 
 STATION = Station(
     ROOT,
@@ -30,7 +27,7 @@ STATION = Station(
 
 
 @pytest.fixture
-def stepped_sink(mosquitto: LocalBroker, stepped: Opens) -> MqttSink:
+def stepped_sink(mosquitto: LocalBroker, stepped: SinkTo) -> MqttSink:
     """Such a sink without threads, connected: what happens comes of the turns that a test takes."""
     sink = stepped(mosquitto, station=STATION)
     assert sink.step() is None
@@ -62,7 +59,7 @@ def lose_the_second_connection(broker: LocalBroker, sink: MqttSink) -> None:
 
 
 def test_a_station_that_disappears_is_offline(
-    any_broker: tuple[LocalBroker, str], sink_to: Opens, listen: Listen
+    any_broker: tuple[LocalBroker, str], sink_to: SinkTo, listen: Listen
 ) -> None:
     """The broker says so when both connections end without a word; back again, it is online, and that is retained."""
     broker, protocol = any_broker
@@ -94,7 +91,7 @@ def test_a_second_connection_that_is_lost_alone_is_opened_again(
     assert stepped_sink._connection is first
 
 
-def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, sink_to: Opens, listen: Listen) -> None:
+def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, sink_to: SinkTo, listen: Listen) -> None:
     """Both connections say goodbye: what the station has said last stays."""
     listener = listen(mosquitto)
     sink = sink_to(mosquitto, station=STATION)
@@ -109,7 +106,7 @@ def test_a_station_that_ends_leaves_no_will(mosquitto: LocalBroker, sink_to: Ope
 
 
 def test_without_the_second_connection_the_topic_is_empty(
-    mosquitto: LocalBroker, sink_to: Opens, listen: Listen
+    mosquitto: LocalBroker, sink_to: SinkTo, listen: Listen
 ) -> None:
     """With the option off nothing says online: no one could say offline later."""
     listener = listen(mosquitto)
@@ -120,7 +117,7 @@ def test_without_the_second_connection_the_topic_is_empty(
     assert list(sink.faults) == []
 
 
-def test_a_broker_that_refuses_the_second_connection_is_a_fault(sink_to: Opens) -> None:
+def test_a_broker_that_refuses_the_second_connection_is_a_fault(sink_to: SinkTo) -> None:
     """The rest works, the topic is empty, and the sentence names the client id and the option."""
     with ScriptedBroker(connects=["accept", "refuse"]) as broker:
         sink = sink_to(broker, station=STATION, protocol="5")

@@ -3,7 +3,6 @@
 import json
 import random
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 from recorded_presses import T0, make_press, messages_of
@@ -18,9 +17,8 @@ from edge.messaging.sink_worker import IDLE_S, RetainedState, SinkWorker
 from edge.messaging.status_payloads import StatePayload, state_message
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store
-from plugins.sinks.mqtt import MqttSink
 
-from .conftest import ROOT, Listener
+from .conftest import ROOT, Listen, Listener, SinkTo
 
 
 def record_press(store: Store, n: int) -> str:
@@ -31,10 +29,7 @@ def record_press(store: Store, n: int) -> str:
 
 
 def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
-    any_broker: tuple[LocalBroker, str],
-    tmp_path: Path,
-    sink_to: Callable[..., MqttSink],
-    listen: Callable[..., Listener],
+    any_broker: tuple[LocalBroker, str], tmp_path: Path, sink_to: SinkTo, listen: Listen
 ) -> None:
     """Each press arrives at least once and, counted by id, exactly once; its heatmap too; `last` is the newest.
 
@@ -96,10 +91,7 @@ def hears_all_acknowledged(heard: list[Listener], ids: list[str], outbox: Outbox
 
 
 def test_two_sinks_of_one_gateway_share_a_database(
-    mosquitto: LocalBroker,
-    tmp_path: Path,
-    sink_to: Callable[..., MqttSink],
-    listen: Callable[..., Listener],
+    mosquitto: LocalBroker, tmp_path: Path, sink_to: SinkTo, listen: Listen
 ) -> None:
     """Each delivers every press once, and then the outbox is empty."""
     path = tmp_path / "gelgate.db"
@@ -119,7 +111,7 @@ def test_two_sinks_of_one_gateway_share_a_database(
 
 
 def test_a_state_change_and_a_command_pass_while_results_flow(
-    mosquitto: LocalBroker, tmp_path: Path, sink_to: Callable[..., MqttSink], listen: Callable[..., Listener]
+    mosquitto: LocalBroker, tmp_path: Path, sink_to: SinkTo, listen: Listen
 ) -> None:
     """The gateway's composition in small: retained state, outbox, commands on one connection."""
     listener = listen(mosquitto)

@@ -4,7 +4,7 @@
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import jinja2
@@ -32,7 +32,7 @@ from edge.messaging.topics import TOPICS
 from plugins.sinks.mqtt import plugin
 from plugins.sinks.mqtt_options import MqttOptions
 
-from .conftest import PATIENCE_S, ROOT, Listener
+from .conftest import PATIENCE_S, ROOT, Listen
 
 STATION = DescribedStation.of_root(ROOT)
 DEVICE = discovery(STATION)
@@ -120,9 +120,7 @@ def test_a_station_is_one_device_with_its_own_topics_and_words() -> None:
         assert rendered(DEVICE["availability_template"], json.loads(messages[0].payload)) == shown
 
 
-def test_the_sink_announces_the_station_where_it_is_asked_to(
-    mosquitto: LocalBroker, listen: Callable[..., Listener]
-) -> None:
+def test_the_sink_announces_the_station_where_it_is_asked_to(mosquitto: LocalBroker, listen: Listen) -> None:
     """Retained, on Home Assistant's topic and not below the station's; by default nothing is announced."""
     listener = listen(mosquitto, "#")
     for more in ({}, {"home_assistant": "ha"}):

@@ -5,7 +5,7 @@ import shutil
 import socket
 import subprocess
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,10 @@ from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker
 from edge.messaging.mqtt_connection import Connection
-from plugins.sinks.mqtt import MqttSink, plugin
+from plugins.sinks.mqtt import plugin
 from plugins.sinks.mqtt_options import MqttOptions
 
-from .conftest import PATIENCE_S, ROOT, Listener, require, sent
-
-SinkTo = Callable[..., MqttSink]
-Listen = Callable[..., Listener]
+from .conftest import PATIENCE_S, ROOT, SinkTo, require, sent
 
 # Started by root, mosquitto would read its files as another user, who may not reach the folder of a test.
 AS_STARTED = "user root\n"

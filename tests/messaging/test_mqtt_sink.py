@@ -6,7 +6,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 
 import pytest
 
@@ -15,12 +14,9 @@ from edge.core.ports import Message, Sink
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Outgoing
 from edge.messaging.mqtt_connection import Connection
-from plugins.sinks.mqtt import MqttSink
 
-from .conftest import PATIENCE_S, ROOT, Listener, require, sent
+from .conftest import PATIENCE_S, ROOT, Listen, SinkTo, require, sent
 
-SinkTo = Callable[..., MqttSink]
-Listen = Callable[..., Listener]
 READY, HALTED = b'{"state":"ready"}', b'{"state":"halted"}'
 
 

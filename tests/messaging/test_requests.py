@@ -17,7 +17,7 @@ from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt import MqttSink
 from plugins.sinks.mqtt_options import LARGEST_PACKET_BYTES
 
-from .conftest import PATIENCE_S, ROOT, sent
+from .conftest import PATIENCE_S, ROOT, SinkTo, sent
 
 TRIGGER = f"{ROOT}/cmd/trigger"
 
@@ -44,7 +44,7 @@ def asked() -> Asked:
 
 
 @pytest.fixture
-def sink(scripted: ScriptedBroker, asked: Asked, stepped: Callable[..., MqttSink]) -> MqttSink:
+def sink(scripted: ScriptedBroker, asked: Asked, stepped: SinkTo) -> MqttSink:
     station = Station(ROOT, "asked", on_command=asked.command, on_refused=asked.refusal)
     opened = stepped(scripted, station=station)
     assert opened.step() is None
@@ -126,9 +126,7 @@ def test_requests_that_find_no_room_are_answered(
     assert set(asked.refused) == {f"{WAITING_REQUESTS} requests are waiting; ask again later"}
 
 
-def test_a_real_broker_does_not_deliver_a_huge_request(
-    mosquitto: LocalBroker, sink_to: Callable[..., MqttSink]
-) -> None:
+def test_a_real_broker_does_not_deliver_a_huge_request(mosquitto: LocalBroker, sink_to: SinkTo) -> None:
     """One megabyte to a station that accepts 32 KiB: the broker keeps it, and the next request is served."""
     asked: list[int] = []
     is_served = threading.Event()

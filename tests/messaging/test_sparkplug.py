@@ -38,7 +38,7 @@ from plugins.sinks.sparkplug_metrics import (
     metrics_of,
 )
 
-from .conftest import PATIENCE_S, ROOT, Listener
+from .conftest import PATIENCE_S, ROOT, Listen, Listener
 
 NODE = "line1-press2"
 STATE = state_message(StatePayload(time_ns=10**18, state="ready"))
@@ -46,7 +46,6 @@ FAILED = press_messages(
     result(time_ns=10**18, verdict=Kind.FAIL, score=2.5, score_ratio=2.5), GEL, b"\x89PNG"
 )
 Open = Callable[[LocalBroker], SparkplugSink]
-Listen = Callable[..., Listener]
 
 
 def test_a_payload_is_that_of_the_specification() -> None:
