@@ -48,20 +48,23 @@ class AcquisitionState(Enum):
 class AcquisitionStatus:
     """What the reader thread has seen so far.
 
-    frames: delivered by the sensor. corrupt, stale: frames refused. dropped: delivered, but not taken in time.
-    reconnects: successful openings after the first. fps: delivered rate of the last two seconds, 0.0 until known.
-    fault: why there are no frames now, or None.
+    corrupt, stale: frames refused.
     """
 
     state: AcquisitionState = AcquisitionState.CONNECTING
     identity: DeviceIdentity | None = None
     fault: str | None = None
+    """Why there are no frames now, or None."""
     frames: int = 0
+    """Delivered by the sensor."""
     corrupt: int = 0
     stale: int = 0
     dropped: int = 0
+    """Delivered, but not taken in time."""
     reconnects: int = 0
+    """Successful openings after the first."""
     fps: float = 0.0
+    """Delivered rate of the last two seconds, 0.0 until known."""
 
 
 class Acquisition:

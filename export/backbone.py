@@ -81,12 +81,14 @@ class BackboneOptions:
 
 @dataclass(frozen=True)
 class BackboneExport:
-    """A trunk that agrees with its reference. facts: as in its metadata. parity: the comparison."""
+    """A trunk that agrees with its reference."""
 
     trunk: bytes
     taps: tuple[str, ...]
     facts: dict[str, str]
+    """As in its metadata."""
     parity: ParityReport
+    """The comparison."""
 
     @property
     def sha256(self) -> str:

@@ -27,10 +27,11 @@ MOST_CHARACTERS = 200
 
 @dataclass(frozen=True)
 class Release:
-    """One published file of weights. version: of torchvision, V1 or V2."""
+    """One published file of weights."""
 
     topology: str
     version: str
+    """Of torchvision, V1 or V2."""
     name: str
 
 
@@ -71,18 +72,17 @@ def check_release(sha256: str, declared: str | None, topology: str, file: str) -
 
 @dataclass(frozen=True)
 class Encoder:
-    """A published touch encoder: its licence as its authors state it, and its preprocessing.
-
-    steps: None where the user must state mean and std. needs_background: whether it was trained on differences from the
-    untouched gel. eps: of its layer norms.
-    """
+    """A published touch encoder: its licence as its authors state it, and its preprocessing."""
 
     name: str
     licence: str
     source: str
     steps: InputSteps | None
+    """None where the user must state mean and std."""
     needs_background: bool = False
+    """Whether it was trained on differences from the untouched gel."""
     eps: float = 1e-6
+    """Of its layer norms."""
 
 
 _TVL_MEAN = (0.29174602047139075, 0.2971325588927249, 0.2910404549605639)

@@ -24,14 +24,14 @@ MOST_STEPS = 12
 
 @dataclass(frozen=True)
 class Normalisation:
-    """How one output is made of the value `raw`. limit: of the output, above which the graph's own label is anomalous;
-    None where it has no label."""
+    """How one output is made of the value `raw`."""
 
     output: str
     raw: str
     threshold: float
     spread: float
     limit: float | None
+    """Of the output, above which the graph's own label is anomalous; None where it has no label."""
 
     @property
     def words(self) -> str:

@@ -38,14 +38,16 @@ PIXELS = "gelgate_pixels"
 
 @dataclass(frozen=True)
 class PictureInput:
-    """A graph's one input. size: (h, w); batch: frames at a time; None where they are free. is_bytes: uint8, or
-    float32."""
+    """A graph's one input."""
 
     name: str
     layout: Layout
     is_bytes: bool
+    """uint8, or float32."""
     size: tuple[int, int] | None
+    """(h, w)."""
     batch: int | None
+    """Frames at a time; None where they are free."""
 
 
 def load_model(data: bytes, where: str) -> Any:

@@ -58,20 +58,23 @@ Masked = tuple[Sequence[NDArray[np.uint8]], Sequence[NDArray[np.bool_]]]
 
 @dataclass(frozen=True)
 class Measured:
-    """One precision of the bundle's network. map_difference: relative norm over nominal frames. score_difference: the
-    largest, relative to the threshold. rise: the largest by which a nominal score rises. aupro_change: None without
-    masks. milliseconds: median of the network and its head for a frame, on this machine. in_float: layers that stayed.
-    """
+    """One precision of the bundle's network."""
 
     precision: Precision
     graph: bytes
     map_difference: float
+    """Relative norm over nominal frames."""
     score_difference: float
+    """The largest, relative to the threshold."""
     rise: float
+    """The largest by which a nominal score rises."""
     aupro_change: float | None
+    """None without masks."""
     milliseconds: float
+    """Median of the network and its head for a frame, on this machine."""
     bytes: int
     in_float: tuple[str, ...] = ()
+    """Layers that stayed."""
 
     def card(self) -> dict[str, Any]:
         """Give the manifest everything but the graph."""
@@ -81,13 +84,14 @@ class Measured:
 
 @dataclass(frozen=True)
 class Precisions:
-    """All precisions that were measured. is_int8_exact: whether int8 products do not saturate here (VNNI or similar).
-    faults: why a precision is missing."""
+    """All precisions that were measured."""
 
     results: tuple[Measured, ...]
     is_int8_exact: bool
+    """Whether int8 products do not saturate here (VNNI or similar)."""
     limit: float
     faults: tuple[str, ...] = ()
+    """Why a precision is missing."""
 
     def of(self, precision: Precision) -> Measured:
         """Give a precision. Errors: FitError with the reason where it could not be made."""

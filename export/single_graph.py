@@ -46,26 +46,28 @@ MOST_COMPARED = 4
 class GraphInput:
     """What the caller states about a graph; None where it is to be found.
 
-    scale: `0..1`, `0..255`, or `imagenet` (0..1, then ImageNet's mean and std). mean, std: others, of RGB in 0..1.
-    map_output, score_output: names of outputs. is_negated: lower scores are more anomalous in the graph.
+    mean, std: others, of RGB in 0..1. map_output, score_output: names of outputs.
     """
 
     scale: str | None = None
+    """`0..1`, `0..255`, or `imagenet` (0..1, then ImageNet's mean and std)."""
     mean: tuple[float, float, float] | None = None
     std: tuple[float, float, float] | None = None
     map_output: str | None = None
     score_output: str | None = None
     is_negated: bool = False
+    """Lower scores are more anomalous in the graph."""
 
 
 @dataclass(frozen=True)
 class Adapted:
-    """The adapted graph. found: what was found or stated of the original, for the manifest. parity: None where the
-    graph met the contract already and is unchanged."""
+    """The adapted graph."""
 
     graph: bytes
     found: dict[str, str]
+    """What was found or stated of the original, for the manifest."""
     parity: ParityReport | None
+    """None where the graph met the contract already and is unchanged."""
 
 
 def adapt(
@@ -193,10 +195,11 @@ def _pixels(frames: NDArray[np.uint8], steps: InputSteps, high: float, picture: 
 
 @dataclass(frozen=True)
 class _Outputs:
-    """The chosen outputs. score: empty where the map's largest value is the score."""
+    """The chosen outputs."""
 
     map: str
     score: str
+    """Empty where the map's largest value is the score."""
 
     @classmethod
     def of(cls, outputs: Mapping[str, NDArray[Any]], given: GraphInput, where: str) -> "_Outputs":

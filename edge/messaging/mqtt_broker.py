@@ -36,8 +36,7 @@ class Tls:
 class Broker:
     """The broker's address and protocol.
 
-    level None: 5, or 3.1.1 where the broker proves that it does not speak 5. largest_packet: at level 5 the broker is
-    asked to send nothing larger, in bytes; None for no limit.
+    level None: 5, or 3.1.1 where the broker proves that it does not speak 5.
     """
 
     host: str
@@ -50,6 +49,7 @@ class Broker:
     timeout_s: float = 10.0
     level: Level | None = None
     largest_packet: int | None = None
+    """At level 5 the broker is asked to send nothing larger, in bytes; None for no limit."""
 
     def __str__(self) -> str:
         return f"{self.host}:{self.port}"

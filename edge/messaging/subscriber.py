@@ -47,14 +47,14 @@ Inbox = queue.SimpleQueue[Received | None]
 
 @dataclass(frozen=True)
 class Seen:
-    """One received message. kind: `result`, `heatmap`, `state` or `alarm`. station: the levels before `/gel/`.
-
-    content: the JSON payload; for a heatmap its `press_id` and the `path` it was saved to, for an alarm its id too.
-    """
+    """One received message."""
 
     kind: str
+    """`result`, `heatmap`, `state` or `alarm`."""
     station: str
+    """The levels before `/gel/`."""
     content: Mapping[str, Any]
+    """The JSON payload; for a heatmap its `press_id` and the `path` it was saved to, for an alarm its id too."""
 
 
 def broker_at(

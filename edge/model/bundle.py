@@ -53,12 +53,14 @@ FREE_VIEW = "free_view.png"
 
 @dataclass(frozen=True)
 class GoldenFrame:
-    """A frame whose score is known. rgb: uint8 (h, w, 3) of the inspected region. map_peaks: see GoldenEntry."""
+    """A frame whose score is known."""
 
     rgb: NDArray[np.uint8]
+    """uint8 (h, w, 3) of the inspected region."""
     what: str
     score: float
     map_peaks: tuple[tuple[float, ...], ...]
+    """See GoldenEntry."""
 
 
 @dataclass(frozen=True)

@@ -25,15 +25,14 @@ LARGEST = 2.0**127
 
 @dataclass(frozen=True)
 class Packed:
-    """An array as stored.
-
-    data: the stored array. scale: float32, data's shape without its last axis, only for int8. exponent: float16 data
-    are multiplied by 2**exponent when unpacked.
-    """
+    """An array as stored."""
 
     data: NDArray[Any]
+    """The stored array."""
     scale: NDArray[np.float32] | None = None
+    """float32, data's shape without its last axis, only for int8."""
     exponent: int = 0
+    """float16 data are multiplied by 2**exponent when unpacked."""
 
 
 def pack(array: NDArray[Any], packing: Packing) -> Packed:

@@ -58,11 +58,13 @@ class SignatureFile(BaseModel):
 
 @dataclass(frozen=True)
 class SignatureFinding:
-    """What is known of a bundle's maker. key: fingerprint, None if unsigned. is_trusted: signed with a trusted key."""
+    """What is known of a bundle's maker."""
 
     text: str
     key: str | None = None
+    """Fingerprint, None if unsigned."""
     is_trusted: bool = False
+    """Signed with a trusted key."""
 
 
 UNSIGNED: Final = SignatureFinding("not signed")
@@ -70,10 +72,11 @@ UNSIGNED: Final = SignatureFinding("not signed")
 
 @dataclass(frozen=True)
 class Trust:
-    """Which bundles a gateway accepts. keys: fingerprint to (name, public key)."""
+    """Which bundles a gateway accepts."""
 
     policy: Policy = "allowed"
     keys: Mapping[str, tuple[str, "Ed25519PublicKey"]] = field(default_factory=dict)
+    """Fingerprint to (name, public key)."""
 
     def check(self, archive: Archive, manifest: bytes) -> SignatureFinding:
         """Who signed these bytes of the manifest.

@@ -55,14 +55,16 @@ U8 = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class PressCaption:
-    """The text on a picture. mm_per_pixel: (x, y) of the region. station: site/line/station."""
+    """The text on a picture."""
 
     press_id: str
     verdict: str
     score: float
     threshold: float
     mm_per_pixel: tuple[float, float]
+    """(x, y) of the region."""
     station: str
+    """Site/line/station."""
     part: str
     time: str
 

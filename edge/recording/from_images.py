@@ -38,13 +38,11 @@ class CopyNoise:
 
 @dataclass(frozen=True)
 class PressLift:
-    """The timing of the sequence: frames per second, and the frames of a lift and of a press.
-
-    lead_frames: additional frames of the first lift, in which a gateway learns the no-contact reference.
-    """
+    """The timing of the sequence: frames per second, and the frames of a lift and of a press."""
 
     fps: float = 18.75
     lead_frames: int = 0
+    """Additional frames of the first lift, in which a gateway learns the no-contact reference."""
     free_frames: int = 20
     press_frames: int = 12
     number_copies: bool = False

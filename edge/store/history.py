@@ -45,17 +45,20 @@ COLUMNS: Final = tuple(field.name for field in fields(HistoryRow))
 
 @dataclass(frozen=True)
 class HistoryQuery:
-    """Every condition that is given must hold. since_ns: from this moment on; until_ns: before this moment. verdicts:
-    one of these. newest: at most this number of presses, the newest that fit."""
+    """Every condition that is given must hold."""
 
     since_ns: int | None = None
+    """From this moment on."""
     until_ns: int | None = None
+    """Before this moment."""
     part: str | None = None
     position: str | None = None
     serial: str | None = None
     gel_id: str | None = None
     verdicts: tuple[str, ...] = ()
+    """One of these."""
     newest: int | None = None
+    """At most this number of presses, the newest that fit."""
 
     def where(self) -> tuple[str, list[object]]:
         """The SQL condition and its values."""

@@ -57,14 +57,13 @@ KIND_OF: Final = {"presses": "press", "reference_presses": "reference", "study_p
 
 @dataclass(frozen=True)
 class Head:
-    """The newest link of a station's ledger. Who keeps it can prove later that the ledger holds everything up to it.
-
-    ledger_id: of the database, made at random. sha256: in hexadecimal digits.
-    """
+    """The newest link of a station's ledger. Who keeps it can prove later that the ledger holds everything up to it."""
 
     ledger_id: str
+    """Of the database, made at random."""
     link: int
     sha256: str
+    """In hexadecimal digits."""
 
     def __str__(self) -> str:
         return f"{self.ledger_id}.{self.link}.{self.sha256}"
@@ -88,12 +87,12 @@ class Head:
 
 @dataclass(frozen=True)
 class Link:
-    """One link as stored. ref: number of a press in its table, id of an act, JSON array of sensor and gel, 1 of the
-    start."""
+    """One link as stored."""
 
     link: int
     kind: str
     ref: int | str
+    """Number of a press in its table, id of an act, JSON array of sensor and gel, 1 of the start."""
     content: bytes
     hash: bytes
 

@@ -45,10 +45,12 @@ class DropPriority(IntEnum):
 
 @dataclass(frozen=True)
 class Bounds:
-    """How much may wait. max_bytes: payloads and their rows. max_age_s: of running time (edge.store.running_time)."""
+    """How much may wait."""
 
     max_bytes: int = 512 << 20
+    """Payloads and their rows."""
     max_age_s: float = 30 * 86400.0
+    """Of running time (edge.store.running_time)."""
 
     def __post_init__(self) -> None:
         if self.max_bytes < 1 or not self.max_age_s > 0:

@@ -31,15 +31,18 @@ REMEMBERED: Final = 8
 
 @dataclass(frozen=True)
 class Count:
-    """Of one sensor. gel_id: the mounted gel. presses, limit_presses: of that gel. sequence: the number of the newest
-    press of the database. uncounted: presses that no database has counted yet. order: rises with every change."""
+    """Of one sensor. presses, limit_presses: of that gel."""
 
     gel_id: str
+    """The mounted gel."""
     presses: int
     limit_presses: int
     sequence: int
+    """The number of the newest press of the database."""
     uncounted: int = 0
+    """Presses that no database has counted yet."""
     order: int = 0
+    """Rises with every change."""
 
 
 class PressCounts:

@@ -33,16 +33,15 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Recorded:
-    """A press's place in the database.
-
-    gel: the record of its gel, this press included. sequence: counts the presses of this database from 1. No restart
-    and no change of gel or sensor resets it, so a missing number tells a subscriber that a press was missed. head: the
-    newest link of the ledger.
-    """
+    """A press's place in the database."""
 
     gel: GelRecord
+    """The record of its gel, this press included."""
     sequence: int
+    """Counts the presses of this database from 1. No restart and no change of gel or sensor resets it, so a missing
+    number tells a subscriber that a press was missed."""
     head: ledger_chain.Head
+    """The newest link of the ledger."""
 
 
 class PressTable(Protocol):

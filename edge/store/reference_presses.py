@@ -50,13 +50,15 @@ class PieceKey(NamedTuple):
 
 @dataclass(frozen=True)
 class ReferenceRequest:
-    """What the command line asks the gateway for. request: an id. piece: None where there is one. is_start: its charts
-    begin again."""
+    """What the command line asks the gateway for."""
 
     request: str
+    """An id."""
     who: str
     piece: str | None
+    """None where there is one."""
     is_start: bool
+    """Its charts begin again."""
     time_ns: int
 
 

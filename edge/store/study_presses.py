@@ -22,8 +22,7 @@ _COLUMNS: Final = (
 
 @dataclass(frozen=True)
 class StudyPress:
-    """One press of a study. step: its place in the plan. verdict: pass, fail, unsure, rejected or error. reason: why it
-    is one of the last two. is_void: it was pressed again, and does not count."""
+    """One press of a study."""
 
     press_id: str
     time_ns: int
@@ -33,14 +32,18 @@ class StudyPress:
     position: str
     bundle_id: str
     step: int
+    """Its place in the plan."""
     piece: str
     operator: str
     repeat: int
     verdict: str
+    """Pass, fail, unsure, rejected or error."""
     reason: str | None = None
+    """Why it is one of the last two."""
     score: float | None = None
     threshold: float | None = None
     is_void: bool = False
+    """It was pressed again, and does not count."""
 
 
 @dataclass(frozen=True)

@@ -87,15 +87,20 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class ImportedBundle:
-    """A bundle that was written. path: where. what: what the file was. model: its parts. losses: of the smaller bank.
-    isolation: how the file was read. warnings: of the presses."""
+    """A bundle that was written."""
 
     path: Path
+    """Where."""
     what: Recognised
+    """What the file was."""
     model: Imported
+    """Its parts."""
     losses: Losses
+    """Of the smaller bank."""
     isolation: str
+    """How the file was read."""
     warnings: tuple[str, ...]
+    """Of the presses."""
 
 
 @one_blas_thread()

@@ -27,14 +27,16 @@ __all__ = ["Imported", "Importer", "Recognised", "Settings", "importer_of", "imp
 
 @dataclass(frozen=True)
 class Recognised:
-    """What a file is. what: one phrase, such as `PaDiM of anomalib`. fields: further facts in words, for `detect`.
-    needs: what must be given besides the file, such as `--backbone`. region: the part of the picture that such a model
-    is usually trained on, `full` or `centre`."""
+    """What a file is."""
 
     what: str
+    """One phrase, such as `PaDiM of anomalib`."""
     fields: Mapping[str, str] = field(default_factory=dict)
+    """Further facts in words, for `detect`."""
     needs: tuple[str, ...] = ()
+    """What must be given besides the file, such as `--backbone`."""
     region: Literal["full", "centre"] = "centre"
+    """The part of the picture that such a model is usually trained on, `full` or `centre`."""
 
 
 @dataclass(frozen=True)

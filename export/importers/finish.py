@@ -34,12 +34,12 @@ PACKED_MOST = 0.05
 
 @dataclass(frozen=True)
 class Losses:
-    """What making the bank smaller costs, on the caller's presses, relative to the largest value. reduction: of raw
-    distances, thin form against the file's own; None where nothing was reduced. packing: of scores, packing_map: of
-    maps, and order: the rank correlation of the scores of packed and unpacked bank."""
+    """What making the bank smaller costs, on the caller's presses, relative to the largest value."""
 
     reduction: float | None
+    """Of raw distances, thin form against the file's own; None where nothing was reduced."""
     packing: float
+    """Of scores; packing_map of maps, and order: the rank correlation of the scores of packed and unpacked bank."""
     packing_map: float
     order: float
     bytes_stored: int

@@ -17,12 +17,13 @@ __all__ = ["Framing", "framed_trunk", "resizing_matrix"]
 
 @dataclass(frozen=True)
 class Framing:
-    """From frames (h, w) to the model's input. resize: (h, w) to resize to, None keeps the frame. crop: (h, w) of the
-    middle that remains, None keeps all."""
+    """From frames (h, w) to the model's input."""
 
     frame: tuple[int, int]
     resize: tuple[int, int] | None = None
+    """(h, w) to resize to, None keeps the frame."""
     crop: tuple[int, int] | None = None
+    """(h, w) of the middle that remains, None keeps all."""
     is_antialiased: bool = True
 
     def __post_init__(self) -> None:

@@ -24,10 +24,11 @@ __all__ = ["MapSteps", "dfkde_head", "dfm_head", "padim_head", "patchcore_head"]
 
 @dataclass(frozen=True)
 class MapSteps:
-    """From raw distances to map and score. sigma_px: of the blur, in pixels of the model's input."""
+    """From raw distances to map and score."""
 
     framing: Framing
     sigma_px: float
+    """Of the blur, in pixels of the model's input."""
     upsampling: Upsampling = "bilinear"
     border: Border = "symmetric"
 

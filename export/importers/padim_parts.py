@@ -34,17 +34,15 @@ Dense = Callable[[slice], NDArray[Any]]
 
 @dataclass(frozen=True)
 class Reduced:
-    """basis (m, r, d) float32, weights (m, r) float32, both as in a PaDiM bank.
-
-    rank: directions that differ from the ridge, of the cell that has most. loss: the largest relative change of a
-    squared distance, in the worst direction.
-    """
+    """basis (m, r, d) float32, weights (m, r) float32, both as in a PaDiM bank."""
 
     basis: NDArray[np.float32]
     weights: NDArray[np.float32]
     ridge: float
     rank: int
+    """Directions that differ from the ridge, of the cell that has most."""
     loss: float
+    """The largest relative change of a squared distance, in the worst direction."""
 
     def words(self) -> str:
         """The reduction in one sentence."""
@@ -155,18 +153,19 @@ COMPARED_CELLS = 256
 
 @dataclass(frozen=True)
 class Gaussians:
-    """What a file holds of PaDiM.
-
-    layers: taps in the order of the channels. channels: (d,), counted through all taps, in the file's order. mean:
-    (cells, d). dense: matrices (m, d, d) of a slice of cells. name: the matrices' field.
-    """
+    """What a file holds of PaDiM."""
 
     path: Path
     name: str
+    """The matrices' field."""
     layers: tuple[str, ...]
+    """Taps in the order of the channels."""
     channels: NDArray[np.int64]
+    """(d,), counted through all taps, in the file's order."""
     mean: NDArray[Any]
+    """(cells, d)."""
     dense: Callable[[slice], NDArray[Any]]
+    """Matrices (m, d, d) of a slice of cells."""
     is_inverse: bool
     ridge: float | None = None
 

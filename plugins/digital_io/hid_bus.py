@@ -23,7 +23,7 @@ _LOCK: Final = threading.Lock()
 
 @dataclass(frozen=True)
 class HidInfo:
-    """One HID interface. usage: (page, usage), (0, 0) where the system does not know it."""
+    """One HID interface."""
 
     path: bytes
     vendor_id: int
@@ -31,6 +31,7 @@ class HidInfo:
     product: str
     serial: str = ""
     usage: tuple[int, int] = (0, 0)
+    """(page, usage), (0, 0) where the system does not know it."""
 
     @property
     def place(self) -> str:

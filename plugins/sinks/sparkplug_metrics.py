@@ -29,13 +29,16 @@ Value = int | float | bool | str
 
 @dataclass(frozen=True)
 class Metric:
-    """One value. value: None is null. time_ms: since 1970 UTC. is_historical: of a moment in the past, sent late."""
+    """One value."""
 
     name: str
     kind: DataType
     value: Value | None
+    """None is null."""
     time_ms: int
+    """Since 1970 UTC."""
     is_historical: bool = False
+    """Of a moment in the past, sent late."""
 
 
 # Field of the oneof `value`: its name by data type. Numbers and types of all fields are in _PROTO_FIELDS.

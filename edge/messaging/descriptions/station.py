@@ -20,12 +20,13 @@ REQUESTED: Final = "NCMD"
 
 @dataclass(frozen=True)
 class ServedCommand:
-    """A verb that the station serves. is_signed: only with a signature."""
+    """A verb that the station serves."""
 
     verb: str
     arguments: type[CommandArguments]
     help: str
     is_signed: bool = False
+    """Only with a signature."""
 
 
 @dataclass(frozen=True)

@@ -55,18 +55,17 @@ BLOCK_SIZES = (26, 34)
 
 @dataclass(frozen=True)
 class StreamControl:
-    """The probe/commit block: the host's request for the stream, and the camera's answer.
-
-    frame_interval: 100 ns units. max_frame_bytes: the longest frame. max_payload_bytes: bytes per micro-frame, which
-    chooses the alternate setting.
-    """
+    """The probe/commit block: the host's request for the stream, and the camera's answer."""
 
     format_index: int
     frame_index: int
     frame_interval: int
+    """100 ns units."""
     hint: int = 1  # keep the frame interval, derive the others
     max_frame_bytes: int = 0
+    """The longest frame."""
     max_payload_bytes: int = 0
+    """Bytes per micro-frame, which chooses the alternate setting."""
     clock_frequency: int = 0
 
     def pack(self, size: int = 26) -> bytes:
