@@ -1,6 +1,10 @@
 """A feature of presses is one stage: a class of some lines, and a line in `build.py`."""
 
+import re
+from collections import Counter
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from stepped_station import SteppedStation
 
@@ -10,6 +14,20 @@ from edge.core.press_label import PressLabel
 from edge.features.press_stage import PressStage
 from edge.model.inspector import Inspector
 from edge.store.gel_ledger import GelRecord
+
+PAGE = Path(__file__).parents[2] / "docs/plugins.md"
+
+
+def test_the_feature_of_the_page_is_one_class(config: Path) -> None:
+    """It sees every press that is recorded, and touches no other file."""
+    (code,) = re.findall(
+        r"```python\n(class PressesPerShift.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL
+    )
+    names: dict[str, Any] = {one.__name__: one for one in (Counter, datetime, PressStage, Press, GelRecord)}
+    exec(code, names | {"UTC": UTC}, names)
+    with SteppedStation(config, labels=(shifts := names["PressesPerShift"]())) as station:
+        station.play()
+    assert shifts.counts == {0: 3}
 
 
 class Told(PressStage):
