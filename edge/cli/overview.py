@@ -25,8 +25,7 @@ def overview(
     from edge.clock import SystemClock
     from edge.config import load_config
     from edge.core.errors import ConfigError
-    from edge.features.overview import still_of
-    from edge.gateway.opening import overview_opener
+    from edge.features.overview import overview_opener, still_of
 
     table, clock = load_config(config).overview, SystemClock()
     if table is None:

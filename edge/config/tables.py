@@ -11,7 +11,7 @@ from edge.config.plugin_tables import ActuatorTable, PlainText, PluginTable, Sin
 from edge.config.reference_table import ReferenceTable
 from edge.core.contact.settings import ContactSettings
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
-from edge.core.sink_context import topic_level
+from edge.core.sink_context import Place, topic_level
 
 __all__ = [
     "ArchiveTable",
@@ -45,6 +45,10 @@ class StationTable(Table):
         le=60,
         description="seconds between two `stats`; disk, clock and receivers are checked as often",
     )
+
+    @property
+    def place(self) -> Place:
+        return Place(self.site, self.line, self.station)
 
 
 class BundleTable(Table):

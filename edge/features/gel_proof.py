@@ -1,9 +1,8 @@
 """Whether the bundle in use is proven on the mounted gel: found when either changes, and said until it is."""
 
 import logging
-from collections.abc import Callable
 from functools import partial
-from typing import Final, Literal
+from typing import Final, Literal, Self
 
 from edge.core.gel_proof import GelProof
 from edge.core.imaging.quality import Reason, Rejection
@@ -11,7 +10,7 @@ from edge.core.ports import Clock
 from edge.core.press import Press
 from edge.core.press_label import ReferenceLabel
 from edge.core.verdict import Kind
-from edge.features.press_stage import Alarms, Mounted, PressStage
+from edge.features.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.store import gel_proofs
 from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle
@@ -28,8 +27,7 @@ LOOK_S: Final = 1.0
 class GelProofWatch(PressStage):
     """Counts the presses that prove a bundle on a gel.
 
-    unproven: what happens while a bundle is not proven: `off`, `warn` or `refuse`. say_state: shows in the station's
-    state why it is not, with None that it is.
+    unproven: what happens while a bundle is not proven: `off`, `warn` or `refuse`.
     """
 
     def __init__(
@@ -37,14 +35,16 @@ class GelProofWatch(PressStage):
         unproven: Literal["off", "warn", "refuse"],
         store: Store,
         alarms: Alarms,
-        say_state: Callable[[str | None], None],
         clock: Clock,
     ) -> None:
         self._unproven, self._store, self._alarms, self._clock = unproven, store, alarms, clock
-        self._say_state = say_state
         self._mounted: Mounted | None = None
         self._sentence: str | None = None
         self._next_look_ns = 0
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self:
+        return cls(parts.config.gel.unproven, parts.store, parts.alarms, parts.clock)
 
     def turn(self, mounted: Mounted | None) -> None:
         """Look again when gel or bundle is another one, and now and then while it is not proven."""
@@ -105,7 +105,7 @@ class GelProofWatch(PressStage):
 
     def _say(self) -> None:
         """Say why the bundle is not yet proven in the station's state, and by an alarm or a fault."""
-        self._say_state(self._sentence)
+        self._alarms.set_unproven(self._sentence)
         if self._unproven == "warn":
             self._alarms.say("gel_proof", self._sentence, "warning")
         elif self._unproven == "refuse" and self._sentence is None:

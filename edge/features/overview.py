@@ -2,52 +2,41 @@
 with `overview.select`, which bundle judges them."""
 
 import logging
-from collections.abc import Mapping, Set
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, Final, Literal, Protocol
+from functools import partial
+from typing import Any, Final, Literal, Self
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge import registry
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
+from edge.config import PluginTable
 from edge.core.errors import DeviceError, FrameCorrupt, StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
 from edge.core.overview.rules import OverviewRules, OverviewView
 from edge.core.part_position import PartPosition
-from edge.core.ports import Clock
+from edge.core.ports import Clock, Device
 from edge.core.press import Press
 from edge.core.press_label import PressLabel
-from edge.features.press_stage import Alarms, PressStage
+from edge.features.press_stage import Alarms, PressStage, Selection, StageParts
 from edge.store.acts import Act
 
-__all__ = ["OVERVIEW_STALL_S", "Overview", "say_overview_camera", "still_of"]
+__all__ = ["Overview", "overview_opener", "say_overview_camera", "still_of"]
 
 log = logging.getLogger(__name__)
 
 # An overview camera may give one picture a second.
-OVERVIEW_STALL_S: Final = 5.0
+_STALL_S: Final = 5.0
 # The loop waits this long for a still when the camera streams and none has come: less than the 0.8 s that the sensor's
 # frames may wait.
 WAIT_S: Final = 0.25
 # The largest still that is decoded: twice the pixels of the largest sensor of an OAK.
 MOST_PIXELS: Final = 100_000_000
 JPEG_QUALITY: Final = 85
-
-
-class Selection(Protocol):
-    """The bundles of a station, and the one in use."""
-
-    @property
-    def part(self) -> PartPosition:
-        """The part and position inspected now."""
-
-    def find_all(self, name: str) -> Set[PartPosition]:
-        """Return all positions that this name, such as the code on a part, may mean."""
-
-    def select(self, part: PartPosition, why: Act | None = None, *, is_pressed: bool) -> None:
-        """Inspect this, unless something is pressed, from now on. Errors: StoreError; then nothing has changed."""
 
 
 class Overview(PressStage):
@@ -74,6 +63,26 @@ class Overview(PressStage):
         self._grey: NDArray[np.uint8] | None = None
         self._view: OverviewView | None = None
         self._unselected: str | None = None
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self | None:
+        """Open the overview camera. Errors: ConfigError for a picture of the empty station that cannot be read."""
+        table, clock = parts.config.overview, parts.clock
+        if table is None:
+            return None
+        rules = table.rules()
+        say_camera = partial(say_overview_camera, parts.alarms, is_needed=rules.is_asking)
+        camera = Acquisition(
+            overview_opener(table, clock), clock, say_camera, depth=1, stall_after_s=_STALL_S
+        )
+        return cls(
+            camera,
+            rules,
+            parts.selection,
+            clock,
+            max_age_s=table.max_age_s,
+            max_side_px=table.max_side_px,
+        )
 
     def start(self) -> None:
         self.camera.start()
@@ -165,6 +174,12 @@ class Overview(PressStage):
 
     def _is_fresh(self, frame: CameraFrame) -> bool:
         return frame.is_on_demand or self._clock.monotonic_ns() - frame.timestamp_ns <= self._max_age_s * 1e9
+
+
+def overview_opener(table: PluginTable, clock: Clock) -> Callable[[], Device]:
+    """Return what opens the configured overview camera, the same one each time. Errors: ConfigError."""
+    plugin = registry.overview(table.plugin)
+    return partial(plugin.open, plugin.Options.model_validate(table.options), clock)
 
 
 def say_overview_camera(alarms: Alarms, camera: AcquisitionStatus, *, is_needed: bool) -> None:

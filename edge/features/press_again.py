@@ -4,13 +4,13 @@ first. The rule is in `edge.core.press_again`."""
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 from edge.core.contact.events import PressSettled
 from edge.core.ports import Clock
 from edge.core.press import Again, Press
 from edge.core.press_again import Costs, Plan, is_asked, second_verdict, unsure
-from edge.features.press_stage import Alarms, Mounted, PressStage
+from edge.features.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.messaging.result_payload import PressAgainPart
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
@@ -41,6 +41,14 @@ class PressAgain(PressStage):
         self._bundle: Bundle | None = None
         self._first: _First | None = None
         self._is_said = False
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self | None:
+        if parts.config.inspection.press_again != "unsure":
+            return None
+        table = parts.config.press_again
+        costs = Costs(table.missed_defect, table.false_alarm, table.press, table.defect_rate)
+        return cls(costs, table.within_s, parts.clock, parts.alarms)
 
     def mount(self, gel: GelRecord) -> None:
         """Wait for no second press on another gel."""

@@ -1,9 +1,10 @@
 """What a press goes through: each concern of a station is one stage, and `edge.gateway.build` lists them in order."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, Self
 
+from edge.config import Config
 from edge.core.contact.events import Event, PressSettled
 from edge.core.contact.press_detector import Look
 from edge.core.contact.reference import View
@@ -11,19 +12,20 @@ from edge.core.digital_io import StationView
 from edge.core.gel_proof import MadeOn
 from edge.core.imaging.frames import CameraFrame
 from edge.core.part_position import PartPosition
-from edge.core.ports import Message
+from edge.core.ports import Clock, DeviceIdentity, Message
 from edge.core.press import Press
 from edge.core.press_label import PressLabel
 from edge.messaging.result_payload import ResultPayload
 from edge.model.inspector import Inspector
+from edge.store.acts import Act
 from edge.store.gel_ledger import GelRecord
-from edge.store.press_store import PressRecord, PressTable
+from edge.store.press_store import PressRecord, PressTable, Store
 
-__all__ = ["Alarms", "Mounted", "OwnTable", "PressStage"]
+__all__ = ["Alarms", "Mounted", "OwnTable", "PressStage", "Selection", "StageParts"]
 
 
 class Alarms(Protocol):
-    """The alarms of a station, for its stages. Any thread may use it."""
+    """The alarms and the state of a station, for its stages. Any thread may use it."""
 
     def say(self, alarm: str, sentence: str | None, severity: Literal["warning", "error"] = "error") -> None:
         """Raise an alarm for a person, or clear it with None."""
@@ -33,6 +35,46 @@ class Alarms(Protocol):
 
     def clear_fault(self, alarm: str) -> None:
         """End it; other faults may remain."""
+
+    def set_blind(self, reason: str | None) -> None:
+        """Say why the sensor's frames show nothing; None while they do."""
+
+    def contact(self, sentence: str | None, is_fault: bool) -> None:
+        """Say that a contact does not end; None where none does. is_fault: nothing is inspected."""
+
+    def set_unproven(self, sentence: str | None) -> None:
+        """Say why the bundle in use is not yet proven on the mounted gel; None where it is."""
+
+
+class Selection(Protocol):
+    """The bundles of a station, and the one in use."""
+
+    @property
+    def part(self) -> PartPosition:
+        """The part and position inspected now."""
+
+    def find_all(self, name: str) -> Set[PartPosition]:
+        """Return all positions that this name, such as the code on a part, may mean."""
+
+    def select(self, part: PartPosition, why: Act | None = None, *, is_pressed: bool) -> None:
+        """Inspect this, unless something is pressed, from now on. Errors: StoreError; then nothing has changed."""
+
+
+@dataclass(frozen=True)
+class StageParts:
+    """What stages are made from."""
+
+    config: Config
+    clock: Clock
+    store: Store
+    alarms: Alarms
+    selection: Selection
+    find_sensor: Callable[[], DeviceIdentity | None]
+    """Returns the sensor; None while it is not known."""
+    find_low_space: Callable[[], str | None]
+    """Returns why nothing more may be written to the disk."""
+    requests: Mapping[str, Callable[[], None]]
+    """What a pedal may ask for, by the word of its table."""
 
 
 class OwnTable(PressTable, Protocol):
@@ -64,6 +106,11 @@ class PressStage:
     The calls of a press come in this order: `begin`, `admit`, the score, `judge`, `keep`, `fields` and `table`,
     `record`. The others are about what is mounted, what is seen, and time.
     """
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self | None:
+        """Make the stage of a station; None where it is not configured. Errors: ConfigError."""
+        return cls()
 
     def start(self) -> None:
         """Begin to work in the background."""

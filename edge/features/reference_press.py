@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Final, Self
 
 from edge.config.reference_table import MasterPieceTable, ReferenceTable
 from edge.core.contact.events import PressSettled
@@ -17,7 +17,7 @@ from edge.core.reference_press.charts import Outcome, ReferencePress, judge
 from edge.core.reference_press.due import why_due
 from edge.core.reference_press.measures import Imprint
 from edge.core.suggest import suggestion
-from edge.features.press_stage import Alarms, Mounted, OwnTable, PressStage
+from edge.features.press_stage import Alarms, Mounted, OwnTable, PressStage, StageParts
 from edge.messaging.reference_payload import ReferencePayload, reference_message
 from edge.messaging.result_payload import ResultPayload, heatmap_message
 from edge.model.inspector import Inspector
@@ -60,6 +60,10 @@ class ReferenceGuard(PressStage):
         self._faults: tuple[str, ...] = ()
         self._next_look_ns = 0
         self._said: tuple[bool, str] = (False, "")
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self:
+        return cls(parts.config.reference, parts.store, parts.alarms, parts.clock)
 
     def request(self, piece: str | None, *, is_start: bool = False) -> ReferenceLabel:
         """The next press is that of this master piece. piece: may be None where there is one. Errors: ValueError."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from edge.core.gel_scars.press import ScoredPress
 from edge.core.gel_scars.without_marks import without_marks
 from edge.core.press import Press, ScarFindings
 from edge.core.registration.pose import warp
-from edge.features.press_stage import Alarms, PressStage
+from edge.features.press_stage import Alarms, PressStage, StageParts
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.store.gel_files import ScarFolder
@@ -53,6 +53,13 @@ class ScarWatch(PressStage):
         self._scars, self._serial, self._gel_id, self._unsaved = GelScars(), "", "", 0
         self._blind: str | None = None
         self._mark: str | None = None
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self:
+        """Scars are kept next to the database."""
+        table, folder = parts.config.gel, parts.config.store.path.with_suffix(".references")
+        is_masking, share = table.scars == "masked", table.most_blind_share
+        return cls(ScarFolder(folder), parts.alarms, is_masking=is_masking, most_blind_share=share)
 
     def mount(self, gel: GelRecord) -> None:
         """Read the record of this gel; an unknown gel has none."""

@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 from edge.core.errors import GelgateError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, DeviceIdentity
-from edge.features.press_stage import Mounted, PressStage
+from edge.features.press_stage import Mounted, PressStage, StageParts
 from edge.messaging.command_payloads import MOST_SNAPSHOT_S
 from edge.recording.format import RecordingHeader, RecordingWriter
 from edge.store.acts import Act
@@ -72,6 +72,15 @@ class Snapshots(PressStage):
         self._asked = threading.Event()
         self._is_closing = False
         self._thread = threading.Thread(target=self._run, name="snapshots", daemon=True)
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self | None:
+        """Snapshots are kept next to the database; they are off where the command is not served."""
+        commands = parts.config.commands
+        if "snapshot" not in (*commands.signed, *commands.unsigned, *commands.page):
+            return None
+        folder = parts.config.store.path.with_suffix(".snapshots")
+        return cls(folder, parts.clock, parts.store, parts.find_sensor, parts.find_low_space)
 
     def start(self) -> None:
         self._thread.start()

@@ -6,27 +6,26 @@ What belongs to one session of a sensor is made by the loop, when the first fram
 import logging
 import random
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
+from typing import Final
 
 from edge import registry
 from edge.acquisition import Acquisition
 from edge.config import Config, sink_names
 from edge.core.errors import GelgateError
 from edge.core.ports import Clock, Device, Message, Sink
-from edge.core.press_again import Costs
-from edge.core.sink_context import PageRequests, Place, Station, client_id, topic_root
+from edge.core.sink_context import PageRequests, Station, client_id, topic_root
 from edge.features.black_box.stage import BlackBox
 from edge.features.gel_proof import GelProofWatch
-from edge.features.outputs.opening import open_outputs
 from edge.features.outputs.stage import Outputs
-from edge.features.overview import OVERVIEW_STALL_S, Overview, say_overview_camera
+from edge.features.overview import Overview
 from edge.features.press_again import PressAgain
-from edge.features.press_stage import PressStage
+from edge.features.press_stage import PressStage, StageParts
 from edge.features.reference_press import ReferenceGuard
 from edge.features.scars import ScarWatch
+from edge.features.sensing_watch import SensingWatch
 from edge.features.snapshots import Snapshots
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.bundle_stage import BundleStage, OpenBundles
@@ -36,11 +35,10 @@ from edge.gateway.commands import Commands
 from edge.gateway.description import describe_station
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.metrics import serve_metrics
-from edge.gateway.opening import BundleOpener, Opened, device_opener, first_part, overview_opener
+from edge.gateway.opening import BundleOpener, Opened, device_opener, first_part
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
 from edge.gateway.report import FreeSpace
-from edge.gateway.sensing_watch import SensingWatch
 from edge.gateway.station_loop import Parts, StationLoop
 from edge.gateway.status import StationStatus
 from edge.messaging.descriptions.asyncapi import asyncapi_message
@@ -49,9 +47,8 @@ from edge.messaging.sink_worker import RetainedState
 from edge.messaging.status_payloads import StatePayload, availability_message, state_message
 from edge.store.backup import migrate
 from edge.store.database import SCHEMA_VERSION
-from edge.store.gel_files import ReferenceFolder, ScarFolder
+from edge.store.gel_files import ReferenceFolder
 from edge.store.outbox import Bounds
-from edge.store.press_archive import PressArchive
 from edge.store.press_store import Store
 
 __all__ = ["build"]
@@ -93,15 +90,24 @@ def build(
     closing.callback(stage.close)
     selection = PartSelection(bundles, part, stage, store, status, clock)
     free_space = FreeSpace(config.store.path, round(config.store.free_mb * 1e6))
-    base = Base(config, clock, store, status, acquisition, selection, free_space, calls)
-    stages = [item for item in _stages(base, labels) if item is not None]
-    for item in stages:
-        closing.callback(item.close)
+    stage_parts = StageParts(
+        config,
+        clock,
+        store,
+        status,
+        selection,
+        find_sensor=lambda: acquisition.status.identity,
+        find_low_space=free_space.check,
+        requests={
+            "trigger": partial(calls.post, trigger_by_pedal),
+            "acknowledge": partial(calls.post, acknowledge_by_pedal),
+        },
+    )
     return Parts(
-        stages=stages,
+        stages=_open_stages(stage_parts, labels, closing),
         selection=selection,
         contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
-        place=_place(config),
+        place=config.station.place,
         store=store,
         references=ReferenceFolder(config.store.path.with_suffix(".references")),
         publisher=publisher,
@@ -114,96 +120,29 @@ def build(
     )
 
 
-@dataclass(frozen=True)
-class Base:
-    """What stages are made from."""
-
-    config: Config
-    clock: Clock
-    store: Store
-    status: StationStatus
-    acquisition: Acquisition
-    selection: PartSelection
-    free_space: FreeSpace
-    calls: LoopCalls[StationLoop]
-
-
-def _stages(base: Base, labels: PressStage | None) -> list[PressStage | None]:
-    """List what a press goes through, in this order; None is not configured. A new feature of presses is one line."""
-    config, clock, store, status = base.config, base.clock, base.store, base.status
-    return [
-        SensingWatch(status, store, clock),
-        labels or ReferenceGuard(config.reference, store, status, clock),
-        GelProofWatch(config.gel.unproven, store, status, status.set_unproven, clock),
-        _overview(base),
-        _scars(base),
-        _press_again(base),
-        _outputs(base),
-        _black_box(base),
-        _snapshots(base),
-    ]
+STAGES: Final[Sequence[type[PressStage]]] = (
+    SensingWatch,
+    ReferenceGuard,
+    GelProofWatch,
+    Overview,
+    ScarWatch,
+    PressAgain,
+    Outputs,
+    BlackBox,
+    Snapshots,
+)
+"""What a press goes through, in this order. A new feature of presses is one line."""
 
 
-def _overview(base: Base) -> Overview | None:
-    """Open the overview camera. Errors: ConfigError for a picture of the empty station that cannot be read."""
-    table, clock = base.config.overview, base.clock
-    if table is None:
-        return None
-    rules = table.rules()
-    say_camera = partial(say_overview_camera, base.status, is_needed=rules.is_asking)
-    opener = overview_opener(table, clock)
-    camera = Acquisition(opener, clock, say_camera, depth=1, stall_after_s=OVERVIEW_STALL_S)
-    return Overview(
-        camera, rules, base.selection, clock, max_age_s=table.max_age_s, max_side_px=table.max_side_px
-    )
-
-
-def _scars(base: Base) -> ScarWatch:
-    """Scars are kept next to the database."""
-    table, folder = base.config.gel, base.config.store.path.with_suffix(".references")
-    is_masking, share = table.scars == "masked", table.most_blind_share
-    return ScarWatch(ScarFolder(folder), base.status, is_masking=is_masking, most_blind_share=share)
-
-
-def _press_again(base: Base) -> PressAgain | None:
-    if base.config.inspection.press_again != "unsure":
-        return None
-    table = base.config.press_again
-    costs = Costs(table.missed_defect, table.false_alarm, table.press, table.defect_rate)
-    return PressAgain(costs, table.within_s, base.clock, base.status)
-
-
-def _outputs(base: Base) -> Outputs | None:
-    """Open pedals, lights and relays. Errors: ConfigError."""
-    if not (base.config.triggers or base.config.actuators):
-        return None
-    actions = {
-        "trigger": partial(base.calls.post, trigger_by_pedal),
-        "acknowledge": partial(base.calls.post, acknowledge_by_pedal),
-    }
-    return open_outputs(base.config, base.clock, base.status, actions)
-
-
-def _black_box(base: Base) -> BlackBox | None:
-    """Next to the database."""
-    table, config = base.config.archive, base.config
-    if not table.presses:
-        return None
-    folder, most_bytes = config.store.path.with_suffix(".archive"), round(table.mb * 1e6)
-    archive = PressArchive(folder, table.presses, most_bytes, base.free_space.check)
-    return BlackBox(archive, str(_place(config)), config.inspection.threads, base.status)
-
-
-def _snapshots(base: Base) -> Snapshots | None:
-    """Next to the database; off where the command is not served."""
-    commands = base.config.commands
-    if "snapshot" not in (*commands.signed, *commands.unsigned, *commands.page):
-        return None
-    folder, find_sensor = (
-        base.config.store.path.with_suffix(".snapshots"),
-        lambda: base.acquisition.status.identity,
-    )
-    return Snapshots(folder, base.clock, base.store, find_sensor, base.free_space.check)
+def _open_stages(parts: StageParts, labels: PressStage | None, closing: ExitStack) -> list[PressStage]:
+    """Open the stages that are configured. labels: instead of the reference presses. Errors: ConfigError."""
+    stages = []
+    for kind in STAGES:
+        stage = labels if labels is not None and kind is ReferenceGuard else kind.open(parts)
+        if stage is not None:
+            closing.callback(stage.close)
+            stages.append(stage)
+    return stages
 
 
 def _commands(config: Config, calls: LoopCalls[StationLoop], store: Store, clock: Clock) -> Commands:
@@ -277,10 +216,6 @@ def _announcer(
         publish(message)
 
     return announce
-
-
-def _place(config: Config) -> Place:
-    return Place(config.station.site, config.station.line, config.station.station)
 
 
 def _names_before(config: Config) -> dict[str, str]:

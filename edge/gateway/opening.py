@@ -31,7 +31,6 @@ __all__ = [
     "bundle_tables",
     "device_opener",
     "first_part",
-    "overview_opener",
     "played_recording",
     "try_once",
 ]
@@ -180,13 +179,6 @@ def device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock)
         given["controls"] = {**controls, **given.get("controls", {})}
     options = plugin.Options.model_validate(given)
 
-    return lambda: plugin.open(options, clock)
-
-
-def overview_opener(table: PluginTable, clock: Clock) -> Callable[[], Device]:
-    """Opens the configured overview camera, the same one each time."""
-    plugin = registry.overview(table.plugin)
-    options = plugin.Options.model_validate(table.options)
     return lambda: plugin.open(options, clock)
 
 

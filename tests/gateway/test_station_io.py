@@ -20,8 +20,8 @@ from edge.core.errors import ConfigError, DeviceNotFound
 from edge.core.press import Press
 from edge.core.verdict import decide
 from edge.features.outputs.actuator_driver import ActuatorDriver
-from edge.features.outputs.opening import describe_actuator
-from edge.features.outputs.stage import IoAlarms, Outputs
+from edge.features.outputs.opening import IoAlarms, describe_actuator
+from edge.features.outputs.stage import Outputs
 from edge.features.reference_press import ReferenceGuard
 from edge.gateway.gateway import Gateway
 

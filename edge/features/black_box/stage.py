@@ -3,7 +3,7 @@
 import hashlib
 import io
 from dataclasses import replace
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.core.contact.reference import View
 from edge.core.imaging.quality import Reason
 from edge.core.press import Press
-from edge.features.press_stage import Alarms, PressStage
+from edge.features.press_stage import Alarms, PressStage, StageParts
 from edge.model.inspector import Inspector
 from edge.model.machine import fingerprint, fingerprint_bytes
 from edge.store.gel_ledger import GelRecord
@@ -30,6 +30,16 @@ class BlackBox(PressStage):
         self._serial = ""
         self._machine: tuple[str, bytes] | None = None
         self._reference: tuple[View, tuple[str, bytes]] | None = None
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self | None:
+        """The archive is next to the database."""
+        config, table = parts.config, parts.config.archive
+        if not table.presses:
+            return None
+        folder, most_bytes = config.store.path.with_suffix(".archive"), round(table.mb * 1e6)
+        archive = PressArchive(folder, table.presses, most_bytes, parts.find_low_space)
+        return cls(archive, str(config.station.place), config.inspection.threads, parts.alarms)
 
     def mount(self, gel: GelRecord) -> None:
         self._serial = gel.serial

@@ -3,11 +3,9 @@
 They follow the presses of parts; master pieces and studies switch nothing.
 """
 
-import logging
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final, final
+from typing import Final, Self, final
 
 from edge.core.contact.events import Event, PressBegan, PressSettled
 from edge.core.contact.press_detector import Look
@@ -15,52 +13,16 @@ from edge.core.digital_io import StationView
 from edge.core.ports import Clock
 from edge.core.press import Press
 from edge.features.outputs.actuator_driver import ActuatorDriver
+from edge.features.outputs.opening import IoAlarms, open_drivers, open_readers
 from edge.features.outputs.trigger_reader import TriggerReader
-from edge.features.press_stage import PressStage
+from edge.features.press_stage import PressStage, StageParts
 from edge.model.inspector import Inspector
 from edge.store.gel_ledger import GelRecord
 
-__all__ = ["IoAlarms", "Outputs"]
-
-log = logging.getLogger(__name__)
+__all__ = ["Outputs"]
 
 # Nobody changes a part faster: a pass that is older than the last picture of the gel may be another part's.
 UNSEEN_S: Final = 0.5
-
-
-class IoAlarms:
-    """The alarms `trigger_device`, `actuator` and `pulse`, of all devices together. The owner threads call it.
-
-    say: raises the alarm with a text, or clears it with None.
-    """
-
-    def __init__(self, say: Callable[[str, str | None], None]) -> None:
-        self._say = say
-        self._faults: dict[str, dict[str, str]] = {"trigger_device": {}, "actuator": {}}
-        self._late: Counter[str] = Counter()
-
-    def fault(self, alarm: str, name: str, fault: str | None) -> None:
-        """The device of that name cannot be used, or with None can again."""
-        found = {**self._faults[alarm], name: fault}
-        self._faults[alarm] = {key: text for key, text in found.items() if text is not None}
-        text = "; ".join(f"{key}: {one}" for key, one in sorted(self._faults[alarm].items()))
-        self._say(alarm, text or None)
-
-    def late(self, name: str, sentence: str) -> None:
-        """A pulse was not given in time. It stays an alarm until a person acknowledges it, or a restart."""
-        self._late[name] += 1
-        count = sum(self._late.values())
-        log.error("%s: %s", name, sentence)
-        text = (
-            f"{count} pulses were not given in time; a part may have passed. The last one: {name}: {sentence}"
-        )
-        self._say("pulse", text)
-
-    def acknowledge(self) -> None:
-        """A person has seen the pulses that were not given."""
-        if self._late:
-            self._late.clear()
-            self._say("pulse", None)
 
 
 @final
@@ -78,6 +40,15 @@ class Outputs(PressStage):
         self._verdict: str | None = None
         self._awaited_ns: int | None = None
         self._seen_ns: int | None = None
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self | None:
+        """Open the configured pedals, lights and relays, not yet started. Errors: ConfigError."""
+        config, clock, alarms = parts.config, parts.clock, IoAlarms(parts.alarms.say)
+        if not (config.triggers or config.actuators):
+            return None
+        readers = open_readers(config.triggers, clock, alarms, parts.requests)
+        return cls(readers, open_drivers(config.actuators, clock, alarms), alarms, clock)
 
     def start(self) -> None:
         """Outputs first: they are then in the state `starting` before anything can be asked for."""

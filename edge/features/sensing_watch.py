@@ -2,15 +2,14 @@
 
 import logging
 from datetime import datetime
-from typing import final
+from typing import Self, final
 
 from edge.core.contact.events import Event, PressBegan, PressEnded
 from edge.core.contact.long_contact import LongContact
 from edge.core.contact.press_detector import Look
 from edge.core.contact.sight import BLIND_AFTER_S, Sight
 from edge.core.ports import Clock
-from edge.features.press_stage import Mounted, PressStage
-from edge.gateway.status import StationStatus
+from edge.features.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.store.acts import Act
 from edge.store.press_store import Store
 
@@ -29,12 +28,16 @@ class SensingWatch(PressStage):
     then an act of the gateway, for presses may have been made in it.
     """
 
-    def __init__(self, status: StationStatus, store: Store, clock: Clock) -> None:
-        self._status, self._store, self._clock = status, store, clock
+    def __init__(self, alarms: Alarms, store: Store, clock: Clock) -> None:
+        self._alarms, self._store, self._clock = alarms, store, clock
         self._contact = LongContact()
         self._blind: str | None = None
         self._seen_ns: int | None = None
         self._unseen: Act | None = None
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self:
+        return cls(parts.alarms, parts.store, parts.clock)
 
     def see(self, event: Event) -> None:
         if isinstance(event, PressBegan):
@@ -48,11 +51,11 @@ class SensingWatch(PressStage):
             self._note_unseen(timestamp_ns)
             self._seen_ns = timestamp_ns
         if sight.lost is None:
-            self._status.contact(*self._contact.look(timestamp_ns))
+            self._alarms.contact(*self._contact.look(timestamp_ns))
         if (self._blind is None) != (sight.lost is None):
             self._blind = None if sight.lost is None else self._sentence(sight, timestamp_ns)
             log.warning("%s", self._blind or "the sensor shows its gel again")
-            self._status.set_blind(self._blind)
+            self._alarms.set_blind(self._blind)
 
     def turn(self, mounted: Mounted | None) -> None:
         """Record the newest time in which nothing was seen. Errors: StoreError."""
