@@ -86,7 +86,7 @@ class BackboneExport:
     trunk: bytes
     taps: tuple[str, ...]
     facts: dict[str, str]
-    """As in its metadata."""
+    """The facts that stand in its metadata."""
     parity: ParityReport
     """The comparison."""
 

@@ -31,7 +31,7 @@ class Release:
 
     topology: str
     version: str
-    """Of torchvision, V1 or V2."""
+    """The version of torchvision's weights, V1 or V2."""
     name: str
 
 
@@ -78,11 +78,11 @@ class Encoder:
     licence: str
     source: str
     steps: InputSteps | None
-    """None where the user must state mean and std."""
+    """The preprocessing; None where the user must state mean and std."""
     needs_background: bool = False
     """Whether it was trained on differences from the untouched gel."""
     eps: float = 1e-6
-    """Of its layer norms."""
+    """The epsilon of the layer norms."""
 
 
 _TVL_MEAN = (0.29174602047139075, 0.2971325588927249, 0.2910404549605639)

@@ -31,7 +31,7 @@ class Normalisation:
     threshold: float
     spread: float
     limit: float | None
-    """Of the output, above which the graph's own label is anomalous; None where it has no label."""
+    """The output above which the graph's own label is anomalous; None where it has no label."""
 
     @property
     def words(self) -> str:

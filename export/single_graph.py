@@ -67,7 +67,7 @@ class Adapted:
     found: dict[str, str]
     """What was found or stated of the original, for the manifest."""
     parity: ParityReport | None
-    """None where the graph met the contract already and is unchanged."""
+    """The comparison; None where the graph met the contract already and is unchanged."""
 
 
 def adapt(

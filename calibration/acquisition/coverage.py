@@ -52,7 +52,7 @@ class Coverage:
     touched: NDArray[np.bool_]
     """bool (rows, cols)."""
     pieces: int
-    """Their number; a press of an unknown piece counts as one."""
+    """The number of pieces; a press of an unknown piece counts as one."""
 
     @property
     def presses_of_each(self) -> float:
@@ -229,7 +229,7 @@ class Standing:
 
     presses: int
     pieces: int | None
-    """None where it is not known which press is of which piece."""
+    """The number of pieces; None where it is not known which press is of which piece."""
     coverage: Coverage | None
     goal: Goal = Goal()
 

@@ -39,7 +39,7 @@ class About:
     position: str
     profile: str
     region: str
-    """As text."""
+    """The region as text."""
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ class Press:
     payload: bytes
     """The picture's file."""
     piece: str | None
-    """None where unknown."""
+    """The piece; None where unknown."""
     rgb: NDArray[np.uint8]
     """uint8 (h, w, 3) in the profile's size."""
     mask: NDArray[np.bool_] | None = None
@@ -67,7 +67,7 @@ class FreeGel:
     payload: bytes
     """The picture's file."""
     rgb: NDArray[np.uint8]
-    """As of a press."""
+    """The picture, in the form of a press's."""
 
 
 @dataclass(frozen=True)

@@ -66,13 +66,13 @@ class Condition:
 
     sensor: str = "unit_b"
     effects: tuple[str, ...] = ()
-    """Added to the scene's."""
+    """Effects that are added to the scene's."""
     learnt_at: int = 0
     scored_at: int = 0
     is_remembering: bool = False
     """Each press has the residual imprint of one at another place."""
     slide_mm_s: float = 0.0
-    """Of scored presses, sideways, in any direction."""
+    """The speed of scored presses, sideways, in any direction."""
     anywhere_mm: float = 0.0
     """The part is put down by hand up to this far off in any direction, and turned by any angle."""
 

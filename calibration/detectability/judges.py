@@ -72,7 +72,7 @@ class Judge:
 
     scorer: Scorer
     manifest: Manifest
-    """With the limit and its tolerance."""
+    """The manifest with the limit and its tolerance."""
 
     def passes(self, rgb: NDArray[np.uint8]) -> bool:
         """Say whether the press passes as it is. Errors: NotScorable."""

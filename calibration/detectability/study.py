@@ -196,7 +196,7 @@ class Plan:
     presses: dict[str, EditedPress]
     """To edit, by their names."""
     judges: dict[str, Judge]
-    """Of each."""
+    """The judge of each press."""
     places: tuple[Place, ...]
     by: JudgedBy
     false_alarms: tuple[str, ...]

@@ -47,7 +47,7 @@ class Separation:
     by_kind: Mapping[str, float]
     """0 to 1, by the kind of damage."""
     press_ms: float = 0.0
-    """Of one press on this machine, from its frame to its score."""
+    """The time of one press on this machine, from its frame to its score."""
     is_registered: bool = False
 
     @property
@@ -69,7 +69,7 @@ class PosedPresses:
     """Presses as they come to a method: as they lie, or in one pose."""
 
     learnt: NominalPresses
-    """As a bank learns them."""
+    """The presses as a bank learns them."""
     frames: U8
     """Sound and damaged ones as they come to the trunk, uint8 (n + m, h, w, 3)."""
     registered: Sequence[Registered] | None = None

@@ -239,7 +239,7 @@ class _Learnt:
     head: bytes
     choice: Choice
     scores: Float | None
-    """Of the nominal presses; None where no press is held out."""
+    """Scores of the nominal presses; None where no press is held out."""
     facts: Mapping[str, Any]
     """What was decided, for the manifest."""
     apart: Sequence[str]

@@ -61,11 +61,11 @@ class Appraiser:
     effectiveness: Share | None = None
     """Pieces with the right verdict in all repeats."""
     misses: Share | None = None
-    """Of the decisions on bad pieces, passes."""
+    """Passes among the decisions on bad pieces."""
     false_alarms: Share | None = None
-    """Of those on good pieces, others than a pass."""
+    """Other verdicts than a pass among the decisions on good pieces."""
     kappa: Kappa | None = None
-    """With what is known."""
+    """Agreement with the known verdicts."""
 
 
 @dataclass(frozen=True)

@@ -251,7 +251,7 @@ class AverageRange:
     tv: float
     ndc: int
     mean_range: float
-    """Over the cells."""
+    """The mean range over the cells."""
     upper_range: float
     """A cell with a larger range is looked at first."""
     cells_above: int
@@ -316,7 +316,7 @@ class Drift:
     p: float
     """Probability of such a slope without a drift."""
     sd: float
-    """Of one score around the line."""
+    """Standard deviation of one score around the line."""
     presses: int
 
     @property

@@ -147,11 +147,11 @@ class Material:
     scores: NDArray[np.float64]
     """float64 (pieces, operators, repeats)."""
     verdicts: list[list[list[str]]]
-    """The same as words."""
+    """The verdicts in the same table, as words."""
     presses: tuple[StudyPress, ...]
     """Every counted press with a score in the order of time."""
     missing: int
-    """Of the plan, without a counted press."""
+    """Presses of the plan without a counted press."""
     left_out: int
     """Counted presses that the table has no place for."""
     rejected: Mapping[str, int]

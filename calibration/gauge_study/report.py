@@ -33,7 +33,7 @@ class Section:
     head: tuple[str, ...] = ()
     """The names of the columns; empty without a table."""
     rows: tuple[tuple[str, ...], ...] = ()
-    """As many cells each, as printed."""
+    """Rows of as many cells each, as printed."""
 
 
 def report(study: Material, zone: tzinfo | None = None) -> list[Section]:

@@ -203,7 +203,7 @@ class Line:
 
     placing: Placing
     seed: int
-    """Of pieces and marks."""
+    """The seed of pieces and marks."""
     _free: dict[str, F32] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property

@@ -44,7 +44,7 @@ class BallPress:
     start: Ball
     """Where the ball was found."""
     window: Window
-    """Around that."""
+    """The window around the ball."""
     ball: Ball = field(init=False)
 
     def __post_init__(self) -> None:

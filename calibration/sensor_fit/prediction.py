@@ -38,7 +38,7 @@ class Window:
     y: int
     """Its first column and row."""
     side: int
-    """In pixels."""
+    """The side in pixels."""
 
     @property
     def field(self) -> Field:
@@ -87,7 +87,7 @@ class Prediction:
     offset: F32
     """float32 (3, rows, cols), the change that does not depend on the response."""
     height_mm: F32
-    """Of the ball above the free gel."""
+    """The height of the ball above the free gel."""
     changed: Mask
     """bool (rows, cols), where the gel is lifted."""
 

@@ -20,7 +20,7 @@ class Moment:
     """One frame's moment."""
 
     time_s: float
-    """Since the press's first frame."""
+    """Seconds since the press's first frame."""
     phase: Phase
     depth: float
     """Share of the commanded depth, 0 to 1."""

@@ -43,7 +43,7 @@ class PressPlan:
     gel: str = "gel1"
     gel_presses: int = 0
     time_s: float = 0.0
-    """Since power on."""
+    """Seconds since power on."""
 
     @property
     def key(self) -> Key:

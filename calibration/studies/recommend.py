@@ -47,7 +47,7 @@ class Question:
     values: Callable[[Sequence[Row]], Samples]
     """The values of one row set by method, empty where the rows do not cover the question."""
     column: str | None = None
-    """Of the paper's Table 4."""
+    """The column of the paper's Table 4."""
     span: tuple[float, float] = (0.0, 1.0)
     """The lowest and highest value possible."""
     parts: Sequence[str] = ()

@@ -40,7 +40,7 @@ class StudyView:
     """A view with its pictures and whether the trunk sees it in tiles."""
 
     resolution: Resolution
-    """Of the files that are read."""
+    """The resolution of the files that are read."""
     view: View
     is_tiled: bool = False
 

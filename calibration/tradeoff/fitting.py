@@ -44,7 +44,7 @@ class FittedPoint:
     trunk: Trunk
     manifest: Manifest
     files: Mapping[str, bytes]
-    """Of a bundle without its trunk and without golden frames."""
+    """The files of a bundle without its trunk and without golden frames."""
     maps: NDArray[np.float32]
     """float32 (n, h, w) of the region."""
     scores: NDArray[np.float64]

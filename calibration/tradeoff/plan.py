@@ -113,7 +113,7 @@ class RunSettings:
     """Presses that the largest fit takes."""
     most_scored: int = MOST_SCORED
     minutes: float = 15.0
-    """After them no new round of timing begins."""
+    """The time after which no new round of timing begins."""
 
     def __post_init__(self) -> None:
         if self.rounds < LEAST_ROUNDS:

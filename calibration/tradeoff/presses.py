@@ -32,7 +32,7 @@ class Chosen:
     part: str
     position: str
     fitted: tuple[LabelledPress, ...]
-    """In the order in which fits take them."""
+    """The fitted presses, in the order in which fits take them."""
     scored: tuple[LabelledPress, ...]
     """Good ones of other pieces, then defective ones."""
     high: dict[Path, LabelledPress]

@@ -24,12 +24,12 @@ class PressTimes:
     stages: Float
     stages_p95: Float
     ms: Float
-    """Of a press, the sum of its stages' medians, with low and high, (3, n)."""
+    """Milliseconds of a press, the sum of its stages' medians, with low and high, (3, n)."""
     p95: Float
     """Of a press, (n,), the median and how far above their median the point's own rounds reach: medians are pooled over
     points, so a percentile of its own rounds alone can be below them."""
     ratio: Float
-    """Of a press to the bare trunk, (3, n) as ms."""
+    """The ratio of a press to the bare trunk, (3, n) as ms."""
     ratios: Float
     """The ratio in each replicate, (replicates, n), all points with the same rounds."""
     bare: float

@@ -52,7 +52,7 @@ class TrainingRun:
     folder: Path
     """For checkpoints, log and figure."""
     resume: Path | None = None
-    """a run to continue, None to start."""
+    """A run to continue, None to start."""
     minutes: float = 0.0
     """Stop and save after this time, 0 for never."""
     save_every: int = 500
@@ -60,7 +60,7 @@ class TrainingRun:
     validate_every: int = 500
     device: str = "auto"
     threads: int = 0
-    """Of the CPU, 0 for torch's choice; on shared cores 1 is several times faster than 2."""
+    """Threads of the CPU, 0 for torch's choice; on shared cores 1 is several times faster than 2."""
     is_drawn_ahead: bool = False
     """Draw in a second process."""
     start: Path | None = None

@@ -71,13 +71,13 @@ class Nominal:
     """The data of a fit: nominal presses alone."""
 
     features: Features
-    """Of n presses."""
+    """The features of n presses."""
     touched: NDArray[np.bool_] | None = None
-    """Bool (h, w) of the frame, True where any nominal press touches, None if unknown."""
+    """bool (h, w) of the frame, True where any nominal press touches, None if unknown."""
     no_contact: Features | None = None
     """Features of the untouched gel (m >= 1 frames), None if there are none."""
     room: float = 1.0
-    """a factor on every limit of the bank's size. For a fold it is the fold's share of the presses: otherwise its bank
+    """A factor on every limit of the bank's size. For a fold it is the fold's share of the presses: otherwise its bank
     would hold more of each press than the final bank does. A bank that left out a place gets more than 1."""
 
     def __post_init__(self) -> None:

@@ -159,7 +159,7 @@ class StationView:
 
     state: State = "starting"
     verdict: str | None = None
-    """Of the last press, None before the first one and after an acknowledgement."""
+    """The verdict of the last press; None before the first one and after an acknowledgement."""
     alarms: frozenset[str] = frozenset()
 
     def conditions(self) -> frozenset[str]:

@@ -30,9 +30,9 @@ class MadeOn:
     """What a bundle says of its own gel."""
 
     created: str
-    """a date, as 2026-01-31."""
+    """A date, as 2026-01-31."""
     gel_id: str | None = None
-    """None where it names none."""
+    """The gel; None where the bundle names none."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class DiscoveredDevice:
     """Where it is, such as `bus 1 port 2 address 7` or a folder."""
     product: str
     identity: DeviceIdentity | None = None
-    """Of a sensor that can be opened."""
+    """The identity of a sensor that can be opened."""
     refusal: str | None = None
     """Why it cannot be opened, as one sentence."""
 

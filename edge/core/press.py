@@ -34,19 +34,19 @@ class JudgedFrame:
 class ScarFindings:
     """A press and the scars of its gel.
 
-    blind_mm2, blind_share: their area within the contact, and its share of it.
+    blind_mm2, blind_share: the area of the masked places within the contact, and its share of it.
     """
 
     blame: Blame
     """Why it is not passed, should it not be."""
     masked: NDArray[np.bool_] | None = None
-    """Bool (h, w) of the region, places that were not judged, None for none."""
+    """bool (h, w) of the region, places that were not judged, None for none."""
     blind_mm2: float = 0.0
     blind_share: float = 0.0
     is_too_blind: bool = False
     """More than is accepted."""
     score: float | None = None
-    """With those places."""
+    """The score with the masked places."""
 
 
 @dataclass(frozen=True)

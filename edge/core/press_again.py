@@ -51,9 +51,9 @@ class Costs:
     """In any one unit."""
 
     missed: float
-    """a damaged piece that passes."""
+    """A damaged piece that passes."""
     false_alarm: float
-    """a sound piece that fails."""
+    """A sound piece that fails."""
     press: float
     """One more press, in time and gel."""
     defect_rate: float
@@ -71,7 +71,7 @@ class KnownScores:
     sound: tuple[tuple[float, ...], ...]
     """Scores of nominal presses by banks without them, piece by piece."""
     damaged: tuple[tuple[float, ...], ...]
-    """Of presses with rendered damage, for each kind and size."""
+    """Scores of presses with rendered damage, for each kind and size."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class Change:
     """What a request did. before, after: gel and contact, for the table of acts. All are plain JSON."""
 
     data: Mapping[str, Any]
-    """Of the response."""
+    """The data of the response."""
     before: Mapping[str, Any] | None = None
     after: Mapping[str, Any] | None = None
 

@@ -61,7 +61,7 @@ class FrameCounts:
     frames: int = 0
     """Delivered by the sensor."""
     dropped: int = 0
-    """Of those, never processed."""
+    """Delivered frames that were never processed."""
     late: int = 0
     """Processed too late."""
     interrupted: int = 0
@@ -127,7 +127,7 @@ class Summary:
 
     presses: int = 0
     has_ended: bool = False
-    """a recording was played to its end."""
+    """A recording was played to its end."""
     verdicts: Counter[str] = field(default_factory=Counter)
     """Word to number, `error` for a press without a verdict, `reference` and `study` for presses of master pieces and
     studies."""

@@ -58,7 +58,7 @@ class Parts:
     """Calls of other threads, with the loop that has these parts."""
     clock: Clock
     stats_s: float = 10.0
-    """Between two reports."""
+    """Seconds between two reports."""
 
 
 class StationLoop:

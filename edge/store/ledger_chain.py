@@ -60,10 +60,10 @@ class Head:
     """The newest link of a station's ledger. Who keeps it can prove later that the ledger holds everything up to it."""
 
     ledger_id: str
-    """Of the database, made at random."""
+    """The id of the database, made at random."""
     link: int
     sha256: str
-    """In hexadecimal digits."""
+    """The hash in hexadecimal digits."""
 
     def __str__(self) -> str:
         return f"{self.ledger_id}.{self.link}.{self.sha256}"

@@ -38,7 +38,7 @@ class ArchivedPress(BaseModel):
     press_id: str
     time_ns: int
     station: str
-    """As site/line/station."""
+    """The place as site/line/station."""
     serial: str
     part: str
     position: str | None

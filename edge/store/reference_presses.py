@@ -56,7 +56,7 @@ class ReferenceRequest:
     """An id."""
     who: str
     piece: str | None
-    """None where there is one."""
+    """The master piece; None where the station has one only."""
     is_start: bool
     """Its charts begin again."""
     time_ns: int

@@ -90,17 +90,17 @@ class ImportedBundle:
     """A bundle that was written."""
 
     path: Path
-    """Where."""
+    """The path of the bundle."""
     what: Recognised
     """What the file was."""
     model: Imported
     """Its parts."""
     losses: Losses
-    """Of the smaller bank."""
+    """The losses of the smaller bank."""
     isolation: str
     """How the file was read."""
     warnings: tuple[str, ...]
-    """Of the presses."""
+    """The warnings about the presses."""
 
 
 @one_blas_thread()

@@ -28,7 +28,7 @@ class MapSteps:
 
     framing: Framing
     sigma_px: float
-    """Of the blur, in pixels of the model's input."""
+    """The standard deviation of the blur, in pixels of the model's input."""
     upsampling: Upsampling = "bilinear"
     border: Border = "symmetric"
 

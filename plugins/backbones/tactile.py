@@ -33,7 +33,7 @@ class TactileBackbone:
     """A backbone under the entry points `gelgate.backbones`, with trained weights."""
 
     name: str
-    """Of the variant, as in the facts."""
+    """The name of the variant, as in the facts."""
     topology: str = "resnet18"
 
     def facts(self) -> dict[str, object]:

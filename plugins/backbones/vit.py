@@ -51,7 +51,7 @@ class VitShape:
     placed: int
     """How many of them have a position."""
     eps: float = USUAL_EPS
-    """Of the layer norms."""
+    """The epsilon of the layer norms."""
 
 
 def list_vit_taps(shape: VitShape) -> tuple[str, ...]:

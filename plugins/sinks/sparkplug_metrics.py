@@ -36,9 +36,9 @@ class Metric:
     value: Value | None
     """None is null."""
     time_ms: int
-    """Since 1970 UTC."""
+    """Milliseconds since 1970 UTC."""
     is_historical: bool = False
-    """Of a moment in the past, sent late."""
+    """The value is of a moment in the past, sent late."""
 
 
 # Field of the oneof `value`: its name by data type. Numbers and types of all fields are in _PROTO_FIELDS.

@@ -38,7 +38,7 @@ class Covered:
     held_out: HeldOut | None = None
     """What banks without them show of the presses; None where no threshold is wanted."""
     scores: NDArray[np.float64] | None = None
-    """Of the nominal presses, (n,), for the threshold."""
+    """Scores of the nominal presses, (n,), for the threshold."""
 
 
 def covering_bank(

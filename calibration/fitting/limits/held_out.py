@@ -52,7 +52,7 @@ class Learner:
     """Fixes every random choice, the same for each bank."""
     threads: int
     copies: Copies | None = None
-    """Of the fit's nominal presses, which a bank learns with them."""
+    """Copies of the fit's nominal presses, which a bank learns with them."""
 
     def bank(
         self,

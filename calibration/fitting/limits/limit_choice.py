@@ -54,9 +54,9 @@ class OtherLimit:
     threshold: ThresholdEntry
     """At 1."""
     scores: Float
-    """Of the nominal presses in units of the limit, (n,)."""
+    """Scores of the nominal presses in units of the limit, (n,)."""
     damaged: Float
-    """Of the presses with rendered damage, (m,)."""
+    """Scores of the presses with rendered damage, (m,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class LimitTrial:
     damage: DamagedPresses | None
     """Presses with rendered damage; None where nothing is chosen by it."""
     features: Features | None
-    """Of the presses with damage."""
+    """Features of the presses with damage."""
 
     def score(self, nominal: Nominal, progress: Progress = lambda fraction: None) -> HeldOut:
         """Score each press, also with damage, by a bank without it. Errors: FitError."""

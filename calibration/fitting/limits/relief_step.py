@@ -61,7 +61,7 @@ class ReliefChoice:
 
     why: str
     relief: MissingRelief | None = None
-    """None where nothing is checked."""
+    """The check; None where nothing is checked."""
     found: float | None = None
     """The share of smoother presses that are found; None where none was tried."""
 
@@ -148,7 +148,7 @@ class _HeldOut:
     final direction's, which knows them."""
 
     nominal: Float
-    """Of nominal presses, (n,)."""
+    """Values of nominal presses, (n,)."""
     same: Float
     smoother: Float
     """As `same`, of changed presses, (kinds, m)."""

@@ -61,7 +61,7 @@ class Standing:
     best: str | None
     """The method that is better than all others, None if the values do not decide; then `why` says why not."""
     rivals: tuple[str, ...]
-    """Those that cannot be distinguished from the first."""
+    """Methods that cannot be distinguished from the first."""
     why: str
 
 

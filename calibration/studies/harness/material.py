@@ -33,7 +33,7 @@ class Place:
     position: str
     backbone: str
     taps: tuple[str, ...]
-    """Those that are extracted, of all methods together."""
+    """The taps that are extracted, of all methods together."""
 
     def __str__(self) -> str:
         return f"{self.part}/{self.position} on {self.backbone}"

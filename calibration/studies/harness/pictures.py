@@ -27,7 +27,7 @@ class View:
     size: tuple[int, int]
     region: Region
     pixels_per_mm: float
-    """Of the picture that the trunk sees."""
+    """The scale of the picture that the trunk sees."""
     scaled_to: tuple[int, int] | None = None
 
     @property

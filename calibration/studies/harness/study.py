@@ -53,7 +53,7 @@ class Options:
     dataset: Path
     output: Path
     cache: Path | None = None
-    """Of features; None is a folder in the output."""
+    """The folder of features; None is a folder in the output."""
     parts: tuple[str, ...] = ()
     position: str | None = None
     """The reference position, None is each part's first."""

@@ -119,14 +119,14 @@ class PressSettled:
     """
 
     timestamp_ns: int
-    """Of the frame that decided."""
+    """The time of the frame that decided."""
     sequence: int
     began_ns: int
-    """Of `PressBegan`."""
+    """The time of `PressBegan`."""
     touch: Touch
     strength: float = 0.0
     findings: Findings | None = None
-    """Added by the tracker."""
+    """What the tracker adds to the event."""
     frame: CameraFrame | None = None
     """The one to score, added by the detector."""
 

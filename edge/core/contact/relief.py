@@ -75,7 +75,7 @@ class Relief:
     added: View
     """Signed structure."""
     mask: NDArray[np.bool_]
-    """Bool (h / 2, w / 2), where it is an imprint's."""
+    """bool (h / 2, w / 2), where the structure is an imprint's."""
     level: float
     """How strong it is there, root mean square of a millimetre, averaged over the whole view, levels."""
     reference: ReliefOfReference

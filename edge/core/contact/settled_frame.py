@@ -33,7 +33,7 @@ class Observation:
     """Share of the view's pixels that differ from the view at rest while learning, and from the view `settle_s` ago
     while something presses; 1 where there is none."""
     motion: float
-    """The same against the frame before."""
+    """The change against the frame before."""
     is_black: bool = False
     relief: float = 0.0
     """Share of the view with an imprint's fine structure."""

@@ -34,14 +34,14 @@ class Track:
     began_ns: int = 0
     is_wanted: bool = False
     wanted_ns: int = 0
-    """Since when a verdict is wanted."""
+    """The time since which a verdict is wanted."""
     grown_ns: int = 0
     """When the imprint last grew."""
     peak: float = 0.0
     relief_peak: float = 0.0
     strength_peak: float = 0.0
     sunk_ns: int | None = None
-    """Since when its strength is that of a residue, None while it is held."""
+    """The time since which the strength is that of a residue; None while the press is held."""
     residue: float = 0.0
     relief_residue: float = 0.0
     strength_residue: float = 0.0
@@ -50,7 +50,7 @@ class Track:
     is_confirmed: bool = False
     """Another picture of the free gel, or a press, has shown that the reference is one."""
     is_cycled: bool = False
-    """a press has come and gone."""
+    """A press has come and gone."""
     adds_structure: bool = False
     is_interrupted: bool = False
     blind_until_ns: int = 0

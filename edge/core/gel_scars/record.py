@@ -34,7 +34,7 @@ class Repeats:
     hits: float = 0.0
     """Presses, decayed."""
     rate: float = 0.0
-    """Of the presses that showed it."""
+    """The share of the presses that showed the place."""
     spread_mm: float = 0.0
     """Standard deviation of the part's place in those; 0 where it is not known."""
 

@@ -24,7 +24,7 @@ class SensorProfile:
     decode_scale: int
     """1, 2, 4 or 8: the JPEG reduction. Its DCT resampler differs, so it is part of the profile."""
     pixels_per_mm: float
-    """Of the picture, along x."""
+    """The scale of the picture along x."""
     controls: Mapping[str, int] = field(default_factory=dict)
     """Camera control name to value, V4L2 names."""
 

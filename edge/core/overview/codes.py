@@ -26,7 +26,7 @@ class Code:
 
     kind: CodeKind
     text: str
-    """Of a QR code or DataMatrix, printable; of an AprilTag its number."""
+    """The text of a QR code or DataMatrix, printable, or the number of an AprilTag."""
 
 
 def read_codes(

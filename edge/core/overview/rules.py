@@ -31,7 +31,7 @@ class OverviewView:
     is_present: bool | None = None
     """Whether a part is there, None where nothing says so."""
     codes: tuple[Code, ...] = ()
-    """Those read in the region."""
+    """The codes that were read in the region."""
 
     def __post_init__(self) -> None:
         if (self.jpeg is None) == (self.fault is None):

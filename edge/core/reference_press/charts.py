@@ -75,14 +75,14 @@ class Chart:
 
     measure: Measure
     presses: tuple[ReferencePress, ...]
-    """Those that have the measure."""
+    """The presses that have the measure."""
     values: tuple[float, ...]
     learnt: int
     learn: int
     limits: Limits | None
     """None while they are learnt, from `learnt` of `learn` presses."""
     signals: tuple[Signal, ...]
-    """Of the last press."""
+    """The signals of the last press."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ class Imprint:
     x_mm: float | None = None
     y_mm: float | None = None
     turn_deg: float | None = None
-    """Of the part, where it is registered."""
+    """The turn of the part, where it is registered."""
     noise_levels: float | None = None
     """The temporal noise of the free gel just before, of one pixel of the small view."""
 

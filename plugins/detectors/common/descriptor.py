@@ -78,7 +78,7 @@ class Descriptor:
     """How taps become descriptors."""
 
     taps: tuple[str, ...]
-    """In this order."""
+    """The taps in this order."""
     grid_tap: str
     """The tap whose grid the descriptors are on."""
     kind: Kind
