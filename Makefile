@@ -22,7 +22,7 @@ page-pictures: $(VENV)/.test
 
 # The picture of accuracy against time in README.md, from the rows that `gelgate lab tradeoff` wrote.
 tradeoff-picture: $(VENV)/.test
-	$(BIN)/python -m calibration.tradeoff.figure docs/studies/tradeoff.jsonl docs/images/tradeoff.svg
+	$(BIN)/python -m calibration.experiments.tradeoff.figure docs/studies/tradeoff.jsonl docs/images/tradeoff.svg
 
 # One process more than cores, for half of the time of a test is waiting; at most eight. `make test PROCESSES=0` runs the
 # tests in one.

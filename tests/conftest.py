@@ -18,17 +18,11 @@ REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 # Tests of experiments: `make test-lab` runs them, and single tests elsewhere that are marked `lab`.
 LAB = {
     "acquisition",
-    "benchmark",
-    "detectability",
     "docs/test_msa.py",
     "docs/test_studies.py",
-    "gauge_study",
-    "gel_change",
-    "gel_scars",
+    "experiments",
     "sensor_fit",
     "soak",
-    "studies",
-    "tradeoff",
 }
 
 # The same examples in every run, without a limit of time: a run finds what the change before it broke, and not by luck.

@@ -8,8 +8,8 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from calibration.benchmark.evaluation import default_detectors, used_settings
-from calibration.benchmark.sets import SETS
+from calibration.experiments.backbones.evaluation import default_detectors, used_settings
+from calibration.experiments.backbones.sets import SETS
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.training.package import MOST_BYTES
 from calibration.training.train_config import TrainConfig

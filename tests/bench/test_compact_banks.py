@@ -17,9 +17,9 @@ import pytest
 from heads import stored as stored_bank
 from heads import stored_bytes
 
-from calibration.benchmark.evaluation import random_trunk
-from calibration.benchmark.presses import development_trial
-from calibration.benchmark.trial import Trial
+from calibration.experiments.backbones.evaluation import random_trunk
+from calibration.experiments.backbones.presses import development_trial
+from calibration.experiments.backbones.trial import Trial
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.metrics import aupro

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from damaged_part_presses import DamagedPartPresses, DamagedPress
 
-from calibration.detectability.judges import Judge
-from calibration.detectability.pod import Pod, fit_pod
-from calibration.detectability.results import results
-from calibration.detectability.study import Plan, Settings, plan, run
+from calibration.experiments.detectability.judges import Judge
+from calibration.experiments.detectability.pod import Pod, fit_pod
+from calibration.experiments.detectability.results import results
+from calibration.experiments.detectability.study import Plan, Settings, plan, run
 from calibration.fitting.damage.damage import KINDS
 from calibration.fitting.damage.rendering import EditedPress
 from calibration.fitting.fit import FitConfig, fit_files

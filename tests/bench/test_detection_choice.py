@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.benchmark.presses import PARTS, development_trial, part_trial
-from calibration.benchmark.real_touch import real_touch_trial
-from calibration.benchmark.trial import PROFILE, Trial
+from calibration.experiments.backbones.presses import PARTS, development_trial, part_trial
+from calibration.experiments.backbones.real_touch import real_touch_trial
+from calibration.experiments.backbones.trial import PROFILE, Trial
 from calibration.fitting.candidates import DEFAULT_METHOD, OTHER_METHODS, Candidates
 from calibration.fitting.damage_seen import DamageJudge
 from calibration.fitting.detection_choice import Comparison

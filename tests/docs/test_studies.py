@@ -6,13 +6,13 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calibration.studies.harness.page import Page
-from calibration.studies.harness.rows import frame
-from calibration.studies.paper_page import page as paper_page
-from calibration.studies.placement_page import page as placement_page
-from calibration.studies.recommend import page as recommend_page
-from calibration.studies.report import PAGES
-from calibration.studies.time_page import page as time_page
+from calibration.experiments.harness.page import Page
+from calibration.experiments.harness.rows import frame
+from calibration.experiments.studies.paper_page import page as paper_page
+from calibration.experiments.studies.placement_page import page as placement_page
+from calibration.experiments.studies.recommend import page as recommend_page
+from calibration.experiments.studies.report import PAGES
+from calibration.experiments.studies.time_page import page as time_page
 
 STUDIES = Path(__file__).resolve().parents[2] / "docs" / "studies"
 MOST_BYTES = 300_000

@@ -11,7 +11,7 @@ import pytest
 import tiny
 from heads import LIKE_RESNET, features, fit, head_scores
 
-from calibration.studies.harness.scoring import run_head
+from calibration.experiments.harness.scoring import run_head
 from edge.core.detector import Nominal
 from edge.core.errors import FitError, NotScorable
 from edge.model.session import open_session

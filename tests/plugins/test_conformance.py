@@ -7,7 +7,7 @@ from pathlib import Path
 import benches
 import pytest
 
-from calibration.benchmark.evaluation import default_detectors
+from calibration.experiments.backbones.evaluation import default_detectors
 from edge import registry
 from edge.core.detector import HasReference
 from plugins.conformance import (

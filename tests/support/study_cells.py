@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from calibration.experiments.harness.cells import Cell
 from calibration.progress import Advance
-from calibration.studies.harness.cells import Cell
 from edge.core.errors import FitError
 
 

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from calibration.studies.harness.rows import ROW_FORMAT
-from calibration.tradeoff.accuracy import MEASURES
-from calibration.tradeoff.plan import BACKBONES, usual_points
-from calibration.tradeoff.point import OperatingPoint
-from calibration.tradeoff.run import with_front
+from calibration.experiments.harness.rows import ROW_FORMAT
+from calibration.experiments.tradeoff.accuracy import MEASURES
+from calibration.experiments.tradeoff.plan import BACKBONES, usual_points
+from calibration.experiments.tradeoff.point import OperatingPoint
+from calibration.experiments.tradeoff.run import with_front
 
 METHODS = ("padim", "spade", "fapm", "inreach", "patchcore", "subspace")
 

@@ -1,0 +1,163 @@
+"""The verb `evaluate-backbone`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from calibration.experiments.backbones.sets import EvaluationSet
+
+__all__ = ["evaluate_backbone"]
+
+_SHIPPED = ["trained=tactile_resnet18", "trained_int8=tactile_resnet18_int8"]
+_TRUNKS_HELP = (
+    "an installed backbone or a trunk .onnx file under the name of its rows, the one that ships first; "
+    f"default: {' '.join(_SHIPPED)}"
+)
+
+
+def evaluate_backbone(
+    out: Annotated[Path, typer.Argument(help="output folder of the evaluation file")],
+    trunks: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME=TRUNK]...", help=_TRUNKS_HELP),
+    ] = None,
+    random: Annotated[bool, typer.Option(help="compare with random weights, under the name random")] = True,
+    tactile: Annotated[Path | None, typer.Option(help="folder of real tactile frames")] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="only this set of trials, for every trunk; may be given several times"),
+    ] = None,
+    methods: Annotated[
+        list[str] | None,
+        typer.Option("--method", help="a detector to compare with; default: all but the baselines"),
+    ] = None,
+    trials: Annotated[int, typer.Option(help="at most this many trials of each set, 0 for all", min=0)] = 0,
+    replicates: Annotated[int, typer.Option(help="bootstrap replicates per interval", min=0)] = 200,
+    limits: Annotated[
+        bool,
+        typer.Option(help="measure at the fitted limit too, on real touch, which takes several times longer"),
+    ] = True,
+    workers: Annotated[int, typer.Option(help="trials in parallel", min=1, max=64)] = 1,
+    json: Annotated[bool, typer.Option("--json", help="print everything as JSON instead of tables")] = False,
+) -> None:
+    """Compare backbones on presses that training never draws. docs/backbone.md has the results."""
+    import os
+    import sys
+    from json import dumps
+
+    from edge.extras import needs
+
+    needs("benchmark", "evaluate-backbone")
+    from calibration.experiments.backbones.evaluation import default_detectors, evaluate
+    from calibration.experiments.backbones.tables import evaluation_tables
+    from calibration.progress import progress
+
+    # Workers are separate processes; several linear algebra threads in each would compete for the cores.
+    if workers > 1:
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
+    sets = _choose_sets(tactile, only or [], trials)
+    graphs = _graphs(trunks or _SHIPPED, random)
+    _say_missing(sets)
+    is_quiet = json or sys.stderr.isatty()
+    with progress("trials", sum(len(chosen.trials) for chosen in sets.values())) as advance:
+        found = evaluate(
+            graphs,
+            sets,
+            methods or default_detectors(),
+            replicates=replicates,
+            limits=limits,
+            workers=workers,
+            say=_say_nothing if is_quiet else _say,
+            advance=advance,
+        )
+    found["trunks"] = _facts(graphs)
+    _write(out, text := dumps(found, indent=1) + "\n")
+    typer.echo(text if json else evaluation_tables(found), nl=not json)
+
+
+def _choose_sets(tactile: Path | None, only: list[str], trials: int) -> dict[str, "EvaluationSet"]:
+    """The sets to compare on; a set that is named is run for every trunk, one on request only then.
+
+    Errors: ConfigError for an unknown set.
+    """
+    from dataclasses import replace
+
+    from calibration.experiments.backbones.sets import SETS, evaluation_sets
+    from edge.core.errors import ConfigError
+    from edge.core.suggest import suggestion
+
+    for name in only:
+        if name not in SETS:
+            raise ConfigError(f"no set of trials is named '{name}'; {suggestion(name, SETS)}")
+    sets = {name: of for name, of in evaluation_sets(tactile).items() if name in (only or SETS)}
+    return {
+        name: replace(chosen, trials=(), missing=f"it is opened only with --set {name}")
+        if chosen.is_on_request and not only
+        else replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
+        for name, chosen in sets.items()
+    }
+
+
+def _say(line: str) -> None:
+    typer.echo(line, err=True)
+
+
+def _say_nothing(line: str) -> None:
+    """A progress bar, or JSON alone."""
+
+
+def _say_missing(sets: dict[str, "EvaluationSet"]) -> None:
+    for chosen in sets.values():
+        if chosen.missing:
+            typer.echo(f"SKIPPED: {chosen.title}: {chosen.missing}", err=True)
+
+
+def _graphs(trunks: list[str], random: bool) -> dict[str, bytes]:
+    """The trunks by the names of their rows. Errors: ConfigError."""
+    from calibration.experiments.backbones.evaluation import RANDOM, random_trunk
+    from calibration.fitting.trunks import open_trunk
+
+    graphs = {name: open_trunk(trunk).graph for name, trunk in _parse_names(trunks).items()}
+    if random and RANDOM not in graphs:
+        graphs[RANDOM] = random_trunk()
+    return graphs
+
+
+def _parse_names(words: list[str]) -> dict[str, str]:
+    """NAME=TRUNK pairs; a name alone means the installed backbone of that name. Errors: ConfigError."""
+    from edge.core.errors import ConfigError
+
+    pairs = [(name, trunk or name) for name, _, trunk in (word.partition("=") for word in words)]
+    names = [name for name, _ in pairs]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice or "" in names:
+        raise ConfigError(
+            f"every trunk needs a different name, found {'twice ' + ', '.join(twice) if twice else 'an empty one'}; "
+            "write NAME=TRUNK"
+        )
+    return dict(pairs)
+
+
+def _facts(graphs: dict[str, bytes]) -> dict[str, Any]:
+    import hashlib
+
+    return {
+        name: {"sha256": hashlib.sha256(graph).hexdigest(), "bytes": len(graph)}
+        for name, graph in graphs.items()
+    }
+
+
+def _write(out: Path, text: str) -> None:
+    """Write the evaluation's file. Errors: StoreError."""
+    from edge.core.errors import StoreError
+    from plugins.backbones.tactile import tactile_resnet18
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / f"{tactile_resnet18.name}_evaluation.json").write_text(text)
+    except OSError as error:
+        raise StoreError(
+            f"the evaluation cannot be written to {out}: {error.strerror or error}; choose another folder"
+        ) from error

@@ -1,0 +1,228 @@
+"""Simulated trials, rendered in memory: the analogues PZ1 to PZ5 and random parts, under several conditions.
+
+They use the simulator's scenes and renderer; training has other parts, other damage and another renderer.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.experiments.backbones.trial import PROFILE, REGION, Trial
+from calibration.fitting.presses.nominal_presses import gather_presses
+from calibration.simulator import parts as analogues
+from calibration.simulator.field_of_view import F32, LR
+from calibration.simulator.plan import PressPlan, dataset_plan, place_damage
+from calibration.simulator.pose import HeightField, Pose, sample
+from calibration.simulator.random_parts import random_part
+from calibration.simulator.renderer import Exposure, Renderer
+from calibration.simulator.reproducible_math import reproducible_opencv
+from calibration.simulator.scene import Defects, JitterTable, NominalPieces, Scene
+from calibration.simulator.sensor_appearance import SENSORS
+from calibration.simulator.simulate import paper_scenes
+from calibration.simulator.streams import Streams
+
+__all__ = [
+    "CONDITIONS",
+    "DEVELOPMENT_SEED",
+    "PARTS",
+    "SCENE_SEED",
+    "Condition",
+    "development_trial",
+    "part_trial",
+]
+
+PARTS = tuple(analogues.PARTS)
+SCENE_SEED = 7001
+# Seeds of the random parts on which the methods' settings were chosen: for the shapes, and for everything else.
+DEVELOPMENT_SHAPES, DEVELOPMENT_SEED = 99, 4242
+# Press depth of random parts: that of most analogues.
+DEVELOPMENT_DEPTH_MM = 0.4
+# The seed paper's acquisition waits this long after each picture; the robot's return also counts as released.
+RELEASED_S = 3.0
+# How far that press may be shifted: a part is inspected at several positions in turn.
+ELSEWHERE_MM = 3.0
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """The number of sound pieces, of held-out ones among them, of presses of each, and of damaged pieces."""
+
+    pieces: int = 10
+    held_out: int = 4
+    presses: int = 4
+    damaged: int = 16
+    free_gels: int = 4
+
+
+@dataclass(frozen=True)
+class Condition:
+    """The differences from a plain gel on a sensor that training varies.
+
+    learnt_at, scored_at: earlier presses on the gel.
+    """
+
+    sensor: str = "unit_b"
+    effects: tuple[str, ...] = ()
+    """Effects that are added to the scene's."""
+    learnt_at: int = 0
+    scored_at: int = 0
+    is_remembering: bool = False
+    """Each press has the residual imprint of one at another place."""
+    slide_mm_s: float = 0.0
+    """The speed of scored presses, sideways, in any direction."""
+    anywhere_mm: float = 0.0
+    """The part is put down by hand up to this far off in any direction, and turned by any angle."""
+
+
+CONDITIONS: Mapping[str, Condition] = {
+    "plain": Condition(),
+    # A sensor that training does not mix, and an effect that it does not draw.
+    "unseen sensor": Condition(sensor="unit_c", effects=("partial_contact",)),
+    # A gel is rated for 1000 presses.
+    "worn gel": Condition(learnt_at=700, scored_at=900),
+    "marker gel": Condition(effects=("markers",)),
+    "residual imprint": Condition(effects=("residual_imprint",), is_remembering=True),
+    # More than the 3 mm/s that a recorded press slides at the end of its stroke: 0.09 mm in an exposure.
+    "sliding press": Condition(slide_mm_s=5.0),
+    "parts anywhere": Condition(anywhere_mm=3.0),
+}
+
+
+def part_trial(part: str, condition: str = "plain", sizes: Sizes | None = None) -> Trial:
+    """The analogue of that name at its first position."""
+    scene = next(scene for scene in paper_scenes() if scene.part == part)
+    shape = analogues.PARTS[part].positions[scene.at[0]]
+    return _Rendered(shape, scene, CONDITIONS[condition], SCENE_SEED, sizes or Sizes()).trial()
+
+
+def development_trial(number: int, sizes: Sizes | None = None, condition: str = "plain") -> Trial:
+    """The random part with that number: odd and even ones alternate between a hand and a fixture."""
+    shape = random_part(np.random.default_rng([DEVELOPMENT_SHAPES, number]))
+    jitter = analogues.PARTS["PZ3" if number % 2 else "PZ5"].jitter
+    scene = next(scene for scene in paper_scenes() if scene.part == "PZ3").model_copy(
+        update={
+            "part": f"RP{number}",
+            "positions": ("pos1",),
+            "depth_mm": DEVELOPMENT_DEPTH_MM,
+            "jitter": JitterTable(
+                shift_mm=jitter.shift_mm,
+                turn_deg=jitter.turn_deg,
+                tilt_deg=jitter.tilt_deg,
+                depth_fraction=jitter.depth_fraction,
+            ),
+        }
+    )
+    return _Rendered(shape, scene, CONDITIONS[condition], DEVELOPMENT_SEED, sizes or Sizes()).trial()
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """One press."""
+
+    plan: PressPlan
+    rgb: NDArray[np.uint8]
+    mask: NDArray[np.bool_]
+    """Where damage shows, all False on a sound piece."""
+
+
+class _Rendered:
+    """One shape under one condition, as a trial."""
+
+    def __init__(
+        self, shape: HeightField, scene: Scene, condition: Condition, seed: int, sizes: Sizes
+    ) -> None:
+        self.shape, self.condition, self.sizes, self.seed = shape, condition, sizes, seed
+        self.scene = scene.model_copy(
+            update={
+                "positions": scene.at[:1],
+                "camera": scene.camera.model_copy(update={"modes": ("lr",), "sensor": condition.sensor}),
+                "effects": (*scene.effects, *condition.effects),
+                "nominal": NominalPieces(specimens=sizes.pieces, presses=sizes.presses),
+                "defects": Defects(
+                    kinds=scene.defects.kinds, severity=scene.defects.severity, images=sizes.damaged
+                ),
+            }
+        )
+        self.streams: Streams = Streams(seed)
+        sensor = SENSORS[condition.sensor]
+        self.gel = Renderer(
+            LR, self.scene.effects, sensor, scene.press_jitter, self.streams, "gel1", self.scene.at[0]
+        )
+
+    def trial(self) -> Trial:
+        with reproducible_opencv():
+            pictures = sorted(self._pictures(), key=lambda picture: picture.plan.name)
+            free = [
+                self.gel.free_gel(("free", number), self.condition.learnt_at)
+                for number in range(self.sizes.free_gels)
+            ]
+        learnt = {p.plan.name: p.rgb for p in pictures if self._is_learnt(p.plan)}
+        # Damaged presses first.
+        scored = sorted(
+            (p for p in pictures if not self._is_learnt(p.plan)), key=lambda picture: not picture.plan.kind
+        )
+        return Trial(
+            self.scene.part,
+            gather_presses(learnt, PROFILE, REGION, no_contact=free),
+            np.stack([REGION.crop(p.rgb) for p in scored]),
+            np.stack([REGION.crop(p.mask) for p in scored]),
+        )
+
+    def _is_learnt(self, plan: PressPlan) -> bool:
+        return not plan.kind and plan.specimen <= self.sizes.pieces - self.sizes.held_out
+
+    def _pictures(self) -> Iterator[_Picture]:
+        """Every press in the order of acquisition, sound and damaged pieces mixed."""
+        for plan in dataset_plan(self.scene, self.seed):
+            imprint, mask = self._imprint(plan)
+            before = self.condition.learnt_at if self._is_learnt(plan) else self.condition.scored_at
+            presses = before + plan.gel_presses
+            previous = (self._earlier_imprint(plan), RELEASED_S) if self.condition.is_remembering else None
+            light = self.gel.light(self.gel.surface(imprint, presses, previous), presses)
+            exposure = Exposure(0, plan.time_s, self._velocity(plan))
+            yield _Picture(plan, self.gel.expose(light, plan.key, exposure), mask)
+
+    def _velocity(self, plan: PressPlan) -> tuple[float, float] | None:
+        """Draw the velocity of the gel during the exposure, in mm/s; None for the scene's own motion blur."""
+        if self._is_learnt(plan) or not self.condition.slide_mm_s:
+            return None
+        angle = float(self.streams("slide", *plan.key).uniform(0, 2 * math.pi))
+        return self.condition.slide_mm_s * math.cos(angle), self.condition.slide_mm_s * math.sin(angle)
+
+    def _put_down(self, plan: PressPlan) -> Pose:
+        """Draw where the part lies: at its place, or anywhere within a circle and at any angle."""
+        if not self.condition.anywhere_mm:
+            return Pose()
+        rng = self.streams("anywhere", *plan.key)
+        away = self.condition.anywhere_mm * math.sqrt(rng.uniform())
+        towards, turn = rng.uniform(0, 2 * math.pi, 2).tolist()
+        return Pose((away * math.cos(towards), away * math.sin(towards)), turn)
+
+    def _earlier_imprint(self, plan: PressPlan) -> F32:
+        """The imprint of a press at another place of the part; at the same place the next press would hide it."""
+        rng = self.streams("elsewhere", *plan.key)
+        across, down = rng.uniform(-ELSEWHERE_MM, ELSEWHERE_MM, 2).tolist()
+        pose = Pose((across, down), float(rng.uniform(0, 2 * math.pi)))
+        return self.gel.imprint(sample(self.shape, pose, LR), self.scene.press_depth_mm)
+
+    def _imprint(self, plan: PressPlan) -> tuple[F32, NDArray[np.bool_]]:
+        """The press's imprint in mm, and where it differs from that of the sound piece."""
+        scene = self.scene
+        piece = analogues.specimen(self.shape, self.streams("specimen", scene.part, plan.specimen))
+        placed, depth = self.gel.place(self._put_down(plan), plan.key), scene.press_depth_mm
+        if not plan.kind:
+            imprint = self.gel.imprint(sample(piece, placed, LR), depth * placed.depth_factor)
+            return imprint, np.zeros(imprint.shape, np.bool_)
+        defect = place_damage(
+            self.shape,
+            plan.kind,
+            plan.severity,
+            depth,
+            scene.mask_depth_mm,
+            self.streams("defect", scene.part, plan.position, plan.specimen),
+        )
+        sound, damaged = self.gel.imprints(piece, defect, depth, placed)
+        return damaged, self.gel.mask(sound, damaged, scene.mask_depth_mm)

@@ -1,0 +1,173 @@
+"""`gelgate lab detectability`: the smallest damage that a bundle finds, in mm, at every place of the contact."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calibration.fitting.options import NoContact, Part, Pattern, Position, Resize, Seed, Threads
+
+if TYPE_CHECKING:
+    from calibration.experiments.detectability.study import Plan, Settings, Trial
+    from calibration.experiments.harness.rows import Rows
+    from calibration.fitting.presses.nominal_presses import NominalPresses
+    from edge.model.bundle import Bundle
+
+__all__ = ["detectability"]
+
+TRIALS, RESULT, TABLE, MAP = "trials.jsonl", "detectability.json", "detectability.txt", "detectability.png"
+
+
+def detectability(
+    bundle: Annotated[Path, typer.Argument(metavar="BUNDLE", help="The bundle: a folder or a .zip.")],
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="PRESSES...", help="Nominal presses: recordings, datasets, folders or pictures."
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The folder for trials, table, JSON and map.")
+    ],
+    part: Part = None,
+    position: Position = None,
+    kind: Annotated[
+        list[str] | None, typer.Option(help="dent, bump or scratch; may be repeated. Default: all three.")
+    ] = None,
+    presses: Annotated[int, typer.Option(min=4, help="How many presses are edited, at most.")] = 8,
+    spacing: Annotated[float, typer.Option(min=0.2, help="Between places, in mm.")] = 1.5,
+    no_contact: NoContact = None,
+    resize: Resize = False,
+    pattern: Pattern = None,
+    write: Annotated[bool, typer.Option("--write", help="Put the card into the bundle.")] = False,
+    seed: Seed = 0,
+    threads: Threads = 2,
+) -> None:
+    """Measure the smallest damage found, by place.
+
+    Dents, bumps and scratches of known depth are rendered into nominal presses that the judging bank has not learnt.
+    The result is the probability of detection: a90/95 in mm as a map, a table and a card. An interrupted run goes on
+    where it ended.
+    """
+    from calibration.evaluate.report import write_atomically
+    from calibration.experiments.detectability.figure import draw_map
+    from calibration.experiments.detectability.results import card, results, table, write_card
+    from calibration.experiments.detectability.study import Settings
+    from calibration.experiments.harness.rows import Rows
+    from edge.extras import needs
+    from edge.model.bundle import Bundle
+    from edge.model.detectability import detectability_lines
+
+    needs("studies", "gelgate lab detectability")
+    settings = Settings(_kinds(kind), presses, spacing, seed, threads)
+    loaded = Bundle.load(bundle)
+    found = _presses(loaded, sources, part, position, no_contact, resize, pattern)
+    _make_folder(output)
+    planned, trials = _measure(loaded, found, settings, Rows(output / TRIALS, _warn))
+    curves = results(planned, trials)
+    made = card(planned, curves, _today())
+    write_atomically(output / TABLE, (table(made) + "\n").encode())
+    write_atomically(output / RESULT, (made.model_dump_json(indent=1) + "\n").encode())
+    write_atomically(output / MAP, draw_map(planned, curves))
+    for line in detectability_lines(made):
+        typer.echo(line)
+    typer.echo(f"written to {output}: {MAP}, {TABLE}, {RESULT}, {TRIALS}")
+    if write:
+        _say_written(bundle, write_card(bundle, made))
+
+
+def _kinds(asked: list[str] | None) -> tuple[str, ...]:
+    """Return the kinds to measure. Errors: ConfigError for an unknown kind."""
+    from calibration.fitting.damage.damage import KINDS
+    from edge.core.errors import ConfigError
+    from edge.core.suggest import suggestion
+
+    for name in asked or ():
+        if name not in KINDS:
+            raise ConfigError(f"no damage is named '{name}'; {suggestion(name, KINDS)}")
+    return tuple(dict.fromkeys(asked or KINDS))
+
+
+def _presses(
+    bundle: "Bundle",
+    sources: list[Path],
+    part: str | None,
+    position: str | None,
+    no_contact: list[Path] | None,
+    resize: bool,
+    pattern: str | None,
+) -> "NominalPresses":
+    """The presses, read as the bundle's profile says. Errors: as `read_presses` and `find_sources`."""
+    from calibration.fitting.presses.nominal_presses import read_presses
+    from calibration.fitting.presses.sources import find_sources
+
+    own = bundle.manifest
+    found = find_sources(sources, part or own.part, position or own.position, bundle.profile.size)
+    return read_presses(
+        found.paths,
+        bundle.profile,
+        bundle.region,
+        no_contact=no_contact or (),
+        resize=resize,
+        pattern=pattern,
+        specimens=found.specimens,
+    )
+
+
+def _measure(
+    bundle: "Bundle", presses: "NominalPresses", settings: "Settings", rows: "Rows"
+) -> "tuple[Plan, list[Trial]]":
+    from calibration.experiments.detectability.study import Trial, plan, run
+    from calibration.progress import Stages, progress
+
+    with Stages() as report:
+        planned = plan(bundle, presses, settings, lambda fraction: report("banks", fraction))
+    typer.echo(_describe_plan(planned))
+    if planned.warning:
+        _warn(planned.warning)
+    done = {row["key"]: Trial.of(row) for row in rows.read()}
+    with rows.hold(), progress("trials", planned.total) as advance:
+        return planned, run(planned, done, rows.append, advance)
+
+
+def _describe_plan(planned: "Plan") -> str:
+    """Say what is going to be measured, and which presses are not used."""
+    judged = {
+        "presses apart": "presses that the bundle has not learnt, judged by it",
+        "folds": "learnt presses, each judged by a bank fitted without it",
+        "third party's graph": "presses, judged by the third party's graph",
+    }[planned.by]
+    said = (
+        f"{len(planned.places)} places of {planned.settings.spacing_mm:g} mm, {len(planned.presses)} {judged}"
+    )
+    if planned.false_alarms:
+        said += f"; left out, because they fail without damage: {', '.join(planned.false_alarms)}"
+    if planned.refused:
+        said += f"; left out, because their colours are of another sensor: {', '.join(planned.refused)}"
+    return said
+
+
+def _make_folder(output: Path) -> None:
+    """Make the output folder. Errors: ConfigError."""
+    from edge.core.errors import ConfigError
+
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{output} cannot be a folder: {error.strerror}; choose another place") from error
+
+
+def _say_written(bundle: Path, was_signed: bool) -> None:
+    typer.echo(f"the card is in {bundle}, whose id has changed; `gelgate bundle inspect` prints it")
+    if was_signed:
+        _warn(f"the signature of {bundle} was of the bundle without a card and is removed: sign it again")
+
+
+def _warn(sentence: str) -> None:
+    typer.echo(f"warning: {sentence}", err=True)
+
+
+def _today() -> str:
+    import datetime
+
+    return datetime.date.today().isoformat()

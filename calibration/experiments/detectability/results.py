@@ -1,0 +1,120 @@
+"""From trials to a card and a table: a curve at each place and over all of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.experiments.detectability.pod import Pod, fit_pod
+from calibration.experiments.detectability.study import Place, Plan, Trial
+from calibration.fitting.damage.damage import KINDS
+from edge.core.errors import StoreError
+from edge.model.archive import MANIFEST, open_archive
+from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest
+from edge.model.bundle_writer import manifest_bytes, write_bundle
+from edge.model.detectability import CARD, DetectabilityCard, KindCard
+from edge.model.signature import SIGNATURE
+from edge.model.verified_files import read_verified
+
+__all__ = ["KindResult", "card", "results", "table", "write_card"]
+
+
+@dataclass(frozen=True)
+class KindResult:
+    """One kind of damage: the curve over all places, and that of each place."""
+
+    kind: str
+    anywhere: Pod
+    places: dict[Place, Pod]
+
+
+def results(planned: Plan, trials: Sequence[Trial]) -> list[KindResult]:
+    """The curves of each kind."""
+    return [
+        _result(kind, planned.places, [trial for trial in trials if trial.kind == kind])
+        for kind in planned.settings.kinds
+    ]
+
+
+def _result(kind: str, places: Sequence[Place], trials: Sequence[Trial]) -> KindResult:
+    at = {place: [trial for trial in trials if trial.place == place] for place in places}
+    return KindResult(kind, _pod(kind, trials), {place: _pod(kind, found) for place, found in at.items()})
+
+
+def _pod(kind: str, trials: Sequence[Trial]) -> Pod:
+    lows, highs = [trial.low_mm for trial in trials], [trial.high_mm for trial in trials]
+    return fit_pod(lows, highs, KINDS[kind].largest_mm)
+
+
+def card(planned: Plan, found: Sequence[KindResult], created: str) -> DetectabilityCard:
+    """Return what the bundle carries. created: a date."""
+    middles = (planned.grid.middle_mm(place) for place in planned.places)
+    return DetectabilityCard(
+        created=created,
+        presses=len(planned.presses),
+        false_alarms=len(planned.false_alarms),
+        judged_by=planned.by,
+        spacing_mm=planned.settings.spacing_mm,
+        places=tuple((round(x, 3), round(y, 3)) for x, y in middles),
+        kinds=tuple(_kind_card(one) for one in found),
+    )
+
+
+def _kind_card(one: KindResult) -> KindCard:
+    pods = list(one.places.values())
+    return KindCard(
+        kind=one.kind,
+        largest_mm=KINDS[one.kind].largest_mm,
+        trials=one.anywhere.trials,
+        found=one.anywhere.found,
+        a90_mm=_round_mm(one.anywhere.a90_mm),
+        a90_95_mm=_round_mm(one.anywhere.a90_95_mm),
+        place_a90_mm=tuple(_round_mm(pod.a90_mm) for pod in pods),
+        place_a90_95_mm=tuple(_round_mm(pod.a90_95_mm) for pod in pods),
+        place_state=tuple(pod.state for pod in pods),
+    )
+
+
+def _round_mm(size_mm: float | None) -> float | None:
+    return None if size_mm is None else round(size_mm, 4)
+
+
+def table(found: DetectabilityCard) -> str:
+    """Write one line for each kind and place, sizes in mm."""
+    lines = [f"{'damage':<10}{'x mm':>7}{'y mm':>7}{'a90':>8}{'a90/95':>8}  state"]
+    for kind in found.kinds:
+        lines.append(_line(kind.kind, "any", "", kind.a90_mm, kind.a90_95_mm, kind.largest_mm, ""))
+        rows = zip(found.places, kind.place_a90_mm, kind.place_a90_95_mm, kind.place_state, strict=True)
+        lines += [
+            _line(kind.kind, f"{x:.1f}", f"{y:.1f}", best, bound, kind.largest_mm, state)
+            for (x, y), best, bound, state in rows
+        ]
+    return "\n".join(lines)
+
+
+def _line(
+    kind: str, x: str, y: str, best: float | None, bound: float | None, largest_mm: float, state: str
+) -> str:
+    sizes = [f">{largest_mm:g}" if size is None else f"{size:.3f}" for size in (best, bound)]
+    if state in ("blind", "too few"):
+        sizes = ["-", "-"] if state == "too few" else [f">{largest_mm:g}", "-"]
+    return f"{kind:<10}{x:>7}{y:>7}" + "".join(f"{size:>8}" for size in sizes) + f"  {state}".rstrip()
+
+
+def write_card(path: Path, card: DetectabilityCard) -> bool:
+    """Put the card into a bundle, in place of an older one; at once or not at all.
+
+    A signature no longer holds and is removed: True where there was one. Errors: BundleError, StoreError.
+    """
+    archive = open_archive(path)
+    manifest = parse_manifest(archive.read(MANIFEST, MAX_MANIFEST_BYTES), archive.where)
+    files = {entry.file: read_verified(archive, entry) for entry in manifest.files}
+    facts = {**manifest.facts, CARD: card.model_dump(mode="json")}
+    files[MANIFEST] = manifest_bytes(manifest.model_copy(update={"facts": facts}))
+    was_signed = archive.has(SIGNATURE)
+    try:
+        write_bundle(path, files, overwrite=True)
+    except OSError as error:
+        raise StoreError(
+            f"{path} cannot be written: {error.strerror or error}; free some space, or make it writable"
+        ) from error
+    return was_signed

@@ -1,0 +1,356 @@
+"""The places of a contact: a grid over the inspected region, and spots in it where a press touches."""
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.experiments.detectability.judges import MIN_PRESSES, Judge, panel
+from calibration.fitting.damage.damage import KINDS, Spot
+from calibration.fitting.damage.imprint import Station
+from calibration.fitting.damage.rendering import EditedPress
+from calibration.fitting.presses.colours import refuses
+from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.simulator.constants import CROP_MM
+from calibration.simulator.field_of_view import F32, Field, grids
+from calibration.simulator.sensor_appearance import SENSORS, background
+from calibration.threads import one_blas_thread
+from edge.core.errors import DatasetError, NotScorable
+from edge.core.imaging.sensor_check import colour_cells, colour_distance
+from edge.model.bundle import Bundle
+from edge.model.detectability import JudgedBy
+
+__all__ = ["Place", "PlaceGrid", "Plan", "Settings", "Trial", "free_gel", "plan", "run", "touched_places"]
+
+# A press touches a place where it touches this share of it; a place is of the contact where half of the presses do.
+_TOUCHED_SHARE = 0.1
+_PRESSES_SHARE = 0.5
+
+
+@dataclass(frozen=True, order=True)
+class Place:
+    """One cell of the grid, by its row and column."""
+
+    row: int
+    column: int
+
+
+@dataclass(frozen=True)
+class PlaceGrid:
+    """Equal cells over a field, about `spacing_mm` wide. Errors: ValueError for a spacing that is not positive."""
+
+    field: Field
+    spacing_mm: float
+
+    def __post_init__(self) -> None:
+        if not self.spacing_mm > 0:
+            raise ValueError(f"the spacing of places is positive, found {self.spacing_mm} mm")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        across, down = (max(1, round(extent / self.spacing_mm)) for extent in self.field.extent_mm)
+        return down, across
+
+    def middle_mm(self, place: Place) -> tuple[float, float]:
+        """The middle of a place: x right and y down from the middle of the region."""
+        (rows, columns), (width, height) = self.shape, self.field.extent_mm
+        return ((place.column + 0.5) / columns - 0.5) * width, ((place.row + 0.5) / rows - 0.5) * height
+
+    def pixels(self, place: Place) -> tuple[slice, slice]:
+        """The rows and columns of pixels of a place."""
+        sides = zip((place.row, place.column), self.shape, self.field.shape, strict=True)
+        down, across = (slice(round(k * size / n), round((k + 1) * size / n)) for k, n, size in sides)
+        return down, across
+
+    def touched(self, contact: NDArray[np.bool_], place: Place) -> bool:
+        """Say whether a press with this contact, bool (h, w), touches the place."""
+        return bool(contact[self.pixels(place)].mean() >= _TOUCHED_SHARE)
+
+    def spot(self, contact: NDArray[np.bool_], place: Place, rng: np.random.Generator) -> Spot | None:
+        """A spot in the place where the press touches, with any direction; None where it does not touch it."""
+        cell = self.pixels(place)
+        if not self.touched(contact, place):
+            return None
+        x, y = (axis[cell][contact[cell]] for axis in grids(self.field))
+        pick = rng.integers(len(x))
+        return Spot(float(x[pick]), float(y[pick]), float(rng.uniform(0, math.pi)))
+
+
+def touched_places(grid: PlaceGrid, contacts: Sequence[NDArray[np.bool_]]) -> tuple[Place, ...]:
+    """The places that at least half of the presses touch, row by row. contacts: bool (h, w) each."""
+    rows, columns = grid.shape
+    return tuple(
+        place
+        for place in (Place(row, column) for row in range(rows) for column in range(columns))
+        if np.mean([grid.touched(contact, place) for contact in contacts]) >= _PRESSES_SHARE
+    )
+
+
+_CELLS = (8, 8)
+# Presses of one unit lie within this share of the light of its free gel, those of other units at 3 % to 37 %
+# (docs/bundle.md); a unit nearer than this gives the same slopes within the accuracy of the response.
+_NEAR_UNIT = 0.1
+
+
+def free_gel(bundle: Bundle, presses: NominalPresses) -> tuple[F32, str | None]:
+    """The free gel in the region, float32 (h, w, 3), and a warning where it is not of this station.
+
+    From the presses' own pictures of it, else the bundle's, else from the nearest known unit. Errors: DatasetError
+    where no unit is near.
+    """
+    if presses.no_contact is not None:
+        return np.asarray(presses.no_contact.mean(axis=0, dtype=np.float64), np.float32), None
+    if bundle.free_view is not None:
+        view = cv2.resize(
+            bundle.free_view.astype(np.float32), bundle.profile.size, interpolation=cv2.INTER_LINEAR
+        )
+        return np.ascontiguousarray(bundle.region.crop(np.asarray(view, np.float32))), None
+    return _of_nearest_unit(bundle, presses)
+
+
+def _of_nearest_unit(bundle: Bundle, presses: NominalPresses) -> tuple[F32, str]:
+    whole = Field(bundle.profile.size, bundle.profile.mm_per_pixel)
+    units = {
+        name: np.ascontiguousarray(bundle.region.crop(background(unit, whole).transpose(1, 2, 0)))
+        for name, unit in SENSORS.items()
+    }
+    mean = presses.frames.mean(axis=0, dtype=np.float64)
+    away = {name: colour_distance(_cells(mean), _cells(unit)) for name, unit in units.items()}
+    nearest = min(away, key=away.__getitem__)
+    if away[nearest] > _NEAR_UNIT:
+        raise DatasetError(
+            f"neither the presses nor bundle {bundle.where} have a picture of the free gel, and the nearest unit whose "
+            f"light is known differs by {away[nearest]:.0%} of the light; give a picture of it with --no-contact"
+        )
+    return units[nearest], (
+        f"there is no picture of the free gel: the colours of the known unit '{nearest}' stand for it, which differ by "
+        f"{away[nearest]:.1%} of the light; give one with --no-contact for exact places of contact"
+    )
+
+
+def _cells(picture: NDArray[np.floating]) -> NDArray[np.float64]:
+    return colour_cells(np.clip(np.rint(picture), 0, 255).astype(np.uint8), _CELLS)
+
+
+FORMAT = 1
+"""Of a row; rows of another format are done again."""
+
+# The light's response is known for the maker's crop alone; another crop shows another part of the gel.
+_CROP_TOLERANCE = 0.1
+
+
+@dataclass(frozen=True)
+class Settings:
+    """kinds: of damage. presses: how many are edited at most. spacing_mm: between places. seed: fixes every choice."""
+
+    kinds: tuple[str, ...] = tuple(KINDS)
+    presses: int = 8
+    spacing_mm: float = 1.5
+    seed: int = 0
+    threads: int = 2
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One kind of damage at one spot of one press: the smallest size found is in (low_mm, high_mm]."""
+
+    kind: str
+    place: Place
+    press: str
+    spot: Spot
+    low_mm: float
+    high_mm: float
+
+    def row(self, key: str) -> dict[str, Any]:
+        """Return the row as it is stored; an infinite size is null."""
+        return {
+            "key": key,
+            "kind": self.kind,
+            "place": [self.place.row, self.place.column],
+            "press": self.press,
+            "spot": [self.spot.x_mm, self.spot.y_mm, self.spot.turn_rad],
+            "low_mm": self.low_mm,
+            "high_mm": None if math.isinf(self.high_mm) else self.high_mm,
+        }
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any]) -> "Trial":
+        high = math.inf if row["high_mm"] is None else row["high_mm"]
+        return cls(row["kind"], Place(*row["place"]), row["press"], Spot(*row["spot"]), row["low_mm"], high)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Everything that a study needs, before its first trial."""
+
+    bundle: Bundle
+    settings: Settings
+    grid: PlaceGrid
+    presses: dict[str, EditedPress]
+    """To edit, by their names."""
+    judges: dict[str, Judge]
+    """The judge of each press."""
+    places: tuple[Place, ...]
+    by: JudgedBy
+    false_alarms: tuple[str, ...]
+    """Names of presses that fail without damage; they are not edited."""
+    refused: tuple[str, ...]
+    """Names of presses of another sensor."""
+    warning: str | None = None
+    """What is not known of the light."""
+
+    @property
+    def total(self) -> int:
+        """Trials at most: a press that does not touch a place has none there."""
+        return len(self.settings.kinds) * len(self.places) * len(self.presses)
+
+    def key(self, kind: str, place: Place, press: str) -> str:
+        """Hash what a trial depends on: rows of other bundles and settings are not taken for its own."""
+        edited = self.presses[press]
+        facts = [FORMAT, self.bundle.digest, self.by, kind, place.row, place.column, press]
+        facts += [
+            self.settings.spacing_mm,
+            self.settings.seed,
+            hashlib.sha256(edited.rgb.tobytes()).hexdigest(),
+        ]
+        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:24]
+
+
+@one_blas_thread()
+def plan(
+    bundle: Bundle,
+    presses: NominalPresses,
+    settings: Settings,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> Plan:
+    """Choose presses, judges and places. presses: cut to the bundle's region.
+
+    Errors: DatasetError (presses of another sensor, too few of them, none with contact, no picture of the free gel),
+    FitError where a fold cannot be fitted.
+    """
+    free, warning = free_gel(bundle, presses)
+    station = Station(bundle.profile, bundle.region, free)
+    refused = tuple(
+        name
+        for name, rgb in zip(presses.names, presses.frames, strict=True)
+        if refuses(bundle.manifest.colours, rgb)
+    )
+    _require_station(bundle, presses, refused)
+    chosen = panel(bundle, presses, settings.seed, settings.threads, progress)
+    edited = {
+        presses.names[k]: (EditedPress(station, presses.frames[k]), judge)
+        for k, judge in chosen.judges.items()
+        if presses.names[k] not in refused
+    }
+    _require_contact(bundle, [press for press, _ in edited.values()])
+    kept, failing = _passing(bundle, edited, settings.presses)
+    grid = PlaceGrid(station.field, settings.spacing_mm)
+    places = touched_places(grid, [one.contact for one in kept.values()])
+    if not places:
+        raise DatasetError(
+            f"the {len(kept)} presses touch no common place of the region {bundle.region}; press one position, or "
+            "choose a larger --spacing"
+        )
+    judges = {name: edited[name][1] for name in kept}
+    return Plan(bundle, settings, grid, kept, judges, places, chosen.by, failing, refused, warning)
+
+
+def run(
+    planned: Plan,
+    done: Mapping[str, Trial],
+    keep: Callable[[dict[str, Any]], None],
+    advance: Callable[[int], None],
+) -> list[Trial]:
+    """Every trial, in the order of places, presses and kinds. done: trials of an earlier run, by their key.
+
+    keep: stores a row as soon as its trial is finished. advance: called with the trials done.
+    """
+    trials: list[Trial] = []
+    count = 0
+    for place in planned.places:
+        for number, name in enumerate(planned.presses):
+            for kind in planned.settings.kinds:
+                key = planned.key(kind, place, name)
+                trial = done.get(key) or _trial(planned, kind, place, name, number)
+                if trial is not None:
+                    if key not in done:
+                        keep(trial.row(key))
+                    trials.append(trial)
+                count += 1
+                advance(count)
+    return trials
+
+
+def _trial(planned: Plan, kind: str, place: Place, name: str, number: int) -> Trial | None:
+    """Prepare a trial; None where the press does not touch the place."""
+    press = planned.presses[name]
+    seed = [planned.settings.seed, tuple(KINDS).index(kind), place.row, place.column, number]
+    spot = planned.grid.spot(press.contact, place, np.random.default_rng(seed))
+    if spot is None:
+        return None
+    low, high = planned.judges[name].bracket(press, kind, spot)
+    return Trial(kind, place, name, spot, low, high)
+
+
+def _passes(judge: Judge, press: EditedPress) -> bool:
+    try:
+        return judge.passes(press.rgb)
+    except NotScorable:
+        return False
+
+
+def _require_station(bundle: Bundle, presses: NominalPresses, refused: Sequence[str]) -> None:
+    """Check the sensor. Errors: DatasetError where its light is not known, or for presses of another one."""
+    profile = bundle.profile
+    seen = tuple(round(n * m, 1) for n, m in zip(profile.size, profile.mm_per_pixel, strict=True))
+    if any(abs(found / crop - 1) > _CROP_TOLERANCE for found, crop in zip(seen, CROP_MM, strict=True)):
+        raise DatasetError(
+            f"the light of a GelSight Mini is known for its crop of {CROP_MM[0]:.1f} x {CROP_MM[1]:.1f} mm, and the "
+            f"profile '{profile.name}' of bundle {bundle.where} shows {seen[0]} x {seen[1]} mm; fit with one of the "
+            "profiles of that crop"
+        )
+    if len(presses) - len(refused) < MIN_PRESSES <= len(presses):
+        raise DatasetError(
+            f"{len(refused)} of {len(presses)} presses are of another sensor by their colours, the first "
+            f"{refused[0]}; give presses of the station that bundle {bundle.where} was fitted on"
+        )
+
+
+def _require_contact(bundle: Bundle, presses: Sequence[EditedPress]) -> None:
+    """Refuse presses without contact. Errors: DatasetError where no press touches."""
+    if not any(press.contact.any() for press in presses):
+        raise DatasetError(
+            f"none of the {len(presses)} presses touches the region {bundle.region}: no contact is seen against the "
+            "picture of the free gel; give presses of this station, and its free gel with --no-contact"
+        )
+
+
+def _passing(
+    bundle: Bundle, edited: Mapping[str, tuple[EditedPress, Judge]], wanted: int
+) -> tuple[dict[str, EditedPress], tuple[str, ...]]:
+    """The first presses that pass without damage, as many as wanted, and the names of those before that do not.
+
+    Errors: DatasetError where too few pass.
+    """
+    kept: dict[str, EditedPress] = {}
+    failing: list[str] = []
+    for name, (press, judge) in edited.items():
+        if len(kept) == wanted:
+            break
+        if _passes(judge, press):
+            kept[name] = press
+        else:
+            failing.append(name)
+    if len(kept) < MIN_PRESSES:
+        raise DatasetError(
+            f"{len(failing)} of {len(edited)} presses fail without any damage, so {len(kept)} can be edited and "
+            f"{MIN_PRESSES} are needed; bundle {bundle.where} does not know such presses: fit again"
+        )
+    return kept, tuple(failing)

@@ -1,0 +1,170 @@
+"""Feature maps in files, found by their content: extracted once, shared by all processes through memory maps."""
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from calibration.experiments.harness.pictures import PressPictures
+from calibration.fitting.features import extract, trunk_grid
+from calibration.fitting.trunks import Trunk
+from edge.core.detector import Features, Grid, Progress
+from edge.core.errors import ConfigError, GelgateError, StoreError
+from edge.model.manifest import GridEntry
+from edge.model.session import open_session
+
+__all__ = ["CACHE_FORMAT", "FeatureCache", "Taken"]
+
+CACHE_FORMAT = 1
+_VERSION_FILE, _GRID_FILE = "cache.json", "grid.json"
+
+# Pictures decoded at once: memory stays small also for 1280x720.
+_AT_ONCE = 16
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Features and their geometry."""
+
+    grid: Grid
+    features: Features
+    """Tap to float32 (n, c, h, w), memory-mapped and read-only."""
+
+    def each(
+        self, rows: Sequence[int] | NDArray[np.int64], taps: Sequence[str]
+    ) -> dict[str, list[NDArray[np.float32]]]:
+        """The map (1, c, h, w) of each press, for some taps, in the file: read when it is used."""
+        return {tap: [self.features[tap][row : row + 1] for row in rows] for tap in taps}
+
+    def grid_of(self, taps: Sequence[str]) -> Grid:
+        """The geometry of some taps."""
+        grid = self.grid
+        return Grid(grid.frame, {tap: grid.taps[tap] for tap in taps}, grid.pixels_per_mm, grid.tiles)
+
+
+class FeatureCache:
+    """A folder of feature maps. Several processes may use it at once: an entry appears complete or not at all.
+
+    Errors: ConfigError for a cache of another format, or a folder that is none.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        _check_version(folder)
+
+    def features(
+        self,
+        trunk: Trunk,
+        taps: Sequence[str],
+        pictures: PressPictures,
+        progress: Progress = lambda fraction: None,
+        threads: int = 1,
+    ) -> Taken:
+        """The trunk's taps for the pictures, extracted if no entry has the same trunk, taps, pictures and runtime.
+
+        Errors: FitError, DatasetError; StoreError for a full disk.
+        """
+        entry = self.folder / _key(trunk, taps, pictures)
+        found = _open_entry(entry)
+        if found is None:
+            self._add(entry, lambda part: _write(part, trunk, taps, pictures, progress, threads))
+            found = _open_entry(entry)
+        if found is None:
+            raise StoreError(
+                f"'{entry}' was written and cannot be read; see to the disk, or choose another --cache"
+            )
+        progress(1.0)
+        return found
+
+    def _add(self, entry: Path, write: Callable[[Path], None]) -> None:
+        """Write an entry under another name, then give it its own."""
+        shutil.rmtree(entry, ignore_errors=True)
+        part = Path(tempfile.mkdtemp(prefix="part-", dir=self.folder))
+        try:
+            write(part)
+            os.rename(part, entry)
+        except GelgateError:
+            raise
+        except OSError as error:
+            if not entry.is_dir():  # else another process was faster
+                raise StoreError(
+                    f"the features cannot be written to '{self.folder}': {error.strerror}; "
+                    "free some space or choose another folder with --cache, and give the same command again"
+                ) from error
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+
+def _check_version(folder: Path) -> None:
+    path = folder / _VERSION_FILE
+    try:
+        if not path.is_file():
+            folder.mkdir(parents=True, exist_ok=True)
+            if any(folder.iterdir()):
+                raise ConfigError(
+                    f"'{folder}' has other files and is no cache of features; choose an empty --cache"
+                )
+            _write_atomically(path, json.dumps({"format": CACHE_FORMAT}).encode())
+        found = json.loads(path.read_bytes()).get("format")
+    except (ValueError, AttributeError):
+        found = None
+    except OSError as error:
+        raise StoreError(
+            f"the cache '{folder}' cannot be used: {error.strerror}; choose another --cache"
+        ) from error
+    if found != CACHE_FORMAT:
+        raise ConfigError(
+            f"the cache '{folder}' has format {found!r}, this program reads format {CACHE_FORMAT}; "
+            "remove the folder, or choose another with --cache"
+        )
+
+
+def _write_atomically(path: Path, data: bytes) -> None:
+    part = path.with_name(f"{path.name}.{os.getpid()}")
+    part.write_bytes(data)
+    os.replace(part, path)
+
+
+def _key(trunk: Trunk, taps: Sequence[str], pictures: PressPictures) -> str:
+    text = json.dumps([CACHE_FORMAT, ort.__version__, trunk.sha256, sorted(taps), pictures.sha256])
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _open_entry(entry: Path) -> Taken | None:
+    """An entry; None where there is none, or a file of it is incomplete."""
+    try:
+        grid = GridEntry.model_validate_json((entry / _GRID_FILE).read_bytes()).grid()
+        return Taken(grid, {tap: np.load(entry / f"{tap}.npy", mmap_mode="r") for tap in grid.taps})
+    except (OSError, ValueError):
+        return None
+
+
+def _write(
+    folder: Path, trunk: Trunk, taps: Sequence[str], pictures: PressPictures, progress: Progress, threads: int
+) -> None:
+    """Write one .npy file per tap as a stream: a full disk is an error of a write, not of a memory map."""
+    session = open_session(trunk.graph, threads, f"trunk '{trunk.id}'")
+    grid = trunk_grid(session, tuple(sorted(taps)), pictures.view.shape, pictures.view.pixels_per_mm)
+    with ExitStack() as stack:
+        files = {tap: stack.enter_context((folder / f"{tap}.npy").open("wb")) for tap in grid.taps}
+        for tap, file in files.items():
+            np.lib.format.write_array_header_2_0(
+                file, {"descr": "<f4", "fortran_order": False, "shape": (len(pictures), *grid.taps[tap])}
+            )
+        for start in range(0, len(pictures), _AT_ONCE):
+            stop = min(start + _AT_ONCE, len(pictures))
+            for tap, maps in extract(
+                session, pictures.read(start, stop), grid, lambda fraction: None
+            ).items():
+                files[tap].write(np.ascontiguousarray(maps).data)
+            progress(stop / len(pictures))
+    (folder / _GRID_FILE).write_text(GridEntry.of(grid).model_dump_json())

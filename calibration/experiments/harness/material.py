@@ -1,0 +1,143 @@
+"""What the cells of one part, position and backbone have in common: presses, features, masks."""
+
+import importlib.metadata
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.dataset.remarks import empty_masks, repeated_pictures
+from calibration.experiments.harness.cells import Cell
+from calibration.experiments.harness.detector_settings import overrides_for, write_overrides
+from calibration.experiments.harness.feature_cache import FeatureCache, Taken
+from calibration.experiments.harness.presses import StudyPresses, open_presses, presses_of
+from calibration.experiments.harness.scoring import Scored, TestPresses, fit_and_score
+from calibration.fitting.trunks import Trunk, open_trunk
+from edge import registry
+from edge.core.detector import Nominal, Progress
+
+__all__ = ["Drawn", "Material", "Place", "fit_cell", "material"]
+
+
+@dataclass(frozen=True)
+class Place:
+    """What identifies material."""
+
+    dataset: Path
+    cache: Path
+    part: str
+    position: str
+    backbone: str
+    taps: tuple[str, ...]
+    """The taps that are extracted, of all methods together."""
+
+    def __str__(self) -> str:
+        return f"{self.part}/{self.position} on {self.backbone}"
+
+    def show(self, trunk: Trunk) -> Trunk:
+        """Return a trunk as it sees the presses here."""
+        return trunk
+
+    def require_room(self) -> None:
+        """Check the disk. Errors: StoreError where the features of large pictures do not fit on the disk."""
+
+    def covers(self, row: Mapping[str, Any]) -> bool:
+        """Return whether a row of this study was made from what is here."""
+        return all(row[name] == getattr(self, name) for name in ("part", "position", "backbone"))
+
+    def extract(self, progress: Progress = lambda fraction: None, threads: int = 1) -> "Material":
+        """Return the material, its features from the cache. Errors: DatasetError, FitError, ConfigError, StoreError."""
+        presses = presses_of(open_presses(self.dataset), self.part, self.position)
+        return Material(self, presses, *self.take(presses, progress, threads))
+
+    def take(self, presses: StudyPresses, progress: Progress, threads: int) -> tuple[Trunk, Taken]:
+        """Return the trunk, and the features that it gives of the presses."""
+        trunk = self.show(open_trunk(self.backbone, self.taps))
+        features = FeatureCache(self.cache).features
+        return trunk, features(trunk, self.taps, presses.pictures, progress, threads)
+
+
+@dataclass(frozen=True)
+class Material:
+    """Presses with the features of all of them."""
+
+    place: Place
+    presses: StudyPresses
+    trunk: Trunk
+    """The one that gave the features."""
+    taken: Taken
+
+    def test(self, rows: NDArray[np.int64], taps: Sequence[str]) -> TestPresses:
+        """Return some presses to be scored."""
+        is_defective = rows >= self.presses.nominal
+        masks = np.zeros((len(rows), *self.presses.masks.shape[1:]), np.bool_)
+        masks[is_defective] = self.presses.masks[rows[is_defective] - self.presses.nominal]
+        return TestPresses(self.taken.each(rows, taps), masks, is_defective)
+
+    @cached_property
+    def remarks(self) -> list[str]:
+        """Sentences on what may be a mistake: empty masks of some presses, and copies of pictures."""
+        presses, where = self.presses.pictures.presses, f"{self.presses.part}/{self.presses.position}"
+        return [
+            *empty_masks(where, presses[self.presses.nominal :], self.presses.masks),
+            *repeated_pictures(where, presses, self.presses.pictures.digests),
+        ]
+
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        """Columns that say what the rows were made from, the same on every machine."""
+        return {
+            "pictures_sha256": self.presses.pictures.sha256[:16],
+            "trunk_sha256": self.trunk.sha256[:16],
+            "weights": str(
+                self.trunk.facts.get("weights") or self.trunk.facts.get("file", "of unknown origin")
+            ),
+            "program": importlib.metadata.version("gelgate"),
+        }
+
+
+@lru_cache(maxsize=2)
+def material(place: Place) -> Material:
+    """Return the material of a place; that of the last two is kept."""
+    return place.extract()
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What a cell takes of one material. learnt, tested: rows of presses."""
+
+    material: Material
+    learnt: NDArray[np.int64]
+    tested: NDArray[np.int64]
+
+
+def fit_cell(
+    cell: Cell,
+    *drawn: Drawn,
+    also: Callable[[Scored, Sequence[TestPresses]], Mapping[str, Any]] = lambda scored, tests: {},
+) -> dict[str, Any]:
+    """Fit the cell's method on all that is learnt and score all that is tested; return the columns of its row.
+
+    also: more columns, from the scores and the test presses of each material. Errors: FitError, NotScorable.
+    """
+    detector = registry.detector(cell.method)
+    overrides = overrides_for(cell.method, cell.mode, cell.backbone)
+    taps = detector.taps(detector.parameters(cell.mode, **overrides))
+    learnt = {tap: [one.material.taken.features[tap][one.learnt] for one in drawn] for tap in taps}
+    tests = [one.material.test(one.tested, taps) for one in drawn]
+    measured = fit_and_score(
+        detector,
+        cell.mode,
+        Nominal({tap: np.asarray(np.concatenate(maps)) for tap, maps in learnt.items()}),
+        drawn[0].material.taken.grid_of(taps),
+        TestPresses.join(tests),
+        seed=cell.seed,
+        overrides=overrides,
+        also=lambda scored: also(scored, tests),
+    )
+    changed = {"changed": write_overrides(overrides)} if overrides else {}
+    return {**measured, **drawn[0].material.facts, **changed}

@@ -1,0 +1,261 @@
+"""What every study does: check its options, extract features once, run the cells, and leave rows."""
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from operator import itemgetter
+from pathlib import Path
+from typing import Any, Self, get_args
+
+from calibration.dataset import Dataset
+from calibration.experiments.harness.cells import Cell, Setting, Split
+from calibration.experiments.harness.cluster import check_address
+from calibration.experiments.harness.detector_settings import taps_of
+from calibration.experiments.harness.material import Material, Place
+from calibration.experiments.harness.rows import ROWS_FILE, Rows
+from calibration.experiments.harness.runner import Evaluate, Show, run
+from calibration.experiments.harness.stable import find_stable_fraction
+from calibration.fitting.trunks import DEFAULT_BACKBONE, every_cut
+from calibration.progress import progress
+from edge import registry
+from edge.core.detector import Mode
+from edge.core.errors import ConfigError, DatasetError, FitError
+from edge.core.suggest import suggestion
+from edge.extras import needs
+
+__all__ = [
+    "ROWS_FILE",
+    "Evaluation",
+    "Options",
+    "check_same",
+    "choose_places",
+    "make_cells",
+    "prepare",
+    "require_known",
+    "run_cells",
+    "say_once",
+]
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a study is asked for. Empty methods, modes, backbones and splits become the defaults.
+
+    Errors: ConfigError for an unknown method, mode or split, an output that is a file, what is no address, or a missing
+    extra.
+    """
+
+    dataset: Path
+    output: Path
+    cache: Path | None = None
+    """The folder of features; None is a folder in the output."""
+    parts: tuple[str, ...] = ()
+    position: str | None = None
+    """The reference position, None is each part's first."""
+    methods: tuple[str, ...] = ()
+    modes: tuple[Mode, ...] = ()
+    backbones: tuple[str, ...] = ()
+    splits: tuple[Split, ...] = ()
+    seeds: int = 10
+    held_out: int = 20
+    fraction: float | None = None
+    """Of the pool, in (0, 1], that every method learns from; None is each method's stable one."""
+    jobs: int = 1
+    dask: str | None = None
+    show: Show = progress
+
+    def __post_init__(self) -> None:
+        if self.output.exists() and not self.output.is_dir():
+            raise ConfigError(
+                f"the output '{self.output}' is a file; name a folder, new or of an earlier run"
+            )
+        needs("studies" if self.dask is None else "cluster", "study" if self.dask is None else "study --dask")
+        if self.dask is not None:
+            check_address(self.dask)
+        defaults = {
+            "parts": (),
+            "methods": methods_to_compare(),
+            "modes": ("corrected",),
+            "backbones": (DEFAULT_BACKBONE,),
+            "splits": ("press",),
+        }
+        for name, default in defaults.items():
+            object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))) or default)
+        require_known("mode", self.modes, get_args(Mode))
+        require_known("split", self.splits, get_args(Split))
+        require_known("method", self.methods, registry.names("detectors"))
+
+    @property
+    def features(self) -> Path:
+        """The folder of the cache, absolute: a worker may have another working folder."""
+        return (self.cache or self.output / "features").absolute()
+
+    def fraction_of(self, method: str, mode: Mode, backbone: str, split: str) -> float:
+        """Return the share of the pool that a method learns from. Errors: ConfigError where it is not known."""
+        if self.fraction is not None:
+            return self.fraction
+        return find_stable_fraction(self.output / ROWS_FILE, method, mode, backbone, split)
+
+    def taps(self) -> dict[str, tuple[str, ...]]:
+        """Return by backbone the taps that all methods read. Errors: ConfigError, FitError."""
+        return {name: taps_of(self.methods, self.modes, name) for name in self.backbones}
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Evaluates the cells of a study."""
+
+    dataset: Path
+    cache: Path
+    taps: Mapping[str, tuple[str, ...]]
+    """By backbone, those that are extracted for all cells."""
+
+    @classmethod
+    def of(cls, options: Options) -> Self:
+        """Return that of what a study is asked for."""
+        return cls(options.dataset.absolute(), options.features, options.taps())
+
+    def place(self, cell: Cell, position: str | None = None) -> Place:
+        """Return where the cell's features come from. position: another one than the cell's."""
+        where = cell.part, position or cell.position, cell.backbone
+        return Place(self.dataset, self.cache, *where, self.taps[cell.backbone])
+
+
+def methods_to_compare() -> tuple[str, ...]:
+    """Every detector but the baselines."""
+    return tuple(n for n in registry.names("detectors") if not registry.detector(n).is_baseline)
+
+
+def require_known(what: str, given: Iterable[str], names: Iterable[str]) -> None:
+    """Check names. Errors: ConfigError, with the nearest name, for one that is not known."""
+    for name in given:
+        if name not in (known := tuple(names)):
+            raise ConfigError(f"no {what} is named '{name}'; {suggestion(name, known)}")
+
+
+def choose_places(dataset: Dataset, parts: Sequence[str], position: str | None) -> list[tuple[str, str]]:
+    """(part, position) of each part: the position given, or its first by name. Errors: DatasetError."""
+    known: dict[str, list[str]] = {}
+    for part, place in dataset.positions:
+        known.setdefault(part, []).append(place)
+    for part in parts:
+        if part not in known:
+            raise DatasetError(f"dataset '{dataset.root}' has no part '{part}'; {suggestion(part, known)}")
+    places = [(part, position or known[part][0]) for part in parts or known]
+    for part, place in places:
+        dataset.select(part, place)
+    return places
+
+
+def make_cells(
+    study: str, options: Options, place: tuple[str, str], varied: Sequence[Mapping[str, Setting]]
+) -> list[Cell]:
+    """Return the cells of a part and position with each of some settings.
+
+    Those without a number of presses have each method's fraction. The seed is the outer loop within a backbone, so that
+    an interrupted study has complete curves of fewer seeds, and the time left is estimated from cells of every kind.
+    Errors: ConfigError for a method whose stable fraction is not known.
+    """
+    fraction = cache(options.fraction_of)
+
+    def settings(own: Mapping[str, Setting], *setup: Any) -> tuple[tuple[str, Setting], ...]:
+        learnt = {} if own.keys() & {"fraction", "shots"} else {"fraction": fraction(*setup)}
+        return tuple(sorted({**own, **learnt, "held_out": options.held_out}.items(), key=itemgetter(0)))
+
+    return [
+        Cell(study, *place, method, mode, backbone, split, seed, settings(own, method, mode, backbone, split))
+        for backbone in options.backbones
+        for seed in range(options.seeds)
+        for own in varied
+        for split in options.splits
+        for mode in options.modes
+        for method in options.methods
+    ]
+
+
+def prepare(places: Iterable[Place], options: Options) -> list[Material]:
+    """Extract the features of each place, before any cell runs. Errors: DatasetError, FitError, StoreError."""
+    materials, remarks = list[Material](), list[str]()
+    for place in dict.fromkeys(places):
+        place.require_room()
+        materials.append(_extract(place, options))
+        remarks += materials[-1].remarks
+    say_once(remarks)
+    return materials
+
+
+def _extract(place: Place, options: Options) -> Material:
+    with options.show(f"features of {place}", 100) as advance:
+        return place.extract(lambda share: advance(int(100 * share)), min(options.jobs, os.cpu_count() or 1))
+
+
+def run_cells(
+    cells: Sequence[Cell],
+    evaluate: Evaluate,
+    options: Options,
+    materials: Sequence[Material] = (),
+    say: Say | None = None,
+) -> Rows:
+    """Run the cells that have no row in the output folder yet.
+
+    materials: what the cells are made from; rows of this study and the same places must be from the same. Errors:
+    ConfigError where they are not; else as `calibration.experiments.harness.runner.run`.
+    """
+    rows = Rows(options.output / ROWS_FILE, say or _say)
+    studies = {cell.study for cell in cells}
+    check_same((row for row in rows.read() if row["study"] in studies), materials, rows.path)
+    run(cells, evaluate, rows, jobs=options.jobs, dask=options.dask, progress=options.show)
+    return rows
+
+
+def check_same(rows: Iterable[Mapping[str, Any]], materials: Sequence[Material], path: Path) -> None:
+    """Check rows. Errors: ConfigError where they are from other pictures, another trunk or another program.
+
+    Other methods and the other mode read other layers: rows from the same trunk, cut after another one, are continued.
+    """
+    for row in rows:
+        for known in materials:
+            if known.place.covers(row):
+                _check_facts(row, known, path)
+
+
+def _check_facts(row: Mapping[str, Any], known: Material, path: Path) -> None:
+    for name, what in _FACTS.items():
+        now = known.facts[name]
+        found = row.get(name, now)
+        if found != now and not (name == "trunk_sha256" and found in _cuts(known.place)):
+            raise ConfigError(
+                f"'{path}' has rows of {row['part']}/{row['position']} from {what} ({found}, now {now}); choose "
+                "another output folder"
+            )
+
+
+def _cuts(place: Place) -> set[str]:
+    """Return hashes, as in rows, of every cut of a backbone's trunk that a study may have used."""
+    asked: set[tuple[str, ...]] = {()}
+    for mode in get_args(Mode):
+        with suppress(FitError):  # a backbone without the layers of one mode has rows of the other only
+            asked.add(taps_of(methods_to_compare(), (mode,), place.backbone))
+    return {place.show(cut).sha256[:16] for taps in asked for cut in every_cut(place.backbone, taps)}
+
+
+_FACTS = {
+    "pictures_sha256": "other pictures",
+    "trunk_sha256": "another trunk",
+    "program": "another version of the program",
+}
+
+
+def say_once(sentences: Iterable[str]) -> None:
+    """Each sentence once, to the person at the command line."""
+    for sentence in dict.fromkeys(sentences):
+        _say(sentence)
+
+
+def _say(sentence: str) -> None:
+    print(sentence, file=sys.stderr)

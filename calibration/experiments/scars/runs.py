@@ -1,0 +1,341 @@
+"""Runs of a simulated line: every press is judged as a station judges it, and the truth is known of each alarm.
+
+What raises an alarm is known by making the press again, without the scars or without the damage.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.experiments.scars.worn_gel import SCARS, Line, Placing, Scar, as_view, random_scar
+from calibration.fitting.fit import FitConfig, fit_files
+from calibration.fitting.presses.nominal_presses import gather_presses
+from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.simulator.defects import DEFECTS, Defect
+from calibration.simulator.field_of_view import F32, LR, grids
+from calibration.simulator.plan import place_damage
+from calibration.simulator.renderer import MASK_DEPTH_MM
+from edge import registry
+from edge.core.binomial import rate_limits
+from edge.core.contact.mask import touched_mask
+from edge.core.contact.reference import Reference, View
+from edge.core.errors import PoseNotFound
+from edge.core.gel_scars.causes import Cause
+from edge.core.gel_scars.gel_scars import GelScars, Judged
+from edge.core.gel_scars.press import ScoredPress
+from edge.core.gel_scars.without_marks import without_marks
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
+from edge.model.scorer import Scored, Scorer
+
+__all__ = ["MEANINGS", "Alarm", "Run", "Station", "Truth", "format_rate", "table"]
+
+U8 = NDArray[np.uint8]
+
+NOMINAL: Final = 24
+PRESSES: Final = 24
+# Presses before which a scar appears; the gel has its record of quiet presses then.
+_SCARRED_AT: Final = (4, 10, 16)
+_DAMAGED_SHARE: Final = 0.35
+# Pieces in a row with damage at one place, as from a broken tool: the hard case of a fixture.
+_SERIES: Final = 4
+_INSPECTED_MM: Final = 6.3
+_METHOD: Final = "padim"
+# The default of `gel.most_blind_share`: above it the gel is changed.
+MOST_BLIND: Final = 0.05
+
+Truth = Literal["scar", "damage", "both", "wear"]
+"""What raises the alarm: without the scar, or without the damage, the press passes. both: each alone raises it. wear:
+the ordinary wear that the simulator adds to every gel."""
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """One press that did not pass."""
+
+    placing: str
+    gel: int
+    press: int
+    truth: Truth
+    cause: str
+    what: str
+    """The kinds of scar or damage."""
+    blind_share: float
+
+
+@dataclass(eq=False)
+class Station:
+    """A placing with a bundle fitted on presses of the new gel. threads: of fit and scoring."""
+
+    line: Line
+    scorer: Scorer
+    first: F32
+
+    @classmethod
+    def fit(cls, placing: Placing, seed: int, threads: int = 1) -> "Station":
+        """Learn 24 presses of sound pieces."""
+        line = Line(placing, seed)
+        sensor = profile("cropped_lr")
+        pictures = {
+            f"s{piece:03d}_p0": line.press(line.imprint(piece), piece, piece) for piece in range(NOMINAL)
+        }
+        region = Region.centre(sensor.size)
+        presses = gather_presses(
+            pictures, sensor, region, no_contact=[line.free_picture(k) for k in range(_FREE)]
+        )
+        detector = registry.detector(_METHOD)
+        trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
+        config = FitConfig(
+            placing.part,
+            placing.position or "top",
+            sensor,
+            region,
+            detector,
+            trunk,
+            threads=threads,
+            register="always" if placing.is_registered else "never",
+        )
+        bundle = fit_files(presses, config, created="2026-01-01").bundle()
+        return cls(line, Scorer(bundle, threads), line.free_gel(NOMINAL))
+
+    def score(self, rgb: U8) -> Scored | None:
+        """Score a picture; None where the part is not found."""
+        return self._score(self._crop(rgb))
+
+    def passes(self, scored: Scored | None, masked: NDArray[np.bool_] | None = None) -> bool:
+        """masked: bool (h, w), places that are not judged."""
+        if scored is None:
+            return False
+        rest = scored.score_map if masked is None else np.where(masked, -np.inf, scored.score_map)
+        return bool(rest.max() <= self._limit(scored))
+
+    def press(self, scored: Scored, rgb: U8, contact: NDArray[np.bool_]) -> ScoredPress:
+        """Return the press as the gateway gives it to the record of the gel."""
+        bundle, found = self.scorer.bundle, scored.registered
+        x_mm, y_mm = bundle.profile.mm_per_pixel
+        cropped, size, region = self._crop(rgb), bundle.profile.size, bundle.region
+
+        def score_map(change: View) -> F32 | None:
+            again = self._score(without_marks(cropped, change, size, region))
+            return None if again is None else again.score_map
+
+        return ScoredPress(
+            scored.score_map,
+            self._limit(scored),
+            region,
+            size,
+            (x_mm, y_mm),
+            contact,
+            None if found is None else found.unseen_in_press,
+            None if found is None else (found.pose.x_px * x_mm, found.pose.y_px * y_mm),
+            score_map,
+        )
+
+    def _crop(self, rgb: U8) -> U8:
+        return np.ascontiguousarray(self.scorer.bundle.region.crop(rgb))
+
+    def _score(self, cropped: U8) -> Scored | None:
+        try:
+            return self.scorer.score(cropped)
+        except PoseNotFound:
+            return None
+
+    def _limit(self, scored: Scored) -> float:
+        manifest = self.scorer.bundle.manifest
+        return manifest.threshold.value - manifest.tolerance.around(scored.anomaly_score)
+
+
+_FREE: Final = 6
+
+
+@dataclass(eq=False)
+class Run:
+    """One gel from its first press on, and those that follow it."""
+
+    station: Station
+    gel: int
+    """Its number; it draws scars, damage and order."""
+    flattened: float = 0.0
+    """The share of a scar that contact presses flat, 0 to 1."""
+    alarms: list[Alarm] = field(default_factory=list)
+    presses: int = 0
+    false: int = 0
+    gels: int = 1
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng([self.station.line.seed, self.gel])
+        self._scars: list[Scar] = []
+        self._gel = GelScars(first=self.station.first)
+        self._series: list[Defect] = []
+
+    def play(self) -> "Run":
+        """Every press; returns itself."""
+        before, left = None, None
+        for number in range(PRESSES):
+            piece, age = 1000 * (self.gel + 1) + number, NOMINAL + number
+            self._scar(number, piece)
+            defect = self._defect(piece)
+            imprint = self.station.line.imprint(piece, defect)
+            free = self.station.line.free_gel(age, self._shares(number), before)
+            rgb = self.station.line.press(imprint, piece, age, self._scars_at(number))
+            self._judge(number, piece, age, imprint, defect, rgb, free, left)
+            before, left = imprint, as_view(rgb) - free
+        return self
+
+    def _judge(
+        self,
+        number: int,
+        piece: int,
+        age: int,
+        imprint: F32,
+        defect: Defect | None,
+        rgb: U8,
+        free: F32,
+        left: F32 | None,
+    ) -> None:
+        scored = self.station.score(rgb)
+        if scored is None:
+            return
+        self.presses += 1
+        contact = touched_mask(Reference(free, 1, 0).difference(as_view(rgb)))
+        judged = self._gel.judge(self.station.press(scored, rgb, contact), free, left)
+        if judged.blame is not None:
+            self._add(number, piece, age, imprint, defect, judged)
+        if judged.blind_share > MOST_BLIND:
+            self._new_gel()
+
+    def _new_gel(self) -> None:
+        """The station asks for it."""
+        self._scars.clear()
+        self._gel = GelScars(first=self.station.first)
+        self.gels += 1
+
+    def _add(
+        self, number: int, piece: int, age: int, imprint: F32, defect: Defect | None, judged: Judged
+    ) -> None:
+        assert judged.blame is not None
+        truth = self._truth(number, piece, age, imprint, defect, judged)
+        if truth is None:
+            self.false += 1
+            return
+        what = defect.kind if defect else "+".join(sorted({one.kind for one in self._scars})) or "-"
+        placing = self.station.line.placing.name
+        self.alarms.append(
+            Alarm(placing, self.gel, number, truth, judged.blame.cause.value, what, judged.blind_share)
+        )
+
+    def _truth(
+        self, number: int, piece: int, age: int, imprint: F32, defect: Defect | None, judged: Judged
+    ) -> Truth | None:
+        """Say what an alarm is due to; None for a false alarm."""
+        station, shares = self.station, self._scars_at(number)
+        if defect is not None:
+            sound = station.score(station.line.press(station.line.imprint(piece), piece, age, shares))
+            return "damage" if station.passes(sound, judged.masked) else "both"
+        if shares:
+            return "scar" if station.passes(self._again(piece, age, imprint)) else None
+        return "wear" if station.passes(self._again(piece, 0, imprint)) else None
+
+    def _again(self, piece: int, age: int, imprint: F32) -> Scored | None:
+        """Score the same press of a gel without scars."""
+        return self.station.score(self.station.line.press(imprint, piece, age))
+
+    def _shares(self, number: int) -> tuple[tuple[Scar, float], ...]:
+        return tuple((one, one.share(number)) for one in self._scars)
+
+    def _scars_at(self, number: int) -> tuple[tuple[Scar, float], ...]:
+        """Return the scars as a press shows them."""
+        return tuple((one, share * (1 - self.flattened)) for one, share in self._shares(number))
+
+    def _scar(self, number: int, piece: int) -> None:
+        """A new scar of the next kind, somewhere under the part."""
+        if number not in _SCARRED_AT:
+            return
+        kinds = tuple(SCARS)
+        kind = kinds[(self.gel * len(_SCARRED_AT) + _SCARRED_AT.index(number)) % len(kinds)]
+        rows, columns = np.nonzero(self.station.line.imprint(piece) > 0.1)
+        at = int(self._rng.integers(len(rows)))
+        x, y = grids(LR)
+        spot = float(x[0, columns[at]]), float(y[rows[at], 0])
+        inside = tuple(float(np.clip(value, -_INSPECTED_MM, _INSPECTED_MM)) for value in spot)
+        self._scars.append(random_scar(kind, (inside[0], inside[1]), number, self._rng))
+
+    def _defect(self, piece: int) -> Defect | None:
+        """Return the damage of this piece: none, its own, or the one that a broken tool makes on several."""
+        if self._series:
+            return self._series.pop()
+        if self._rng.uniform() > _DAMAGED_SHARE:
+            return None
+        kinds, line = tuple(DEFECTS), self.station.line
+        defect = place_damage(
+            line.placing.shape(),
+            kinds[int(self._rng.integers(len(kinds)))],
+            float(self._rng.uniform(0.3, 1.0)),
+            line.placing.depth_mm,
+            MASK_DEPTH_MM,
+            line.streams("defect", piece),
+        )
+        if self._rng.uniform() < 1 / (2 * _SERIES):
+            self._series = [defect] * (_SERIES - 1)
+        return defect
+
+
+MEANINGS: Final[dict[Truth, str]] = {
+    "scar": "a scar, the part is sound",
+    "damage": "damage, without it the press passes",
+    "both": "a scar and damage, each alone",
+    "wear": "ordinary wear, the part is sound",
+}
+"""What raised an alarm, in words."""
+
+
+def format_rate(number: int, of: int) -> str:
+    """Write a rate with the limits of Clopper and Pearson, each crossed with a probability of 10 % at most."""
+    if not of:
+        return "- (0 of 0; 0.0% to 100.0%)"
+    low, high = rate_limits(number, of)
+    return f"{number / of:.1%} ({number} of {of}; {low:.1%} to {high:.1%})"
+
+
+def table(alarms: Sequence[Alarm], presses: int) -> str:
+    """Markdown: all alarms by what raised them, then scars and damage by placing, and by kind."""
+    head = "| alarm raised by | alarms | `gel` | `unsure` | `part` |\n|---|---|---|---|---|"
+    rows = [_row(MEANINGS[truth], [one for one in alarms if one.truth == truth]) for truth in MEANINGS]
+    return "\n".join(
+        [
+            f"{presses} presses, {len(alarms)} alarms; limits hold with 90 % each.",
+            "",
+            head,
+            *rows,
+            "",
+            *_count_named_gel("placing", alarms, lambda one: one.placing),
+            "",
+            *_count_named_gel("kind of damage, or scars so far", alarms, lambda one: one.what),
+        ]
+    )
+
+
+def _row(name: str, alarms: Sequence[Alarm]) -> str:
+    counts = Counter(one.cause for one in alarms)
+    cells = [format_rate(counts[cause.value], len(alarms)) for cause in (Cause.GEL, Cause.UNSURE, Cause.PART)]
+    return f"| {name} | {len(alarms)} | {' | '.join(cells)} |"
+
+
+def _count_named_gel(what: str, alarms: Iterable[Alarm], key: Callable[[Alarm], str]) -> list[str]:
+    """Count how many of the scar and of the damage alarms were named gel."""
+    groups: dict[str, Counter[tuple[str, bool]]] = {}
+    for one in alarms:
+        groups.setdefault(key(one), Counter())[one.truth, one.cause == Cause.GEL] += 1
+    rows = [f"| {what} | scar alarms named `gel` | damage alarms named `gel` |", "|---|---|---|"]
+    for name in sorted(groups):
+        found = groups[name]
+        cells = [
+            f"{found[truth, True]} of {found[truth, True] + found[truth, False]}"
+            for truth in ("scar", "damage")
+        ]
+        rows.append(f"| {name} | {' | '.join(cells)} |")
+    return rows

@@ -1,0 +1,121 @@
+"""What damaged presses among the nominal ones cost: banks are fitted on presses of which a share is damaged.
+
+Half of the defective presses may be mixed into the nominal ones, the other half is scored: the same half in every cell,
+so that shares can be compared. The number of presses does not change; damaged ones take the place of nominal ones.
+"""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.experiments.harness.cells import Cell
+from calibration.experiments.harness.effects import COMPARED, effects, medians
+from calibration.experiments.harness.material import Drawn, fit_cell, material
+from calibration.experiments.harness.page import (
+    Page,
+    fractions_of,
+    make_page,
+    medians_table,
+    percent,
+    seeds_of,
+    table,
+)
+from calibration.experiments.harness.presses import TEST_SEED, hold_out, open_presses, subset
+from calibration.experiments.harness.rows import Rows
+from calibration.experiments.harness.study import (
+    Evaluation,
+    Options,
+    choose_places,
+    make_cells,
+    prepare,
+    run_cells,
+)
+from calibration.experiments.studies.good_fraction_study import presses_in
+from edge.core.errors import DatasetError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["BAD_SHARES", "STUDY", "BadPresses", "halves", "mixed", "page", "study_bad_presses"]
+
+STUDY = "bad-presses"
+
+BAD_SHARES = (0.0, 0.02, 0.05, 0.10)
+"""Shares of the presses that a bank learns from; at least one press for a share above zero."""
+
+
+class BadPresses(Evaluation):
+    """Evaluates a cell."""
+
+    def __call__(self, cell: Cell) -> dict[str, Any]:
+        found = material(self.place(cell))
+        held = hold_out(found.presses, int(cell.setting("held_out")), cell.split)
+        nominal = subset(held.pool, presses_in(cell, len(held.pool)), cell.seed)
+        bad, tested = halves(found.presses.defective)
+        rows = mixed(nominal, bad, float(cell.setting("bad")), cell.seed)
+        measured = fit_cell(cell, Drawn(found, rows, np.concatenate([held.test, tested])))
+        return {**measured, "bad_presses": int(np.isin(rows, bad).sum())}
+
+
+def halves(defective: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The defective presses that may be learnt, and those that are scored. Errors: DatasetError for one alone."""
+    if len(defective) < 2:
+        raise DatasetError(
+            "a study of damaged presses among the nominal ones needs two defective presses at the position, one to "
+            "learn and one to find; found one"
+        )
+    order = np.random.default_rng(TEST_SEED).permutation(defective)
+    return np.sort(order[: len(order) // 2]), np.sort(order[len(order) // 2 :])
+
+
+def mixed(nominal: NDArray[np.int64], bad: NDArray[np.int64], share: float, seed: int) -> NDArray[np.int64]:
+    """The nominal presses with a share of them replaced by damaged ones, drawn by the seed.
+
+    Errors: DatasetError where that takes more damaged presses than there are, or leaves no nominal one.
+    """
+    count = max(1, round(share * len(nominal))) if share else 0
+    if count > len(bad) or count >= len(nominal):
+        raise DatasetError(
+            f"{share:.0%} of {len(nominal)} presses are {count} damaged ones; {len(bad)} can be learnt from, and one "
+            "nominal press must remain; give a smaller share, or a smaller --fraction"
+        )
+    rng = np.random.default_rng([seed, 1])
+    kept = rng.permutation(nominal)[count:]
+    return np.sort(np.concatenate([kept, rng.permutation(bad)[:count]]))
+
+
+def study_bad_presses(options: Options) -> Rows:
+    """Run the study; its rows are in the output folder. Errors: DatasetError, ConfigError, FitError, StoreError."""
+    places = choose_places(open_presses(options.dataset), options.parts, options.position)
+    shares = [{"bad": share} for share in BAD_SHARES]
+    cells = [cell for place in places for cell in make_cells(STUDY, options, place, shares)]
+    evaluate = BadPresses.of(options)
+    materials = prepare(map(evaluate.place, cells), options)
+    for found in materials:
+        halves(found.presses.defective)
+        for split in options.splits:
+            hold_out(found.presses, options.held_out, split)
+    return run_cells(cells, evaluate, options, materials)
+
+
+def page(rows: "pd.DataFrame") -> Page:
+    """Make the page. rows: of this study."""
+    head = (
+        "# What do damaged presses among the nominal ones cost?\n\n"
+        f"Parts {', '.join(sorted(rows['part'].unique()))}. Each bank is of a share of the nominal presses; damaged "
+        f"presses take the place of some. Medians over {seeds_of(rows, 'bad')} seeds.\n"
+    )
+    return make_page(rows, "bad", head, _setup, name=percent)
+
+
+def _setup(rows: "pd.DataFrame") -> Iterator[str]:
+    shares = sorted(rows["bad"].unique())
+    conditions = [(f"{share:g}", "", percent(share)) for share in shares]
+    yield f"Share of the nominal presses: {fractions_of(rows)}.\n"
+    yield from (medians_table(medians(rows, "bad"), {}, measure, conditions) for measure in COMPARED)
+    yield f"Change of AU-PRO@0.01 from {percent(shares[0])} to {percent(shares[-1])}.\n"
+    found = effects(rows, "bad", shares[0], shares[-1], {}, ("", ""), ("aupro_001",))
+    lines = [[e.method, e.part, f"{e.difference:+.4f}", e.ours] for e in found]
+    yield table(["method", "part", "mean difference", "direction"], lines)

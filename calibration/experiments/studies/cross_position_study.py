@@ -1,0 +1,232 @@
+"""Validation 2: whether a bank of one position serves another position of the same part.
+
+Banks are fitted on a fixed share of the nominal presses of the source position and a small share of those of the target
+position: none, 5, 10 or 15 %. Nominal test presses, held out of both positions, and the defective presses of both are
+scored. The measures are of both positions together, as in the paper, and of each alone.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from calibration.dataset import Dataset
+from calibration.experiments.harness.cells import Cell
+from calibration.experiments.harness.effects import COMPARED, effects, medians
+from calibration.experiments.harness.figures import shares_figure
+from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell, material
+from calibration.experiments.harness.page import (
+    Page,
+    effects_table,
+    fractions_of,
+    make_page,
+    medians_table,
+    paper_note,
+    percent,
+    seeds_of,
+    table,
+)
+from calibration.experiments.harness.presses import HeldOut, hold_out, open_presses, subset
+from calibration.experiments.harness.published import paper_medians
+from calibration.experiments.harness.rows import Rows
+from calibration.experiments.harness.scoring import Scored, TestPresses, measures
+from calibration.experiments.harness.study import (
+    Evaluation,
+    Options,
+    choose_places,
+    make_cells,
+    prepare,
+    run_cells,
+)
+from edge.core.errors import DatasetError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = [
+    "STUDY",
+    "TARGET_FRACTIONS",
+    "CrossPosition",
+    "cross_position_cells",
+    "page",
+    "study_cross_position",
+]
+
+STUDY = "cross-position"
+
+TARGET_FRACTIONS = (0.0, 0.05, 0.10, 0.15)
+"""Shares of the target position's pool, as in the paper."""
+
+_ALONE = ("aupro_001_source", "aupro_001_target")
+
+
+class CrossPosition(Evaluation):
+    """Evaluates a cell."""
+
+    def places(self, cell: Cell) -> tuple[Place, Place]:
+        """Return where the features come from: the source position, then the target."""
+        return self.place(cell), self.place(cell, str(cell.setting("target")))
+
+    def __call__(self, cell: Cell) -> dict[str, Any]:
+        source, target = (material(place) for place in self.places(cell))
+        held = both_held_out(source, target, cell)
+        shares = (float(cell.setting(name)) for name in ("fraction", "target_fraction"))
+        counts = [round(share * len(one.pool)) for share, one in zip(shares, held, strict=True)]
+        drawn = [
+            Drawn(found, subset(one.pool, max(least, count), cell.seed), found.presses.tested(one))
+            for found, one, count, least in zip((source, target), held, counts, (1, 0), strict=True)
+        ]
+        return {
+            **fit_cell(cell, *drawn, also=_of_each),
+            "source_presses": len(drawn[0].learnt),
+            "target_presses": len(drawn[1].learnt),
+            "target_pictures_sha256": target.facts["pictures_sha256"],
+        }
+
+
+def both_held_out(source: Material, target: Material, cell: Cell) -> tuple[HeldOut, HeldOut]:
+    """The test presses and the pool of each position.
+
+    Where complete specimens are held out, one that is tested at either position is learnt at none.
+    """
+    count = int(cell.setting("held_out"))
+    first, second = (hold_out(found.presses, count, cell.split) for found in (source, target))
+    if cell.split == "press":
+        return first, second
+    tested = {
+        found.presses.specimens[row]
+        for found, held in ((source, first), (target, second))
+        for row in held.test
+    }
+    return _without(source, first, tested), _without(target, second, tested)
+
+
+def _without(found: Material, held: HeldOut, tested: set[str | None]) -> HeldOut:
+    pool = [row for row in held.pool if found.presses.specimens[row] not in tested]
+    if not pool:
+        raise DatasetError(
+            f"every specimen of {found.presses.part}/{found.presses.position} is tested at one of the two positions, "
+            "so none is left to learn from; press more specimens, or hold out fewer presses with --held-out"
+        )
+    return HeldOut(held.test, np.array(pool, np.int64))
+
+
+def _of_each(scored: Scored, tests: Sequence[TestPresses]) -> dict[str, float | None]:
+    """Return the measures of each position alone, such as `aupro_001_source`."""
+    n = len(tests[0])
+    return {
+        f"{measure}_{name}": value
+        for name, rows, test in zip(("source", "target"), (slice(n), slice(n, None)), tests, strict=True)
+        for measure, value in measures(Scored(scored.maps[rows], scored.scores[rows], ()), test).items()
+    }
+
+
+def cross_position_cells(places: Sequence[tuple[str, str, str]], options: Options) -> list[Cell]:
+    """Return all cells. places: (part, source, target). Errors: ConfigError for an unknown stable fraction."""
+    return [
+        cell
+        for part, source, target in places
+        for cell in make_cells(
+            STUDY,
+            options,
+            (part, source),
+            [{"target": target, "target_fraction": share} for share in TARGET_FRACTIONS],
+        )
+    ]
+
+
+def study_cross_position(options: Options, target: str | None = None) -> Rows:
+    """Run the study; its rows are in the output folder.
+
+    target: the target position, None is each part's second by name; parts with one position are left out. Errors:
+    DatasetError, ConfigError, FitError, StoreError.
+    """
+    places = find_pairs(open_presses(options.dataset), options, target)
+    cells = cross_position_cells(places, options)
+    evaluate = CrossPosition.of(options)
+    found = prepare((place for cell in cells for place in evaluate.places(cell)), options)
+    for cell in {(c.part, c.backbone, c.split): c for c in cells}.values():
+        source, other = (material(place) for place in evaluate.places(cell))
+        both_held_out(source, other, cell)
+    return run_cells(cells, evaluate, options, found)
+
+
+def find_pairs(dataset: Dataset, options: Options, target: str | None) -> list[tuple[str, str, str]]:
+    """(part, source, target) of every part with two positions.
+
+    Errors: DatasetError where none has two, or a part that was asked for lacks a position.
+    """
+    known: dict[str, list[str]] = {}
+    for part, position in dataset.positions:
+        known.setdefault(part, []).append(position)
+    places = []
+    for part, source in choose_places(dataset, options.parts, options.position):
+        others = [position for position in known[part] if position != source]
+        if target is not None and target not in others and part in options.parts:
+            raise DatasetError(
+                f"{part} has no position '{target}' other than its source '{source}'; it has {', '.join(known[part])}"
+            )
+        chosen = target if target in others else None if target else next(iter(others), None)
+        if chosen is not None:
+            places.append((part, source, chosen))
+        elif part in options.parts:
+            raise DatasetError(f"{part} has the one position {source}, so nothing can be carried to another")
+    if not places:
+        raise DatasetError(
+            f"no part of dataset '{dataset.root}' has a second position{'' if target is None else f' {target}'}; "
+            "this study needs nominal and defective presses at two positions of one part"
+        )
+    return places
+
+
+def page(rows: "pd.DataFrame") -> Page:
+    """Make the page. rows: of this study."""
+    column = "target_fraction"
+    pairs = sorted(set(zip(rows["part"], rows["position"], rows["target"], strict=True)))
+    where = "; ".join(f"{part}: {source} to {target}" for part, source, target in pairs)
+    head = (
+        "# Does a bank of one position serve another?\n\n"
+        f"{where}. Each bank has a method's stable fraction of the first position's nominal presses and a share of the "
+        f"second's; {int(rows['held_out'].max())} nominal presses of each position and all defective ones are scored. "
+        f"Medians over {seeds_of(rows, column)} seeds.\n\n{paper_note()}"
+    )
+    label = "share of the second position's nominal presses, %"
+    draw = partial(shares_figure, x=column, label=label)
+    return make_page(rows, column, head, _setup, draw, percent)
+
+
+def _setup(rows: "pd.DataFrame") -> Iterator[str]:
+    paper, ours = paper_medians(STUDY), medians(rows, "target_fraction")
+    shares = sorted(rows["target_fraction"].unique())
+    conditions = [(f"{share:g}", f"{share:g}", percent(share)) for share in shares]
+    yield f"Share of the first position: {fractions_of(rows)}.\n"
+    yield from (medians_table(ours, paper, measure, conditions) for measure in COMPARED)
+    for before, after in _steps(shares):
+        names = f"{before:g}", f"{after:g}"
+        found = effects(rows, "target_fraction", before, after, paper, names)
+        yield effects_table(found, f"From {percent(before)} to {percent(after)} of the second position")
+    yield _each_alone(rows, shares)
+
+
+def _steps(shares: list[float]) -> list[tuple[float, float]]:
+    """Return pairs: from none to the first share, and from there to the last."""
+    pairs = list(zip(shares, [*shares[1:2], *shares[-1:]], strict=False))
+    return [(before, after) for before, after in pairs if before < after]
+
+
+def _each_alone(rows: "pd.DataFrame", shares: list[float]) -> str:
+    """AU-PRO of each position alone: whether the second gains, and whether the first loses."""
+    found = medians(rows, "target_fraction", _ALONE)
+    lines = [
+        [
+            method,
+            part,
+            measure.rpartition("_")[2],
+            *(f"{by[f'{s:g}']:.4f}" if f"{s:g}" in by else "-" for s in shares),
+        ]
+        for (method, part, measure), by in sorted(found.items())
+    ]
+    return "AU-PRO@0.01 of each position alone.\n\n" + table(
+        ["method", "part", "position", *map(percent, shares)], lines
+    )

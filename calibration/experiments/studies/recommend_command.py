@@ -1,0 +1,62 @@
+"""The verb `recommend`: which method to take, from the rows of studies."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+__all__ = ["recommend"]
+
+
+def recommend(
+    rows: Annotated[Path, typer.Argument(help="The rows.jsonl of `gelgate lab study`, or its folder.")],
+    need: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="few-presses, localisation, cross-position, high-resolution, no-fixture, bad-presses or least-time; "
+            "may be given several times. Default: all.",
+            show_default=False,
+        ),
+    ] = None,
+    mode: Annotated[
+        str | None,
+        typer.Option(help="Rows of this mode; needed where they have several.", show_default=False),
+    ] = None,
+    backbone: Annotated[
+        str | None, typer.Option(help="Rows of this backbone, likewise.", show_default=False)
+    ] = None,
+    split: Annotated[
+        str | None, typer.Option(help="Rows of this split, likewise.", show_default=False)
+    ] = None,
+) -> None:
+    """Say which method to take for a need, from rows alone.
+
+    Where the rows do not decide, it says so, and which command would."""
+    from calibration.experiments.harness.rows import rows_of_studies
+    from calibration.experiments.harness.study import require_known
+    from calibration.experiments.studies.recommend import NEEDS, recommended
+
+    require_known("need", need or (), NEEDS)
+    chosen: Sequence[Mapping[str, Any]] = rows_of_studies(rows, partial(typer.echo, err=True))
+    for column, wanted in (("mode", mode), ("backbone", backbone), ("split", split)):
+        chosen = _of_one(chosen, column, wanted)
+    first = chosen[0]
+    typer.echo(f"rows of {first['backbone']}, {first['mode']} mode, split by {first['split']}")
+    for answer in recommended(chosen, need or ()):
+        typer.echo("\n" + "\n".join(answer.lines()))
+
+
+def _of_one(rows: Sequence[Mapping[str, Any]], column: str, wanted: str | None) -> list[Mapping[str, Any]]:
+    """The rows with one value in a column. Errors: ConfigError where several are possible, or none has it."""
+    from edge.core.errors import ConfigError
+
+    found = sorted({str(row[column]) for row in rows})
+    if wanted is None and len(found) > 1:
+        raise ConfigError(
+            f"the rows have several values of {column}: {', '.join(found)}; choose one with --{column}"
+        )
+    if wanted is not None and wanted not in found:
+        raise ConfigError(f"no row has the {column} '{wanted}'; the rows have {', '.join(found)}")
+    return [row for row in rows if wanted in (None, str(row[column]))]

@@ -1,0 +1,74 @@
+"""Pages made from rows alone."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calibration.experiments.harness.figures import svg
+from calibration.experiments.harness.page import Page
+from calibration.experiments.harness.rows import rows_of_studies
+from calibration.experiments.studies import (
+    bad_presses_study,
+    cross_position_study,
+    good_fraction_study,
+    paper_page,
+    recommend,
+    resolution_study,
+    time_page,
+)
+from edge.core.errors import ConfigError, StoreError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["PAGES", "write_report"]
+
+
+COMPARED_WITH_THE_PAPER = ("good-fraction", "cross-position", "resolution")
+"""The studies that repeat a validation of the paper."""
+
+PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {
+    study.STUDY: study.page
+    for study in (good_fraction_study, cross_position_study, resolution_study, bad_presses_study)
+}
+"""A study's page from its rows, by the study's name."""
+
+
+def write_report(rows: Path, output: Path, say: Callable[[str], None] = lambda sentence: None) -> list[Path]:
+    """Write the page of every study that has rows, a comparison with the paper, the recommendations, and the time.
+
+    Figures are next to the pages. rows: a file, or the folder of one. say: called with a sentence about a line that was
+    dropped. Errors: ConfigError for a file without rows,
+    StoreError for a full disk.
+    """
+    import pandas as pd
+
+    every = pd.DataFrame(rows_of_studies(rows, say))
+    known = [name for name in PAGES if name in set(every["study"])]
+    if not known:
+        raise ConfigError(
+            f"'{rows}' has rows of {', '.join(sorted(set(every['study'])))}, which have no page here"
+        )
+    written = [
+        _write(output, name, PAGES[name](every[every["study"] == name].dropna(axis=1, how="all")))
+        for name in known
+    ]
+    repeated = every[every["study"].isin(COMPARED_WITH_THE_PAPER)]
+    if not repeated.empty:
+        written.append(_write(output, "paper", paper_page.page(repeated)))
+    written.append(_write(output, "recommend", recommend.page(every)))
+    return [*written, _write(output, "time", time_page.page(every))]
+
+
+def _write(output: Path, name: str, page: Page) -> Path:
+    target = output / f"{name}.md"
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+        for file, draw in page.figures.items():
+            (output / file).write_text(svg(draw()), encoding="utf-8")
+        target.write_text(page.text, encoding="utf-8")
+    except OSError as error:
+        raise StoreError(
+            f"the report cannot be written to '{output}': {error.strerror}; choose another folder"
+        ) from error
+    return target

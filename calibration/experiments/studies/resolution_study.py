@@ -1,0 +1,315 @@
+"""Validation 3: what high resolution gives, and which of the differences between the two pictures gives it.
+
+The same presses are seen in the views of `views.py`. 1280x720 pictures cost much memory and time, so
+the pool of nominal presses is capped; every view has the same capped pool.
+"""
+
+import math
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.dataset import LabelledPress
+from calibration.experiments.harness.cells import Cell, Split
+from calibration.experiments.harness.effects import COMPARED, effects, medians
+from calibration.experiments.harness.figures import conditions_figure
+from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell, material
+from calibration.experiments.harness.page import (
+    Page,
+    effects_table,
+    make_page,
+    medians_table,
+    paper_note,
+    seeds_of,
+    table,
+)
+from calibration.experiments.harness.pictures import PressPictures
+from calibration.experiments.harness.presses import (
+    TEST_SEED,
+    HeldOut,
+    StudyPresses,
+    hold_out,
+    open_presses,
+    presses_of,
+    subset,
+)
+from calibration.experiments.harness.published import paper_medians
+from calibration.experiments.harness.rows import Rows
+from calibration.experiments.harness.scoring import Scored, TestPresses, measures
+from calibration.experiments.harness.study import (
+    Evaluation,
+    Options,
+    choose_places,
+    make_cells,
+    prepare,
+    require_known,
+    run_cells,
+)
+from calibration.experiments.studies.views import COMMON, VIEWS, common_map, tiled
+from calibration.fitting.features import trunk_grid
+from calibration.fitting.trunks import Trunk, open_trunk
+from edge.core.detector import Progress
+from edge.core.errors import DatasetError, StoreError
+from edge.model.session import open_session
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "MOST_PRESSES",
+    "STUDY",
+    "ResolutionStudy",
+    "ViewPlace",
+    "capped_presses",
+    "page",
+    "study_resolution",
+]
+
+STUDY = "resolution"
+
+MOST_PRESSES = 40
+"""Nominal presses of the pool, by default."""
+
+_COMMON = tuple(f"{measure}_common" for measure in COMPARED)
+
+_CONTROLS = (
+    ("lr", "lr_tiled", "the tiles and the denser features, without more detail"),
+    ("lr_tiled", "hr_tiled", "the detail alone: as many pixels, the same tiles"),
+    ("hr_full", "hr_tiled", "the tiles alone, on the same pictures"),
+    ("lr", "lr_full", "the field of view alone, at low resolution"),
+)
+"""Pairs of views that differ in little, and in what."""
+
+
+@dataclass(frozen=True)
+class ViewPlace(Place):
+    """A place in one view."""
+
+    view: str
+    split: Split
+    held_out: int
+    most: int
+    """Presses of the pool."""
+
+    def __str__(self) -> str:
+        return f"{self.part}/{self.position}, {self.view}, on {self.backbone}"
+
+    def show(self, trunk: Trunk) -> Trunk:
+        return tiled(trunk, VIEWS[self.view])
+
+    def covers(self, row: Mapping[str, Any]) -> bool:
+        own = {"view": self.view, "split": self.split, "held_out": self.held_out, "most_presses": self.most}
+        return super().covers(row) and all(row.get(name) == value for name, value in own.items())
+
+    def require_room(self) -> None:
+        view = VIEWS[self.view]
+        trunk = self.show(open_trunk(self.backbone, self.taps))
+        session = open_session(trunk.graph, 1, f"trunk '{trunk.id}'")
+        grid = trunk_grid(session, self.taps, view.view.shape, view.view.pixels_per_mm)
+        presses = len(capped_presses(self)[0].pictures)
+        needed = 4 * presses * sum(math.prod(shape) for shape in grid.taps.values())
+        self.cache.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(self.cache).free
+        if needed > free:
+            raise StoreError(
+                f"the features of {self.part} in the view {self.view} on {self.backbone} need {needed / 1e9:.1f} GB, "
+                f"'{self.cache}' has {free / 1e9:.1f} GB free; give another --cache, or fewer --presses"
+            )
+
+    def extract(self, progress: Progress = lambda fraction: None, threads: int = 1) -> "Seen":
+        presses, held, pool = capped_presses(self)
+        return Seen(self, presses, *self.take(presses, progress, threads), held, pool)
+
+
+@dataclass(frozen=True)
+class Seen(Material):
+    """The presses of one part in one view."""
+
+    held: HeldOut
+    """Rows of them."""
+    pool: int
+    """Presses without the cap."""
+
+    @cached_property
+    def common(self) -> NDArray[np.bool_]:
+        """The 1280x720 masks of the defective presses in the common field of view, bool (n, h, w).
+
+        Errors: DatasetError for a press without 1280x720 pictures, and where all masks are empty there.
+        """
+        fine = {press.path.name: press for press in _fine_presses(self.place)}
+        for press in self.presses.pictures.presses:
+            if press.path.name not in fine:
+                raise DatasetError(
+                    f"'{press.path}' has no 1280x720 picture of the same name; both are compared here"
+                )
+        defective = self.presses.pictures.presses[self.presses.nominal :]
+        masks = np.stack([COMMON.crop(fine[press.path.name].mask()) for press in defective])
+        if not masks.any():
+            raise DatasetError(
+                f"the 1280x720 masks of {self.place.part}/{self.place.position} are empty in the region that both "
+                "resolutions show; export masks that show the damage"
+            )
+        return masks
+
+    @property
+    def remarks(self) -> list[str]:
+        assert self.common.any()  # refused before any cell runs
+        return super().remarks
+
+
+class ResolutionStudy(Evaluation):
+    """Evaluates a cell."""
+
+    def place(self, cell: Cell, position: str | None = None) -> ViewPlace:
+        return ViewPlace(
+            **vars(super().place(cell, position)),
+            view=str(cell.setting("view")),
+            split=cell.split,
+            held_out=int(cell.setting("held_out")),
+            most=int(cell.setting("most_presses")),
+        )
+
+    def __call__(self, cell: Cell) -> dict[str, Any]:
+        seen = material(self.place(cell))
+        assert isinstance(seen, Seen)
+        rows = subset(seen.held.pool, max(1, round(float(cell.setting("fraction")) * seen.pool)), cell.seed)
+
+        def in_common(scored: Scored, tests: Sequence[TestPresses]) -> dict[str, float | None]:
+            return _in_common(scored, seen.common, tests[0].is_defective, str(cell.setting("view")))
+
+        drawn = Drawn(seen, rows, seen.presses.tested(seen.held))
+        return {**fit_cell(cell, drawn, also=in_common), "pool": seen.pool}
+
+
+def _in_common(
+    scored: Scored, masks: NDArray[np.bool_], is_defective: NDArray[np.bool_], view: str
+) -> dict[str, float | None]:
+    """The measures of pixels in the common field of view, such as `aupro_001_common`."""
+    maps = np.stack([common_map(one, VIEWS[view]) for one in scored.maps])
+    blank = np.zeros((len(maps) - len(masks), *masks.shape[1:]), np.bool_)
+    test = TestPresses({}, np.concatenate([blank, masks]), is_defective)
+    found = measures(Scored(maps, scored.scores, ()), test)
+    return {f"{name}_common": found[name] for name in ("aupro_001", "aupro_005", "auprc", "pixel_auroc")}
+
+
+def capped_presses(place: ViewPlace) -> tuple[StudyPresses, HeldOut, int]:
+    """The presses that the study looks at, which of them are for the test, and the size of the pool without the cap."""
+    view = VIEWS[place.view]
+    every = presses_of(open_presses(place.dataset, view.resolution), place.part, place.position)
+    held = hold_out(every, place.held_out, place.split)
+    pool = subset(held.pool, place.most, TEST_SEED)
+    rows = np.sort(np.concatenate([held.test, pool]))
+    chosen = [every.pictures.presses[row] for row in (*rows, *every.defective)]
+    presses = StudyPresses(place.part, place.position, PressPictures(tuple(chosen), view.view), len(rows))
+    kept = HeldOut(np.searchsorted(rows, held.test), np.searchsorted(rows, pool))
+    return presses, kept, len(held.pool)
+
+
+def _fine_presses(place: Place) -> tuple[LabelledPress, ...]:
+    return open_presses(place.dataset, "hr").select(place.part, place.position).presses
+
+
+def study_resolution(options: Options, views: Sequence[str] = (), most_presses: int = MOST_PRESSES) -> Rows:
+    """Run the study; its rows are in the output folder. views: all if empty.
+
+    Errors: DatasetError, ConfigError, FitError, StoreError.
+    """
+    views = tuple(dict.fromkeys(views or VIEWS))
+    require_known("view", views, VIEWS)
+    # View by view: the features of few are in memory at once.
+    cells = [
+        cell
+        for place in fine_places(options)
+        for view in views
+        for cell in make_cells(STUDY, options, place, [{"view": view, "most_presses": most_presses}])
+    ]
+    evaluate = ResolutionStudy.of(options)
+    materials = prepare(map(evaluate.place, cells), options)
+    return run_cells(cells, evaluate, options, materials)
+
+
+def fine_places(options: Options) -> list[tuple[str, str]]:
+    """(part, position) of every part with pictures of both resolutions.
+
+    Errors: DatasetError where none has both, or a part that was asked for lacks one.
+    """
+    dataset = open_presses(options.dataset)
+    places = choose_places(dataset, options.parts, options.position)
+    both = [
+        (part, position)
+        for part, position in places
+        if all((options.dataset / part / position / name).is_dir() for name in ("rgb", "rgb_320x240"))
+    ]
+    lacking = [pair for pair in places if pair not in both]
+    if lacking and options.parts:
+        raise DatasetError(
+            f"{'/'.join(lacking[0])} of dataset '{options.dataset}' has pictures of one resolution only; this study "
+            "compares rgb (1280x720) with rgb_320x240"
+        )
+    if not both:
+        raise DatasetError(
+            f"dataset '{options.dataset}' has no position with both rgb (1280x720) and rgb_320x240; "
+            "`gelgate lab simulate paper` makes one"
+        )
+    return both
+
+
+def page(rows: "pd.DataFrame") -> Page:
+    """Make the page. rows: of this study."""
+    head = (
+        "# Does high resolution pay?\n\n"
+        f"Parts {', '.join(sorted(rows['part'].unique()))}; at most {int(rows['most_presses'].max())} nominal presses "
+        f"in the pool, the same for every view; {int(rows['held_out'].max())} nominal presses and all defective ones "
+        f"are scored. Medians over {seeds_of(rows, 'view')} seeds.\n\n{paper_note()}\n"
+        f"{table(['view', 'picture', 'inspected', 'in tiles'], map(_describe, VIEWS))}\n"
+        "Every view has the same normalisation of pixels: it is part of the trunk. The paper's low and high resolution "
+        "differ in field of view, masks and share of damaged pixels; the common measures are computed in the field of "
+        "view of `lr`, on the pixels and masks of 1280x720, for every view.\n"
+    )
+    return make_page(rows, "view", head, _setup, _draw)
+
+
+def _draw(rows: "pd.DataFrame") -> "Figure":
+    title = "AU-PRO@0.01, common field of view"
+    return conditions_figure(rows, "view", _views_of(rows), "aupro_001_common", title)
+
+
+def _views_of(rows: "pd.DataFrame") -> list[str]:
+    return [view for view in VIEWS if view in set(rows["view"])]
+
+
+def _describe(name: str) -> tuple[str, str, str, str]:
+    view = VIEWS[name]
+    scaled = view.view.scaled_to
+    picture = "{}x{}".format(*view.view.size) + ("" if scaled is None else " scaled to {}x{}".format(*scaled))
+    return (
+        f"`{name}`",
+        picture,
+        f"{view.view.shape[1]}x{view.view.shape[0]}",
+        "yes" if view.is_tiled else "no",
+    )
+
+
+def _setup(rows: "pd.DataFrame") -> Iterator[str]:
+    paper, ours = paper_medians(STUDY), medians(rows, "view")
+    views, names = _views_of(rows), {"lr": "lr", "hr_tiled": "hr"}
+    conditions = [(view, names.get(view, ""), f"`{view}`") for view in views]
+    yield from (medians_table(ours, paper, measure, conditions) for measure in COMPARED)
+    if {"lr", "hr_tiled"} <= set(views):
+        found = effects(rows, "view", "lr", "hr_tiled", paper, ("lr", "hr"))
+        yield effects_table(found, "From low resolution to high resolution in tiles, each on its own masks")
+    yield "### Common field of view and masks\n"
+    common = medians(rows, "view", _COMMON)
+    yield from (medians_table(common, {}, measure, conditions) for measure in _COMMON)
+    for before, after, what in _CONTROLS:
+        measured = effects(rows, "view", before, after, {}, ("", ""), ("aupro_001_common",))
+        lines = [[e.method, e.part, f"{e.difference:+.4f}", e.ours] for e in measured]
+        if lines:
+            heading = ["method", "part", "mean difference of AU-PRO@0.01", "direction"]
+            yield f"From `{before}` to `{after}`: {what}.\n\n{table(heading, lines)}"

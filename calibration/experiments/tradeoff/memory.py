@@ -1,0 +1,57 @@
+"""Peak memory of a process that loads one bundle and scores with it, each in a process of its own."""
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import numpy as np
+
+from edge.core.errors import FitError
+from edge.model.bundle import Bundle
+from edge.model.scorer import Scorer
+
+__all__ = ["peak_bytes"]
+
+_STATUS = Path("/proc/self/status")
+
+
+def _peak(task: tuple[Path, int]) -> int | None:
+    path, threads = task
+    scorer = Scorer(Bundle.load(path), threads)
+    frame = np.full((*scorer.frame, 3), 128, np.uint8)
+    for _ in range(2):
+        scorer.score(frame)
+    lines = _STATUS.read_text().splitlines()
+    sizes = [int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM")]
+    return sizes[0] if sizes else None
+
+
+def peak_bytes(
+    bundles: Sequence[Path],
+    threads: int,
+    advance: Callable[[int], None] = lambda done: None,
+    measure: Callable[[tuple[Path, int]], int | None] = _peak,
+) -> list[int | None]:
+    """The largest resident size of each process in bytes, interpreter and libraries included.
+
+    None where the system does not show it. Processes are forked from one that has the libraries loaded and no session.
+    measure: what a process does with a bundle and its threads. Errors: FitError for a process that dies.
+    """
+    if not _STATUS.is_file():
+        return [None] * len(bundles)
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["calibration.experiments.tradeoff.memory"])
+    found: list[int | None] = []
+    with ProcessPoolExecutor(1, context, max_tasks_per_child=1) as pool:
+        for path in bundles:
+            try:
+                found.append(pool.submit(measure, (path, threads)).result())
+            except BrokenProcessPool as error:
+                raise FitError(
+                    f"the process that measures the memory of '{path.name}' died, perhaps for lack of memory; free "
+                    "some and give the same command again: finished points are kept"
+                ) from error
+            advance(len(found))
+    return found

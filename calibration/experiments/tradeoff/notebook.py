@@ -1,0 +1,53 @@
+"""The trade-off from Python: its rows as a pandas frame, its picture as a matplotlib figure."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calibration.experiments.harness.rows import ROWS_FILE
+from calibration.experiments.harness.runner import Show
+from calibration.experiments.tradeoff.figure import figure
+from calibration.experiments.tradeoff.page import write_page
+from calibration.experiments.tradeoff.peers import require_models
+from calibration.experiments.tradeoff.plan import Run, RunSettings
+from calibration.experiments.tradeoff.rows import read_rows
+from calibration.experiments.tradeoff.run import read_or_measure
+from calibration.progress import progress
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = ["tradeoff", "tradeoff_figure"]
+
+
+def tradeoff(
+    dataset: Path | str,
+    output: Path | str,
+    *,
+    methods: Sequence[str] = (),
+    backbones: Sequence[str] = (),
+    peers: bool = False,
+    overwrite: bool = False,
+    show: Show = progress,
+    **asked: Any,
+) -> "pd.DataFrame":
+    """Run `gelgate lab tradeoff`, or read the rows that the folder holds; one row for each operating point.
+
+    Nested fields are columns with dots, such as `accuracy.aupro_fpr01.value`. Empty sequences are the command's
+    defaults. asked: further fields of `plan.RunSettings`, such as part, position or minutes.
+    Errors: as the command; TypeError for another field.
+    """
+    import pandas as pd
+
+    if peers:
+        require_models()
+    run = Run.of(RunSettings(Path(dataset), **asked), methods, backbones)
+    rows = read_or_measure(run, Path(output), overwrite, peers, show, print)
+    write_page(rows, Path(output))
+    return pd.json_normalize(rows)
+
+
+def tradeoff_figure(output: Path | str) -> "Figure":
+    """Accuracy against time, from the rows in the folder. Errors: ConfigError where it has none."""
+    return figure(read_rows(Path(output) / ROWS_FILE))

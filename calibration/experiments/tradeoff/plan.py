@@ -1,0 +1,178 @@
+"""The operating points of a run: each axis varied around the usual settings of every method.
+
+Around the usual point (20 presses, float32 trunk, low resolution) one axis at a time is varied, and the axes that
+change both cost and accuracy most (trunk precision, presses) together. A full product would have thousands of points,
+most of them between two others.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from operator import itemgetter
+from pathlib import Path
+from typing import Final
+
+from calibration.experiments.tradeoff.accuracy import Truth
+from calibration.experiments.tradeoff.point import OperatingPoint, Setting
+from calibration.experiments.tradeoff.presses import Chosen, choose_presses, masks_of
+from edge import registry
+from edge.core.errors import ConfigError
+from edge.core.suggest import suggestion
+
+__all__ = ["BACKBONES", "LEAST_ROUNDS", "PRESSES", "Run", "RunSettings", "choose_points", "usual_points"]
+
+BACKBONES: Final = ("tactile_resnet18", "tactile_resnet18_int8")
+"""The trunks of a run without others: the shipped one in float32 and in int8."""
+
+PRESSES: Final = (5, 10, 20, 40)
+"""Nominal presses of a fit; the third is the usual number."""
+
+USUAL: Final = PRESSES[2]
+
+BANKS: Final[dict[str, tuple[dict[str, Setting], ...]]] = {
+    "padim": ({"rank": 4}, {"rank": 8}, {"rank": 32}, {"packing": "none"}, {"channels": 32}),
+    "spade": ({"dims": (16,)}, {"dims": (32,)}, {"window_mm": 0.25}, {"window_mm": 1.0}, {"packing": "none"}),
+    "fapm": ({"near_fraction": 0.05}, {"near_fraction": 0.25}, {"banks": "location"}, {"packing": "int8"}),
+    "inreach": ({"most_rows": 256}, {"most_rows": 512}, {"most_rows": 2048}, {"dims": 32}),
+    "patchcore": ({"most_rows": 256}, {"most_rows": 512}, {"most_rows": 2048}, {"dims": 32}),
+    "subspace": ({"most_rank": 48}, {"most_rank": 96}, {"channels": 128}),
+}
+"""Parameters that set the size of each bank, how it is stored and how far a match may be."""
+
+TILED: Final = ("padim", "patchcore")
+"""The methods that are run on tiles: one that compares places, and one that does not."""
+
+IN_ONE_PIECE: Final = ("padim", "fapm", "patchcore", "subspace")
+"""The methods that are run on the high resolution in one piece."""
+
+PAPER: Final = ("padim", "spade", "fapm", "patchcore")
+"""The methods whose published settings this family of trunks can give (InReaCh needs other taps)."""
+
+
+def usual_points(backbones: Sequence[str], methods: Sequence[str]) -> tuple[OperatingPoint, ...]:
+    """The points of a run. The first backbone is varied in every axis, the others with the usual settings."""
+    points = [point for method in methods for point in _of_method(method, backbones)]
+    return tuple(dict.fromkeys(points))
+
+
+def _of_method(method: str, backbones: Sequence[str]) -> Iterator[OperatingPoint]:
+    first = backbones[0]
+    for presses in sorted(PRESSES, key=lambda n: n != USUAL):
+        for backbone in backbones:
+            yield OperatingPoint(method, backbone, presses=presses)
+    for bank in BANKS.get(method, ()):
+        yield OperatingPoint(method, first, settings=tuple(sorted(bank.items(), key=itemgetter(0))))
+    if method in PAPER:
+        yield OperatingPoint(method, first, mode="paper")
+    if method in IN_ONE_PIECE:
+        yield OperatingPoint(method, first, "hr")
+    if method in TILED:
+        yield from (OperatingPoint(method, first, view) for view in ("hr_tiles_0", "hr_tiles_56"))
+
+
+def choose_points(
+    backbones: Sequence[str], methods: Sequence[str], *, has_high_resolution: bool, most_presses: int
+) -> tuple[OperatingPoint, ...]:
+    """The usual points that this dataset allows. Errors: ConfigError for an unknown method, or for no point."""
+    known = registry.names("detectors")
+    for name in methods:
+        if name not in known:
+            raise ConfigError(f"no detector is named '{name}'; {suggestion(name, known)}")
+    points = tuple(
+        point
+        for point in usual_points(backbones, methods)
+        if point.presses <= most_presses and (has_high_resolution or point.view == "lr")
+    )
+    if not points:
+        raise ConfigError(
+            f"no operating point is left: the dataset gives {most_presses} presses to fit, the smallest fit has "
+            f"{PRESSES[0]}; press more good parts"
+        )
+    return points
+
+
+LEAST_ROUNDS: Final = 7
+"""Below this the interval of a median over rounds is as wide as the samples."""
+
+MOST_SCORED: Final = 40
+"""Good and defective presses that are scored, each."""
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What a run depends on."""
+
+    dataset: Path
+    part: str | None = None
+    position: str | None = None
+    seed: int = 0
+    threads: int = 2
+    rounds: int = 25
+    replicates: int = 200
+    most_fitted: int = 40
+    """Presses that the largest fit takes."""
+    most_scored: int = MOST_SCORED
+    minutes: float = 15.0
+    """The time after which no new round of timing begins."""
+
+    def __post_init__(self) -> None:
+        if self.rounds < LEAST_ROUNDS:
+            raise ConfigError(f"times need at least {LEAST_ROUNDS} rounds, found {self.rounds}")
+
+
+@dataclass(frozen=True)
+class Run:
+    """Points that are measured on presses."""
+
+    settings: RunSettings
+    chosen: Chosen
+    points: tuple[OperatingPoint, ...]
+
+    @classmethod
+    def of(cls, settings: RunSettings, methods: Sequence[str] = (), backbones: Sequence[str] = ()) -> "Run":
+        """Return the run of every point that the presses allow; no method or backbone: all of them.
+
+        Errors: DatasetError, ConfigError.
+        """
+        chosen = choose_presses(
+            settings.dataset,
+            settings.part,
+            settings.position,
+            most_fitted=settings.most_fitted,
+            most_scored=settings.most_scored,
+            seed=settings.seed,
+        )
+        points = choose_points(
+            tuple(backbones) or BACKBONES,
+            tuple(methods) or registry.names("detectors"),
+            has_high_resolution=bool(chosen.high),
+            most_presses=len(chosen.fitted),
+        )
+        return cls(settings, chosen, points)
+
+    def point(self, key: str) -> OperatingPoint:
+        """Return the point of a key. Errors: ConfigError with the nearest known key."""
+        named = {point.key: point for point in self.points}
+        if key not in named:
+            raise ConfigError(f"no operating point is named '{key}'; {suggestion(key, named)}")
+        return named[key]
+
+    @cached_property
+    def truth(self) -> Truth:
+        """Labels and masks of the scored presses, and how replicates draw them."""
+        return Truth.of(
+            self.chosen.label,
+            masks_of(self.chosen),
+            self.chosen.specimens,
+            self.settings.replicates,
+            self.settings.seed,
+        )
+
+    @property
+    def command(self) -> str:
+        """The command that measures these presses again, with the dataset's folder name alone."""
+        chosen = self.chosen
+        return (
+            f"gelgate lab tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} "
+            f"--seed {self.settings.seed}"
+        )

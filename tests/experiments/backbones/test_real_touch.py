@@ -1,0 +1,110 @@
+"""Real touch: sensors apart, no held-out press learnt, small edits, and a sentence where frames are missing."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.experiments.backbones import command, real_touch
+from calibration.experiments.backbones.real_touch import EDITS, OBJECTS, real_touch_trial
+from calibration.experiments.backbones.sets import SENSORS, SETS, EvaluationSet, evaluation_sets
+from calibration.experiments.backbones.touch_edits import dots
+from calibration.experiments.backbones.trial import REGION
+from edge.core.errors import DatasetError
+
+DEVELOPMENT, JUDGEMENT = SENSORS["real-touch"], SENSORS["real-touch-judgement"]
+
+
+def test_sensors_are_apart() -> None:
+    """No sensor is in both sets, every object's sensor is in one, with a licence; GPL frames are not for training."""
+    assert set(SENSORS) == {"real-touch", "real-touch-judgement"}
+    assert not DEVELOPMENT.keys() & JUDGEMENT.keys()
+    assert {chosen.sensor for chosen in OBJECTS} == DEVELOPMENT.keys() | JUDGEMENT.keys()
+    for licence in (*DEVELOPMENT.values(), *JUDGEMENT.values()):
+        assert licence.startswith(("MIT", "GPL-3.0; measured, never trained on"))
+
+
+def test_judgement_is_opened_on_request_alone(tmp_path: Path) -> None:
+    """Without its name the set has no trials and says why; with its name it has three."""
+    for sensor in (*DEVELOPMENT, *JUDGEMENT):
+        (tmp_path / sensor).mkdir()
+    closed = command._choose_sets(tmp_path, [], 0)
+    assert closed["real-touch-judgement"].missing == "it is opened only with --set real-touch-judgement"
+    assert len(closed["real-touch"].trials) == 5
+    opened = command._choose_sets(tmp_path, ["real-touch-judgement"], 0)
+    assert {name: len(of.trials) for name, of in opened.items()} == {"real-touch-judgement": 3}
+
+
+def test_missing_frames_are_a_sentence(tmp_path: Path) -> None:
+    """No folder, a folder without a sensor, a sensor without presses: said, never an empty table."""
+    assert tuple(evaluation_sets(None)) == SETS
+    assert evaluation_sets(None)["real-touch"].missing.endswith("(--tactile)")
+    assert "does not exist" in evaluation_sets(tmp_path / "nowhere")["real-touch"].missing
+    with pytest.raises(ValueError, match="trials or a reason"):
+        EvaluationSet("x", "y", ())
+    (tmp_path / "rpl-cmu__gelslam").mkdir()
+    found = evaluation_sets(tmp_path)["real-touch"].missing
+    assert found.startswith("no frames of skleff1994__gs_sdk, gelsightinc__gsrobotics")
+    assert "rpl-cmu__gelslam" not in found
+    for name in ("ball 6.31 mm, anywhere", "finger on a marker gel"):
+        with pytest.raises(DatasetError, match=r"fetch (them|it) again"):
+            real_touch_trial(tmp_path, name)
+
+
+@pytest.mark.parametrize("chosen", OBJECTS, ids=lambda chosen: chosen.name)
+def test_held_out_presses_are_not_learnt(chosen: object, real_tactile: Path) -> None:
+    """No scored frame is learnt; edits are of held-out presses, one region each, of 20 pixels at most across."""
+    found = real_touch_trial(real_tactile, chosen.name, edits=8)  # type: ignore[attr-defined]
+    damaged = found.masks.any(axis=(1, 2))
+    learnt = {frame.tobytes() for frame in found.nominal.frames}
+    assert not learnt & {frame.tobytes() for frame in found.frames}
+    assert damaged.sum() == 8
+    assert not damaged[~found.is_own].any()
+    sound = found.frames[found.is_own & ~damaged].astype(int)
+    for frame, mask in zip(found.frames[damaged].astype(int), found.masks[damaged], strict=True):
+        assert cv2.connectedComponents(mask.astype(np.uint8))[0] == 2
+        assert max(np.ptp(axis) for axis in np.nonzero(mask)) <= 20
+        changed = np.abs(sound - frame).max(axis=3)
+        nearest = changed[(changed > 0).sum(axis=(1, 2)).argmin()]
+        assert nearest[mask].max() >= 20
+        assert not nearest[~cv2.dilate(mask.astype(np.uint8), np.ones((25, 25))).astype(bool)].any()
+
+
+def test_a_trial_is_the_same_every_time(real_tactile: Path) -> None:
+    """Two calls give the same frames and masks, and 48 edits without a number."""
+    one, other = (real_touch_trial(real_tactile, "ball 6.31 mm, registered") for _ in range(2))
+    assert np.array_equal(one.frames, other.frames)
+    assert np.array_equal(one.masks, other.masks)
+    assert one.masks.any(axis=(1, 2)).sum() == EDITS
+    assert one.is_other is not None
+    assert one.is_other.sum() == 10
+    assert one.alpha == 0.05
+
+
+def test_relief_on_a_marker_gel_lies_between_the_dots(real_tactile: Path) -> None:
+    """No piece is centred on a dot, which would hide it; every second edit is a piece, the others are of dots."""
+    found = real_touch_trial(real_tactile, "finger on a marker gel", edits=12)
+    sound, edits = found.frames[:12], slice(12, 24)
+    assert found.masks[edits].any(axis=(1, 2)).all()
+    for frame, mask in list(zip(sound, found.masks[edits], strict=True))[::2]:
+        assert (dots(frame)[mask] > 0).mean() < 0.5
+
+
+def test_edits_lie_in_the_contact_and_not_in_its_glow() -> None:
+    """A contact of 90 levels in a glow of 12: the spots end with the contact, a blur's width apart."""
+    rows, columns = np.mgrid[:240, :320]
+    radius, free = np.hypot(rows - 120, columns - 160), np.full((240, 320, 3), 100, np.uint8)
+    rgb = free + np.where(radius < 30, 90, np.where(radius < 60, 12, 0)).astype(np.uint8)[..., None]
+    spots = real_touch._spots(real_touch._Cut(rgb, REGION), free)
+    assert spots[radius < 25].all()
+    assert not spots[radius > 36].any()
+
+
+def test_presses_with_a_cut_of_the_gel_are_no_registered_ones(real_tactile: Path) -> None:
+    """Of 15 learnt and 5 held-out registered presses, the two with a cut are left out; the complete pictures stay."""
+    registered, anywhere = (
+        real_touch_trial(real_tactile, f"ball 6.31 mm, {how}", edits=1) for how in ("registered", "anywhere")
+    )
+    assert len(registered.nominal) == 13
+    assert len(anywhere.nominal) == 29

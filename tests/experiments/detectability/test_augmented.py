@@ -1,0 +1,43 @@
+"""Judges of a bundle whose bank learnt rendered copies of its presses."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny
+import turned_parts as parts
+from registered_bundle import PROFILE, fitted, nominal
+
+from calibration.experiments.detectability.judges import panel
+from calibration.fitting.presses.augmentation import render_copies
+from edge import registry
+from edge.model.manifest_facts import copies_of_each
+
+
+@pytest.fixture(autouse=True)
+def other_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The tiny detector as another distribution installs its own: through an entry point."""
+    info = tmp_path / "other_package-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other_package\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[gelgate.detectors]\ntiny = tiny:TINY\n")
+    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])
+    registry._points.cache_clear()
+    yield
+    registry._points.cache_clear()
+
+
+def test_a_bank_without_a_press_learns_the_copies_of_the_others() -> None:
+    """It is the mean of tiny features, worked from the pictures of three presses and of their copies."""
+    presses = nominal(parts.anywhere(parts.BLOCK, 4, shift_px=2.0, turn_rad=0.01)[1])
+    found = fitted(presses, detector=tiny.TINY, augment="auto")
+    each = copies_of_each(found.manifest.facts)
+    copies, of = render_copies(presses, each, PROFILE.pixels_per_mm, np.random.default_rng(0))
+
+    assert each > 0
+    for press, judge in panel(found.bundle(), presses, 0, 1, lambda done: None).judges.items():
+        learnt = np.concatenate([np.delete(presses.frames, press, axis=0), copies[of != press]])
+        bank = judge.scorer.bundle.bank["mean"]
+        assert bank.mean() == pytest.approx(learnt.mean(dtype=np.float64) / 255, abs=1e-5)

@@ -1,0 +1,55 @@
+"""The simulated worn gels: what a scar shows, when it exists, and that nothing else differs."""
+
+import numpy as np
+import pytest
+
+from calibration.experiments.scars.worn_gel import PLACINGS, SCARS, Line, Scar, random_scar
+from calibration.simulator.field_of_view import LR
+
+DENT = Scar("dent", (0.0, 0.0), 0.0, 0.8, 0.08, since=3, growth=5)
+
+
+def test_a_scar_grows_evenly_to_its_full_size() -> None:
+    """Not there before its press, a fifth with it, full four presses later and from then on."""
+    assert [DENT.share(press) for press in (2, 3, 5, 7, 50)] == pytest.approx([0, 0.2, 0.6, 1, 1])
+
+
+@pytest.mark.parametrize("kind", SCARS)
+def test_each_kind_changes_the_gel_near_its_spot_alone(kind: str) -> None:
+    """Furrows and dents go down, hairs up; worn coat changes the light and no height."""
+    scar = random_scar(kind, (2.0, -1.0), 0, np.random.default_rng(3))
+    relief, coat = scar.relief(LR), scar.coat(LR)
+    changed = (np.abs(relief) > 1e-4) | (coat < 0.999)
+    rows, columns = np.nonzero(changed)
+    away = np.hypot((columns - 159.5) * 0.0634 - 2.0, (rows - 119.5) * 0.0634 + 1.0)
+
+    assert 0 < changed.sum() < 6000
+    assert away.max() < 5
+    assert (relief.min() < 0, relief.max() > 0, coat.min() < 1) == (
+        kind in ("scratch", "dent"),
+        kind == "hair",
+        kind == "worn_coat",
+    )
+
+
+def test_a_press_is_the_same_again_but_for_its_scars() -> None:
+    """So what raises an alarm can be found by making the press without them."""
+    line = Line(PLACINGS["grooves in an exact fixture"], 5)
+    imprint = line.imprint(1)
+    plain, again = line.press(imprint, 1, 10), line.press(line.imprint(1), 1, 10)
+    scarred = line.press(imprint, 1, 10, ((DENT, 1.0),))
+    differs = (plain != scarred).any(axis=2)
+
+    assert np.array_equal(plain, again)
+    assert differs[100:140, 140:180].mean() > 0.3
+    assert not differs[:, :60].any()
+
+
+def test_the_free_gel_shows_the_scar_and_what_the_last_press_left() -> None:
+    """Both in the pictures that a station has before a press."""
+    line = Line(PLACINGS["grooves in an exact fixture"], 5)
+    clean, scarred = line.free_gel(10), line.free_gel(10, ((DENT, 1.0),))
+    after = line.free_gel(10, before=line.imprint(1))
+
+    assert np.abs(scarred - clean)[55:65, 75:85].max() > 10
+    assert 0.3 < np.abs(after - clean).mean() < 10

@@ -1,0 +1,138 @@
+"""Validation 3 on a small dataset: the views, the common field of view, the cap, and refusals."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from command_line import gelgate
+from study_cells import quiet
+from study_dataset import study_dataset
+
+from calibration.experiments.harness.study import Options
+from calibration.experiments.studies.resolution_study import ViewPlace, capped_presses, study_resolution
+from calibration.experiments.studies.views import COMMON, VIEWS, common_map
+from edge.core.errors import ConfigError, DatasetError
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return study_dataset(tmp_path_factory.mktemp("fine"), positions=("pos1",))
+
+
+def options(dataset: Path, output: Path, **changed: Any) -> Options:
+    asked: dict[str, Any] = {
+        "methods": ("subspace",),
+        "seeds": 1,
+        "held_out": 2,
+        "fraction": 1.0,
+        "show": quiet,
+    }
+    return Options(dataset=dataset, output=output, **(asked | changed))
+
+
+def test_the_common_field_of_view_is_that_of_low_resolution() -> None:
+    """A pixel of the 224x224 crop covers the 4x3 pixels of 1280x720 that were pooled into it."""
+    assert (COMMON.x, COMMON.y, COMMON.width, COMMON.height) == (192, 24, 896, 672)
+
+
+@pytest.mark.parametrize("name", VIEWS)
+def test_a_bright_place_is_at_its_place_in_the_common_map(name: str) -> None:
+    """The middle of row 100, column 50 of the low resolution's crop, in every view."""
+    view = VIEWS[name]
+    across, down = (1, 1) if view.view.shape[0] <= 240 else (4, 3)
+    x, y = (50 + 48 - view.view.region.x // across) * across, (100 + 8 - view.view.region.y // down) * down
+    score_map = np.zeros(view.view.shape, np.float32)
+    score_map[y : y + down, x : x + across] = 1
+    found = common_map(score_map, view)
+    rows, columns = np.indices(found.shape)
+    centre = [float((axis * found).sum() / found.sum()) for axis in (rows, columns)]
+
+    assert found.shape == (COMMON.height, COMMON.width)
+    assert centre == pytest.approx([100.5 * 3 - 0.5, 50.5 * 4 - 0.5], abs=0.51)
+
+
+def test_only_tiled_views_have_tiles() -> None:
+    """32 tiles of 224 with at least 56 pixels in common, as in the paper."""
+    tiles = {name: view.tiles for name, view in VIEWS.items()}
+
+    assert {name for name, layout in tiles.items() if layout is not None} == {"hr_tiled", "lr_tiled"}
+    assert {len(layout) for layout in tiles.values() if layout is not None} == {32}
+
+
+def test_a_view_has_a_row_with_common_measures(dataset: Path, tmp_path: Path) -> None:
+    """With the shipped trunk; the pool is capped, the same number of presses everywhere."""
+    asked = options(dataset, tmp_path)
+    views = ("lr", "hr_tiled", "lr_full")
+    rows = study_resolution(asked, views, most_presses=3).read()
+
+    assert [row["view"] for row in rows] == list(views)
+    assert {(row["presses"], row["pool"], row["test_nominal"]) for row in rows} == {(3, 6, 2)}
+    assert all(0.5 < row["pixel_auroc_common"] <= 1 for row in rows)
+    assert rows[0]["pixel_auroc_common"] != rows[0]["pixel_auroc"]
+
+
+def test_the_cap_keeps_the_test_presses(dataset: Path, tmp_path: Path) -> None:
+    """Both resolutions have the same presses, whatever the cap."""
+    kept = {
+        (view, most): capped_presses(
+            ViewPlace(dataset, tmp_path, "PZ3", "pos1", "tiny", (), view, "press", 3, most)
+        )
+        for view in ("lr", "hr_tiled")
+        for most in (2, 4)
+    }
+    tested = {
+        tuple(presses.pictures.presses[row].path.name for row in held.test)
+        for presses, held, _ in kept.values()
+    }
+
+    assert len(tested) == 1
+    assert {(most, len(held.pool)) for (_, most), (_, held, _) in kept.items()} == {(2, 2), (4, 4)}
+    assert all(len(presses.defective) == 2 for presses, _, _ in kept.values())
+
+
+def test_one_resolution_alone_is_refused(tmp_path: Path) -> None:
+    """By name for a part that is asked for, with a way to get both otherwise."""
+    root = study_dataset(tmp_path / "coarse", positions=("pos1",))
+    for folder in ("rgb", "fault/rgb", "fault/mask"):
+        shutil.rmtree(root / "PZ3" / "pos1" / folder)
+    with pytest.raises(DatasetError, match=r"no position with both rgb \(1280x720\) and rgb_320x240"):
+        study_resolution(options(root, tmp_path))
+    with pytest.raises(DatasetError, match=r"PZ3/pos1 of dataset .* has pictures of one resolution only"):
+        study_resolution(options(root, tmp_path, parts=("PZ3",)))
+
+
+def test_an_unknown_view_is_refused(dataset: Path, tmp_path: Path) -> None:
+    """With the nearest known name."""
+    refused = gelgate("lab", "study", "resolution", dataset, "-o", tmp_path, "--view", "hr_tild").sentence()
+
+    assert refused == "no view is named 'hr_tild'; did you mean 'hr_tiled'?"
+
+
+def test_rows_of_other_pictures_are_not_continued(tmp_path: Path) -> None:
+    """A folder with rows of one dataset does not take rows of another, in any view."""
+    asked = options(study_dataset(tmp_path / "one", positions=("pos1",)), tmp_path / "rows")
+    study_resolution(asked, ("lr",), most_presses=3)
+    file = sorted((tmp_path / "one").glob("PZ3/pos1/rgb_320x240/*.png"))
+    for name in file:
+        name.write_bytes(file[0].read_bytes())
+    with pytest.raises(ConfigError, match="rows of PZ3/pos1 from other pictures"):
+        study_resolution(asked, ("lr",), most_presses=3)
+
+
+def test_rows_of_the_other_mode_are_added_in_tiles(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its trunk is cut after a deeper layer, and put into tiles; an empty mask is said once."""
+    copy = Path(shutil.copytree(dataset, tmp_path / "data"))
+    cv2.imwrite(
+        str(copy / "PZ3/pos1/fault/mask_320x240/PZ3_pos1_s005_p01.png"), np.zeros((240, 320), np.uint8)
+    )
+    study_resolution(options(copy, tmp_path, fraction=0.5), ("lr_tiled",), 2)
+    asked = options(copy, tmp_path, methods=("padim",), modes=("paper",), fraction=0.5)
+    rows = study_resolution(asked, ("lr_tiled",), 2).read()
+
+    assert [row["mode"] for row in rows] == ["corrected", "paper"]
+    assert capsys.readouterr().err.count("has an empty mask") == 2  # once in each run
