@@ -33,17 +33,13 @@ def tradeoff(given: TradeoffArguments) -> None:
     from edge.extras import needs
 
     needs("studies", "tradeoff")
-    if given.peers:
-        from calibration.experiments.tradeoff.peers import require_models
-
-        require_models()
     limits = given.limits()
     _require_sense(given, bool(limits.names))
     run = Run.of(given.settings(), given.method or (), given.backbone or ())
     if given.point is not None:
         _write_bundle(given.point, run, given.bundle or Path(given.point), given.overwrite)
         return
-    rows = read_or_measure(run, given.output, given.overwrite, given.peers, progress, typer.echo)
+    rows = read_or_measure(run, given.output, given.overwrite, progress, typer.echo)
     _report(rows, given.output, given.picture)
     if limits.names:
         picked = pick(rows, limits)

@@ -8,7 +8,6 @@ from calibration.experiments.harness.rows import ROWS_FILE
 from calibration.experiments.harness.runner import Show
 from calibration.experiments.tradeoff.figure import figure
 from calibration.experiments.tradeoff.page import write_page
-from calibration.experiments.tradeoff.peers import require_models
 from calibration.experiments.tradeoff.plan import Run, RunSettings
 from calibration.experiments.tradeoff.rows import read_rows
 from calibration.experiments.tradeoff.run import read_or_measure
@@ -27,7 +26,6 @@ def tradeoff(
     *,
     methods: Sequence[str] = (),
     backbones: Sequence[str] = (),
-    peers: bool = False,
     overwrite: bool = False,
     show: Show = progress,
     **asked: Any,
@@ -40,10 +38,8 @@ def tradeoff(
     """
     import pandas as pd
 
-    if peers:
-        require_models()
     run = Run.of(RunSettings(Path(dataset), **asked), methods, backbones)
-    rows = read_or_measure(run, Path(output), overwrite, peers, show, print)
+    rows = read_or_measure(run, Path(output), overwrite, show, print)
     write_page(rows, Path(output))
     return pd.json_normalize(rows)
 

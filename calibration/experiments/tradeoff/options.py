@@ -50,9 +50,6 @@ class TradeoffArguments:
     picture: Annotated[Path | None, typer.Option(help="also draw the rows as an SVG file of this name")] = (
         None
     )
-    peers: Annotated[bool, typer.Option("--peers", help="also measure anomalib's PaDiM and PatchCore")] = (
-        False
-    )
     rounds: Annotated[int, typer.Option(help="rounds of timing", min=7)] = 25
     minutes: Annotated[float, typer.Option(help="after this many no new round of timing begins", min=0)] = (
         12.0

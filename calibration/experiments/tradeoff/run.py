@@ -3,7 +3,7 @@
 import json
 import shutil
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
@@ -29,21 +29,30 @@ from calibration.experiments.tradeoff.timing import STAGES, Lane, bundle_lanes, 
 from calibration.threads import one_blas_thread
 from edge.core.errors import ConfigError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
+from edge.core.imaging.frames import CameraFrame
 from edge.model.bundle import Bundle
 from edge.model.bundle_writer import write_bundle
 
 __all__ = ["measure", "read_or_measure", "require_same_run"]
+
+Others = Callable[[Run, Mapping[str, Sequence[CameraFrame]]], list[tuple[Row, Lane]]]
+"""Gives rows without times, and what is timed for them; camera frames are by the name of their profile."""
 
 CAMERA_FRAMES: Final = 3
 """Different presses that are decoded and scored while timing."""
 
 
 def read_or_measure(
-    run: Run, output: Path, overwrite: bool, with_peers: bool, show: Show, say: Callable[[str], None]
+    run: Run,
+    output: Path,
+    overwrite: bool,
+    show: Show,
+    say: Callable[[str], None],
+    others: Others = lambda run, frames: [],
 ) -> list[Row]:
     """Return the rows of the folder, measured where it has none.
 
-    Errors: as `measure`; ConfigError for rows of another run.
+    others: gives what else is timed with the points. Errors: as `measure`; ConfigError for rows of another run.
     """
     file = output / ROWS_FILE
     for sentence in run.chosen.remarks():
@@ -55,14 +64,14 @@ def read_or_measure(
         return rows
     if not run.chosen.high:
         say("no high-resolution pictures of these presses: one resolution is measured")
-    rows = measure(run, output / "unfinished", show, with_peers=with_peers)
+    rows = measure(run, output / "unfinished", show, others)
     write_rows(file, rows)
     shutil.rmtree(output / "unfinished", ignore_errors=True)  # the bundles and the journal
     return rows
 
 
 @one_blas_thread()
-def measure(run: Run, folder: Path, show: Show, *, with_peers: bool = False) -> list[Row]:
+def measure(run: Run, folder: Path, show: Show, others: Others = lambda run, frames: []) -> list[Row]:
     """Measure every point and give its row; points that the folder already holds are not fitted again.
 
     Times are always measured together, so an interrupted timing starts again. folder: is made; holds bundles until
@@ -86,12 +95,9 @@ def measure(run: Run, folder: Path, show: Show, *, with_peers: bool = False) -> 
     for row, most, point in zip(rows, memory, points, strict=True):
         command = f"{run.command} --point {point.key} --bundle {point.method}"
         row |= {"peak_memory_bytes": most, "note": "", "command": command}
-    if with_peers:
-        from calibration.experiments.tradeoff.peers import peers
-
-        others = peers(run, frames[VIEWS["lr"].profile_name])
-        lanes += [lane for _, lane in others]
-        rows += [row | {"command": f"{run.command} --peers"} for row, _ in others]
+    for row, lane in others(run, frames):
+        rows.append(row)
+        lanes.append(lane)
     before = probe(settings.threads)
     times = _times(lanes, settings, begun, show)
     peak = best(before, probe(settings.threads))
@@ -227,7 +233,7 @@ def _times(lanes: Sequence[Lane], settings: RunSettings, begun: float, show: Sho
     return press_times(samples, seed=settings.seed)
 
 
-def _frames(points: Sequence[OperatingPoint], chosen: Chosen) -> dict[str, list[Any]]:
+def _frames(points: Sequence[OperatingPoint], chosen: Chosen) -> dict[str, list[CameraFrame]]:
     """Camera frames of the last scored presses, which are defective, by the name of the profile."""
     views = {VIEWS[point.view].profile_name: VIEWS[point.view] for point in points}
     last = Chosen(

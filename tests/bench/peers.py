@@ -1,5 +1,6 @@
 """anomalib's PaDiM and PatchCore as rows of the same run: same presses, same measures, timed in the same rounds.
 
+`python tests/bench/peers.py DATASET FOLDER --part PZ3 --position pos1` in an environment of its own (docs/studies.md).
 They run as anomalib defines them, in PyTorch, on a ResNet-18 with the weights of the shipped trunk, so that methods and
 programs are compared and not weights. Their published figures are for other weights and pictures (MVTec AD), which are
 not at hand here; each row says so.
@@ -7,12 +8,14 @@ not at hand here; each row says so.
 Ref: anomalib 2.7 (Apache-2.0), models/image/padim and models/image/patchcore, with their default settings.
 """
 
+import argparse
 import ctypes
 import hashlib
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -20,17 +23,16 @@ from numpy.typing import NDArray
 
 from calibration.experiments.harness.rows import ROW_FORMAT
 from calibration.experiments.tradeoff.accuracy import measure_accuracy
-from calibration.experiments.tradeoff.plan import Run
+from calibration.experiments.tradeoff.plan import Run, RunSettings
 from calibration.experiments.tradeoff.point import VIEWS
 from calibration.experiments.tradeoff.presses import Seen, see
 from calibration.experiments.tradeoff.rows import Row
+from calibration.experiments.tradeoff.run import read_or_measure
 from calibration.experiments.tradeoff.timing import Drawing, Lane
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
-from edge.core.errors import ConfigError
+from calibration.progress import progress
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.frames import CameraFrame
-
-__all__ = ["NOTE", "learn", "load_weights", "map_large_blocks", "peers", "require_models"]
 
 NOTE: Final = (
     "Not compared with its published figure: that is for MVTec AD and ImageNet weights, and the dataset is not at "
@@ -48,34 +50,18 @@ _M_MMAP_THRESHOLD, _LARGE_BYTES = -3, 1 << 20
 NAMES: Final = {"padim": "anomalib_padim", "patchcore": "anomalib_patchcore"}
 
 
-def require_models() -> None:
-    """Import anomalib's models, before anything is measured. Errors: ConfigError where they cannot be imported."""
-    try:
-        import anomalib.models.image.padim.torch_model
-        import anomalib.models.image.patchcore.torch_model  # noqa: F401
-    except (ImportError, RuntimeError, OSError) as error:
-        # RuntimeError, OSError: a torchvision of another build than torch lacks its operators or their libraries.
-        raise ConfigError(
-            f"--peers cannot import anomalib ({str(error).splitlines()[0]:.200}); install it in an environment of "
-            "its own (docs/studies.md), with torch and torchvision of the same build, both for CPU or both for CUDA"
-        ) from error
-
-
-def peers(run: Run, frames: Sequence[CameraFrame]) -> list[tuple[Row, Lane]]:
+def peers(run: Run, frames: Mapping[str, Sequence[CameraFrame]]) -> list[tuple[Row, Lane]]:
     """Return the rows, not yet timed, and lanes of both models, fitted on the first presses and scored as every point.
 
-    frames: camera frames to be timed on. Errors: ConfigError where the dataset gives too few presses.
+    frames: camera frames to be timed on, by the name of the profile.
     """
     import torch
 
     torch.set_num_threads(run.settings.threads)
     seen = see(run.chosen, VIEWS["lr"])
-    if len(seen.nominal) < PRESSES:
-        raise ConfigError(
-            f"--peers fits {PRESSES} presses, the dataset gives {len(seen.nominal)}; press more good parts"
-        )
+    assert len(seen.nominal) >= PRESSES, "press more good parts"
     normalise = _normaliser()
-    return [_fit(method, run, seen, normalise, frames) for method in LAYERS]
+    return [_fit(method, run, seen, normalise, frames[VIEWS["lr"].profile_name]) for method in LAYERS]
 
 
 def _fit(
@@ -256,4 +242,18 @@ def _row(method: str, model: Any, accuracy: dict[str, Any], seconds: float, plan
         "work": {"float32": float(counter.get_total_flops()), "int8": 0.0, "bytes": float(bank + trunk)},
         "note": NOTE,
         "peak_memory_bytes": None,
+        "command": "python tests/bench/peers.py",
     }
+
+
+if __name__ == "__main__":
+    words = argparse.ArgumentParser(
+        description="Measure a trade-off with anomalib's models among its points."
+    )
+    for name in ("dataset", "output"):
+        words.add_argument(name, type=Path)
+    for name in ("--part", "--position"):
+        words.add_argument(name)
+    given = words.parse_args()
+    settings = RunSettings(given.dataset, given.part, given.position)
+    read_or_measure(Run.of(settings), given.output, True, progress, print, peers)
