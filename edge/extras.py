@@ -7,7 +7,7 @@ from edge.core.errors import ConfigError
 __all__ = ["is_installed", "needs", "where_to_get"]
 
 # The package to import, by the extra of `pip install` that brings it.
-_STUDIES = ("joblib", "pandas", "matplotlib", "jinja2")
+_STUDIES = ("joblib", "pandas", "matplotlib", "jinja2", "scipy")
 _PACKAGES = {
     "openvino": ("openvino",),
     "benchmark": ("jinja2",),

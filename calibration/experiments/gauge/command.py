@@ -105,6 +105,9 @@ def report(
     """Report a study from the rows of the database.
 
     Gauge R&R of the score, agreement of the verdicts, and drift. The gateway may run meanwhile."""
+    from edge.extras import needs
+
+    needs("studies", "gelgate lab msa report")
     from calibration.experiments.gauge.plan import material, read_plan
     from calibration.experiments.gauge.report import FORMATS, markdown
     from calibration.experiments.gauge.report import report as report_of

@@ -3,13 +3,11 @@
 import queue
 import sys
 import threading
-from collections.abc import Callable, Collection, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Final
 
-from calibration.experiments.gauge.plan import StudyPlan
+from calibration.experiments.gauge.plan import ORIGIN, SCORED, StudyPlan
 from edge.clock import SystemClock
 from edge.config import Config
 from edge.core.errors import ConfigError, DatasetError
@@ -22,18 +20,7 @@ from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, Store
 from edge.store.study_presses import StudyPress, StudyTable
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-__all__ = ["StudyLabels", "open_steps", "prepared", "run_study"]
-
-_SCORED: Final = ("pass", "fail", "unsure")
-
-
-def open_steps(plan: StudyPlan, rows: Sequence[StudyPress]) -> list[int]:
-    """The places in the plan's order, from 0, that have no counted press with a score."""
-    done = {one.step for one in rows if not one.is_void and one.verdict in _SCORED}
-    return [number for number in range(len(plan.order)) if number not in done]
+__all__ = ["StudyLabels", "prepare_labels", "run_study"]
 
 
 @dataclass
@@ -55,13 +42,13 @@ class StudyLabels(PressStage):
     """Why the study cannot go on."""
 
     def __post_init__(self) -> None:
-        self._open = open_steps(self.plan, self.rows)
+        counted = [one for one in self.rows if not one.is_void]
+        done = {one.step for one in counted if one.verdict in SCORED}
+        # Places in the plan's order, from 0, that have no counted press with a score.
+        self._open = [number for number in range(len(self.plan.order)) if number not in done]
         self._skipped: list[int] = []
         self._last: tuple[int, str] | None = None
-        self._first = next((one for one in self.rows if not one.is_void), None)
-        self._before: tuple[str, str, str, str, str] | None = (
-            None if self._first is None else _origin(self._first)
-        )
+        self._before = [str(getattr(one, name)) for one in counted[:1] for name in ORIGIN.values()]
         self._has_asked = False
 
     @property
@@ -72,10 +59,11 @@ class StudyLabels(PressStage):
     def turn(self, mounted: Mounted | None) -> None:
         if mounted is None:
             return
-        now = (mounted.serial, mounted.gel_id, mounted.part.part, mounted.part.position, mounted.bundle_id)
+        now = [mounted.serial, mounted.gel_id, mounted.part.part, mounted.part.position, mounted.bundle_id]
         self._before = self._before or now
         if now != self._before:
-            self._end_with(_describe_change(self._before, now))
+            self.fault = _describe_change(self._before, now)
+            self.stop()
             return
         while not self.keys.empty():
             self._obey(self.keys.get())
@@ -100,7 +88,7 @@ class StudyLabels(PressStage):
     def record(self, press: Press, gel: GelRecord) -> None:
         if not isinstance(label := press.label, StudyLabel):
             return
-        if press.word not in _SCORED:
+        if press.word not in SCORED:
             self.say(f"no score: {press.error or press.reason}; press {label.piece} again")
             return
         self._last = (label.step, press.press_id)
@@ -139,21 +127,12 @@ class StudyLabels(PressStage):
             case _:
                 self.say(f"'{key}' is no key: r and Enter repeats the last press, s and Enter skips this one")
 
-    def _end_with(self, fault: str) -> None:
-        self.fault = fault
-        self.stop()
 
-
-def _origin(press: StudyPress) -> tuple[str, str, str, str, str]:
-    return press.serial, press.gel_id, press.part, press.position, press.bundle_id
-
-
-def _describe_change(before: Collection[str], now: Collection[str]) -> str:
+def _describe_change(before: Sequence[str], now: Sequence[str]) -> str:
     """Say what is not as it was."""
-    names = ("sensor", "gel", "part", "position", "bundle")
     words = [
         f"{name} {old[:16]} before and {new[:16]} now"
-        for name, old, new in zip(names, before, now, strict=True)
+        for name, old, new in zip(ORIGIN, before, now, strict=True)
         if old != new
     ]
     return (
@@ -170,13 +149,12 @@ def run_study(plan: StudyPlan, config: Config, say: Callable[[str], None]) -> in
     """
     stop = threading.Event()
     with Store(config.store.path) as store:
-        labels = prepared(plan, store, say, stop.set)
+        labels = prepare_labels(plan, store, say, stop.set)
         if not labels.left:
             return 0
-        with (
-            Gateway.open(config, SystemClock(), labels=labels) as gateway,
-            _keys(labels.keys),
-        ):
+        with Gateway.open(config, SystemClock(), labels=labels) as gateway:
+            if sys.stdin is not None and sys.stdin.isatty():  # the thread ends with the process
+                threading.Thread(target=_read_keys, args=(labels.keys,), name="keys", daemon=True).start()
             try:
                 gateway.run(stop)
             except KeyboardInterrupt:
@@ -186,10 +164,10 @@ def run_study(plan: StudyPlan, config: Config, say: Callable[[str], None]) -> in
     return labels.left
 
 
-def prepared(
+def prepare_labels(
     plan: StudyPlan, store: Store, say: Callable[[str], None], stop: Callable[[], None]
 ) -> StudyLabels:
-    """The labels of a new study, or of one to go on with. Errors: ConfigError for a changed plan; StoreError."""
+    """Prepare a new study, or one to go on with. Errors: ConfigError for a changed plan; StoreError."""
     begin = partial(
         study_presses.begin_study,
         study_id=plan.study_id,
@@ -209,14 +187,6 @@ def prepared(
     return StudyLabels(plan, rows, say, stop, void)
 
 
-@contextmanager
-def _keys(typed: "queue.SimpleQueue[str]") -> "Iterator[None]":
-    """Lines of a terminal, read by a thread of their own that ends with the process."""
-    if sys.stdin is not None and sys.stdin.isatty():
-        threading.Thread(target=_read, args=(typed,), name="keys", daemon=True).start()
-    yield
-
-
-def _read(typed: "queue.SimpleQueue[str]") -> None:
+def _read_keys(typed: "queue.SimpleQueue[str]") -> None:
     for line in sys.stdin:
         typed.put(line.strip().lower())

@@ -5,7 +5,7 @@ random order too. So no operator waits for each press, and no piece has its own 
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self
@@ -18,7 +18,17 @@ from edge.core.errors import ConfigError, DatasetError
 from edge.store.study_presses import StudyPress
 from edge.store.ulid import new_ulid
 
-__all__ = ["Material", "Piece", "Step", "StudyPlan", "make_plan", "material", "read_plan"]
+__all__ = [
+    "ORIGIN",
+    "SCORED",
+    "Material",
+    "Piece",
+    "Step",
+    "StudyPlan",
+    "make_plan",
+    "material",
+    "read_plan",
+]
 
 Name = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f\x7f]{1,64}$")]
 
@@ -73,12 +83,6 @@ class StudyPlan(_Entry):
             )
         return self
 
-    @property
-    def known(self) -> list[str] | None:
-        """The truth of each piece, where it is known of all."""
-        known = [piece.known for piece in self.pieces]
-        return [one for one in known if one is not None] if None not in known else None
-
     def text(self) -> str:
         """The plan as it is written: the same plan gives the same text."""
         return self.model_dump_json(indent=1) + "\n"
@@ -131,111 +135,94 @@ def _first(error: ValidationError) -> str:
     return f"{where}: {text}" if where else text
 
 
-_SCORED: Final = ("pass", "fail", "unsure")
+SCORED: Final = ("pass", "fail", "unsure")
 
-Cell = tuple[str, str]
+ORIGIN: Final = {
+    "sensor": "serial",
+    "gel": "gel_id",
+    "part": "part",
+    "position": "position",
+    "bundle": "bundle_id",
+}
+"""What all presses of a study have in common, with its column."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """A balanced study. pieces, operators, repeats: what is analysed, which may be less than the plan."""
+    """A balanced study: what is analysed may be less than the plan."""
 
     plan: StudyPlan
     pieces: tuple[str, ...]
     operators: tuple[str, ...]
-    repeats: int
     scores: NDArray[np.float64]
     """float64 (pieces, operators, repeats)."""
-    verdicts: list[list[list[str]]]
-    """The verdicts in the same table, as words."""
+    verdicts: NDArray[np.str_]
+    """The verdicts in the same table."""
     presses: tuple[StudyPress, ...]
     """Every counted press with a score in the order of time."""
     missing: int
     """Presses of the plan without a counted press."""
-    left_out: int
-    """Counted presses that the table has no place for."""
-    rejected: Mapping[str, int]
+    rejected: Counter[str]
     """By operator, presses without a score."""
     void: int
     """Pressed again."""
 
     @property
+    def left_out(self) -> int:
+        """Counted presses that the table has no place for."""
+        return len(self.presses) - self.scores.size
+
+    @property
     def known(self) -> list[str] | None:
         """The truth of each analysed piece; None where it is not known of all."""
-        known = {piece.name: piece.known for piece in self.plan.pieces}
-        found = [known[name] for name in self.pieces]
-        return [one for one in found if one is not None] if None not in found else None
+        known = [piece.known for piece in self.plan.pieces if piece.name in self.pieces]
+        return [one for one in known if one is not None] if None not in known else None
 
 
 def material(plan: StudyPlan, rows: Sequence[StudyPress]) -> Material:
-    """The presses of the study. Where some are missing, the table is the largest one without gaps: fewer repeats, or
-    fewer pieces. Errors: DatasetError where no table of 2 x 2 x 2 is left, and for a change in the middle."""
+    """Sort presses into a table: where some are missing the largest without gaps, with fewer repeats or fewer pieces.
+
+    Errors: DatasetError where no table of 2 x 2 x 2 is left, and for a change in the middle.
+    """
     counted = [one for one in rows if not one.is_void]
-    scored = [one for one in counted if one.verdict in _SCORED and one.score is not None]
-    _check_same(scored)
-    cells = _cells(scored)
-    pieces, operators, repeats = _largest(plan, cells)
-    chosen = [[cells[piece, operator][:repeats] for operator in operators] for piece in pieces]
-    scores = [[[one.score for one in cell] for cell in row] for row in chosen]
+    scored = [one for one in counted if one.verdict in SCORED and one.score is not None]
+    _require_one_origin(scored)
+    cells: dict[tuple[str, str], list[StudyPress]] = {}
+    for one in sorted(scored, key=lambda press: press.repeat):
+        cells.setdefault((one.piece, one.operator), []).append(one)
+    operators = tuple(name for name in plan.operators if any(name == one.operator for one in scored))
+
+    def pressed(repeats: int) -> tuple[str, ...]:
+        names = (piece.name for piece in plan.pieces)
+        return tuple(n for n in names if all(len(cells.get((n, o), ())) >= repeats for o in operators))
+
+    repeats = max(range(plan.repeats, 1, -1), key=lambda number: number * len(pressed(number)))
+    pieces = pressed(repeats)
+    if len(pieces) < 2 or len(operators) < 2:
+        raise DatasetError(
+            f"{len(scored)} of {len(plan.order)} presses of the study have a score, and no 2 pieces were pressed twice "
+            "by 2 operators; `gelgate lab msa run` goes on with the plan"
+        )
+    table = [[cells[piece, operator][:repeats] for operator in operators] for piece in pieces]
     return Material(
         plan,
         pieces,
         operators,
-        repeats,
-        np.array(scores, np.float64),
-        [[[one.verdict for one in cell] for cell in row] for row in chosen],
+        np.array([[[one.score for one in cell] for cell in row] for row in table], np.float64),
+        np.array([[[one.verdict for one in cell] for cell in row] for row in table]),
         tuple(scored),
         missing=len(plan.order) - sum(min(len(cell), plan.repeats) for cell in cells.values()),
-        left_out=len(scored) - len(pieces) * len(operators) * repeats,
-        rejected=Counter(one.operator for one in counted if one.verdict not in _SCORED),
-        void=sum(one.is_void for one in rows),
+        rejected=Counter(one.operator for one in counted if one.verdict not in SCORED),
+        void=len(rows) - len(counted),
     )
 
 
-def _check_same(scored: Sequence[StudyPress]) -> None:
+def _require_one_origin(scored: Sequence[StudyPress]) -> None:
     """Refuse mixed presses. Errors: DatasetError for two gels, bundles, sensors or positions."""
-    for what, name in (
-        ("gel", "gel_id"),
-        ("bundle", "bundle_id"),
-        ("sensor", "serial"),
-        ("part", "part"),
-        ("position", "position"),
-    ):
+    for what, name in ORIGIN.items():
         found = list(dict.fromkeys(str(getattr(one, name)) for one in scored))
         if len(found) > 1:
             raise DatasetError(
                 f"the study was pressed with more than one {what} ({', '.join(one[:16] for one in found)}): its scores "
                 "cannot be compared; make a new plan and press it with one"
             )
-
-
-def _cells(scored: Sequence[StudyPress]) -> dict[Cell, list[StudyPress]]:
-    """Piece and operator to presses, in the order of repeats."""
-    cells: dict[Cell, list[StudyPress]] = {}
-    for one in sorted(scored, key=lambda press: press.repeat):
-        cells.setdefault((one.piece, one.operator), []).append(one)
-    return cells
-
-
-def _largest(
-    plan: StudyPlan, cells: Mapping[Cell, Sequence[StudyPress]]
-) -> tuple[tuple[str, ...], tuple[str, ...], int]:
-    """The pieces, operators and repeats of the largest table without gaps. Errors: DatasetError."""
-    present = {operator for _, operator in cells}
-    operators = tuple(name for name in plan.operators if name in present)
-    best: tuple[tuple[str, ...], int] = ((), 0)
-    for repeats in range(plan.repeats, 1, -1):
-        pieces = tuple(
-            one.name
-            for one in plan.pieces
-            if all(len(cells.get((one.name, operator), ())) >= repeats for operator in operators)
-        )
-        if len(pieces) * repeats > len(best[0]) * best[1]:
-            best = (pieces, repeats)
-    if len(best[0]) < 2 or len(operators) < 2:
-        pressed = sum(map(len, cells.values()))
-        raise DatasetError(
-            f"{pressed} of {len(plan.order)} presses of the study have a score, and no 2 pieces were pressed twice by "
-            "2 operators; `gelgate lab msa run` goes on with the plan"
-        )
-    return best[0], operators, best[1]

@@ -2,17 +2,19 @@
 
 import csv
 import io
+import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import tzinfo
-from typing import Final
+from itertools import combinations
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from calibration.experiments.gauge.agreement import Agreement, Kappa, Share, agreement
+from calibration.experiments.gauge.agreement import Kappa, Share, cohen_kappa, count_shares, fleiss_kappa
 from calibration.experiments.gauge.gauge import (
+    CONFIDENCE,
     POOLED_ABOVE,
-    Drift,
     Gauge,
     by_average_and_range,
     drift,
@@ -24,8 +26,7 @@ from edge.clock import local_time
 __all__ = ["FORMATS", "Section", "csv_tables", "markdown", "report"]
 
 
-@dataclass(frozen=True)
-class Section:
+class Section(NamedTuple):
     """A title, sentences, and at most one table."""
 
     title: str
@@ -41,7 +42,7 @@ def report(study: Material, zone: tzinfo | None = None) -> list[Section]:
 
     zone: of the times; None for that of this machine.
     """
-    return [_about(study, zone), *_gauge(study), *_attribute(study), _drift(study)]
+    return [_about(study, zone), *_gauge(study), _agreement(study), _kappas(study), _drift(study)]
 
 
 def _about(study: Material, zone: tzinfo | None) -> Section:
@@ -55,7 +56,7 @@ def _about(study: Material, zone: tzinfo | None) -> Section:
         "pressed": f"{local_time(first.time_ns, zone)} to {local_time(last.time_ns, zone)}",
         "order": f"random, seed {plan.seed}",
         "planned": f"{len(plan.pieces)} pieces x {len(plan.operators)} operators x {plan.repeats} repeats",
-        "analysed": f"{len(study.pieces)} x {len(study.operators)} x {study.repeats}",
+        "analysed": f"{' x '.join(map(str, study.scores.shape))}",
     }
     return Section("Study", tuple(_gaps(study)), ("fact", "value"), tuple(facts.items()))
 
@@ -81,38 +82,6 @@ def _gauge(study: Material) -> list[Section]:
     return [_components(found), _variance(found), _by_ranges(study)]
 
 
-def _components(found: Gauge) -> Section:
-    sure = f"{found.confidence:.0%}"
-    rows = tuple(
-        (
-            _NAMES[one.name],
-            _number(one.sd),
-            f"{_number(one.low)} to {_number(one.high)}",
-            f"{one.percent:.1f}",
-            f"{one.percent_low:.1f} to {one.percent_high:.1f}",
-            f"{one.contribution:.1f}",
-        )
-        for one in found.components
-    )
-    grr = found.component("GRR")
-    sentences = (
-        f"%GRR is {grr.percent:.1f} ({sure}: {grr.percent_low:.1f} to {grr.percent_high:.1f}): "
-        f"{_grr_word(grr.percent)}. "
-        "AIAG: below 10 acceptable, up to 30 depending on the use, above 30 not acceptable.",
-        f"Distinct categories (ndc): {found.ndc} ({sure}: {found.ndc_low} to {found.ndc_high}); AIAG asks for 5 or "
-        "more.",
-    )
-    head = (
-        "component",
-        "standard deviation",
-        f"{sure} interval",
-        "% of TV",
-        f"{sure} interval",
-        "% of variance",
-    )
-    return Section("Gauge R&R of the score, analysis of variance", sentences, head, rows)
-
-
 _NAMES = {
     "EV": "repeatability (EV)",
     "AV": "operators (AV)",
@@ -121,38 +90,49 @@ _NAMES = {
     "PV": "pieces (PV)",
     "TV": "total (TV)",
 }
+_SURE = f"{CONFIDENCE:.0%}"
 
 
-def _grr_word(percent: float) -> str:
-    if percent < 10:
-        return "acceptable"
-    return "acceptable for some uses" if percent <= 30 else "not acceptable"
+def _components(found: Gauge) -> Section:
+    rows = tuple(
+        (
+            _NAMES[name],
+            _number(sd.value),
+            f"{_number(sd.low)} to {_number(sd.high)}",
+            f"{percent.value:.1f}",
+            f"{percent.low:.1f} to {percent.high:.1f}",
+            f"{percent.value**2 / 100:.1f}",
+        )
+        for (name, sd), percent in zip(found.sd.items(), found.percent.values(), strict=True)
+    )
+    grr, ndc = found.percent["GRR"], found.ndc
+    word = "acceptable for some uses" if grr.value <= 30 else "not acceptable"
+    sentences = (
+        f"%GRR is {grr.value:.1f} ({_SURE}: {grr.low:.1f} to {grr.high:.1f}): "
+        f"{'acceptable' if grr.value < 10 else word}. "
+        "AIAG: below 10 acceptable, up to 30 depending on the use, above 30 not acceptable.",
+        f"Distinct categories (ndc): {ndc.value:g} ({_SURE}: {ndc.low:g} to {ndc.high:g}); AIAG asks for 5 or more.",
+    )
+    interval = f"{_SURE} interval"
+    head = ("component", "standard deviation", interval, "% of TV", interval, "% of variance")
+    return Section("Gauge R&R of the score, analysis of variance", sentences, head, rows)
 
 
 def _variance(found: Gauge) -> Section:
     rows = tuple(
-        (
-            row.name,
-            f"{row.ss:.6g}",
-            str(row.df),
-            f"{row.ms:.6g}",
-            _optional(row.f, ".3f"),
-            _probability(row.p),
-        )
-        for row in found.rows
+        (name, f"{ss:.6g}", str(df), f"{ms:.6g}", "" if f is None else f"{f:.3f}", _probability(p))
+        for name, ss, df, ms, f, p in found.sources
     )
-    interaction = next(row for row in found.rows if row.name == "interaction")
+    p = next(source.p for source in found.sources if source.name == "interaction")
     word = "pooled with repeatability" if found.is_pooled else "kept"
-    sentence = f"The interaction is {word}: its p is {interaction.p:.3f}, the limit is {POOLED_ABOVE:g}."
+    sentence = f"The interaction is {word}: its p is {p:.3f}, the limit is {POOLED_ABOVE:g}."
     return Section("Table of variance", (sentence,), ("source", "SS", "df", "MS", "F", "p"), rows)
 
 
 def _by_ranges(study: Material) -> Section:
     found = by_average_and_range(study.scores)
-    names = ("ev", "av", "grr", "pv", "tv")
-    rows = tuple(
-        (_NAMES[name.upper()], _number(getattr(found, name)), f"{found.percent(name):.1f}") for name in names
-    )
+    total = found.sd["TV"] or math.inf
+    rows = tuple((_NAMES[name], _number(sd), f"{100 * sd / total:.1f}") for name, sd in found.sd.items())
     sentences = (
         f"ndc {found.ndc}. Mean range {_number(found.mean_range)}; upper limit of a range "
         f"{_number(found.upper_range)}: "
@@ -163,30 +143,22 @@ def _by_ranges(study: Material) -> Section:
     return Section("Gauge R&R of the score, averages and ranges", sentences, head, rows)
 
 
-def _attribute(study: Material) -> list[Section]:
-    found = agreement(study.verdicts, study.operators, study.known)
-    words = ", ".join(f"{number} {word}" for word, number in found.verdicts.items())
-    return [
-        _operators(study, found, f"Verdicts: {words}."),
-        _kappas(study, found),
-    ]
-
-
-def _operators(study: Material, found: Agreement, verdicts: str) -> Section:
+def _agreement(study: Material) -> Section:
+    words = ", ".join(f"{number} {word}" for word, number in _count_verdicts(study))
+    rows = []
+    for number, name in enumerate(study.operators):
+        found = count_shares(study.verdicts[:, number], study.known)
+        errors = (_share(one)[0] for one in (found.misses, found.false_alarms))
+        rows.append((name, *_share(found.same), *_share(found.effectiveness), *errors))
+    both = count_shares(study.verdicts.reshape(len(study.pieces), -1), study.known)
+    rows.append(("all operators", *_share(both.same), *_share(both.effectiveness), "", ""))
+    sentences = (f"Verdicts: {words}.", _NOT_KNOWN if study.known is None else _KNOWN)
     head = ("operator", "agrees with itself", "95 %", "effectiveness", "95 %", "misses", "false alarms")
-    rows = [
-        (
-            one.name,
-            *_share(one.within),
-            *_share(one.effectiveness),
-            _share(one.misses)[0],
-            _share(one.false_alarms)[0],
-        )
-        for one in found.appraisers
-    ]
-    rows.append(("all operators", *_share(found.between), *_share(found.with_known), "", ""))
-    sentences = [verdicts, _KNOWN if study.known is not None else _NOT_KNOWN]
-    return Section("Agreement of verdicts, by piece", tuple(sentences), head, tuple(rows))
+    return Section("Agreement of verdicts, by piece", sentences, head, tuple(rows))
+
+
+def _count_verdicts(study: Material) -> list[tuple[str, int]]:
+    return Counter(study.verdicts.ravel().tolist()).most_common()
 
 
 _KNOWN = (
@@ -201,70 +173,68 @@ _NOT_KNOWN = (
 )
 
 
-def _kappas(study: Material, found: Agreement) -> Section:
-    rows = [(f"{one} and {other} (Cohen)", *_kappa(kappa)) for one, other, kappa in found.pairs]
-    rows += [
-        (f"{one.name} and the known verdict (Cohen)", *_kappa(one.kappa))
-        for one in found.appraisers
-        if one.kappa is not None
-    ]
-    rows.append(("all decisions (Fleiss)", *_kappa(found.fleiss)))
+def _kappas(study: Material) -> Section:
+    by_operator = dict(zip(study.operators, study.verdicts.swapaxes(0, 1), strict=True))
+    found = {
+        f"{one} and {other} (Cohen)": cohen_kappa(by_operator[one], by_operator[other])
+        for one, other in combinations(study.operators, 2)
+    }
+    if study.known is not None:
+        for name, own in by_operator.items():
+            truth = np.broadcast_to(np.array(study.known)[:, None], own.shape)
+            found[f"{name} and the known verdict (Cohen)"] = cohen_kappa(own, truth)
+    found["all decisions (Fleiss)"] = fleiss_kappa(study.verdicts.reshape(len(study.pieces), -1))
     sentences = ["AIAG: kappa above 0.75 is good agreement, below 0.40 poor."]
-    if len(found.verdicts) == 1:
-        (word,) = found.verdicts
+    if len(verdicts := _count_verdicts(study)) == 1:
         sentences.append(
-            f"Every verdict is {word}, so agreement is all by chance and kappa is not defined: add pieces of the other "
-            "kind."
+            f"Every verdict is {verdicts[0][0]}, so agreement is all by chance and kappa is not defined: add pieces of "
+            "the other kind."
         )
     head = ("between", "kappa", "standard error", "agreement", "by chance")
-    return Section("Kappa", tuple(sentences), head, tuple(rows))
+    rows = tuple((name, *_kappa(one)) for name, one in found.items())
+    return Section("Kappa", tuple(sentences), head, rows)
 
 
 def _kappa(found: Kappa) -> tuple[str, str, str, str]:
-    value = "not defined" if found.value is None else f"{found.value:.3f}"
-    return value, _optional(found.standard_error, ".3f"), f"{found.observed:.1%}", f"{found.expected:.1%}"
+    shares = f"{found.observed:.1%}", f"{found.expected:.1%}"
+    if found.value is None:
+        return "not defined", "", *shares
+    return f"{found.value:.3f}", f"{found.standard_error:.3f}", *shares
 
 
 def _drift(study: Material) -> Section:
-    presses = study.presses
+    presses, title = study.presses, "Drift while the study ran"
     found = drift(
-        [float(one.score or 0.0) for one in presses],
-        [(one.piece, one.operator) for one in presses],
-        list(range(len(presses))),
+        [float(one.score or 0.0) for one in presses], [(one.piece, one.operator) for one in presses]
     )
-    title = "Drift while the study ran"
     if found is None:
         return Section(title, ("There are too few presses to test it.",))
-    return Section(title, tuple(_drift_sentences(found, study)))
-
-
-def _drift_sentences(found: Drift, study: Material) -> Iterator[str]:
-    spread = float(np.std(study.scores)) or 1.0
-    yield (
-        f"Each press wears the gel. Over {found.presses} presses the score changed by {_number(found.total)} (95 %: "
-        f"{_number(found.low)} to {_number(found.high)}), p {found.p:.3f}; one score varies by {_number(found.sd)} "
-        "around that line."
+    total, low, high = found.total
+    changed = (
+        f"Each press wears the gel. Over {len(presses)} presses the score changed by {_number(total)} (95 %: "
+        f"{_number(low)} to {_number(high)}), p {found.p:.3f}; one score varies by {_number(found.sd)} around "
+        "that line."
     )
-    if found.is_found:
-        yield (
-            f"The drift is real, and {abs(found.total) / spread:.1f} times the standard deviation of all scores: it is "
-            "in the repeatability above. Look at the gel, and at what else changed with time."
-        )
-    else:
-        yield "No drift is found beyond chance."
+    if found.p >= 0.05:
+        return Section(title, (changed, "No drift is found beyond chance."))
+    times = abs(total) / (float(np.std(study.scores)) or 1.0)
+    return Section(
+        title,
+        (
+            changed,
+            f"The drift is real, and {times:.1f} times the standard deviation of all scores: it is in the "
+            "repeatability above. Look at the gel, and at what else changed with time.",
+        ),
+    )
 
 
 def _share(one: Share | None) -> tuple[str, str]:
     if one is None:
         return "", ""
-    if one.share is None or one.limits is None:
+    if one.limits is None:
         return "none of that kind", ""
     low, high = one.limits
-    return f"{one.found}/{one.of} = {one.share:.1%}", f"{low:.1%} to {high:.1%}"
-
-
-def _optional(value: float | None, how: str) -> str:
-    return "" if value is None else format(value, how)
+    return f"{one.found}/{one.of} = {one.found / one.of:.1%}", f"{low:.1%} to {high:.1%}"
 
 
 def _probability(p: float | None) -> str:

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.metrics.distributions import t_quantile
-
 __all__ = ["MIN_DRAWS", "is_drawn", "mean_interval"]
 
 MIN_DRAWS = 3
@@ -28,10 +26,12 @@ def mean_interval(
     lowest, highest: the range of the values. With both, the interval is computed for the logit of the mean, with
     `lowest` alone for its logarithm, each with the slope at the mean; so both ends are in the range.
     """
+    from scipy import stats
+
     if len(values) < MIN_DRAWS:
         return math.nan, math.nan
     mean, error = float(values.mean()), float(values.std(ddof=1)) / math.sqrt(len(values))
-    half = t_quantile(0.975, len(values) - 1) * error
+    half = float(stats.t.ppf(0.975, len(values) - 1)) * error
     if math.isinf(lowest):
         return mean - half, mean + half
     below, above = mean - lowest, highest - mean

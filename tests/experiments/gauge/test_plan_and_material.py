@@ -59,7 +59,7 @@ def test_a_complete_study_is_analysed_as_it_is(plan: StudyPlan, rows_of: Rows) -
     """Four pieces, two operators, two repeats, in the plan's order of names."""
     found = material(plan, rows_of(plan))
 
-    assert (found.pieces, found.operators, found.repeats) == (("P1", "P2", "P3", "P4"), ("A", "B"), 2)
+    assert (found.pieces, found.operators) == (("P1", "P2", "P3", "P4"), ("A", "B"))
     assert found.scores.shape == (4, 2, 2)
     assert (found.missing, found.left_out, found.known) == (0, 0, ["pass", "pass", "fail", "fail"])
     assert found.scores[3].mean() > found.scores[0].mean() + 0.5

@@ -36,7 +36,7 @@ def aiag() -> NDArray[np.float64]:
 
 def test_the_table_of_variance_is_the_published_one() -> None:
     """Table III-B 7: sums of squares, degrees of freedom, mean squares, F."""
-    rows = {row.name: row for row in gauge_by_anova(aiag()).rows}
+    rows = {row.name: row for row in gauge_by_anova(aiag()).sources}
 
     assert (rows["operators"].ss, rows["operators"].df) == (pytest.approx(3.1673, abs=5e-5), 2)
     assert (rows["pieces"].ss, rows["pieces"].df) == (pytest.approx(88.3619, abs=5e-5), 9)
@@ -58,11 +58,11 @@ def test_the_components_are_the_published_ones() -> None:
     }
 
     assert gauge.is_pooled
-    assert gauge.component("INT").sd == 0.0
+    assert gauge.sd["INT"].value == 0.0
     for name, (sd, percent) in published.items():
-        found = gauge.component(name)
-        assert (found.sd, round(found.percent, 1)) == (pytest.approx(sd, abs=2e-6), percent)
-    assert gauge.ndc == 4
+        found = gauge.sd[name].value, round(gauge.percent[name].value, 1)
+        assert found == (pytest.approx(sd, abs=2e-6), percent)
+    assert gauge.ndc.value == 4
 
 
 def test_averages_and_ranges_give_the_published_report() -> None:
@@ -70,9 +70,9 @@ def test_averages_and_ranges_give_the_published_report() -> None:
     found = by_average_and_range(aiag())
 
     assert found.mean_range == pytest.approx(0.3417, abs=5e-5)
-    assert (found.ev, found.av) == pytest.approx((0.20188, 0.22963), abs=5e-5)
-    assert (found.grr, found.pv, found.tv) == pytest.approx((0.30575, 1.10456, 1.14610), abs=5e-5)
-    shares = [round(found.percent(name), 2) for name in ("ev", "av", "grr", "pv")]
+    published = {"EV": 0.20188, "AV": 0.22963, "GRR": 0.30575, "PV": 1.10456, "TV": 1.14610}
+    assert found.sd == pytest.approx(published, abs=5e-5)
+    shares = [round(100 * found.sd[name] / found.sd["TV"], 2) for name in ("EV", "AV", "GRR", "PV")]
     assert shares == pytest.approx([17.62, 20.04, 26.68, 96.38], abs=0.011)
     assert found.ndc == 5
 
@@ -90,10 +90,10 @@ def test_the_constants_are_the_published_ones(n: int, groups: int | None, publis
     assert k_factor(n, groups) == pytest.approx(published, abs=1.01e-4)
 
 
-def decisions(*counts: tuple[str, str, int]) -> tuple[list[str], list[str]]:
+def decisions(*counts: tuple[str, str, int]) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
     """Two series with these numbers of pairs."""
-    pairs = [(one, other) for one, other, number in counts for _ in range(number)]
-    return [one for one, _ in pairs], [other for _, other in pairs]
+    first, second = np.array([pair for *pair, number in counts for _ in range(number)]).T
+    return first, second
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_fleiss_kappa_of_a_worked_example() -> None:
         *((0, 0, 0, 0, 14), (0, 2, 6, 4, 2), (0, 0, 3, 5, 6), (0, 3, 9, 2, 0), (2, 2, 8, 1, 1)),
         *((7, 7, 0, 0, 0), (3, 2, 6, 3, 0), (2, 5, 3, 2, 2), (6, 5, 2, 1, 0), (0, 2, 2, 3, 7)),
     )
-    found = fleiss_kappa([[str(k) for k, n in enumerate(row) for _ in range(n)] for row in counts])
+    found = fleiss_kappa(np.array([[str(k) for k, n in enumerate(row) for _ in range(n)] for row in counts]))
 
     assert (found.observed, found.expected) == pytest.approx((0.378, 0.213), abs=5e-4)
     assert found.value == pytest.approx(0.210, abs=5e-4)

@@ -9,7 +9,7 @@ from command_line import gelgate
 from station import press_recording, small_bundle, station_config
 from stepped_station import SteppedStation
 
-from calibration.experiments.gauge.live import StudyLabels, prepared
+from calibration.experiments.gauge.live import StudyLabels, prepare_labels
 from calibration.experiments.gauge.plan import Piece, StudyPlan, make_plan
 from edge.core.errors import ConfigError
 from edge.store.history import HistoryQuery, read_history
@@ -53,7 +53,7 @@ def running(
     """A station with the plan's labels; the list is filled when the run would end."""
     stopped: list[bool] = []
     with Store(config.parent / "gelgate.db") as store:
-        labels = prepared(plan, store, said.append, lambda: stopped.append(True))
+        labels = prepare_labels(plan, store, said.append, lambda: stopped.append(True))
         with SteppedStation(config, labels=labels) as station:
             yield station, labels, stopped
 
@@ -173,9 +173,9 @@ def test_a_plan_that_was_changed_since_its_beginning_is_refused(config: Path, sm
         update={"study_id": small.study_id}
     )
     with Store(config.parent / "gelgate.db") as store:
-        prepared(small, store, print, print)
+        prepare_labels(small, store, print, print)
         with pytest.raises(ConfigError, match=r"was changed since it was begun; use the file as it was"):
-            prepared(other, store, print, print)
+            prepare_labels(other, store, print, print)
 
 
 def test_the_command_line_from_plan_to_report(config: Path, tmp_path: Path) -> None:
