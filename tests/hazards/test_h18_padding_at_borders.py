@@ -6,6 +6,8 @@ all of PaDiM's locations at fit, or with a shared bank without the border's patc
 as the middle.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 from heads import fit
@@ -20,18 +22,25 @@ from plugins.detectors.inreach import inreach
 from plugins.detectors.padim import padim
 from plugins.detectors.spade import spade
 
-STATE = random_state("resnet18")
 
-
+@cache
 def flat_frames(n: int, seed: int) -> Features:
     """Features of an even grey with faint noise, 96x96: the content is the same everywhere."""
     rgb = np.random.default_rng(seed).normal(128, 4, (n, 96, 96, 3)).astype(np.uint8)
-    taps = forward(STATE, "resnet18", normalise(rgb), ("layer1", "layer2", "layer3"))
+    taps = forward(random_state("resnet18"), "resnet18", normalise(rgb), ("layer1", "layer2", "layer3"))
     return {tap: value.astype(np.float32) for tap, value in taps.items()}
 
 
-TRAIN, QUERY = flat_frames(10, 0), flat_frames(3, 1)
-GRID = Grid((96, 96), {tap: value.shape[1:] for tap, value in TRAIN.items()}, 15.77)
+def nominal() -> Features:
+    return flat_frames(10, 0)
+
+
+def asked() -> Features:
+    return flat_frames(3, 1)
+
+
+def grid() -> Grid:
+    return Grid((96, 96), {tap: value.shape[1:] for tap, value in nominal().items()}, 15.77)
 
 
 def border_to_middle(score_map: np.ndarray) -> float:
@@ -43,32 +52,32 @@ def border_to_middle(score_map: np.ndarray) -> float:
 
 def test_the_border_differs_from_the_middle() -> None:
     """The hazard itself: the mean feature of an even grey is different at the border."""
-    layer1 = TRAIN["layer1"].mean(axis=0)
-    assert np.abs(layer1[:, 0] - layer1[:, 12]).max() > 5 * TRAIN["layer1"].std(axis=0).mean()
+    layer1 = nominal()["layer1"].mean(axis=0)
+    assert np.abs(layer1[:, 0] - layer1[:, 12]).max() > 5 * nominal()["layer1"].std(axis=0).mean()
 
 
 @pytest.mark.parametrize("detector", [padim, spade, fapm, inreach, patchcore, subspace], ids=lambda d: d.name)
 def test_an_even_surface_has_an_even_map(detector: object) -> None:
     """On nominal content the border scores like the middle, though its features differ from those of the middle."""
     p = detector.parameters()  # type: ignore[attr-defined]
-    bank = fit(detector, p, Nominal(TRAIN), GRID)
-    found = detector.reference_score(QUERY, GRID, bank, p).score_map  # type: ignore[attr-defined]
+    bank = fit(detector, p, Nominal(nominal()), grid())
+    found = detector.reference_score(asked(), grid(), bank, p).score_map  # type: ignore[attr-defined]
     assert 0.67 < border_to_middle(found) < 1.4
 
 
 def test_one_mean_for_all_places_sees_a_border() -> None:
     """PaDiM with the mean of a cell in the middle everywhere: the border scores higher."""
     p = padim.parameters()
-    bank = fit(padim, p, Nominal(TRAIN), GRID)
+    bank = fit(padim, p, Nominal(nominal()), grid())
     mean = bank.arrays["mean"]
     arrays = {**bank.arrays, "mean": np.broadcast_to(mean[12 * 24 + 12], mean.shape)}
-    assert border_to_middle(padim.reference_score(QUERY, GRID, type(bank)(arrays), p).score_map) > 1.5
+    assert border_to_middle(padim.reference_score(asked(), grid(), type(bank)(arrays), p).score_map) > 1.5
 
 
 @pytest.mark.parametrize("detector", [spade, inreach, patchcore, subspace], ids=lambda d: d.name)
 def test_a_bank_without_the_border_sees_it(detector: object) -> None:
     """Banks learnt from presses whose border features are those of the middle: the border scores higher."""
-    inside = {tap: value.copy() for tap, value in TRAIN.items()}
+    inside = {tap: value.copy() for tap, value in nominal().items()}
     for maps in inside.values():
         ring = max(1, maps.shape[2] // 8)
         for edge in range(ring):
@@ -78,5 +87,5 @@ def test_a_bank_without_the_border_sees_it(detector: object) -> None:
             for here, there in ((edge, ring), (-1 - edge, -1 - ring)):
                 maps[..., here] = maps[..., there]
     p = detector.parameters()  # type: ignore[attr-defined]
-    bank = fit(detector, p, Nominal(inside), GRID)
-    assert border_to_middle(detector.reference_score(QUERY, GRID, bank, p).score_map) > 1.5  # type: ignore[attr-defined]
+    bank = fit(detector, p, Nominal(inside), grid())
+    assert border_to_middle(detector.reference_score(asked(), grid(), bank, p).score_map) > 1.5  # type: ignore[attr-defined]

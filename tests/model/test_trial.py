@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import tiny
 from onnx import parser
+from station import mark_tried
 
 from edge.core.errors import BundleCorrupt
 from edge.gateway import opening
@@ -102,4 +103,7 @@ def test_a_station_tries_a_bundle_once(tmp_path: Path, monkeypatch: pytest.Monke
 
     (path / "manifest.json").write_bytes((path / "manifest.json").read_bytes() + b" ")
     opening.try_once(path, Trust(), 2, marks)
+    assert tried == [path, other, path]
+    mark_tried(tmp_path / "other.db", path)
+    opening.try_once(path, Trust(), 2, tmp_path / "other.db.tried")
     assert tried == [path, other, path]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import tiny
+from station import mark_tried
 
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import GoldenFrame
@@ -46,6 +47,8 @@ class Bench:
         text = CONFIG.format(device=device, recording=recording, bundle=bundle, database=database, sink=sink)
         path = self.folder / name
         path.write_text(text, encoding="utf-8")
+        if (self.folder / bundle).is_dir() and (self.folder / database).parent.is_dir():
+            mark_tried(self.folder / database, self.folder / bundle)
         return path
 
     def bundle(self, name: str, size: tuple[int, int] = tiny.PROFILE.size) -> Path:

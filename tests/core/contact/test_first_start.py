@@ -52,18 +52,18 @@ def free_view(part: str, gel: str = "clear") -> View:
     return series(part, gel)[0]
 
 
-@pytest.mark.parametrize("part", ["PZ1", "PZ3", "PZ5", "ball"])
+@pytest.mark.parametrize("part", ["PZ3", "ball"])
 def test_a_pressed_first_start_recovers_by_itself(part: str) -> None:
-    """Nothing is known of the gel: the lift is doubted and not counted, and then five presses are five."""
+    """Nothing is known of the gel: the lift is doubted and not counted, and then three presses are three."""
     station = Station(ContactTracker(), part)
     station.show(3.0, 12)
     station.show(1.0, 0)
     assert station.of(*PRESSES) == []
     assert station.of(ReferenceDoubted)
     assert station.of(ReferenceCorrected)
-    for _ in range(5):
+    for _ in range(3):
         station.press()
-    assert [len(station.of(kind)) for kind in (PressBegan, PressSettled, PressEnded)] == [5, 5, 5]
+    assert [len(station.of(kind)) for kind in (PressBegan, PressSettled, PressEnded)] == [3, 3, 3]
     assert station.tracker.reference is not None
     assert np.abs(station.tracker.reference.view - free_view(part)).mean() < 1.5
 
@@ -107,10 +107,9 @@ def test_a_stored_picture_that_was_learnt_pressed_is_given_up() -> None:
 
 def test_a_first_press_is_not_taken_for_a_lift() -> None:
     """On a free first start nothing is doubted, whatever the part."""
-    for part in ("PZ1", "PZ2", "PZ3", "PZ4", "PZ5", "ball", "soft"):
-        for gel in ("clear", "marker"):
-            station = Station(ContactTracker(), part, gel)
-            station.show(2.0, 0)
-            station.press()
-            assert station.of(ReferenceDoubted) == []
-            assert len(station.of(PressSettled)) == 1
+    for part, gel in (("PZ1", "clear"), ("PZ4", "marker"), ("ball", "marker"), ("soft", "clear")):
+        station = Station(ContactTracker(), part, gel)
+        station.show(2.0, 0)
+        station.press()
+        assert station.of(ReferenceDoubted) == []
+        assert len(station.of(PressSettled)) == 1
