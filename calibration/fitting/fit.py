@@ -6,7 +6,7 @@ The detector has the mathematics; the procedure (which presses, which folds, whi
 import time
 from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,15 +25,16 @@ from calibration.fitting.bundle_measurements import (
     state_threshold,
     warnings,
 )
-from calibration.fitting.features import extract, feature_warnings, trunk_grid
+from calibration.fitting.damage.damaged_presses import DamagedPresses, render_damage
+from calibration.fitting.features import feature_warnings
 from calibration.fitting.fit_config import FitConfig
-from calibration.fitting.limits.covering import covering_bank
+from calibration.fitting.limits.appended import append, can_extend
+from calibration.fitting.limits.covering import Covered, covering_bank
 from calibration.fitting.limits.folds import Folds, divide_presses
-from calibration.fitting.limits.head_limit import bank_with, head_with_limit, limit_arrays
-from calibration.fitting.limits.held_out import HeldOut, Learner
-from calibration.fitting.limits.limit_choice import Choice, LimitTrial, prepare_trial
+from calibration.fitting.limits.held_out import HeldOut, Learner, score_held_out
+from calibration.fitting.limits.limit_choice import Choice, Evidence, choose_limit
 from calibration.fitting.limits.map_limit import PLAIN
-from calibration.fitting.limits.relief_step import ReliefChoice, try_relief, with_relief
+from calibration.fitting.limits.relief_step import ReliefChoice, try_relief
 from calibration.fitting.limits.threshold import (
     conformal_threshold,
     of_copies,
@@ -50,11 +51,12 @@ from calibration.fitting.presses.augmentation import (
 )
 from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
-from calibration.fitting.presses.scatter import scatter_warnings
+from calibration.fitting.presses.scatter import is_placed, scatter_warnings
 from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings, unproven_warnings
+from calibration.fitting.tap_reader import TapReader
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
-from edge.core.detector import Bank, Features, Nominal, Progress
+from edge.core.detector import Bank, Nominal, Progress
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.manifest import (
@@ -69,12 +71,15 @@ from edge.model.manifest import (
 )
 from edge.model.manifest_facts import MISSING, gel_facts
 from edge.model.scorer import Scorer
-from edge.model.session import TrunkSessions, open_session
+from edge.model.session import TrunkSessions
 from edge.model.tile_runner import most_typical, untouched_tiles
 
 __all__ = ["FitConfig", "Fitted", "fit_files"]
 
 Float = NDArray[np.float64]
+
+MEMORY_BYTES = 1 << 30
+"""Score maps of all presses are kept until a limit is chosen; of more than this only the scores are."""
 
 
 @dataclass(frozen=True)
@@ -181,12 +186,38 @@ class _Features:
     augmentation: Augmentation
     warnings: Sequence[str]
 
-    def prepare_trial(self) -> LimitTrial | None:
-        """Prepare the choice of a limit; None where no press is held out."""
-        plan, view, alpha = self.plan, self.plan.config.view, self.plan.config.alpha
-        if plan.folds is None:
-            return None
-        return prepare_trial(self.learner, self.presses, view, self.take, plan.folds, alpha, plan.why_plain)
+    def render_damage(self) -> tuple[DamagedPresses | None, str]:
+        """Render damage by which a limit is chosen; None, and why, for the plain limit."""
+        why = self.plan.why_plain
+        if not why and 4 * int(np.prod(self.presses.frames.shape[:3])) > MEMORY_BYTES:
+            why = f"the score maps of {len(self.presses)} presses take more memory than a choice may use"
+        if why or self.plan.folds is None:
+            return None, why
+        rng = np.random.default_rng(self.learner.seed)
+        damage = render_damage(self.presses, *self.plan.config.view, rng)
+        return (
+            damage,
+            "" if damage else "there is no picture of the free gel, or no contact, to render damage with",
+        )
+
+    def gather_evidence(self, covered: Covered, damage: DamagedPresses) -> Evidence:
+        """Gather what a limit is chosen by."""
+        assert covered.held_out is not None
+        assert covered.known is not None
+        plan, black, seen = self.plan, np.zeros_like(self.presses.frames[:1]), None
+        if not refuses(plan.colours, black[0]):
+            seen = self.learner.score(covered.bank, self.take(black), [0])
+        return Evidence(
+            covered.held_out,
+            covered.known,
+            seen,
+            damage,
+            plan.folds or [],
+            plan.presses.specimens,
+            plan.config.alpha,
+            self.learner.grid.pixels_per_mm,
+            is_placed(self.presses, plan.config.profile),
+        )
 
     def choose_relief(self, head: bytes) -> ReliefChoice:
         plan, config = self.plan, self.plan.config
@@ -206,26 +237,19 @@ class _Features:
 def _take_features(plan: _Plan, progress: Progress) -> _Features:
     """Bring the presses to one pose where that pays, and take their features. Errors: FitError."""
     config, presses = plan.config, plan.presses
-    detector, region = config.detector, config.region
-    session = open_session(config.trunk.graph, config.threads, f"trunk '{config.trunk.id}'")
-    taps, size = detector.taps(plan.parameters), (region.height, region.width)
-    grid = trunk_grid(session, taps, size, config.profile.pixels_per_mm)
-
-    def take(frames: NDArray[np.uint8]) -> Features:
-        return extract(session, frames, grid, lambda fraction: None)
-
-    learner = Learner(detector, grid, plan.parameters, config.seed, config.threads)
+    taps, frame = config.detector.taps(plan.parameters), (config.region.height, config.region.width)
+    name = f"trunk '{config.trunk.id}'"
+    reader = TapReader(config.trunk.graph, taps, frame, config.profile.pixels_per_mm, config.threads, name)
+    learner, take = reader.learner(config.detector, plan.parameters, config.seed), reader.take
     pose = choose_pose(config.register, presses, learner, take, config.view)
     said: list[str] = []
     if pose.learnt is None:  # a method that compares places needs the presses at one place
-        said = scatter_warnings(presses, config.profile, detector, config.is_scattered, pose.why)
+        said = scatter_warnings(presses, config.profile, config.detector, config.is_scattered, pose.why)
     posed = pose.apply(presses)
     augmentation = plan.augment(pose.learnt is not None)
     copies = Copies.of(presses, augmentation.each, config.profile.pixels_per_mm, config.seed, take)
-    features = extract(session, posed.frames, grid, progress)
-    free = None if presses.no_contact is None else take(presses.no_contact)
-    nominal = Nominal(features, posed.touched, free)
-    said += [*plan.warnings, *feature_warnings(nominal, grid)]
+    nominal = reader.nominal(posed, progress)
+    said += [*plan.warnings, *feature_warnings(nominal, reader.grid)]
     learner = replace(learner, copies=copies)
     return _Features(plan, take, learner, pose, posed, nominal, augmentation, said)
 
@@ -263,30 +287,35 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
     """Learn the bank, and find the limit that it is to have. Errors: FitError."""
     plan, learner, nominal = features.plan, features.learner, features.nominal
     with watch.time("threshold"):
-        trial = features.prepare_trial()
+        damage, why_plain = features.render_damage()
+        edited = None if damage is None else (features.take(damage.frames), damage.press)
 
     def learn(roomy: Nominal) -> tuple[Bank, HeldOut | None]:
         with watch.time("fit"):
             bank = learner.bank(roomy, partial(watch.report, "bank"))
+        if plan.folds is None:
+            return bank, None
         with watch.time("threshold"):
-            return bank, None if trial is None else trial.score(roomy, partial(watch.report, "threshold"))
+            held_out = score_held_out(learner, roomy, plan.folds, edited, partial(watch.report, "threshold"))
+        return bank, held_out
 
     covered = covering_bank(learner, nominal, learn, lambda scores: plan.find_threshold(scores).value)
-    bank, scores, held_out = covered.bank, covered.scores, covered.held_out
-    head, choice, found, again = learner.head(bank), Choice(PLAIN, plan.why_plain), None, {}
+    bank, scores = covered.bank, covered.scores
+    head, choice, found, again = learner.head(bank), Choice(PLAIN, why_plain), None, {}
     unit = 1.0 if scores is None else plan.find_threshold(scores).value
-    if trial is not None and held_out is not None and scores is not None:
+    if damage is not None and scores is not None:
         with watch.time("threshold"):
-            choice = trial.choose(held_out, bank, replace(nominal, room=covered.room))
+            evidence = features.gather_evidence(covered, damage)
+            choice = Choice(PLAIN, "another limit cannot be appended to the method's graph")
+            choice = choose_limit(evidence) if can_extend(head) else choice
         if choice.other is not None:
-            arrays = limit_arrays(choice.other.limit)
-            head, bank = head_with_limit(head, arrays), bank_with(bank, arrays)
+            head, bank = append(head, bank, choice.other.limit)
             unit, scores = 1.0, choice.other.scores
-        found = trial.count_found(held_out, choice, unit)
-        again = trial.press_again_facts(held_out, choice, scores)
+        found = evidence.count_found(choice, unit)
+        again = evidence.press_again_facts(choice, scores)
     with watch.time("threshold"):
         relief = features.choose_relief(head)
-    head, bank = with_relief(head, bank, relief, unit)
+    head, bank = relief.append_to(head, bank, unit)
     many = None if scores is None or len(scores) < MIN_PRESSES else scores
     apart = [] if many is None else apart_warnings(many, plan.presses.names)
     said = [
@@ -355,7 +384,7 @@ def _facts(learnt: _Learnt, created: str) -> Facts:
         revision=config.revision,
         method=config.detector.name,
         mode=config.mode,
-        parameters=_plain(plan.parameters),
+        parameters=dict(vars(plan.parameters)),
         repairs=tuple(facts.get("repairs", ())),
         facts={
             "backbone": config.trunk.facts,
@@ -373,9 +402,3 @@ def _facts(learnt: _Learnt, created: str) -> Facts:
         colours=plan.colours,
         provenance=provenance(created, plan.presses, config.seed, learnt.warnings),
     )
-
-
-def _plain(parameters: object) -> dict[str, Any]:
-    if is_dataclass(parameters) and not isinstance(parameters, type):
-        return asdict(parameters)
-    return dict(vars(parameters))

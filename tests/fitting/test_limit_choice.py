@@ -7,11 +7,10 @@ import numpy as np
 from calibration.fitting.damage.damaged_presses import DamagedPresses
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
 from calibration.fitting.limits.limit_choice import WORTH, Evidence, choose_limit
-from calibration.fitting.limits.map_limit import KINDS
+from calibration.fitting.limits.map_limit import PLACES, PLAIN, SURROUNDINGS, relate
 
 PX = 4.0
 SIDE, PRESSES, EDITS = 48, 24, 24
-PLACES = next(kind for kind in KINDS if kind.name == "places")
 PLACE = 4 + 8 * np.arange(6)
 
 
@@ -57,23 +56,25 @@ def lively() -> np.ndarray:
 def test_presses_of_unlike_level_are_compared_with_their_surroundings() -> None:
     """One limit for all places is that of the highest press, under which damage on others hides."""
     choice = choose_limit(evidence(even(1.0)))
-    assert choice.kind.window_mm is not None
-    assert choice.found[choice.kind.name] > choice.found["plain"] + 0.5
+    assert choice.kind == SURROUNDINGS
+    assert choice.found[choice.kind] > choice.found["plain"] + 0.5
     assert "24 small pieces" in choice.why
 
 
 def test_one_lively_place_does_not_rule_the_others() -> None:
     """What every nominal press shows at one place leaves the limit of the other places as it is."""
     choice = choose_limit(evidence(lively()))
-    assert choice.kind.is_by_place
-    assert choice.found["plain"] < 0.1 < 0.8 < choice.found[choice.kind.name]
+    apart = choose_limit(replace(evidence(lively()), is_placed=False))
+    assert PLACES not in apart.found
+    assert choice.kind == PLACES
+    assert choice.found["plain"] < 0.1 < 0.8 < choice.found[choice.kind]
 
 
 def test_equal_limits_leave_the_plain_one() -> None:
     """Where damage is found by any limit, or by none, there is one limit for all places."""
     for height in (9.0, 0.0):
         choice = choose_limit(evidence(even(0.001), height))
-        assert (choice.kind.name, choice.other) == ("plain", None)
+        assert (choice.kind, choice.other) == ("plain", None)
         assert "no other limit clearly more" in choice.why
 
 
@@ -98,9 +99,9 @@ def test_new_sound_presses_fail_no_more_than_promised() -> None:
         sound, found = scored(maps[:PRESSES]), evidence(even(0.0))
         edited = scored(sound.maps + 0.4 * found.damage.masks)
         found = replace(found, held_out=HeldOut(sound, edited), known=scored(0.5 * sound.maps))
-        chosen = choose_limit(found, [PLACES]).other
+        chosen = choose_limit(found).other
         assert chosen is not None
-        rates.append(np.mean(chosen.limit.relate(maps[PRESSES:]).max(axis=(1, 2)) > 1))
+        rates.append(np.mean(relate(chosen.limit, maps[PRESSES:]).max(axis=(1, 2)) > 1))
     assert 0 < np.mean(rates) <= 0.05
 
 
@@ -111,19 +112,17 @@ def test_a_press_is_no_part_of_its_own_range() -> None:
     two[: PRESSES // 2, 30:40, 30:40] = 1
     halves = [np.arange(PRESSES // 2), np.arange(PRESSES // 2, PRESSES)]
     names = ("a",) * (PRESSES // 2) + ("b",) * (PRESSES // 2)
-    choice = choose_limit(replace(evidence(two), folds=halves, specimens=names), [PLACES])
-    assert choice.kind.name == "plain"
+    choice = choose_limit(replace(evidence(two), folds=halves, specimens=names))
+    assert choice.kind == PLAIN
 
 
 def test_a_black_frame_goes_on_failing() -> None:
     """A limit by which a black frame passes is not chosen, where nothing else refuses the frame."""
     found = evidence(even(1.0))
     dark = scored(np.full((1, SIDE, SIDE), 1.05 * found.plain.value))
-    kind = choose_limit(replace(found, black=dark)).kind
-    assert kind.window_mm is None
-    assert (
-        choose_limit(replace(found, black=scored(np.full((1, SIDE, SIDE), 9e3)))).kind.window_mm is not None
-    )
+    bright = scored(np.full((1, SIDE, SIDE), 9e3))
+    assert choose_limit(replace(found, black=dark)).kind != SURROUNDINGS
+    assert choose_limit(replace(found, black=bright)).kind == SURROUNDINGS
 
 
 def test_a_score_that_is_no_maximum_keeps_its_limit() -> None:
@@ -131,7 +130,7 @@ def test_a_score_that_is_no_maximum_keeps_its_limit() -> None:
     found = evidence(even(1.0))
     sound = ScoredPresses(found.held_out.sound.maps, found.held_out.sound.scores + 1)
     choice = choose_limit(replace(found, held_out=HeldOut(sound, found.held_out.edited)))
-    assert choice.kind.name == "plain"
+    assert choice.kind == PLAIN
     assert "not the highest value" in choice.why
 
 
@@ -142,4 +141,4 @@ def test_a_limit_has_to_find_clearly_more() -> None:
     maps[0] += 0.3 * found.damage.masks[0]
     choice = choose_limit(replace(found, held_out=HeldOut(found.held_out.sound, scored(maps))))
     assert 0 < max(choice.found.values()) - choice.found["plain"] < WORTH
-    assert choice.kind.name == "plain"
+    assert choice.kind == PLAIN

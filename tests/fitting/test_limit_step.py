@@ -8,8 +8,6 @@ from pressed_dome import PROFILE, REGION, dome_config, dome_presses
 
 from calibration.fitting.damage.damaged_presses import SIZE_SHARES, SPOTS, render_damage
 from calibration.fitting.fit import FitConfig, fit_files
-from calibration.fitting.limits.head_limit import ARRAYS
-from calibration.fitting.limits.head_relief import ARRAYS as RELIEF_ARRAYS
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.contact.mask import Touch
 from edge.model.manifest_facts import LIMIT, MISSING, choice_sentence
@@ -47,7 +45,7 @@ def test_a_fit_says_what_it_chose(presses: NominalPresses, config: FitConfig) ->
     assert {"plain", "places", "surroundings"} <= found.keys()
     assert 0 < found["plain"] < 1
     assert choice_sentence(manifest.facts, LIMIT).startswith(manifest.facts["limit"]["kind"])
-    assert (manifest.threshold.value == 1) == bool(set(ARRAYS) & set(manifest.bank))
+    assert (manifest.threshold.value == 1) == ("limit_grid" in manifest.bank)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +62,7 @@ def test_a_fit_keeps_the_plain_limit(
     manifest = fit_files(presses, replace(config, **changes), created="").manifest  # type: ignore[arg-type]
     assert manifest.facts["limit"] == {"kind": "plain", "why": why, "found": {}}
     assert choice_sentence(manifest.facts, MISSING) == f"not checked: {why}"
-    assert not {*ARRAYS, *RELIEF_ARRAYS} & set(manifest.bank)
+    assert not [name for name in manifest.bank if name.startswith(("limit_", "relief_"))]
 
 
 def unlike(presses: NominalPresses) -> NominalPresses:
@@ -84,7 +82,7 @@ def test_unlike_presses_are_published_in_units_of_their_limit(
     are those of the scorer, and its arrays are in the bank."""
     fitted = fit_files(unlike(presses), config, created="")
     manifest = fitted.manifest
-    assert "surroundings" in manifest.facts["limit"]["kind"]
+    assert manifest.facts["limit"]["kind"] == "surroundings"
     assert manifest.threshold.value == 1
     assert {"limit_grid", "limit_guard", "limit_window_up_rows"} <= set(manifest.bank)
     scored = Scorer(fitted.bundle(), 1).score(unlike(presses).frames[0])

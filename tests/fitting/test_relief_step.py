@@ -11,7 +11,7 @@ from calibration.fitting.damage.conditions import change_presses, dim, relight
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.limits.head_relief import ARRAYS
+from calibration.fitting.limits.missing_relief import find_missing
 from calibration.fitting.limits.relief_step import USEFUL, ReliefChoice, choose_relief, finest_tap
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
@@ -97,7 +97,7 @@ def choice(presses: Presses, take: Taken) -> ReliefChoice:
 
 def missing(choice: ReliefChoice, take: Taken, frames: np.ndarray) -> np.ndarray:
     assert choice.relief is not None
-    return choice.relief.missing(take(frames)["layer1"])
+    return find_missing(choice.relief, take(frames)["layer1"])
 
 
 def test_an_object_without_the_grooves_lacks_relief(
@@ -161,7 +161,7 @@ def test_a_bundle_says_what_it_checks(fitted: Fitted) -> None:
     assert choice_sentence(facts, MISSING).startswith("checked: ")
     assert facts["missing_relief"]["tap"] == "layer1"
     assert facts["missing_relief"]["found"] >= USEFUL
-    assert set(ARRAYS) <= set(fitted.manifest.bank)
+    assert {"relief_free", "relief_weights", "relief_unit"} <= set(fitted.manifest.bank)
 
 
 def test_a_bundle_fails_a_smoother_object_and_passes_the_part(fitted: Fitted, presses: Presses) -> None:

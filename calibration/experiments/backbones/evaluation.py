@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from calibration.experiments.backbones.sets import EvaluationSet
 from calibration.experiments.backbones.trial import FORMAT, PROFILE, Trial
+from calibration.fitting.damage.damaged_presses import render_damage
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.limits.held_out import Learner
-from calibration.fitting.limits.limit_choice import Choice, prepare_trial
+from calibration.fitting.limits.held_out import Learner, score_held_out
+from calibration.fitting.limits.limit_choice import Choice, Evidence, choose_limit
+from calibration.fitting.limits.map_limit import PLAIN, relate
 from calibration.fitting.limits.threshold import conformal_threshold
+from calibration.fitting.presses.scatter import is_placed
 from calibration.fitting.tap_reader import TapReader
 from calibration.metrics import image_weights, interval, pixel_measures
 from calibration.metrics.summary import image_auroc_of
@@ -262,7 +265,7 @@ class FittedLimits:
         """Raw maps (n, h, w) and scores (n,) as a bundle publishes them, and its limit."""
         if self.choice.other is None:
             return maps, scores, self.plain
-        relative = [self.choice.other.limit.relate(one[None])[0] for one in maps]
+        relative = [relate(self.choice.other.limit, one[None])[0] for one in maps]
         published = np.stack(relative).astype(np.float32)
         return published, np.asarray(published.max(axis=(1, 2)), np.float64), 1.0
 
@@ -280,10 +283,25 @@ def fit_limits(
     folds, _ = divide_presses(specimens, _FOLDS, np.random.default_rng(_SEED))
     height, width = trial.frames.shape[1:3]
     region = Region((PROFILE.size[0] - width) // 2, (PROFILE.size[1] - height) // 2, width, height)
-    limits = prepare_trial(learner, trial.nominal, (PROFILE, region), take, folds, trial.alpha)
-    held_out = limits.score(nominal)
+    damage = render_damage(trial.nominal, PROFILE, region, np.random.default_rng(_SEED))
+    edited = None if damage is None else (take(damage.frames), damage.press)
+    held_out = score_held_out(learner, nominal, folds, edited)
     plain = conformal_threshold(held_out.sound.scores, trial.alpha, specimens=specimens).value
-    return FittedLimits(plain, limits.choose(held_out, bank, nominal))
+    if damage is None:
+        return FittedLimits(plain, Choice(PLAIN, "no damage can be rendered"))
+    known = learner.score(bank, nominal.features, range(nominal.presses))
+    evidence = Evidence(
+        held_out,
+        known,
+        None,  # a black frame is refused for its colours
+        damage,
+        folds,
+        specimens,
+        trial.alpha,
+        learner.grid.pixels_per_mm,
+        is_placed(trial.nominal, PROFILE),
+    )
+    return FittedLimits(plain, choose_limit(evidence))
 
 
 def is_on_damage(maps: NDArray[np.float32], masks: Mask) -> Mask:

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from calibration.fitting.damage.damage import KINDS, Damage, Spot, surroundings
 from calibration.fitting.damage.imprint import Station
 from calibration.fitting.features import extract
+from calibration.fitting.limits.appended import append
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.limits.head_limit import limit_like
-from calibration.fitting.limits.head_relief import relieve_like
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.pose.registration import in_pose_of
 from calibration.fitting.presses.augmentation import Copies
@@ -26,7 +25,7 @@ from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files
 from edge.model.detectability import JudgedBy
 from edge.model.manifest import Manifest
-from edge.model.manifest_facts import copies_of_each
+from edge.model.manifest_facts import MISSING, copies_of_each
 from edge.model.scorer import Scored, Scorer
 from edge.model.session import TrunkSessions, open_session
 
@@ -222,8 +221,8 @@ class _Folds:
     def judge(self, held: NDArray[np.int64]) -> Judge:
         """The judge of the presses held out. Errors: FitError."""
         whole, bank = self.bundle, self.learner.bank_without(self.nominal, held)
-        head, bank = limit_like(whole.bank, self.learner.head(bank), bank)
-        head, bank = relieve_like(whole.bank, whole.manifest.facts, head, bank)
+        tap = whole.manifest.facts.get(MISSING, {}).get("tap", "")
+        head, bank = append(self.learner.head(bank), bank, whole.bank, tap)
         graphs = Graphs(trunk=whole.graphs.trunk, head=head)
         assert whole.manifest.backbone is not None
         manifest, files = bundle_files(

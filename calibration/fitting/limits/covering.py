@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.limits.held_out import HeldOut, Learner
+from calibration.fitting.limits.held_out import HeldOut, Learner, ScoredPresses
 from edge.core.detector import Bank, Nominal
 from edge.core.errors import FitError
 
@@ -37,8 +37,15 @@ class Covered:
     """How many times its usual size it may have."""
     held_out: HeldOut | None = None
     """What banks without them show of the presses; None where no threshold is wanted."""
-    scores: NDArray[np.float64] | None = None
-    """Scores of the nominal presses, (n,), for the threshold."""
+    known: ScoredPresses | None = None
+    """The nominal presses by the bank, which knows them; None where no threshold is wanted."""
+
+    @property
+    def scores(self) -> NDArray[np.float64] | None:
+        """Scores of the nominal presses, (n,), for the threshold."""
+        if self.held_out is None or self.known is None:
+            return None
+        return np.maximum(self.known.scores, self.held_out.sound.scores)
 
 
 def covering_bank(
@@ -58,9 +65,9 @@ def covering_bank(
         if held_out is None:
             return Covered(bank, room)
         unknown = held_out.sound.scores
-        known = learner.score(bank, nominal.features, range(nominal.presses)).scores
-        if is_covered(known, unknown, find_threshold(unknown)):
-            return Covered(bank, room, held_out, np.maximum(known, unknown))
+        known = learner.score(bank, nominal.features, range(nominal.presses))
+        if is_covered(known.scores, unknown, find_threshold(unknown)):
+            return Covered(bank, room, held_out, known)
         if (grown := sum(array.nbytes for array in bank.arrays.values())) <= size:
             break
         size = grown

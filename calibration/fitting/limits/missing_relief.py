@@ -5,7 +5,7 @@ is asked how rough the press is where it touches, whatever its light and whereve
 features:
 
     contact = clip(|f - free| / level - 1/2, 0, 1)
-    lack    = (weights . f - middle)                       0 on a nominal press, 1 at the limit
+    lack    = weights . f - middle                         0 on a nominal press, 1 at the limit
     smooth  = sum(contact * lack) / (sum(contact) + weakest)
     faint   = 11 weakest / (10 sum(contact) + weakest)     1 where the contact is as weak as the weakest allowed
     missing = max(smooth, faint)
@@ -13,30 +13,33 @@ features:
 The map shows the places that lack most, and is 0 until `missing` comes near its limit: so it changes no score of a
 press whose relief is there.
 
-All of it is float64 NumPy; `head_relief` writes the same into a head.
+All of it is float64 NumPy; `appended` writes the same into a head.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FAINT", "START", "STEEPNESS", "MissingRelief", "Pooled", "contact_of", "pool"]
+__all__ = ["Pooled", "Relief", "contact_of", "find_missing", "map_missing", "pool"]
 
 Float = NDArray[np.float64]
 Floating = NDArray[np.floating]
 
-START = 0.9
-"""The map begins to show below the limit, at this share of it, and is complete at the limit."""
+Relief = Mapping[str, NDArray[Any]]
+"""What tells a smoother press from a nominal one, as the arrays of a bank: `relief_free` (channels, 1, 1), `_weights`
+(1, channels, 1, 1), `_middle` (1,), `_expected` (the mean contact of nominal presses by cell), `_rows` and `_columns`
+(they bring cells to the score map), and the numbers `_level`, `_weakest` and `_unit` (the score at the limit), (1, 1).
+"""
 
-STEEPNESS = 10.0
-"""1 / (1 - START)."""
-
-FAINT = 10.0
-"""No contact at all is this many times and one beyond the limit: a quotient needs an end."""
-
+# The map begins to show below the limit, at this share of it, and is complete at the limit, ten times steeper.
+_START, _STEEPNESS = 0.9, 10.0
+# No contact at all is this many times and one beyond the limit: a quotient needs an end.
+_FAINT = 10.0
 # A sum that is 0 has no peak to divide by.
-TINY = 1e-12
+_TINY = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,57 +70,27 @@ def pool(features: Floating, free: Float, level: float) -> Pooled:
     for k, one in enumerate(features):
         touch = contact_of(one[None], free, level)[0]
         contact[k] = touch.sum()
-        means[k] = np.tensordot(one.astype(np.float64), touch, 2) / max(contact[k], TINY)
+        means[k] = np.tensordot(one.astype(np.float64), touch, 2) / max(contact[k], _TINY)
     return Pooled(means, contact)
 
 
-@dataclass(frozen=True, eq=False)
-class MissingRelief:
-    """What tells a smoother press from a nominal one."""
+def find_missing(relief: Relief, features: Floating) -> Float:
+    """Return how much relief is missing from features (n, channels, h, w), float64 (n,), 1 at the limit."""
+    presses = pool(features, relief["relief_free"], float(relief["relief_level"].item()))
+    lack = presses.means @ relief["relief_weights"][0, :, 0, 0] + relief["relief_middle"]
+    weakest = relief["relief_weakest"].item()
+    smooth = lack * presses.contact / (presses.contact + weakest)
+    return np.asarray(np.maximum(smooth, (_FAINT + 1) * weakest / (_FAINT * presses.contact + weakest)))
 
-    tap: str
-    """The tap whose features are read."""
-    free: Float
-    """Features of the free gel, float64 (channels, 1, 1)."""
-    level: float
-    """The distance from the free gel at which a cell touches half."""
-    weights: Float
-    """With `middle` as above, float64 (channels,)."""
-    middle: float
-    weakest: float
-    """The least contact, in cells."""
-    expected: Float
-    """The mean contact of nominal presses, float64 (rows, columns)."""
-    rows: Float
-    columns: Float
-    """With `rows`, (h, rows) and (w, columns): they bring the tap's cells to the score map."""
-    unit: float = 1.0
-    """The score at the limit."""
 
-    def __post_init__(self) -> None:
-        if not (self.level > 0 and self.weakest > 0 and self.unit > 0):
-            raise ValueError(
-                f"level, weakest contact and unit are positive, found {self.level}, {self.weakest} and {self.unit}"
-            )
-
-    def missing_of(self, presses: Pooled) -> Float:
-        """Return how much relief is missing, float64 (n,), 1 at the limit."""
-        lack = presses.means @ self.weights - self.middle
-        smooth = lack * presses.contact / (presses.contact + self.weakest)
-        faint = (FAINT + 1) * self.weakest / (FAINT * presses.contact + self.weakest)
-        return np.maximum(smooth, faint)
-
-    def missing(self, features: Floating) -> Float:
-        """Return how much relief is missing from features (n, channels, h, w)."""
-        return self.missing_of(pool(features, self.free, self.level))
-
-    def score_map(self, features: Floating) -> Float:
-        """Map where relief is missing, in units of the bundle's scores, float64 (n, h, w); 0 where little is."""
-        touch = contact_of(features, self.free, self.level)
-        lack = np.einsum("nchw,c->nhw", features.astype(np.float64), self.weights) - self.middle
-        places = np.maximum(touch * lack, 0) + np.maximum(self.expected - touch, 0)
-        shown = self.rows @ places @ self.columns.T
-        missing = self.missing(features)
-        height = self.unit * missing * np.clip(STEEPNESS * (missing - START), 0, 1)
-        peak = shown.max(axis=(1, 2)) + TINY
-        return np.asarray((height / peak)[:, None, None] * shown)
+def map_missing(relief: Relief, features: Floating) -> Float:
+    """Map where relief is missing, in units of the bundle's scores, float64 (n, h, w); 0 where little is."""
+    touch = contact_of(features, relief["relief_free"], float(relief["relief_level"].item()))
+    lack = np.einsum("nchw,c->nhw", features.astype(np.float64), relief["relief_weights"][0, :, 0, 0])
+    lacking = touch * (lack + relief["relief_middle"])
+    places = np.maximum(lacking, 0) + np.maximum(relief["relief_expected"] - touch, 0)
+    shown = relief["relief_rows"] @ places @ relief["relief_columns"]
+    missing = find_missing(relief, features)
+    height = relief["relief_unit"].item() * missing * np.clip(_STEEPNESS * (missing - _START), 0, 1)
+    peak = shown.max(axis=(1, 2)) + _TINY
+    return np.asarray((height / peak)[:, None, None] * shown)

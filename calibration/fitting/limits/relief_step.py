@@ -8,18 +8,17 @@ Ref: Fisher, The use of multiple measurements in taxonomic problems, Annals of E
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.damage.conditions import ChangedPresses, change_presses
+from calibration.fitting.limits.appended import append, can_extend, head_inputs
 from calibration.fitting.limits.folds import Folds
-from calibration.fitting.limits.head_limit import bank_with, can_extend, head_inputs
-from calibration.fitting.limits.head_relief import head_with_relief, relief_arrays
 from calibration.fitting.limits.held_out import Learner
-from calibration.fitting.limits.missing_relief import MissingRelief, Pooled, contact_of, pool
+from calibration.fitting.limits.missing_relief import Pooled, Relief, contact_of, pool
 from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.detector import Bank, Grid, Nominal
@@ -27,7 +26,7 @@ from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from plugins.detectors.common.smoothing import Smoothing
 
-__all__ = ["USEFUL", "ReliefChoice", "choose_relief", "try_relief", "with_relief"]
+__all__ = ["USEFUL", "ReliefChoice", "choose_relief", "finest_tap", "try_relief"]
 
 Float = NDArray[np.float64]
 Floating = NDArray[np.floating]
@@ -60,16 +59,24 @@ class ReliefChoice:
     """Whether missing relief is checked, and why."""
 
     why: str
-    relief: MissingRelief | None = None
-    """The check; None where nothing is checked."""
+    relief: Relief | None = None
+    """The check, with a unit of 1; None where nothing is checked."""
+    tap: str = ""
+    """The tap whose features are read."""
     found: float | None = None
     """The share of smoother presses that are found; None where none was tried."""
 
     def facts(self) -> dict[str, Any]:
         """Return the choice for the manifest."""
         known = {} if self.found is None else {"found": round(self.found, 4)}
-        tap = {} if self.relief is None else {"tap": self.relief.tap}
+        tap = {"tap": self.tap} if self.tap else {}
         return {"is_checked": self.relief is not None, "why": self.why, **known, **tap}
+
+    def append_to(self, head: bytes, bank: Bank, unit: float) -> tuple[bytes, Bank]:
+        """Append the check to head and bank, where there is one. unit: the score at the limit. Errors: FitError."""
+        if self.relief is None or unit <= 0:
+            return head, bank
+        return append(head, bank, {**self.relief, "relief_unit": np.full((1, 1), unit)}, self.tap)
 
 
 def try_relief(
@@ -89,14 +96,6 @@ def try_relief(
     if changed is None:
         return ReliefChoice("there is no picture of the free gel, or no contact, to make smoother")
     return choose_relief(nominal, changed, take, folds, learner.grid, tap)
-
-
-def with_relief(head: bytes, bank: Bank, choice: ReliefChoice, unit: float) -> tuple[bytes, Bank]:
-    """Append what is missing to head and bank, where it is checked. unit: the score at the limit. Errors: FitError."""
-    if choice.relief is None or unit <= 0:
-        return head, bank
-    arrays = relief_arrays(replace(choice.relief, unit=unit))
-    return head_with_relief(head, choice.relief.tap, arrays), bank_with(bank, arrays)
 
 
 def finest_tap(grid: Grid, read: Sequence[str]) -> str | None:
@@ -121,25 +120,25 @@ def choose_relief(
     words = f"{round(found * count)} of {count} smoother presses"
     if found < USEFUL:
         return ReliefChoice(
-            f"of the part's relief little can be missing: only {words} are found", None, found
+            f"of the part's relief little can be missing: only {words} are found", found=found
         )
     weights, middle = evidence.direction(np.arange(nominal.presses))
     _, rows, columns = grid.taps[tap]
     raised = Smoothing.of(grid, (rows, columns), _BLUR_MM, "sampled")
-    relief = MissingRelief(
-        tap,
-        evidence.free,
-        evidence.level,
-        weights / held_out.limit,
-        middle / held_out.limit,
-        evidence.weakest,
-        evidence.expected,
-        raised.rows,
-        raised.columns,
-    )
+    relief = {
+        "relief_free": evidence.free,
+        "relief_level": np.full((1, 1), evidence.level),
+        "relief_weights": (weights / held_out.limit)[None, :, None, None],
+        "relief_middle": np.array([-middle / held_out.limit]),
+        "relief_weakest": np.full((1, 1), evidence.weakest),
+        "relief_expected": evidence.expected,
+        "relief_rows": raised.rows,
+        "relief_columns": raised.columns.T,
+        "relief_unit": np.ones((1, 1)),
+    }
     is_alarm = held_out.same < held_out.limit
     alarms = f"{int(is_alarm.sum())} of {is_alarm.size} nominal ones under another light or contrast"
-    return ReliefChoice(f"{words} are found, and {alarms}", relief, found)
+    return ReliefChoice(f"{words} are found, and {alarms}", relief, tap, found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from edge.core.errors import FitError
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.manifest_facts import UNPROVEN
 
-__all__ = ["SCATTERED_MM", "scatter_mm", "scatter_warnings"]
+__all__ = ["is_placed", "scatter_mm", "scatter_warnings"]
 
 SCATTERED_MM = 3.0
 """Presses whose contacts scatter more have no common place. Measured: up to 1.8 mm on simulated parts placed by hand,
@@ -29,6 +29,12 @@ VIEW_WIDTH = 160
 def scatter_mm(presses: NominalPresses, profile: SensorProfile) -> float | None:
     """Measure how far half of the contacts lie from their common middle; None where no touch is known."""
     return _scatter_mm(presses.touches, profile.size, profile) if presses.touches else None
+
+
+def is_placed(presses: NominalPresses, profile: SensorProfile) -> bool:
+    """Tell whether the contacts are known to lie at one place."""
+    scatter = scatter_mm(presses, profile)
+    return scatter is not None and scatter <= SCATTERED_MM
 
 
 def _scatter_mm(touches: Sequence[Touch], size: tuple[int, int], profile: SensorProfile) -> float:

@@ -4,14 +4,8 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from calibration.fitting.limits.head_limit import (
-    ARRAYS,
-    can_extend,
-    head_with_limit,
-    limit_arrays,
-    limit_like,
-)
-from calibration.fitting.limits.map_limit import GUARD, KINDS, LimitKind, learn_spread, window
+from calibration.fitting.limits.appended import append, can_extend
+from calibration.fitting.limits.map_limit import GUARD, PLACES, SURROUNDINGS, Limit, learn_spread, relate
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from plugins.onnx_builder import Graph
@@ -19,8 +13,6 @@ from plugins.onnx_builder import Graph
 PX = 4.0
 """Pixels per mm of these maps of 48x40."""
 
-SURROUNDINGS = LimitKind("surroundings", "", 0.5)
-PLACES = LimitKind("places", "", is_by_place=True)
 RNG = np.random.default_rng(0)
 NOMINAL = (1 + 0.1 * RNG.random((12, 48, 40))).astype(np.float32)
 
@@ -35,15 +27,15 @@ def spot(value: float) -> np.ndarray:
 def test_the_surroundings_of_an_even_map_are_the_map() -> None:
     """Nothing stands out of an even map, whatever its level, and a single pixel stands out by nearly its height."""
     spread = learn_spread(SURROUNDINGS, NOMINAL, PX)
-    assert spread.contrast(7 * np.ones((1, 48, 40))) == pytest.approx(np.zeros((1, 48, 40)), abs=1e-9)
-    assert 0.9 < float(spread.contrast(spot(2.0)).max()) < 1
+    assert spread.standardise(7 * np.ones((1, 48, 40))) == pytest.approx(np.zeros((1, 48, 40)), abs=1e-9)
+    assert 0.9 < float(spread.standardise(spot(2.0)).max()) < 1
 
 
 def test_a_window_keeps_what_is_wider_than_itself() -> None:
     """The mean of a slope is the slope, away from the border."""
     slope = np.broadcast_to(np.arange(40.0), (48, 40))[None]
-    found = window(0.5, (48, 40), PX)
-    assert found.interpolate(found.average(slope))[0, :, 8:32] == pytest.approx(slope[0, :, 8:32], abs=0.05)
+    contrast = learn_spread(SURROUNDINGS, NOMINAL, PX).standardise(slope)
+    assert contrast[0, :, 8:32] == pytest.approx(np.zeros((48, 24)), abs=0.05)
 
 
 def test_a_press_exceeds_one_where_it_exceeds_the_limit() -> None:
@@ -51,7 +43,7 @@ def test_a_press_exceeds_one_where_it_exceeds_the_limit() -> None:
     spread = learn_spread(PLACES, NOMINAL, PX)
     limit = spread.limit(3.0, 100.0)
     maps = (1 + 0.3 * RNG.random((4, 48, 40))).astype(np.float32)
-    assert np.array_equal(limit.relate(maps) > 1, spread.standardise(maps) > 3)
+    assert np.array_equal(relate(limit, maps) > 1, spread.standardise(maps) > 3)
     assert (spread.standardise(maps) > 3).any()
     assert not (spread.standardise(maps) > 3).all()
 
@@ -61,7 +53,7 @@ def test_a_place_that_is_lively_on_every_press_has_a_higher_limit() -> None:
     lively = NOMINAL.copy()
     lively[:, 10:30, 10:30] += RNG.normal(0, 2, (12, 1, 1)).astype(np.float32)
     limit = learn_spread(PLACES, lively, PX).limit(3.0, 100.0)
-    limits = 1 / limit.relate(np.ones((1, 48, 40)))[0]
+    limits = 1 / relate(limit, np.ones((1, 48, 40)))[0]
     assert limits[20, 20] > 2 * limits[44, 2]
 
 
@@ -77,8 +69,8 @@ def test_a_quiet_place_has_the_median_spread() -> None:
 def test_wide_damage_fails_by_the_guard() -> None:
     """An even rise has no contrast; from GUARD times the plain limit on it fails all the same."""
     limit = learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.5, 2.0)
-    assert float(limit.relate(np.full((1, 48, 40), 1.01 * GUARD * 2)).max()) > 1
-    assert float(limit.relate(np.full((1, 48, 40), 0.99 * GUARD * 2)).max()) < 1
+    assert float(relate(limit, np.full((1, 48, 40), 1.01 * GUARD * 2)).max()) > 1
+    assert float(relate(limit, np.full((1, 48, 40), 0.99 * GUARD * 2)).max()) < 1
 
 
 @pytest.mark.parametrize("limits", [(0.0, 1.0), (1.0, -1.0), (float("nan"), 1.0)])
@@ -101,16 +93,21 @@ def raw_head(opset: int = 18) -> bytes:
     )
 
 
-@pytest.mark.parametrize("kind", KINDS[1:], ids=lambda kind: kind.name)
-def test_the_graph_computes_the_oracle(kind: LimitKind) -> None:
+def both() -> Limit:
+    """A limit by place of what exceeds the surroundings, as earlier fits made it."""
+    window = learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.3, 1.5)
+    return {**window, **learn_spread(PLACES, NOMINAL, PX).limit(0.3, 1.5)}
+
+
+@pytest.mark.parametrize("kind", [PLACES, SURROUNDINGS, "both"])
+def test_the_graph_computes_the_oracle(kind: str) -> None:
     """Map and score of three presses agree to float32, where the contrast rules and where the guard does."""
-    limit = learn_spread(kind, NOMINAL, PX).limit(0.3, 1.5)
-    arrays = limit_arrays(limit)
-    assert arrays.keys() <= set(ARRAYS)
-    session = ort.InferenceSession(head_with_limit(raw_head(), arrays))
+    limit = both() if kind == "both" else learn_spread(kind, NOMINAL, PX).limit(0.3, 1.5)
+    head, bank = append(raw_head(), Bank({}), limit)
+    assert bank.arrays.keys() == limit.keys()
     maps = np.concatenate([spot(1.4), spot(1.0), 4 * spot(1.2)])
-    score_map, score = session.run(["score_map", "score"], {"tap": maps, **arrays})
-    expected = limit.relate(maps)
+    score_map, score = ort.InferenceSession(head).run(["score_map", "score"], {"tap": maps, **bank.arrays})
+    expected = relate(limit, maps)
     assert score_map == pytest.approx(expected, rel=1e-5, abs=1e-5)
     assert score == pytest.approx(expected.max(axis=(1, 2)), rel=1e-5)
     assert score[2] > score[0] > score[1]
@@ -126,11 +123,10 @@ def test_a_graph_of_an_older_opset_is_not_extended() -> None:
 def test_another_bank_takes_over_the_limit() -> None:
     """A bank of a fold gets the arrays of the complete bundle; without arrays nothing changes. A detector
     with an array of that name is refused, not overwritten."""
-    arrays = limit_arrays(learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.3, 1.5))
+    limit = learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.3, 1.5)
     bank = Bank({"rows": np.ones((2, 2), np.float32)})
-    head, limited = limit_like({**arrays, "rows": np.zeros(1)}, raw_head(), bank)
-    assert limited.arrays.keys() == {"rows", *arrays}
-    assert head == head_with_limit(raw_head(), arrays)
-    assert limit_like({"rows": np.zeros(1)}, raw_head(), bank) == (raw_head(), bank)
+    _, limited = append(raw_head(), bank, {**limit, "rows": np.zeros(1)})
+    assert limited.arrays.keys() == {"rows", *limit}
+    assert append(raw_head(), bank, {"rows": np.zeros(1)}) == (raw_head(), bank)
     with pytest.raises(FitError, match="has an array 'limit_grid'"):
-        limit_like(arrays, raw_head(), Bank({"limit_grid": np.ones((1, 1), np.float32)}))
+        append(raw_head(), Bank({"limit_grid": np.ones((1, 1), np.float32)}), limit)

@@ -1,13 +1,11 @@
 """Missing relief: by hand, and the same in the head's graph."""
 
-from dataclasses import replace
-
 import numpy as np
 import onnxruntime as ort
 import pytest
 
-from calibration.fitting.limits.head_relief import ARRAYS, head_with_relief, relief_arrays, relieve_like
-from calibration.fitting.limits.missing_relief import MissingRelief, contact_of, pool
+from calibration.fitting.limits.appended import append
+from calibration.fitting.limits.missing_relief import contact_of, find_missing, map_missing, pool
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from plugins.detectors.common.smoothing import upsampling_matrix
@@ -17,18 +15,17 @@ CELLS = (6, 5)
 ROUGH, SMOOTH = (3.0, 0.0, 4.0), (3.0, 4.0, 0.0)
 """Features of touched cells; both are 5 from the free gel's zeros."""
 
-RELIEF = MissingRelief(
-    tap="tap",
-    free=np.zeros((3, 1, 1)),
-    level=5.0,
-    weights=np.array([0.0, 0.25, -0.25]),
-    middle=-1.0,
-    weakest=1.0,
-    expected=np.full(CELLS, 0.1),
-    rows=upsampling_matrix(6, 12, "sampled"),
-    columns=upsampling_matrix(5, 10, "sampled"),
-    unit=7.0,
-)
+RELIEF = {
+    "relief_free": np.zeros((3, 1, 1)),
+    "relief_level": np.full((1, 1), 5.0),
+    "relief_weights": np.array([0.0, 0.25, -0.25])[None, :, None, None],
+    "relief_middle": np.ones(1),
+    "relief_weakest": np.ones((1, 1)),
+    "relief_expected": np.full(CELLS, 0.1),
+    "relief_rows": upsampling_matrix(6, 12, "sampled"),
+    "relief_columns": upsampling_matrix(5, 10, "sampled").T,
+    "relief_unit": np.full((1, 1), 7.0),
+}
 """A rough cell lacks 0, a smooth one 2."""
 
 
@@ -48,35 +45,35 @@ def patch(found: tuple[float, float, float], rows: int = 3) -> np.ndarray:
 def test_a_cell_touches_by_its_distance_from_the_free_gel() -> None:
     """Nothing at half of the level, half at the level, all of it from one and a half on."""
     cells = press(((0, 0), (2.5, 0, 0)), ((0, 1), ROUGH), ((0, 2), (7.5, 0, 0)), ((0, 3), (20, 0, 0)))
-    assert contact_of(cells, RELIEF.free, 5.0)[0, 0] == pytest.approx([0, 0.5, 1, 1, 0])
+    assert contact_of(cells, RELIEF["relief_free"], 5.0)[0, 0] == pytest.approx([0, 0.5, 1, 1, 0])
 
 
 def test_features_are_averaged_over_the_contact() -> None:
     """Free cells do not count, and a press without contact has no mean."""
-    found = pool(np.concatenate([patch(ROUGH), press()]), RELIEF.free, 5.0)
+    found = pool(np.concatenate([patch(ROUGH), press()]), RELIEF["relief_free"], 5.0)
     assert found.means == pytest.approx(np.array([ROUGH, (0, 0, 0)]))
     assert found.contact == pytest.approx([6, 0])
 
 
 def test_a_rough_press_lacks_nothing_and_a_smooth_one_fails() -> None:
     """12 cells that touch half: 6 of contact. Smooth: 2 x 6 / (6 + 1). Rough: what is left is 11 / (60 + 1)."""
-    assert RELIEF.missing(patch(ROUGH)) == pytest.approx([11 / 61])
-    assert RELIEF.missing(patch(SMOOTH)) == pytest.approx([12 / 7])
+    assert find_missing(RELIEF, patch(ROUGH)) == pytest.approx([11 / 61])
+    assert find_missing(RELIEF, patch(SMOOTH)) == pytest.approx([12 / 7])
 
 
 def test_a_faint_press_fails() -> None:
     """Without contact eleven times the limit, with the weakest one allowed the limit."""
-    assert RELIEF.missing(press()) == pytest.approx([11])
-    assert RELIEF.missing(press(((0, 0), ROUGH), ((1, 1), ROUGH))) == pytest.approx([1])
+    assert find_missing(RELIEF, press()) == pytest.approx([11])
+    assert find_missing(RELIEF, press(((0, 0), ROUGH), ((1, 1), ROUGH))) == pytest.approx([1])
 
 
 def test_the_map_shows_what_is_missing_and_nothing_of_a_sound_press() -> None:
     """Its peak is the score, in the bundle's unit, and lies in the smooth half of the contact."""
-    assert not RELIEF.score_map(patch(ROUGH)).any()
+    assert not map_missing(RELIEF, patch(ROUGH)).any()
     half = patch(ROUGH)
     half[0, :, :, :3] = patch(SMOOTH)[0, :, :, :3]
-    [found] = RELIEF.score_map(half)
-    assert found.max() == pytest.approx(7 * RELIEF.missing(half)[0])
+    [found] = map_missing(RELIEF, half)
+    assert found.max() == pytest.approx(7 * find_missing(RELIEF, half)[0])
     assert np.argwhere(found == found.max())[:, 1].max() <= 4
 
 
@@ -84,19 +81,11 @@ def test_the_map_begins_below_the_limit() -> None:
     """It is the score's own height at the limit and 0 at nine tenths of it, so no score jumps."""
 
     def peak(missing: float) -> float:
-        weights = RELIEF.weights * missing / (12 / 7)
-        return float(
-            replace(RELIEF, weights=weights, middle=-missing / (12 / 7)).score_map(patch(SMOOTH)).max()
-        )
+        share = missing / (12 / 7)
+        changed = {name: RELIEF[name] * share for name in ("relief_weights", "relief_middle")}
+        return float(map_missing({**RELIEF, **changed}, patch(SMOOTH)).max())
 
     assert [peak(0.9), peak(0.95), peak(1.0), peak(2.0)] == pytest.approx([0, 7 * 0.95 / 2, 7, 14], abs=1e-6)
-
-
-@pytest.mark.parametrize("wrong", ["level", "weakest", "unit"])
-def test_sizes_are_positive(wrong: str) -> None:
-    """A level or a unit of 0 has no meaning."""
-    with pytest.raises(ValueError, match="are positive"):
-        replace(RELIEF, **{wrong: 0.0})
 
 
 def own_head() -> bytes:
@@ -113,30 +102,20 @@ def own_head() -> bytes:
 
 def test_the_graph_computes_the_oracle() -> None:
     """Map and score of five presses agree to float32: the larger of the detector's own and of what is missing."""
-    arrays = relief_arrays(RELIEF)
-    assert set(arrays) == set(ARRAYS)
-    session = ort.InferenceSession(head_with_relief(own_head(), "tap", arrays))
+    head, bank = append(own_head(), Bank({}), RELIEF, "tap")
+    assert bank.arrays.keys() == RELIEF.keys()
+    session = ort.InferenceSession(head)
     presses = np.concatenate([patch(ROUGH), patch(SMOOTH), patch(SMOOTH, 5), press(((2, 2), ROUGH)), press()])
-    score_map, score = session.run(["score_map", "score"], {"tap": presses, **arrays})
+    score_map, score = session.run(["score_map", "score"], {"tap": presses, **bank.arrays})
     own = 0.5 * presses.max(axis=(1, 2, 3))
-    expected = np.maximum(own[:, None, None], RELIEF.score_map(presses))
+    expected = np.maximum(own[:, None, None], map_missing(RELIEF, presses))
     assert score_map == pytest.approx(expected, rel=1e-5, abs=1e-5)
     assert score == pytest.approx(expected.max(axis=(1, 2)), rel=1e-5)
     assert score[0] == pytest.approx(2)
     assert (score[1:] > 7).all()
 
 
-def test_another_bank_takes_over_what_is_checked() -> None:
-    """A bank of a fold gets the arrays of the complete bundle; without arrays nothing changes."""
-    arrays, bank = relief_arrays(RELIEF), Bank({"rows": np.ones((2, 2), np.float32)})
-    facts = {"missing_relief": {"tap": "tap"}}
-    head, relieved = relieve_like({**arrays, "rows": np.zeros(1)}, facts, own_head(), bank)
-    assert relieved.arrays.keys() == {"rows", *arrays}
-    assert head == head_with_relief(own_head(), "tap", arrays)
-    assert relieve_like({"rows": np.zeros(1)}, {}, own_head(), bank) == (own_head(), bank)
-
-
 def test_a_head_that_is_no_graph_is_refused() -> None:
     """With a sentence, not with a broken bundle."""
-    with pytest.raises(FitError, match="missing relief cannot be appended"):
-        head_with_relief(b"nonsense", "tap", relief_arrays(RELIEF))
+    with pytest.raises(FitError, match="cannot be extended by a limit"):
+        append(b"nonsense", Bank({}), RELIEF, "tap")

@@ -5,7 +5,7 @@ import onnx.parser
 import onnxruntime as ort
 import pytest
 
-from calibration.fitting.limits.head_limit import Operation, extend_head, head_inputs
+from calibration.fitting.limits.appended import extend_head, head_inputs
 from edge.core.errors import FitError
 from edge.model.onnx_validation import check_graph
 from plugins.onnx_builder import Graph
@@ -22,9 +22,7 @@ def doubling() -> bytes:
 
 def test_a_result_is_replaced_by_what_is_appended() -> None:
     """The old value has a new name for every node that reads it, and the output is the new one."""
-    more = extend_head(
-        doubling(), {"y": "old_y"}, {"factor": (1, 1)}, [Operation("Mul", ("old_y", "factor"), "y")]
-    )
+    more = extend_head(doubling(), {"y": "old_y"}, {"factor": (1, 1)}, "y = Mul (old_y, factor)")
     check_graph(more)
     onnx.checker.check_model(onnx.load_from_string(more), full_check=True)
     x = np.ones((2, 2, 3), np.float32)
@@ -37,8 +35,8 @@ def test_a_result_is_replaced_by_what_is_appended() -> None:
 
 def test_a_reduction_has_its_axes() -> None:
     """Each press has its own largest value. The inputs are named, those that were added too."""
-    largest = Operation("ReduceMax", ("x",), "score", axes=(1, 2))
-    more = extend_head(doubling(), {"score": "old"}, {"factor": (1, 1)}, [largest])
+    largest, axes = "score = ReduceMax <keepdims = 0> (x, axes)", "int64[2] axes = {1, 2}"
+    more = extend_head(doubling(), {"score": "old"}, {"factor": (1, 1)}, largest, axes)
     x = np.arange(12, dtype=np.float32).reshape(2, 2, 3)
     fed = {"x": x, "factor": np.ones((1, 1), np.float32)}
     assert ort.InferenceSession(more).run(["score"], fed)[0] == pytest.approx([5, 11])
@@ -57,4 +55,4 @@ def test_a_graph_inside_a_node_is_refused() -> None:
         }
     """).SerializeToString()
     with pytest.raises(FitError, match="a graph of its own"):
-        extend_head(model, {"y": "old"}, {}, [])
+        extend_head(model, {"y": "old"}, {}, "")
