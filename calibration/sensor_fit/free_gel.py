@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.simulator.constants import NOISE_LEVEL
+from calibration.simulator.camera import NOISE_LEVEL
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.sensor_appearance import free_gel_powers
 

@@ -10,12 +10,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.simulator.constants import CROP_MM
 from edge.core.imaging.known_profiles import MINI_BORDER, MINI_LR_MM_PER_PX, MINI_NATIVE
 
-__all__ = ["F32", "HR", "LR", "Field", "grids", "native_field", "unit_grids"]
+__all__ = ["CROP_MM", "F32", "HR", "LR", "Field", "grids", "native_field", "unit_grids"]
 
 F32 = NDArray[np.float32]
+
+# The gel that the maker's crop shows, (x, y): 320x240 pixels.
+CROP_MM = (320 * MINI_LR_MM_PER_PX, 240 * MINI_LR_MM_PER_PX)
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,8 @@ class Field:
     """(width, height) in pixels."""
     mm_per_px: tuple[float, float]
     """(x, y)."""
+    centre_mm: tuple[float, float] = (0.0, 0.0)
+    """(x, y) of its centre."""
 
     def __post_init__(self) -> None:
         if min(self.size) < 8:
@@ -64,9 +68,10 @@ def native_field(reduction: int = 4) -> Field:
 @lru_cache(maxsize=8)
 def grids(field: Field) -> tuple[F32, F32]:
     """x and y in mm at the pixel centres, float32 (h, w) each, read-only."""
-    width, height = field.size
-    x = (np.arange(width, dtype=np.float32) + np.float32(0.5 - width / 2)) * np.float32(field.mm_per_px[0])
-    y = (np.arange(height, dtype=np.float32) + np.float32(0.5 - height / 2)) * np.float32(field.mm_per_px[1])
+    x, y = (
+        (np.arange(n, dtype=np.float32) + np.float32(0.5 - n / 2)) * np.float32(mm) + np.float32(centre)
+        for n, mm, centre in zip(field.size, field.mm_per_px, field.centre_mm, strict=True)
+    )
     xx, yy = np.meshgrid(x, y)
     xx.setflags(write=False)
     yy.setflags(write=False)

@@ -11,16 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator import reproducible_math
-from calibration.simulator.constants import (
-    CROP_MM,
-    DOT_KEEPS,
-    DOT_PITCH_MM,
-    DOT_RADIUS_MM,
-    DOT_SPREAD_MM,
-    GRAIN_FREE,
-    GRAIN_SIGMA_MM,
-)
-from calibration.simulator.field_of_view import F32, Field, grids
+from calibration.simulator.field_of_view import CROP_MM, F32, LR, Field, grids
 
 __all__ = [
     "Dust",
@@ -96,7 +87,8 @@ def dust(surface_mm: F32, relief_mm: F32) -> F32:
 
 
 def _window(field: Field, x_mm: float, y_mm: float, reach_mm: float) -> tuple[slice, slice]:
-    column, row = x_mm / field.mm_per_px[0] + field.size[0] / 2, y_mm / field.mm_per_px[1] + field.size[1] / 2
+    column = (x_mm - field.centre_mm[0]) / field.mm_per_px[0] + field.size[0] / 2
+    row = (y_mm - field.centre_mm[1]) / field.mm_per_px[1] + field.size[1] / 2
     across, down = reach_mm / field.mm_per_px[0] + 1, reach_mm / field.mm_per_px[1] + 1
     return (
         slice(max(0, int(row - down)), max(0, math.ceil(row + down))),
@@ -191,6 +183,9 @@ def wear(surface_mm: F32, relief_mm: F32) -> F32:
     return np.asarray(surface_mm + relief_mm, dtype=np.float32)
 
 
+# A flake's size, and the share of the paint's grain that the free gel shows.
+GRAIN_SIGMA_MM = 0.035
+GRAIN_FREE = 0.35
 # Paint grain: high-pass sd outside and inside contact is B 2.7 to 3.2, G 1.5 to 2.3, R 2.1 to 2.8 grey levels.
 # Its part beyond the camera's own noise is about 1.8 levels in contact and a third of that on the free gel.
 _GRAIN_LEVELS = 1.8
@@ -213,6 +208,14 @@ def grain(planes: F32, surface_mm: F32, texture: F32) -> F32:
     for plane in planes:
         plane += speckle
     return planes
+
+
+# A tracking gel carries 7 x 9 dots in the crop: margin 24 px and radius about 6 px at 320x240.
+DOT_PITCH_MM = ((320 - 48) / 8 * LR.mm_per_px[0], (240 - 48) / 6 * LR.mm_per_px[0])
+DOT_RADIUS_MM = 6 * LR.mm_per_px[0]
+DOT_KEEPS = 0.22
+# Dots move away from a bulge by about this share of its depth (estimated from the maker's marker video).
+DOT_SPREAD_MM = 0.5
 
 
 def markers(planes: F32, surface_mm: F32, field: Field) -> F32:

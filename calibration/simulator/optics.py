@@ -7,19 +7,23 @@ changes them in place and returns them.
 import cv2
 import numpy as np
 
-from calibration.simulator.constants import (
-    GLOSS_DOUBLINGS,
-    GLOSS_TILT,
-    LIGHT_RISE,
-    LIGHTS,
-    PENUMBRA_MM,
-    SHADOW_REACH_MM,
-    SHADOW_STEPS,
-)
 from calibration.simulator.field_of_view import F32, Field
 
 __all__ = ["LIGHTS", "headlight", "illumination", "normals", "raise_planes", "shadows", "specular"]
 
+# Where each light shines from, as a step in (x, y): red from the top of the picture, green from the right, blue from
+# below (measured on three units: a ball is red on top, green right, blue below).
+LIGHTS = ((0, -1), (1, 0), (0, 1))
+# The lights are low at the gel's side: about 25 degrees above it (assumed; the maker does not publish it).
+LIGHT_RISE = 0.47
+# Reach of a shadow that is followed; an imprint 0.5 mm high throws 1.1 mm at this elevation.
+SHADOW_REACH_MM = 1.2
+SHADOW_STEPS = 8
+# Height over which a shadow's edge goes from none to full: the lights are bars, not points.
+PENUMBRA_MM = 0.06
+# The maker's coat is nearly Lambertian; the little gloss that is seen on steep flanks is a broad lobe.
+GLOSS_DOUBLINGS = 3
+GLOSS_TILT = 0.55
 # The headlight's level: mid grey, so that neither slopes nor noise clip.
 _HEADLIGHT_LEVEL = 128.0
 
@@ -116,7 +120,6 @@ def _slices(rows: int, columns: int, dx: int, dy: int) -> tuple[slice, slice]:
     return (slice(max(dy, 0), rows + min(dy, 0)), slice(max(dx, 0), columns + min(dx, 0)))
 
 
-# The maker's coat is nearly Lambertian; the little gloss that is seen on steep flanks is a broad lobe.
 _GLOSS_LEVEL = 22.0
 
 

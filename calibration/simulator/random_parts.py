@@ -42,14 +42,16 @@ class RandomPart:
         return f32(np.clip(height, FLOOR_MM, 0))
 
 
-def random_part(rng: np.random.Generator) -> RandomPart:
-    """A part 4 to 20 mm across with one to four features, somewhere under the gel.
+def random_part(
+    rng: np.random.Generator, largest_mm: tuple[float, float] = (10.0, 8.0), most: int = 4
+) -> RandomPart:
+    """A part with one to `most` features, somewhere under the gel. largest_mm: half of its largest size, (x, y).
 
     The features' heights are between 0.05 and 0.6 mm: a press of about 0.4 mm shows them.
     """
-    half = (float(rng.uniform(2.0, 10.0)), float(rng.uniform(2.0, 8.0)))
+    half = (float(rng.uniform(2.0, largest_mm[0])), float(rng.uniform(2.0, largest_mm[1])))
     body = _BODIES[rng.integers(len(_BODIES))](half, rng)
-    count = int(rng.integers(1, 5))
+    count = int(rng.integers(1, most + 1))
     features = tuple(_FEATURES[rng.integers(len(_FEATURES))](half, rng) for _ in range(count))
     reach = (max(0.5, 8.0 - half[0]), max(0.5, 6.0 - half[1]))
     shift = (float(rng.uniform(-reach[0], reach[0])), float(rng.uniform(-reach[1], reach[1])))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator import reproducible_math
-from calibration.simulator.constants import NOISE_SD
+from calibration.simulator.camera import NOISE_SD
 from calibration.simulator.field_of_view import F32, Field, unit_grids
 from calibration.simulator.gel import GEL, Gel
 

@@ -13,9 +13,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from calibration.training.render import Spacing, slopes
 from calibration.training.train_config import STAGES, TrainConfig
-from calibration.training.training_pairs import Pairs
+from calibration.training.training_pairs import Pairs, Spacing
 
 __all__ = [
     "Losses",
@@ -76,8 +75,9 @@ def pair_losses(features: Tensor, batch: Pairs, recipe: TrainConfig) -> tuple[Te
 
 
 def _geometry(batch: Pairs) -> Tensor:
-    """Targets (2n, 4, h, w) of order 1."""
-    sx, sy = slopes(batch.surface_mm, batch.spacing)
+    """Targets (2n, 4, h, w) of order 1; slopes are positive on the right and lower sides of a bulge."""
+    across, down = batch.spacing
+    sy, sx = (-each for each in torch.gradient(batch.surface_mm, spacing=(down, across), dim=(1, 2)))
     energy = sx * sx + sy * sy
     return torch.stack([sx / _SLOPE, sy / _SLOPE, batch.surface_mm / _DEPTH, energy / _ENERGY], dim=1)
 

@@ -100,24 +100,14 @@ def _facts(name: str, graph: bytes, plain: bytes) -> dict[str, Any]:
     }
 
 
-def calibration_frames(
-    purpose: str, batches: int, pairs: int = _CALIBRATION_PAIRS
-) -> Iterator[NDArray[np.uint8]]:
+def calibration_frames(purpose: str, batches: int) -> Iterator[NDArray[np.uint8]]:
     """Batches of frames uint8 (n, 224, 224, 3) from separate streams, every fourth at high resolution."""
-    import torch
-
     from calibration.training.training_pairs import draw_pairs
 
     for number in range(batches):
         fine = 1.0 if number % 4 == 3 else 0.0
         drawn = draw_pairs(
-            0,
-            purpose,
-            number,
-            pairs=pairs,
-            side=_CALIBRATION_SIDE,
-            device=torch.device("cpu"),
-            high_resolution=fine,
+            0, purpose, number, pairs=_CALIBRATION_PAIRS, side=_CALIBRATION_SIDE, high_resolution=fine
         )
         yield drawn.frames.permute(0, 2, 3, 1).contiguous().byte().numpy()
 

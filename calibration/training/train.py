@@ -6,6 +6,7 @@ within the runtime's own differences on a GPU.
 
 import json
 import math
+import os
 import signal
 import sys
 import time
@@ -15,6 +16,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import cv2
 import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
@@ -34,7 +36,7 @@ from calibration.training.train_config import STAGES, TrainConfig
 from calibration.training.training_pairs import Pairs, draw_pairs
 from edge.core.errors import ConfigError, GelgateError
 
-__all__ = ["TrainingRun", "draw_step", "learning_rate", "train"]
+__all__ = ["TrainingRun", "learning_rate", "train"]
 
 _VALIDATION_BATCHES = 4
 _VALIDATION_PAIRS = 32
@@ -62,7 +64,7 @@ class TrainingRun:
     threads: int = 0
     """Threads of the CPU, 0 for torch's choice; on shared cores 1 is several times faster than 2."""
     is_drawn_ahead: bool = False
-    """Draw in a second process."""
+    """Draw in a second process, next to a GPU in one per other core."""
     start: Path | None = None
     """Another run whose weights the recipe starts from."""
 
@@ -121,16 +123,9 @@ class _Learner:
         found: dict[str, list[tuple[Tensor, Tensor, Tensor]]] = {stage: [] for stage in STAGES}
         with torch.no_grad():
             for number in range(_VALIDATION_BATCHES):
-                pairs = min(_VALIDATION_PAIRS, self.recipe.pairs)
-                batch = draw_pairs(
-                    0,
-                    "validate",
-                    number,
-                    pairs=pairs,
-                    side=self.recipe.side,
-                    device=self.device,
-                    high_resolution=0.0,
-                )
+                pairs, side = min(_VALIDATION_PAIRS, self.recipe.pairs), self.recipe.side
+                batch = draw_pairs(0, "validate", number, pairs=pairs, side=side, high_resolution=0.0)
+                batch = batch.to(self.device)
                 for stage, features in zip(STAGES, self._maps(batch), strict=True):
                     stride = self.recipe.side // features.shape[-1]
                     cells = find_changed_cells(batch.change_mm, stride, self.recipe)
@@ -198,11 +193,11 @@ def train(
     started, since, since_step = time.monotonic(), time.monotonic(), learner.step
     say(f"{device}, recipe {recipe.fingerprint}, step {learner.step} of {recipe.steps}")
     at = checkpoints.latest(run.folder) or run.folder
-    is_ahead = run.is_drawn_ahead and device.type == "cpu"
-    batches = _draw_ahead(recipe, learner.step) if is_ahead else _draw(recipe, learner.step, device)
+    workers = 1 if device.type == "cpu" else max(1, (os.cpu_count() or 1) - 1)
+    batches = _draw(recipe, learner.step, workers if run.is_drawn_ahead else 0)
     with _stop_asked() as is_stopped, closing(batches):
         for batch in batches:
-            found = learner.learn(batch)
+            found = learner.learn(batch.to(device))
             advance(learner.step)
             is_late = is_stopped() or (run.minutes > 0 and time.monotonic() - started > 60 * run.minutes)
             is_last = learner.step == recipe.steps or is_late
@@ -224,27 +219,8 @@ def train(
     return at
 
 
-def draw_step(recipe: TrainConfig, step: int, device: torch.device) -> Pairs:
-    """Draw the training batch of one step."""
-    drawn: Pairs = draw_pairs(
-        recipe.seed,
-        "train",
-        step,
-        pairs=recipe.pairs,
-        side=recipe.side,
-        device=device,
-        high_resolution=recipe.high_resolution,
-    )
-    return drawn
-
-
-def _draw(recipe: TrainConfig, first: int, device: torch.device) -> Generator[Pairs, None, None]:
-    for step in range(first, recipe.steps):
-        yield draw_step(recipe, step, device)
-
-
 class _Steps(Dataset):  # type: ignore[misc]
-    """The batches of the steps from `first` on, drawn on the CPU."""
+    """The batches of the steps from `first` on."""
 
     def __init__(self, recipe: TrainConfig, first: int) -> None:
         self.recipe, self.first = recipe, first
@@ -253,23 +229,31 @@ class _Steps(Dataset):  # type: ignore[misc]
         return self.recipe.steps - self.first
 
     def __getitem__(self, number: int) -> Pairs:
-        return draw_step(self.recipe, self.first + number, torch.device("cpu"))
+        recipe = self.recipe
+        return draw_pairs(
+            recipe.seed,
+            "train",
+            self.first + number,
+            pairs=recipe.pairs,
+            side=recipe.side,
+            high_resolution=recipe.high_resolution,
+        )
 
 
-def _draw_ahead(recipe: TrainConfig, first: int) -> Generator[Pairs, None, None]:
-    """Draw in a second process while the network learns from the previous batch; the bytes are the same.
+def _draw(recipe: TrainConfig, first: int, workers: int) -> Generator[Pairs, None, None]:
+    """Draw in other processes while the network learns from the previous batch; the bytes are the same.
 
     Each process uses one thread: on shared cores, two threads of one process wait for each other by spinning, and a
-    step takes four times as long (measured on two cores). Errors: GelgateError when that process has died.
+    step takes four times as long (measured on two cores). Errors: GelgateError when such a process has died.
     """
     # A forked copy of torch's thread pool would hang; a worker uses one thread, and Ctrl-C ends the step first.
     loader = DataLoader(
         _Steps(recipe, first),
         batch_size=None,
-        num_workers=1,
-        prefetch_factor=4,
-        multiprocessing_context="spawn",
-        worker_init_fn=_ignore_interrupts,
+        num_workers=workers,
+        prefetch_factor=4 if workers else None,
+        multiprocessing_context="spawn" if workers else None,
+        worker_init_fn=_set_up_worker,
         generator=torch.Generator(),
     )
     try:
@@ -282,8 +266,9 @@ def _draw_ahead(recipe: TrainConfig, first: int) -> Generator[Pairs, None, None]
         ) from error
 
 
-def _ignore_interrupts(worker: int) -> None:
+def _set_up_worker(worker: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    cv2.setNumThreads(1)
 
 
 @contextmanager

@@ -1,31 +1,45 @@
 """Pairs of simulated presses of one random part: a nominal one, and one whose part may be damaged.
 
 The two differ as two presses on a line do: pose, pressure, tool marks, lamp level, noise. The gel's colours, dust, wear
-and grain are the same. `change_mm` is the difference of the imprint by the damage alone.
+and grain are the same. `change_mm` is the difference of the imprint by the damage alone. The simulator draws them, with
+sensors about two measured ones and some of its effects; the damage is none of its defects, which evaluation uses.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
-from calibration.training import render
-from calibration.training.random_parts import Parts, add_damage, draw_parts, draw_waves, turned, waves
-from calibration.training.random_sensors import Draws, appearance, draws_for, gains, under_dots
-from calibration.training.render import BatchAppearance, Spacing
-from edge.core.imaging.known_profiles import MINI_LR_MM_PER_PX
+from calibration.simulator.field_of_view import CROP_MM, F32, LR, Field, grids
+from calibration.simulator.gel import GEL, Gel
+from calibration.simulator.parts import specimen
+from calibration.simulator.pose import HeightField, Jitter, Pose, partial_contact, sample
+from calibration.simulator.random_parts import random_part
+from calibration.simulator.renderer import U8, Exposure, Renderer
+from calibration.simulator.reproducible_math import reproducible_opencv
+from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
+from calibration.simulator.shapes import f32, ramp, rotate
+from calibration.simulator.streams import Streams
 
-__all__ = ["Pairs", "draw_pairs"]
+__all__ = ["TRAINING_UNITS", "Pairs", "draw_pairs"]
 
+Spacing = tuple[float, float]
+
+# Training mixes and varies these two measured sensors; `unit_c` is reserved for evaluation.
+TRAINING_UNITS = ("unit_a", "unit_b")
 # 1280x720 pictures: 0.0159 and 0.0211 mm per pixel; high-resolution batches draw spacings about these.
 _FINE_MM = (0.0145, 0.045)
-_MARKER_SHARE = 0.2
-# Cameras compress; lossless recordings do not.
-_JPEG_SHARE = 0.7
-_JPEG_QUALITY = (75.0, 96.0)
+_ALWAYS = ("pose_jitter", "deformation", "illumination", "vignette", "noise")
+# How many of the pairs have each of the other effects.
+_SOMETIMES = {
+    **dict.fromkeys(("dust", "wear", "shadows", "specular", "grain", "lens_blur", "led_drift"), 0.8),
+    "residual_imprint": 0.25,
+    "markers": 0.2,
+    "jpeg": 0.7,
+}
 
 
 @dataclass(frozen=True)
@@ -41,189 +55,155 @@ class Pairs:
     spacing: Spacing
     """Mm per pixel (x, y)."""
 
-
-@dataclass(frozen=True)
-class _Views:
-    """Poses of 2n presses; x, y: their part coordinates (2n, h, w)"""
-
-    x: Tensor
-    y: Tensor
-    tilt_mm: Tensor
-    """Height added (2n, h, w)."""
-    depth_mm: Tensor
+    def to(self, device: torch.device) -> "Pairs":
+        """Copy the pairs to a device."""
+        frames, surface_mm, change_mm = self.frames, self.surface_mm, self.change_mm
+        return Pairs(frames.to(device), surface_mm.to(device), change_mm.to(device), self.spacing)
 
 
-@torch.no_grad()  # type: ignore[untyped-decorator]
 def draw_pairs(
-    seed: int,
-    purpose: str,
-    step: int,
-    *,
-    pairs: int,
-    side: int,
-    device: torch.device,
-    high_resolution: float = 0.25,
+    seed: int, purpose: str, step: int, *, pairs: int, side: int, high_resolution: float = 0.25
 ) -> Pairs:
     """Draw the batch of one step: a function of seed, purpose and step alone."""
-    host = draws_for(seed, f"{purpose}/host", step, torch.device("cpu"))
-    spacing = _draw_spacing(host, high_resolution)
-    centre = _draw_centre(host, side, spacing)
-    draws = draws_for(seed, purpose, step, device)
-    view_mm = side * max(spacing)
-    scale = math.sqrt(view_mm / (side * MINI_LR_MM_PER_PX))
-    at_x = (torch.arange(side, device=device) + (0.5 - side / 2)) * spacing[0]
-    at_y = (torch.arange(side, device=device) + (0.5 - side / 2)) * spacing[1]
-    x, y = at_x[None, :].expand(side, side), at_y[:, None].expand(side, side)
-
-    views = _draw_views(draws, pairs, x, y, scale)
-    height = _heights(draws, draw_parts(draws, pairs, view_mm), views)
-    broken = add_damage(draws, height[pairs:], views.depth_mm[pairs:], x, y, spacing, scale)
-    obstacles = (
-        torch.cat([height, broken]) + torch.cat([views.depth_mm, views.depth_mm[pairs:]])[:, None, None]
+    streams = Streams(seed)
+    field = _draw_field(streams(purpose, step), side, high_resolution)
+    with reproducible_opencv():
+        drawn = [_draw_pair(streams, (purpose, step, k), field) for k in range(pairs)]
+    frames = np.stack([one.transpose(2, 0, 1) for press in (0, 1) for one in (d[0][press] for d in drawn)])
+    surfaces = np.stack([d[1][press] for press in (0, 1) for d in drawn])
+    changes = np.stack([d[2] for d in drawn])
+    return Pairs(
+        torch.from_numpy(frames).float(),
+        torch.from_numpy(surfaces),
+        torch.from_numpy(changes),
+        field.mm_per_px,
     )
-    surfaces = render.deform(obstacles.clamp(min=0), spacing, float(host.uniform(0.8, 1.25)))
-    change = (surfaces[2 * pairs :] - surfaces[pairs : 2 * pairs]).abs()
-    surface = torch.cat([surfaces[:pairs], surfaces[2 * pairs :]])
-    lens_mm = float(host.uniform(0.02, 0.05))
-    u, v = render.unit_grid(side, spacing, centre, device)
-    frames = _photograph(draws, surface, appearance(draws, pairs, u, v), x, y, spacing, lens_mm)
-    return Pairs(frames, surface, change, spacing)
 
 
-def _draw_spacing(host: Draws, high_resolution: float) -> Spacing:
-    if float(host.uniform(0, 1)) >= high_resolution:
-        return (MINI_LR_MM_PER_PX, MINI_LR_MM_PER_PX)
-    fine = float(host.log_uniform(*_FINE_MM))
-    # Half of the fine batches have the 16:9 squeeze of the published pictures.
-    squeeze = 4 / 3 if float(host.uniform(0, 1)) < 0.5 else 1.0
-    return (fine, fine * squeeze)
+def _draw_field(rng: np.random.Generator, side: int, high_resolution: float) -> Field:
+    """A square region: at the centre of the crop every second time, else anywhere inside."""
+    spacing = LR.mm_per_px
+    if rng.random() < high_resolution:
+        fine = _log_uniform(rng, *_FINE_MM)
+        # Half of the fine batches have the 16:9 squeeze of the published pictures.
+        spacing = (fine, fine * (4 / 3 if rng.random() < 0.5 else 1.0))
+    free = [max(0.0, (mm - side * px) / 2) for mm, px in zip(CROP_MM, spacing, strict=True)]
+    place = rng.uniform(-1, 1, 2) * (rng.random() < 0.5) * free
+    return Field((side, side), spacing, (float(place[0]), float(place[1])))
 
 
-def _draw_centre(host: Draws, side: int, spacing: Spacing) -> tuple[float, float]:
-    """The region's place in the crop: at its centre every second time, else anywhere inside."""
-    if float(host.uniform(0, 1)) < 0.5:
-        return (0.0, 0.0)
-    free = [max(0.0, 1 - side * s / extent) for s, extent in zip(spacing, (20.288, 15.216), strict=True)]
-    return (float(host.uniform(-1, 1)) * free[0], float(host.uniform(-1, 1)) * free[1])
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
 
 
-def _draw_views(draws: Draws, n: int, x: Tensor, y: Tensor, scale: float) -> _Views:
-    """A command per part and a jitter per press; the size of the jitter differs from part to part."""
-    shift_sd = draws.log_uniform(0.02, 0.2, n) * scale
-    turn_sd = draws.log_uniform(0.15, 2.0, n) * (math.pi / 180)
-    tilt_sd = draws.log_uniform(0.1, 0.6, n) * (math.pi / 180)
-    lean = draws.chance(0.3, n) * draws.uniform(0, 2.0, n) * (math.pi / 180)
-    side = draws.uniform(0, 2 * math.pi, n)
-    depth = draws.uniform(0.15, 0.7, n)
-    depth_sd = draws.log_uniform(0.02, 0.08, n)
-
-    def twice(values: Tensor) -> Tensor:
-        return torch.cat([values, values])
-
-    jitter = draws.normal(1.0, 6, 2 * n).clamp(-2.5, 2.5)
-    dx, dy = jitter[0] * twice(shift_sd), jitter[1] * twice(shift_sd)
-    part_x, part_y = turned(x - dx[:, None, None], y - dy[:, None, None], jitter[2] * twice(turn_sd))
-    tilt_x = twice(lean * torch.cos(side)) + jitter[3] * twice(tilt_sd)
-    tilt_y = twice(lean * torch.sin(side)) + jitter[4] * twice(tilt_sd)
-    tilt = tilt_x[:, None, None] * x + tilt_y[:, None, None] * y
-    return _Views(part_x, part_y, tilt, twice(depth) * (1 + jitter[5] * twice(depth_sd)))
+Drawn = tuple[tuple[U8, U8], tuple[F32, F32], F32]
+"""The two pictures, the two imprints, and the change by the damage."""
 
 
-def _heights(draws: Draws, parts: Parts, views: _Views) -> Tensor:
-    """Heights of the sound parts in all 2n views, 0 at the highest point that the nominal view sees."""
-    n = len(views.x) // 2
-    marks = draw_waves(draws, 2 * n, 2, (0.25, 0.9), (0.0005, 0.004))
-    nominal = parts.height(views.x[:n], views.y[:n])
-    partner = parts.height(views.x[n:], views.y[n:])
-    top = nominal.amax(dim=(1, 2), keepdim=True)
-    sound = torch.cat([nominal - top, partner - top])
-    return sound + waves(marks, views.x, views.y) + views.tilt_mm
+def _draw_pair(streams: Streams, key: tuple[str | int, ...], field: Field) -> Drawn:
+    rng = streams("pair", *key)
+    # Fine pictures show smaller parts and damage, by the root of the ratio.
+    scale = math.sqrt(max(field.mm_per_px) / LR.mm_per_px[0])
+    effects = [*_ALWAYS, *(name for name, share in _SOMETIMES.items() if rng.random() < share)]
+    words = "/".join(map(str, key))
+    renderer = Renderer(field, effects, _draw_sensor(rng), _draw_jitter(rng, scale), streams, words, words)
+    part, depth = _draw_part(rng, scale), rng.uniform(0.15, 0.7)
+    commanded = partial_contact(Pose(), rng) if rng.random() < 0.3 else Pose()
+    commanded = replace(commanded, shift_mm=field.centre_mm)
+    places = [renderer.place(commanded, (*key, press)) for press in (0, 1)]
+    nominal, partner = (sample(specimen(part, rng), place, field) for place in places)
+    top = nominal.max()
+    nominal, partner = nominal - top, partner - top
+    depths = [depth * place.depth_factor for place in places]
+    damaged = _add_damage(rng, partner, depths[1], field, scale)
+    first = renderer.imprint(nominal, depths[0])
+    sound, second = (renderer.imprint(height, depths[1]) for height in (partner, damaged))
+    leak = _draw_leak(rng)
+    worn = int(rng.integers(1500))
+    frames = []
+    for press, imprint in enumerate((first, second)):
+        surface = renderer.surface(imprint, worn + press, (imprint[::-1, ::-1], rng.uniform(0.2, 3.0)))
+        light = np.tensordot(leak, renderer.light(surface, worn + press), 1)
+        frames.append(renderer.expose(light, (*key, press), Exposure(0, rng.uniform(0, 100))))
+    return (frames[0], frames[1]), (first, second), np.abs(second - sound)
 
 
-def _photograph(
-    draws: Draws,
-    surface: Tensor,
-    sensors: BatchAppearance,
-    x: Tensor,
-    y: Tensor,
-    spacing: Spacing,
-    lens_mm: float,
-) -> Tensor:
-    """Frames of 2n imprints through n gels and cameras."""
-    n = len(surface) // 2
-
-    def both(values: Tensor) -> Tensor:
-        return torch.cat([values, values])
-
-    relief, light = _draw_coat(draws, n, x, y, spacing)
-    # One gel in four has the residual imprint of another press.
-    left = draws.chance(0.25, 2 * n) * draws.uniform(0, 0.1, 2 * n)
-    seen = torch.maximum(surface, left[:, None, None] * surface.roll(1, 0)) + relief
-    nx, ny = render.normals(*render.slopes(seen, spacing))
-    planes = render.shade(
-        nx, ny, BatchAppearance(both(sensors.free), both(sensors.per_normal), both(sensors.curvature))
-    )
-    keeps, level = 1 - 0.4 * both(draws.uniform(0, 1, n)), both(draws.uniform(0, 26, n))
-    planes = render.gloss(render.shadows(planes, seen, keeps, spacing), nx, ny, level) * light[:, None]
-    count = round(_MARKER_SHARE * n)
-    dotted = torch.cat([torch.arange(count), torch.arange(n, n + count)]).to(planes.device)
-    if count:
-        planes[dotted] = under_dots(planes[dotted], surface[dotted], x, y, spacing)
-    white = both(draws.normal(1.0, n, *surface.shape[1:]))
-    planes = render.grain(planes, surface, white, both(draws.uniform(0, 3, n)), spacing)
-    planes = render.lens(planes, lens_mm, spacing).clamp(min=0) * gains(draws, 2 * n)[:, :, None, None]
-    noise, strength = draws.normal(1.0, *planes.shape), both(draws.log_uniform(0.5, 1.6, n))
-    frames = render.quantise(render.sensor_noise(planes, noise, strength))
-    sent, quality = both(draws.chance(_JPEG_SHARE, n)), both(draws.uniform(*_JPEG_QUALITY, n))
-    for k in sent.nonzero()[:, 0].tolist():
-        frames[k] = compress(frames[k], round(float(quality[k])))
-    return frames
+def _draw_part(rng: np.random.Generator, scale: float) -> HeightField:
+    """A part with much relief about the middle of the view."""
+    part = random_part(rng, largest_mm=(9.0, 9.0), most=8)
+    at = rng.normal(0, 2.0, 2)
+    part = replace(part, place=Pose((float(at[0]), float(at[1])), part.place.turn_rad))
+    return lambda x, y: part(x / np.float32(scale), y / np.float32(scale))
 
 
-def compress(frame: Tensor, quality: int) -> Tensor:
-    """Give a frame (3, h, w) of whole grey levels as the camera's JPEG shows it. quality: 0 to 100."""
-    bgr = np.ascontiguousarray(frame.byte().cpu().numpy()[::-1].transpose(1, 2, 0))
-    sent = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    seen = np.asarray(cv2.imdecode(sent, cv2.IMREAD_COLOR))
-    return torch.from_numpy(seen[..., ::-1].transpose(2, 0, 1).copy()).to(frame)
+def _draw_jitter(rng: np.random.Generator, scale: float) -> Jitter:
+    """How much the presses of one part differ: some are held well, some badly."""
+    shift = _log_uniform(rng, 0.02, 0.2) * scale
+    turn, tilt, depth = (_log_uniform(rng, *ends) for ends in ((0.15, 2.0), (0.1, 0.6), (0.02, 0.08)))
+    return Jitter(shift, turn, tilt, depth)
 
 
-# Per region: grains of both presses, grains of the partner only, scratches and stains.
-_GRAINS, _NEW_GRAINS, _SCRATCHES, _STAINS = 8, 2, 2, 2
+def _draw_sensor(rng: np.random.Generator) -> SensorAppearance:
+    """A sensor about the two training units: exposure, white balance, falloff, response, gel and noise all vary."""
+    first, second = (SENSORS[name] for name in TRAINING_UNITS)
+    share, level = rng.random(), rng.normal(0, 0.15) + rng.normal(0, 0.07, 3)
+    free = share * first.free_gel + (1 - share) * second.free_gel + rng.normal(0, 0.05, (3, 15))
+    free[:, 0] += level
+    gain = np.exp(level + rng.normal(0, 0.12) + rng.normal(0, 0.08, 3))[:, None]
+    answer = share * first.slope_response + (1 - share) * second.slope_response
+    answer = answer * rng.normal(1, 0.1, (3, 15)) + rng.normal(0, 4.0, (3, 15))
+    stiffness, noise = rng.uniform(0.8, 1.25), _log_uniform(rng, 0.5, 1.6)
+    gel = Gel(GEL.short_mm * stiffness, GEL.long_mm * stiffness, GEL.long_share)
+    red, green, blue = (noise * sd for sd in first.noise_sd)
+    return SensorAppearance("drawn", free, answer * gain, gel=gel, noise_sd=(red, green, blue))
 
 
-def _draw_coat(draws: Draws, n: int, x: Tensor, y: Tensor, spacing: Spacing) -> tuple[Tensor, Tensor]:
-    """Relief in mm and share of light, both (2n, h, w), of dust and wear; the same in both presses except for new
-    grains."""
-    half_x, half_y = spacing[0] * x.shape[1] / 2, spacing[1] * x.shape[0] / 2
-
-    def place(count: int) -> tuple[Tensor, Tensor]:
-        return draws.uniform(-half_x, half_x, n, count), draws.uniform(-half_y, half_y, n, count)
-
-    def bumps(count: int, share: float) -> Tensor:
-        px, py = place(count)
-        radius, high = draws.log_uniform(0.025, 0.11, n, count), draws.uniform(0.005, 0.05, n, count)
-        high = high * draws.chance(share, n, count)
-        return _bells(px, py, radius, high, x, y)
-
-    dust = bumps(_GRAINS, 0.5)
-    relief = torch.cat([dust, dust + bumps(_NEW_GRAINS, 0.15)])
-    px, py = place(_SCRATCHES)
-    deep = draws.chance(0.35, n, _SCRATCHES) * draws.uniform(0.002, 0.009, n, _SCRATCHES)
-    length, turn = draws.log_uniform(1.0, 5.0, n, _SCRATCHES), draws.uniform(0, math.pi, n, _SCRATCHES)
-    furrows = torch.zeros_like(dust)
-    for k in range(_SCRATCHES):
-        u, v = turned(x - px[:, k, None, None], y - py[:, k, None, None], turn[:, k])
-        ends = ((length[:, k, None, None] / 2 - u.abs()) / 0.3).clamp(0, 1)
-        furrows = furrows + deep[:, k, None, None] * ends * torch.exp(-(((v + 0.03 * u * u) / 0.05) ** 2))
-    sx, sy = place(_STAINS)
-    lost = draws.chance(0.3, n, _STAINS) * draws.uniform(0.01, 0.12, n, _STAINS)
-    stains = _bells(sx, sy, draws.uniform(0.4, 1.8, n, _STAINS), lost, x, y)
-    return relief - torch.cat([furrows, furrows]), 1 - torch.cat([stains, stains])
+def _draw_leak(rng: np.random.Generator) -> F32:
+    """A matrix that mixes the colours: filters leak up to a quarter of each channel from the others."""
+    leak = rng.uniform(0, 0.25)
+    return f32((1 - leak) * np.eye(3) + leak * rng.uniform(0, 0.6, (3, 3)))
 
 
-def _bells(px: Tensor, py: Tensor, radius: Tensor, high: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Sums of Gaussian bells, separable: (n, h, w) from (n, count) centres, radii and heights."""
-    along_x = torch.exp(-0.5 * ((x[0] - px[:, :, None]) / radius[:, :, None]) ** 2)
-    along_y = torch.exp(-0.5 * ((y[:, 0] - py[:, :, None]) / radius[:, :, None]) ** 2)
-    return torch.einsum("nky,nkx->nyx", along_y * high[:, :, None], along_x)
+# How many presses have no defect, one, two and three.
+_COUNTS = (0.1, 0.3, 0.3, 0.3)
+# A defect starts where the part enters the gel by at least this share of the press.
+_TOUCH_SHARE = 0.25
+
+
+def _add_damage(rng: np.random.Generator, height: F32, depth_mm: float, field: Field, scale: float) -> F32:
+    """The height with up to three defects in the contact: bells, flattened places, filled relief, rough patches."""
+    x, y = grids(field)
+    # A partner that jitter lifted may touch nowhere deep: then its highest point is damaged.
+    touched = np.flatnonzero(height >= min(height.max(), -(1 - _TOUCH_SHARE) * depth_mm))
+    for _ in range(rng.choice(4, p=_COUNTS)):
+        spot = rng.choice(touched)
+        u, v = rotate(x - x.flat[spot], y - y.flat[spot], rng.uniform(0, math.pi))
+        height = _add_defect(rng, height, u, v, field, scale)
+    return height
+
+
+def _add_defect(rng: np.random.Generator, height: F32, u: F32, v: F32, field: Field, scale: float) -> F32:
+    """The height with one defect; u, v: coordinates along and across it, float32 (h, w)."""
+    size, aspect = _log_uniform(rng, 0.15, 1.6) * scale, _log_uniform(rng, 0.12, 1.0)
+    amount, bend = _log_uniform(rng, 0.04, 0.6), rng.normal(0, 0.15) * (rng.random() < 0.4)
+    v = v - np.float32(bend / size) * u * u
+    kind = rng.choice(4, p=(0.5, 0.2, 0.15, 0.15))
+    across = size * max(aspect, 0.4)
+    inside = ramp((1.2 - np.abs(u) / size) * 3) * ramp((1.2 - np.abs(v) / across) * 3)
+    if kind == 0:  # a bell: raised metal shows at a smaller height than a hollow of the same depth
+        r = np.hypot(u / size, v / (size * aspect))
+        sign, lips = rng.choice((-0.5, 1.0), p=(0.65, 0.35)), rng.uniform(0, 0.25) * (rng.random() < 0.5)
+        bell = 2 * sign * ramp(1 - r) + lips * np.exp(-(((r - 1.15) / 0.25) ** 2))
+        change = min(amount, 0.35) * bell.clip(-1, 0.7)
+    elif kind == 1:  # a flattened place
+        top = height[inside > 0.3].max(initial=-9.0)
+        plane = top - amount + rng.normal(0, 0.2) * (rng.random() < 0.5) * u
+        change = -inside * np.maximum(height - plane, 0)
+    elif kind == 2:  # filled relief
+        sx, sy = (0.5 * scale / mm for mm in field.mm_per_px)
+        filled = cv2.GaussianBlur(height.clip(-1.2), (0, 0), sx, sigmaY=sy)
+        change = rng.uniform(0.3, 1.0) * inside * (filled - height)
+    else:  # a rough patch
+        rough = cv2.GaussianBlur(rng.standard_normal(height.shape, np.float32), (0, 0), 1.2)
+        change = 0.9 * min(amount, 0.2) * inside * rough
+    return f32(height + change)

@@ -56,7 +56,7 @@ def test_what_is_not_there_is_refused() -> None:
 
 
 def test_the_default_recipe_is_that_of_the_run_that_ships() -> None:
-    """`gelgate lab train-backbone RUN` without any setting reproduces these weights."""
+    """`gelgate lab train-backbone RUN` without any setting learns with the settings of these weights."""
     assert TrainConfig.from_json(json.dumps(FACTS["recipe"])) == TrainConfig.shipped()
     assert FACTS["trained_steps"] == TrainConfig.shipped().steps
     assert FACTS["before"] == []

@@ -17,8 +17,7 @@ from calibration.fitting.damage.imprint import Station
 from calibration.fitting.damage.rendering import EditedPress
 from calibration.fitting.presses.colours import refuses
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.simulator.constants import CROP_MM
-from calibration.simulator.field_of_view import F32, Field, grids
+from calibration.simulator.field_of_view import CROP_MM, F32, Field, grids
 from calibration.simulator.sensor_appearance import SENSORS, background
 from calibration.threads import one_blas_thread
 from edge.core.errors import DatasetError, NotScorable

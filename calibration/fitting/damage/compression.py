@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.simulator.camera import jpeg
-from calibration.simulator.constants import NOISE_SD
+from calibration.simulator.camera import NOISE_SD, jpeg
 from calibration.simulator.field_of_view import F32
 from edge.core.imaging.region import Region
 

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.simulator import camera, optics, sensor_appearance
-from calibration.simulator.constants import LONG_MM, LONG_SHARE, NOISE_SD, SHORT_MM
+from calibration.simulator.camera import NOISE_SD
 from calibration.simulator.field_of_view import F32, Field
+from calibration.simulator.gel import GEL
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
@@ -67,7 +68,7 @@ class Station:
 
         Source: the bed of springs of `calibration.simulator.gel`, with the mean of its two lengths.
         """
-        length = (1 - LONG_SHARE) * SHORT_MM + LONG_SHARE * LONG_MM
+        length = (1 - GEL.long_share) * GEL.short_mm + GEL.long_share * GEL.long_mm
         sx, sy = (0.25 / m for m in self.field.mm_per_px)
         smooth = cv2.GaussianBlur(surface_mm, (0, 0), sx, sigmaY=sy)
         dx, dy = self.field.mm_per_px
