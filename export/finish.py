@@ -35,7 +35,7 @@ from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files
-from edge.model.manifest import Facts, GridEntry, ProfileEntry, RegionEntry, ThresholdEntry, ToleranceEntry
+from edge.model.manifest import Facts, GridEntry, ThresholdEntry, ToleranceEntry
 from edge.model.scorer import Scorer
 
 __all__ = [
@@ -137,8 +137,8 @@ def finish_bundle(
             method=config.method,
             parameters=dict(parts.parameters),
             facts={**config.facts, **more},
-            profile=ProfileEntry.of(config.profile),
-            region=RegionEntry.of(config.region),
+            profile=config.profile,
+            region=config.region,
             grid=None if parts.grid is None else GridEntry.of(parts.grid),
             threshold=threshold,
             tolerance=tolerance,

@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from edge.core.errors import BundleCorrupt, BundleMismatch
+from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, facts_of, write_bundle, write_file
 from edge.model.manifest import Manifest
@@ -97,7 +99,7 @@ def _metadata(bundle: Bundle) -> dict[str, str]:
         "position": manifest.position,
         "method": manifest.method,
         "threshold": repr(manifest.threshold.value),
-        "sensor_profile": manifest.profile.model_dump_json(),
+        "sensor_profile": TypeAdapter(SensorProfile).dump_json(manifest.profile).decode(),
         "region": str(bundle.region),
     }
 

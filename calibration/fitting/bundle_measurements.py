@@ -14,8 +14,9 @@ from calibration.fitting.limits.threshold import count_needed, pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from edge.core.contact.light import foreign_free_gel
 from edge.core.errors import FitError, NotScorable
+from edge.core.imaging.quality import NominalContact
 from edge.model.bundle import GoldenFrame
-from edge.model.manifest import ContactRange, CostCard, Provenance, ThresholdEntry, ToleranceEntry
+from edge.model.manifest import CostCard, Provenance, ThresholdEntry, ToleranceEntry
 from edge.model.manifest_facts import GIVEN
 from edge.model.scorer import Scorer, map_peaks
 
@@ -112,7 +113,7 @@ def cost_card(
     )
 
 
-def contact_range(presses: NominalPresses) -> ContactRange | None:
+def contact_range(presses: NominalPresses) -> NominalContact | None:
     """The spans of centroid and area with a margin, None where no touch is known.
 
     A smaller contact than half of the smallest nominal one is of another object, or of a part that is partly pressed:
@@ -129,7 +130,7 @@ def contact_range(presses: NominalPresses) -> ContactRange | None:
     touches = presses.touches
     smallest = min(t.area for t in touches)
     low, high = around([t.area for t in touches])
-    return ContactRange(
+    return NominalContact(
         x=around([t.x for t in touches]),
         y=around([t.y for t in touches]),
         area=(max(low, LEAST_AREA_SHARE * smallest), high),

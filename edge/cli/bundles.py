@@ -76,7 +76,7 @@ def _rows(manifest: "Manifest") -> "Iterator[tuple[str, str]]":
     yield "parameters", ", ".join(f"{k}={v}" for k, v in manifest.parameters.items()) or "none"
     yield "repairs", ", ".join(manifest.repairs) or "none"
     yield "sensor profile", f"{profile.name}, picture {size}, {profile.pixels_per_mm:.2f} pixels/mm"
-    yield "region", f"{manifest.region.region()} (x,y,WIDTHxHEIGHT)"
+    yield "region", f"{manifest.region} (x,y,WIDTHxHEIGHT)"
     yield from _graph_rows(manifest)
     yield "augmentation", choice_sentence(facts, AUGMENTATION) or "none"
     yield "threshold", f"{limit.value:.6g} ({limit.method})"

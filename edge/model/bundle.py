@@ -158,11 +158,11 @@ class Bundle:
 
     @property
     def profile(self) -> SensorProfile:
-        return self.manifest.profile.profile()
+        return self.manifest.profile
 
     @property
     def region(self) -> Region:
-        return self.manifest.region.region()
+        return self.manifest.region
 
     @property
     def free_reference(self) -> Reference | None:

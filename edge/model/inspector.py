@@ -11,7 +11,6 @@ from edge.core.errors import FrameCorrupt, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import (
-    NominalContact,
     QualitySettings,
     Reason,
     Rejection,
@@ -22,7 +21,6 @@ from edge.core.imaging.quality import (
 from edge.core.imaging.sensor_check import check_sensor
 from edge.core.ports import Clock
 from edge.core.press import Press
-from edge.model.manifest import ContactRange
 from edge.model.manifest_facts import USUAL_CONTACT
 from edge.model.scorer import Scorer
 
@@ -45,7 +43,6 @@ class Inspector:
         self._quality = quality or QualitySettings()
         colours = self.bundle.manifest.colours
         self._colours = colours.nominal() if colours else None
-        self._nominal = _nominal_contact(self.bundle.manifest.contact, self.bundle.profile.size)
         self.expected = find_expected_reach(
             [
                 press.rgb
@@ -79,8 +76,8 @@ class Inspector:
         rejection = check_light(picture, self._quality)
         if rejection is None and self._colours is not None:
             rejection = check_sensor(rgb, self._colours)
-        if rejection is None and self._nominal is not None:
-            rejection = check_contact(touch, self._nominal, self.bundle.profile.size)
+        if rejection is None and self.bundle.manifest.contact is not None:
+            rejection = check_contact(touch, self.bundle.manifest.contact, self.bundle.profile.size)
         if rejection is not None:
             return press.reject(rejection)
         return self._score(press, rgb)
@@ -111,13 +108,3 @@ class Inspector:
             latency_ms=latency,
             registered=scored.registered,
         )
-
-
-def _nominal_contact(found: ContactRange | None, size: tuple[int, int]) -> NominalContact | None:
-    """The manifest's fractions of the picture, in its pixels."""
-    if found is None:
-        return None
-    x_px, y_px = (
-        (low * side, high * side) for (low, high), side in zip((found.x, found.y), size, strict=True)
-    )
-    return NominalContact(x_px, y_px, found.area)

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from edge.core.detector import Grid, Mode
+from edge.core.imaging.quality import NominalContact
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_check import NominalColours
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -33,17 +34,14 @@ __all__ = [
     "ArrayEntry",
     "BackboneEntry",
     "ColourEntry",
-    "ContactRange",
     "CostCard",
     "Facts",
     "FileEntry",
     "GoldenEntry",
     "GridEntry",
     "Manifest",
-    "ProfileEntry",
     "Provenance",
     "RatePromise",
-    "RegionEntry",
     "ThresholdEntry",
     "TilesEntry",
     "ToleranceEntry",
@@ -63,44 +61,6 @@ class BackboneEntry(Entry):
     id: Name
     trunk: FileEntry
     in_bundle: bool = True
-
-
-Border = Annotated[float, Field(ge=0, lt=0.5)]
-
-
-class ProfileEntry(Entry):
-    """Every field of `SensorProfile`: how camera bytes became the nominal pictures."""
-
-    name: Name
-    native: tuple[Side, Side]
-    border: tuple[Border, Border]
-    size: tuple[Side, Side]
-    decode_scale: Literal[1, 2, 4, 8]
-    pixels_per_mm: float = Field(gt=0)
-    controls: dict[str, int] = Field(default_factory=dict)
-
-    @classmethod
-    def of(cls, profile: SensorProfile) -> "ProfileEntry":
-        return cls(**{**vars(profile), "controls": dict(sorted(profile.controls.items()))})
-
-    def profile(self) -> SensorProfile:
-        return SensorProfile(**self.model_dump())
-
-
-class RegionEntry(Entry):
-    """`edge.core.imaging.region.Region`: the inspected rectangle in pixels of the picture."""
-
-    x: int = Field(ge=0, le=8192)
-    y: int = Field(ge=0, le=8192)
-    width: Side
-    height: Side
-
-    @classmethod
-    def of(cls, region: Region) -> "RegionEntry":
-        return cls(**vars(region))
-
-    def region(self) -> Region:
-        return Region(**self.model_dump())
 
 
 class TilesEntry(Entry):
@@ -232,22 +192,6 @@ class GoldenEntry(Entry):
         return self
 
 
-class ContactRange(Entry):
-    """Where nominal presses have contact, (low, high) with a margin: fractions of the picture, as in `Touch`."""
-
-    x: tuple[float, float]
-    y: tuple[float, float]
-    area: tuple[float, float]
-
-    @model_validator(mode="after")
-    def _rising(self) -> "ContactRange":
-        for name in ("x", "y", "area"):
-            low, high = getattr(self, name)
-            if not low <= high:
-                raise ValueError(f"{name} runs from low to high, found {low} to {high}")
-        return self
-
-
 Level = Annotated[float, Field(ge=0, le=255)]
 
 
@@ -313,12 +257,12 @@ class Facts(Entry):
     parameters: dict[str, Any] = Field(default_factory=dict)
     repairs: tuple[str, ...] = ()
     facts: CheckedFacts = Field(default_factory=dict)
-    profile: ProfileEntry
-    region: RegionEntry
+    profile: SensorProfile
+    region: Region
     grid: GridEntry | None = None
     threshold: ThresholdEntry
     tolerance: ToleranceEntry
-    contact: ContactRange | None = None
+    contact: NominalContact | None = None
     colours: ColourEntry | None = None
     cost: CostCard | None = None
     accuracy: dict[str, float] | None = None
@@ -364,8 +308,8 @@ class Manifest(Facts):
             )
         if (size := sum(file.size_bytes for file in self.files)) > MAX_BUNDLE_BYTES:
             raise ValueError(f"the files have {size} bytes together, at most {MAX_BUNDLE_BYTES} are read")
-        if not self.region.region().is_within(self.profile.size):
-            raise ValueError(f"region {self.region.region()} is outside the picture of {self.profile.size}")
+        if not self.region.is_within(self.profile.size):
+            raise ValueError(f"region {self.region} is outside the picture of {self.profile.size}")
         return self
 
     def decide(self, score: float) -> Verdict:

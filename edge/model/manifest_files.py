@@ -9,6 +9,7 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from edge.core.detector import Packing
+from edge.core.imaging.sensor_profile import LONGEST_SIDE
 from edge.model.archive import MAX_FILE_BYTES
 
 __all__ = [
@@ -33,8 +34,7 @@ RelativeFile = Annotated[
 Name = Annotated[str, StringConstraints(min_length=1, max_length=128)]
 
 
-Side = Annotated[int, Field(ge=1, le=8192)]
-"""Pixels or cells: the longest side of the sensor's frames has 3280."""
+Side = Annotated[int, Field(ge=1, le=LONGEST_SIDE)]
 
 Count = Annotated[int, Field(ge=0, le=2**53)]
 

@@ -14,10 +14,11 @@ from command_line import Outcome, gelgate, ran
 from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Grid
+from edge.core.imaging.region import Region
 from edge.core.imaging.tiles import Tiles
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, write_bundle
-from edge.model.manifest import GridEntry, ProfileEntry, RegionEntry
+from edge.model.manifest import GridEntry
 from edge.model.scorer import Scorer
 from plugins.backbones.tiled import tile_trunk
 
@@ -67,8 +68,8 @@ def test_the_example_runs_tiles(tmp_path: Path) -> None:
     grid = Grid((32, 64), {"layer1": (3, 4, 8), "layer2": (3, 2, 4)}, tiny.PROFILE.pixels_per_mm, tiles)
     bank = Bank({"mean": np.random.default_rng(0).random((3, 4, 8)).astype(np.float32)})
     graphs = Graphs(tile_trunk(tiny.tiny_trunk(), tiles), tiny.TINY.head(grid, bank, tiny.TinyParameters()))
-    profile = ProfileEntry.of(dataclasses.replace(tiny.PROFILE, size=(64, 32), native=(64, 32)))
-    region = RegionEntry(x=0, y=0, width=64, height=32)
+    profile = dataclasses.replace(tiny.PROFILE, size=(64, 32), native=(64, 32))
+    region = Region(0, 0, 64, 32)
     facts = tiny.tiny_facts(profile=profile, region=region, grid=GridEntry.of(grid))
     manifest, files = bundle_files(facts, graphs, bank, backbone="tiny")
     write_bundle(tmp_path / "bolt", files)

@@ -10,7 +10,6 @@ from station import mark_tried
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import GoldenFrame
 from edge.model.bundle_writer import write_bundle
-from edge.model.manifest import ProfileEntry
 
 CONFIG = """\
 version = 1
@@ -55,7 +54,7 @@ class Bench:
         """A bundle that scores the distance to mid grey, for a sensor of that size."""
         profile = SensorProfile("tiny", size, (0.0, 0.0), size, 1, tiny.PROFILE.pixels_per_mm)
         golden = [GoldenFrame(np.zeros((32, 32, 3), np.uint8), "black", 0.75**0.5, BLACK_PEAKS)]
-        _, files = tiny.tiny_files(profile=ProfileEntry.of(profile), golden=golden)
+        _, files = tiny.tiny_files(profile=profile, golden=golden)
         return write_bundle(self.folder / name, files)
 
 

@@ -22,9 +22,7 @@ from edge.model.manifest import (
     Facts,
     GridEntry,
     Manifest,
-    ProfileEntry,
     Provenance,
-    RegionEntry,
     ThresholdEntry,
     ToleranceEntry,
 )
@@ -147,8 +145,8 @@ def tiny_facts(threshold: float = 0.05, **changes: Any) -> Facts:
         method="tiny",
         mode="corrected",
         parameters=asdict(TinyParameters()),
-        profile=ProfileEntry.of(PROFILE),
-        region=RegionEntry.of(REGION),
+        profile=PROFILE,
+        region=REGION,
         grid=GridEntry.of(tiny_grid()),
         threshold=ThresholdEntry(
             value=threshold, method=GIVEN, alpha=0.05, alpha_floor=1.0, nominal_scores=()

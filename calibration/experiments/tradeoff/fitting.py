@@ -24,7 +24,7 @@ from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.tiles import tiling
 from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files
-from edge.model.manifest import Facts, GridEntry, Manifest, ProfileEntry, RegionEntry
+from edge.model.manifest import Facts, GridEntry, Manifest
 from edge.model.session import open_session
 
 __all__ = ["FittedPoint", "content_sha256", "fit_points", "trunk_of"]
@@ -151,8 +151,8 @@ def _facts(
         parameters=json.loads(json.dumps(vars(learner.parameters))),
         repairs=tuple(bank.facts.get("repairs", ())),
         facts={"backbone": trunk.facts},
-        profile=ProfileEntry.of(view.profile),
-        region=RegionEntry.of(view.region),
+        profile=view.profile,
+        region=view.region,
         grid=GridEntry.of(learner.grid),
         threshold=threshold,
         tolerance=tolerance,

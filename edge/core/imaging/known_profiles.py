@@ -61,7 +61,7 @@ def _mini(name: str, size: tuple[int, int], decode_scale: int) -> SensorProfile:
         size=size,
         decode_scale=decode_scale,
         pixels_per_mm=LR_PIXELS_PER_MM * size[0] / 320,
-        controls=dict(MINI_CONTROLS),
+        controls=dict(sorted(MINI_CONTROLS.items())),
     )
 
 

@@ -57,17 +57,14 @@ class Rejection:
 
 @dataclass(frozen=True)
 class NominalContact:
-    """Where nominal presses touch, each (low, high): centroid in picture pixels, area as a fraction of the view.
+    """Where nominal presses have contact, each (low, high) with a margin: fractions of the picture, as in `Touch`."""
 
-    A range is used without a margin; the fit, which measures it from nominal presses, adds one.
-    """
-
-    x_px: tuple[float, float]
-    y_px: tuple[float, float]
+    x: tuple[float, float]
+    y: tuple[float, float]
     area: tuple[float, float]
 
     def __post_init__(self) -> None:
-        for name in ("x_px", "y_px", "area"):
+        for name in ("x", "y", "area"):
             low, high = getattr(self, name)
             if not low <= high:
                 raise ValueError(f"{name} runs from low to high, found {low} to {high}")
@@ -136,26 +133,21 @@ def check_freshness(
 
 
 def check_contact(touch: Touch | None, nominal: NominalContact, size: tuple[int, int]) -> Rejection | None:
-    """No contact, off position, or None. size: (width, height) of the picture that the nominal pixels belong to."""
+    """No contact, off position, or None. size: (width, height) of the picture, for the sentence in its pixels."""
     if touch is None or touch.area == 0:
         return Rejection(
             Reason.NO_CONTACT, "nothing touches the gel where the part should be; check the part and grip"
         )
-    measures = {"x_px": touch.x * size[0], "y_px": touch.y * size[1], "area": touch.area}
-    for name, value in measures.items():
-        low, high = getattr(nominal, name)
-        if not low <= value <= high:
-            what, unit = _WORDS[name]
+    for (low, high), place, side, what, unit in (
+        (nominal.x, touch.x, size[0], "centre column", " px"),
+        (nominal.y, touch.y, size[1], "centre row", " px"),
+        (nominal.area, touch.area, 1, "area", " of the view"),
+    ):
+        if not low * side <= place * side <= high * side:
             return Rejection(
                 Reason.OFF_POSITION,
-                f"the contact's {what} is {value:.3g}{unit}, nominal presses have {low:.3g} to {high:.3g}{unit}; "
+                f"the contact's {what} is {place * side:.3g}{unit}, nominal presses have {low * side:.3g} to "
+                f"{high * side:.3g}{unit}; "
                 "check how the part meets the sensor",
             )
     return None
-
-
-_WORDS = {
-    "x_px": ("centre column", " px"),
-    "y_px": ("centre row", " px"),
-    "area": ("area", " of the view"),
-}

@@ -7,7 +7,10 @@ scale, kernel and colour order are fixed here and stored in the bundle.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["SensorProfile"]
+__all__ = ["LONGEST_SIDE", "SensorProfile"]
+
+LONGEST_SIDE = 8192
+"""Pixels or cells of any picture: the longest side of the sensor's frames has 3280."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,12 @@ class SensorProfile:
         if self.decode_scale not in (1, 2, 4, 8):
             raise ValueError(f"decode_scale is 1, 2, 4 or 8, found {self.decode_scale}")
         if not all(0 <= b < 0.5 for b in self.border):
-            raise ValueError(f"border fractions are in [0, 0.5), found {self.border}")
-        if min(*self.native, *self.size) < 1:
-            raise ValueError(f"sizes are positive, found native {self.native} and size {self.size}")
+            raise ValueError(f"fractions of the border are in [0, 0.5), found {self.border}")
+        if min(*self.native, *self.size) < 1 or max(*self.native, *self.size) > LONGEST_SIDE:
+            raise ValueError(
+                f"sizes are 1 to {LONGEST_SIDE} pixels, found native {self.native} and size {self.size}"
+            )
+        if not self.pixels_per_mm > 0 or not 1 <= len(self.name) <= 128:
+            raise ValueError(
+                f"a profile has a name and a scale, found '{self.name:.128}', {self.pixels_per_mm}"
+            )

@@ -17,7 +17,7 @@ from edge.core.imaging.quality import (
     saturated_fraction,
 )
 
-NOMINAL = NominalContact(x_px=(150, 170), y_px=(100, 140), area=(0.05, 0.10))
+NOMINAL = NominalContact(x=(0.47, 0.53), y=(0.42, 0.58), area=(0.05, 0.10))
 LR = (320, 240)
 
 
@@ -68,6 +68,8 @@ def test_stale_frames(age_ns: int, is_stale: bool) -> None:
         (Touch(0.07, 0.5, 0.7), Reason.OFF_POSITION, "row"),
         (Touch(0.04, 0.5, 0.5), Reason.OFF_POSITION, "area"),
         (Touch(0.11, 0.5, 0.5), Reason.OFF_POSITION, "area"),
+        (Touch(0.10, 0.53, 0.42), None, ""),  # a limit belongs to the range
+        (Touch(0.07, 0.4, 0.5), Reason.OFF_POSITION, "128 px, nominal presses have 150 to 170 px"),
     ],
 )
 def test_no_contact_and_off_position(touch: Touch | None, reason: Reason | None, word: str) -> None:
@@ -80,7 +82,7 @@ def test_no_contact_and_off_position(touch: Touch | None, reason: Reason | None,
 @pytest.mark.parametrize(
     ("make", "name"),
     [
-        (lambda: NominalContact((2, 1), (0, 1), (0, 1)), "x_px"),
+        (lambda: NominalContact((2, 1), (0, 1), (0, 1)), "x runs"),
         (lambda: QualitySettings(black_level=251), "black_level"),
         (lambda: QualitySettings(max_age_s=0), "max_age_s"),
     ],
