@@ -69,7 +69,7 @@ def replace(
     import json
     import time
 
-    from edge.messaging.status_payloads import GelPayload, gel_message
+    from edge.messaging.status_payloads import GelPayload
     from edge.store.acts import Act
 
     now_ns = time.time_ns()
@@ -82,7 +82,7 @@ def replace(
             gel_id,
             limit,
             note,
-            lambda gel: [gel_message(GelPayload.of(gel, now_ns))],
+            lambda gel: [GelPayload.of(gel, now_ns).message()],
             Act(now_ns, f"{user()}, command line", "replace_gel", outcome="done", arguments=asked),
         )
     print(json.dumps(_plain(record), indent=2) if as_json else _line(record))

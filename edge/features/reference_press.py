@@ -18,7 +18,7 @@ from edge.core.reference_press.due import why_due
 from edge.core.reference_press.measures import Imprint
 from edge.core.suggest import suggestion
 from edge.features.press_stage import Alarms, Mounted, OwnTable, PressStage, StageParts
-from edge.messaging.reference_payload import ReferencePayload, reference_message
+from edge.messaging.reference_payload import ReferencePayload
 from edge.messaging.result_payload import ResultPayload, heatmap_message
 from edge.model.inspector import Inspector
 from edge.store import reference_presses
@@ -280,7 +280,7 @@ class _PublishedTable(PieceTable):
         judgement = judge(self.presses, self._label.learn)
         payload = ReferencePayload.of(result, sequence, self._label.piece, self._label.expected, judgement)
         picture = [] if heatmap_png is None else [heatmap_message(result.press_id, heatmap_png)]
-        return [*picture, reference_message(payload)], judgement.sentences
+        return [*picture, payload.message()], judgement.sentences
 
 
 def _measure(press: Press, settled: PressSettled, inspector: Inspector) -> Imprint:

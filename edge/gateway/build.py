@@ -44,7 +44,7 @@ from edge.gateway.status import StationStatus
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.publisher import Publisher, PublisherLock
 from edge.messaging.sink_worker import RetainedState
-from edge.messaging.status_payloads import StatePayload, availability_message, state_message
+from edge.messaging.status_payloads import StatePayload, availability_message
 from edge.store.backup import migrate
 from edge.store.database import SCHEMA_VERSION
 from edge.store.gel_files import ReferenceFolder
@@ -243,7 +243,7 @@ def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, c
     return Station(
         root=topic_root(table.prefix, table.site, table.line, table.station),
         client_id=client_id(table.prefix, table.site, table.line, table.station),
-        will=state_message(lost),
+        will=lost.message(),
         offline=availability_message(is_online=False),
         birth=retained_state.all,
         on_command=commands,

@@ -15,7 +15,7 @@ from edge.core.verdict import Kind
 from edge.features.press_stage import OwnTable, PressStage
 from edge.messaging.payload_base import iso_time
 from edge.messaging.result_payload import MOST_DEFECTS, DefectPlace, PosePlace, ResultPayload, press_messages
-from edge.messaging.status_payloads import GelPayload, gel_message
+from edge.messaging.status_payloads import GelPayload
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.pictures.press_picture import PressCaption, press_png
@@ -116,7 +116,7 @@ class Recorder:
                 still = press.overview.jpeg if press.overview else None
                 return press_messages(result, recorded.gel, heatmap, still)
             own, sentences = table.publish(result, recorded.sequence, heatmap)
-            return [*own, gel_message(GelPayload.of(recorded.gel, result.time_ns))]
+            return [*own, GelPayload.of(recorded.gel, result.time_ns).message()]
 
         recorded = self._store.record_press(waiting.row, messages, table)
         return PressReport(press, _result(waiting, recorded), recorded.gel, heatmap, sentences)

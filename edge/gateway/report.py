@@ -22,7 +22,7 @@ from edge.gateway.recorder import PressReport
 from edge.gateway.status import StationStatus
 from edge.messaging.publisher import Publisher
 from edge.messaging.sink_worker import SinkCounters
-from edge.messaging.status_payloads import StatsPayload, stats_message
+from edge.messaging.status_payloads import StatsPayload
 from edge.recording.format import Recording
 from edge.store.acts import Act
 from edge.store.outbox import OutboxStatus
@@ -309,7 +309,7 @@ class Report:
             receivers=receivers,
             ledger_head=head,
         )
-        status.announce(stats_message(payload))
+        status.announce(payload.message())
         refusals = "; ".join(sink.last_refusal for sink in counters.values() if sink.last_refusal)
         refused = f"{outbox.refused} messages were refused and are kept: {refusals}"
         status.say("refused", refused if outbox.refused else None)

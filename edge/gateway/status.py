@@ -10,15 +10,12 @@ from edge.acquisition import AcquisitionState, AcquisitionStatus
 from edge.core.digital_io import StationView
 from edge.core.gel_life import GelState
 from edge.core.ports import Clock, DeviceIdentity, Message
-from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.status_payloads import (
     GelPayload,
     InfoPayload,
     StatePayload,
     availability_message,
-    gel_message,
-    info_message,
-    state_message,
 )
 from edge.model.bundle import Bundle
 from edge.model.manifest_facts import BACKBONE_CHOICE, METHOD_CHOICE, choice_sentence, promise
@@ -115,7 +112,7 @@ class StationStatus:
             self._said, time_ns = said, self._clock.time_ns()
             self.announce(availability_message(is_online=word != "stopped"))
             payload = StatePayload(time_ns=time_ns, state=word, reason=reason, unproven=self._unproven)
-            self.announce(state_message(payload))
+            self.announce(payload.message())
 
     def _state(self) -> tuple[Literal["starting", "ready", "halted", "stopped"], str | None]:
         if self._is_stopped:
@@ -139,11 +136,11 @@ class StationStatus:
             self._raised.add(alarm)
             time_ns = self._clock.time_ns()
             payload = AlarmPayload(time_ns=time_ns, alarm=alarm, text=sentence, severity=severity)
-            self.announce(alarm_message(payload))
+            self.announce(payload.message())
 
     def gel(self, gel: GelRecord) -> None:
         """The mounted gel, when there is no press to report it."""
-        self.announce(gel_message(GelPayload.of(gel, self._clock.time_ns())))
+        self.announce(GelPayload.of(gel, self._clock.time_ns()).message())
         self.gel_wear(gel)
 
     def gel_wear(self, gel: GelRecord) -> None:
@@ -183,7 +180,7 @@ class StationStatus:
             false_alarms=promise(manifest.threshold),
             warnings=manifest.provenance.warnings,
         )
-        self.announce(info_message(payload))
+        self.announce(payload.message())
 
     def view(self) -> StationView:
         """The state and the raised alarms, for lights and relays."""

@@ -1,6 +1,7 @@
 """The alarms: every id with its meaning, payload and messages."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final, Literal
 
 from pydantic import Field
@@ -8,7 +9,7 @@ from pydantic import Field
 from edge.core.ports import Message
 from edge.messaging.payload_base import Payload
 
-__all__ = ["ADVICE", "ALARMS", "STAYING", "AlarmPayload", "alarm_cleared", "alarm_message"]
+__all__ = ["ADVICE", "ALARMS", "STAYING", "AlarmPayload", "alarm_cleared"]
 
 ALARMS: Final[Mapping[str, str]] = {
     "device": "the sensor is missing, stalled or blind: its frames are broken, black, of one colour or frozen",
@@ -46,21 +47,16 @@ class AlarmPayload(Payload):
     text: str = Field(description="one sentence: the thing, what was found, what to do")
     count: int = Field(default=1, ge=1, description="how often since it was last clear")
 
-
-def alarm_message(payload: AlarmPayload) -> Message:
-    """A raised alarm, retained until it is cleared. Errors: ValueError for an id that is not in ALARMS."""
-    return Message(f"alarm/{_check_alarm(payload.alarm)}", payload.encode(), qos=1, retain=True)
+    def message(self) -> Message:
+        """Return the alarm, retained until it is cleared. Errors: ValueError for an id that is not in ALARMS."""
+        return replace(alarm_cleared(self.alarm), payload=self.encode())
 
 
 def alarm_cleared(alarm: str) -> Message:
     """Removes the retained alarm from the broker. Errors: ValueError for an id that is not in ALARMS."""
-    return Message(f"alarm/{_check_alarm(alarm)}", b"", qos=1, retain=True)
-
-
-def _check_alarm(alarm: str) -> str:
     if alarm not in ALARMS:
         raise ValueError(f"alarm {alarm!r} is not known; known: {', '.join(ALARMS)}")
-    return alarm
+    return Message(f"alarm/{alarm}", b"", qos=1, retain=True)
 
 
 STAYING: Final = frozenset({"pulse", "outbox_full", "counts"})

@@ -11,7 +11,7 @@ docs/mqtt.md is printed from these models.
 import datetime
 import json
 from dataclasses import replace
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
@@ -41,6 +41,11 @@ class Payload(BaseModel):
         json_schema_serialization_defaults_required=True,
     )
 
+    topic: ClassVar[str]
+    """Below the station's root."""
+    qos: ClassVar[int] = 1
+    is_retained: ClassVar[bool] = True
+
     version: Literal[1] = 1
     time_ns: int = Field(ge=0, description="wall clock, nanoseconds since 1970 UTC")
     time_ms: int = Field(
@@ -68,6 +73,10 @@ class Payload(BaseModel):
     def encode(self) -> bytes:
         """The payload as UTF-8 JSON."""
         return self.model_dump_json().encode()
+
+    def message(self) -> Message:
+        """Return the message that publishes it."""
+        return Message(self.topic, self.encode(), self.qos, self.is_retained)
 
 
 def as_replayed(message: Message) -> Message:

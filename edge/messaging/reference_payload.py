@@ -1,16 +1,15 @@
 """A reference press: what it gave, and its control charts. Payload and message."""
 
-from typing import Final, Literal, Self
+from typing import ClassVar, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from edge.core.ports import Message
 from edge.core.reference_press.charts import Chart, Judgement, Outcome
 from edge.core.reference_press.control_chart import Signal
 from edge.messaging.payload_base import Payload
 from edge.messaging.result_payload import ResultPayload
 
-__all__ = ["CHARTED", "ChartEntry", "ReferencePayload", "reference_message"]
+__all__ = ["CHARTED", "ChartEntry", "ReferencePayload"]
 
 # The newest values of each chart that a message has: enough to draw it, and 6 kB at most.
 CHARTED: Final = 50
@@ -52,6 +51,7 @@ class ChartEntry(BaseModel):
 class ReferencePayload(Payload):
     """A press of a master piece. It is no part's, and counts on the gel."""
 
+    topic: ClassVar = "reference"
     kind: Literal["reference"] = "reference"
     is_replayed: bool = Field(default=False, description="sent late, from the outbox")
     press_id: str
@@ -92,7 +92,3 @@ class ReferencePayload(Payload):
             bundle_id=result.bundle_id or "",
             charts=list(map(ChartEntry.of, judgement.charts)),
         )
-
-
-def reference_message(payload: ReferencePayload) -> Message:
-    return Message("reference", payload.encode(), qos=1, retain=True)

@@ -13,7 +13,7 @@ from edge.core.ports import Message
 from edge.core.registration.registrar import Registered
 from edge.core.verdict import Kind
 from edge.messaging.payload_base import Payload, PressId
-from edge.messaging.status_payloads import GelPayload, gel_message
+from edge.messaging.status_payloads import GelPayload
 from edge.store.gel_ledger import GelRecord
 
 __all__ = [
@@ -23,7 +23,6 @@ __all__ = [
     "PressAgainPart",
     "ResultPayload",
     "heatmap_message",
-    "overview_message",
     "press_messages",
 ]
 
@@ -234,11 +233,6 @@ def heatmap_message(press_id: str, png: bytes) -> Message:
     return Message(f"heatmap/{press_id}", png, qos=1, content_type="image/png")
 
 
-def overview_message(press_id: str, jpeg: bytes) -> Message:
-    """The still of the part before one press."""
-    return Message(f"overview/{press_id}", jpeg, qos=1, content_type="image/jpeg")
-
-
 def press_messages(
     result: ResultPayload,
     gel: GelRecord,
@@ -250,15 +244,14 @@ def press_messages(
 
     The retained picture is always that of the retained result: a press without one empties the topic.
     """
-    encoded = result.encode()
-    heatmap = [] if heatmap_png is None else [heatmap_message(result.press_id, heatmap_png)]
-    overview = [] if overview_jpeg is None else [overview_message(result.press_id, overview_jpeg)]
+    encoded, press_id = result.encode(), result.press_id
+    still = Message(f"overview/{press_id}", overview_jpeg or b"", qos=1, content_type="image/jpeg")
     return [
         Message("result", encoded, qos=1),
-        *heatmap,
-        *overview,
+        *([] if heatmap_png is None else [heatmap_message(press_id, heatmap_png)]),
+        *([] if overview_jpeg is None else [still]),
         Message("last/heatmap", heatmap_png or b"", qos=1, retain=True, content_type="image/png"),
         Message("last", encoded, qos=1, retain=True),
         Message("last/press", encoded, qos=1, retain=True),
-        gel_message(GelPayload.of(gel, result.time_ns)),
+        GelPayload.of(gel, result.time_ns).message(),
     ]

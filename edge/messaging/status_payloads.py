@@ -1,6 +1,6 @@
 """The status of a station: state, installed software, counters, wear of the gel; payloads and messages."""
 
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field
 
@@ -15,16 +15,13 @@ __all__ = [
     "StatePayload",
     "StatsPayload",
     "availability_message",
-    "gel_message",
-    "info_message",
-    "state_message",
-    "stats_message",
 ]
 
 
 class StatePayload(Payload):
     """Whether the station inspects. The broker itself publishes `lost` (the last will) when the gateway vanishes."""
 
+    topic: ClassVar = "state"
     state: Literal["starting", "ready", "halted", "stopped", "lost"] = Field(
         description="starting: not yet inspecting; ready: inspecting; halted: running but unable to inspect, see "
         "`reason`; stopped: ended on purpose; lost: ended without a message (`time` is then that of its start)"
@@ -40,6 +37,7 @@ class StatePayload(Payload):
 class InfoPayload(Payload):
     """The installed software, bundle and sensor."""
 
+    topic: ClassVar = "info"
     gelgate_version: str
     sensor_product: str | None = None
     sensor_serial: str | None = None
@@ -71,6 +69,9 @@ class InfoPayload(Payload):
 class StatsPayload(Payload):
     """Counters since the start of the process, for dashboards."""
 
+    topic: ClassVar = "stats"
+    qos: ClassVar = 0
+    is_retained: ClassVar = False
     uptime_s: float = Field(ge=0)
     frames: int = Field(ge=0, description="delivered by the sensor")
     frames_corrupt: int = Field(ge=0, description="broken: not delivered, or delivered and not decodable")
@@ -107,27 +108,16 @@ class StatsPayload(Payload):
     )
 
 
-def state_message(payload: StatePayload) -> Message:
-    return Message("state", payload.encode(), qos=1, retain=True)
-
-
 def availability_message(*, is_online: bool) -> Message:
     """`online` or `offline` as plain text, for dashboards that read no JSON."""
     payload = b"online" if is_online else b"offline"
     return Message("availability", payload, qos=1, retain=True, content_type="text/plain")
 
 
-def info_message(payload: InfoPayload) -> Message:
-    return Message("info", payload.encode(), qos=1, retain=True)
-
-
-def stats_message(payload: StatsPayload) -> Message:
-    return Message("stats", payload.encode(), qos=0)
-
-
 class GelPayload(Payload):
     """The wear of the mounted gel."""
 
+    topic: ClassVar = "gel"
     is_replayed: bool = False
     sensor_serial: str
     gel_id: str
@@ -143,7 +133,3 @@ class GelPayload(Payload):
         names = ("gel_id", "presses", "limit_presses", "state", "wear_index", "first_use_ns", "last_use_ns")
         fields = {name: getattr(gel, name) for name in names}
         return cls(time_ns=time_ns, sensor_serial=gel.serial, **fields)
-
-
-def gel_message(payload: GelPayload) -> Message:
-    return Message("gel", payload.encode(), qos=1, retain=True)

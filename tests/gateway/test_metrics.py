@@ -11,9 +11,9 @@ from station import station_config
 from stepped_station import SteppedStation
 
 from edge.gateway.metrics import METRICS, Metrics, serve_metrics
-from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
 from edge.messaging.payload_base import Payload
-from edge.messaging.status_payloads import StatePayload, StatsPayload, state_message, stats_message
+from edge.messaging.status_payloads import StatePayload, StatsPayload
 from edge.page.http_server import MOST_OF_ONE
 
 T0 = 1_780_000_000 * 10**9
@@ -58,7 +58,7 @@ def test_the_values_are_those_of_the_report() -> None:
         dropped={"heatmap": 4},
         receivers={"mqtt:a": "up, MQTT 5", "mqtt:b": "connection refused"},
     )
-    seen.see(stats_message(report))
+    seen.see(report.message())
     found = samples(seen)
 
     assert found["gelgate_frames_total",] == 100
@@ -76,13 +76,13 @@ def test_alarms_and_state_are_followed() -> None:
         key[1]: value for key, value in samples(seen).items() if key[0] == "gelgate_alarm"
     } == dict.fromkeys(ALARMS, 0.0)
 
-    seen.see(alarm_message(AlarmPayload(time_ns=T0, alarm="disk", text="low")))
-    seen.see(state_message(StatePayload(time_ns=T0, state="ready")))
+    seen.see(AlarmPayload(time_ns=T0, alarm="disk", text="low").message())
+    seen.see(StatePayload(time_ns=T0, state="ready").message())
     found = samples(seen)
     assert (found["gelgate_alarm", "disk"], found["gelgate_ready",]) == (1, 1)
 
     seen.see(alarm_cleared("disk"))
-    seen.see(state_message(StatePayload(time_ns=T0, state="halted", reason="the disk is full")))
+    seen.see(StatePayload(time_ns=T0, state="halted", reason="the disk is full").message())
     found = samples(seen)
     assert (found["gelgate_alarm", "disk"], found["gelgate_ready",]) == (0, 0)
 

@@ -12,7 +12,7 @@ from recorded_presses import GEL, result, unscored
 from edge.core.gel_life import GelState
 from edge.core.verdict import Kind
 from edge.gateway.command_table import COMMANDS
-from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.command_payloads import CommandResponse
 from edge.messaging.descriptions.asyncapi import asyncapi_message, document
 from edge.messaging.descriptions.station import DescribedStation, ServedCommand
@@ -23,10 +23,6 @@ from edge.messaging.status_payloads import (
     StatePayload,
     StatsPayload,
     availability_message,
-    gel_message,
-    info_message,
-    state_message,
-    stats_message,
 )
 from edge.messaging.topics import TOPICS
 from edge.messaging.validation import DocumentCheck
@@ -101,19 +97,17 @@ def test_every_topic_has_a_channel_with_its_delivery(described: dict[str, Any]) 
 
 
 MESSAGES = [
-    state_message(StatePayload(time_ns=1, state="halted", reason="no sensor")),
+    StatePayload(time_ns=1, state="halted", reason="no sensor").message(),
     availability_message(is_online=True),
-    info_message(InfoPayload(time_ns=1, gelgate_version="0.2.0", warnings=("an outlier",))),
-    gel_message(GelPayload(time_ns=1, sensor_serial="a", gel_id="b", presses=1, limit_presses=2, state=GelState.DUE)),
+    InfoPayload(time_ns=1, gelgate_version="0.2.0", warnings=("an outlier",)).message(),
+    GelPayload(time_ns=1, sensor_serial="a", gel_id="b", presses=1, limit_presses=2, state=GelState.DUE).message(),
     page_messages.reference(),
-    alarm_message(AlarmPayload(time_ns=1, alarm="gel", text="due")),
+    AlarmPayload(time_ns=1, alarm="gel", text="due").message(),
     alarm_cleared("disk"),
-    stats_message(
-        StatsPayload(
+    StatsPayload(
             time_ns=1, uptime_s=1.5, frames=1, frames_corrupt=0, delivered_fps=18.7, presses=1, verdicts={"pass": 1},
             receivers={"mqtt": "up"}, alarms=("gel",),
-        )
-    ),
+        ).message(),
     asyncapi_message(STATION),
     *press_messages(
         result(

@@ -14,7 +14,7 @@ from edge.gateway.commands import Change, Commands
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.publisher import Publisher
 from edge.messaging.sink_worker import IDLE_S, RetainedState, SinkWorker
-from edge.messaging.status_payloads import StatePayload, state_message
+from edge.messaging.status_payloads import StatePayload
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store
 
@@ -121,7 +121,7 @@ def test_a_state_change_and_a_command_pass_while_results_flow(
         sink = sink_to(mosquitto, commands)
         publisher = Publisher(store.path, {"mqtt": sink}, RetainedState(), SystemClock(), random.Random(1))
         publisher.start()
-        publisher.announce(state_message(StatePayload(time_ns=T0, state="halted", reason="no sensor")))
+        publisher.announce(StatePayload(time_ns=T0, state="halted", reason="no sensor").message())
         listener.wait_for(lambda heard: len(heard.payloads("state")) == 2)
         record_press(store, 1)
         publisher.wake()

@@ -24,9 +24,6 @@ from edge.messaging.status_payloads import (
     GelPayload,
     StatePayload,
     StatsPayload,
-    gel_message,
-    state_message,
-    stats_message,
 )
 from edge.messaging.topics import TOPICS
 from plugins.sinks.mqtt import plugin
@@ -45,14 +42,14 @@ FAILED = press_messages(
 PASSED = press_messages(result(**AT, score_ratio=0.5), GEL)
 NO_SCORE = press_messages(unscored(), GEL)
 USED = {"sensor_serial": "S", "gel_id": "S-1", "presses": 1003, "limit_presses": 1000}
-WORN = [gel_message(GelPayload(time_ns=1, **USED, state=GelState.REPLACE))]
-HALTED = [state_message(StatePayload(time_ns=1, state="halted", reason="no sensor"))]
-LOST = [state_message(StatePayload(time_ns=1, state="lost"))]
+WORN = [GelPayload(time_ns=1, **USED, state=GelState.REPLACE).message()]
+HALTED = [StatePayload(time_ns=1, state="halted", reason="no sensor").message()]
+LOST = [StatePayload(time_ns=1, state="lost").message()]
 
 
 def stats(**more: Any) -> list[Message]:
     numbers = {"uptime_s": 1.0, "frames": 1, "frames_corrupt": 0, "delivered_fps": 18.0, "presses": 1}
-    return [stats_message(StatsPayload(time_ns=1, **numbers, **more))]
+    return [StatsPayload(time_ns=1, **numbers, **more).message()]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station, topic_root
 from edge.gateway.command_policy import CommandPolicy
 from edge.gateway.commands import Change, Commands
-from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
 from edge.messaging.payload_base import as_replayed, iso_time
 from edge.messaging.result_payload import ResultPayload, heatmap_message, press_messages
 from edge.messaging.topics import TOPICS
@@ -112,10 +112,10 @@ def test_alarms_are_known_by_name() -> None:
     """An unknown alarm would never be cleared at the next start, so it cannot be raised."""
     alarm = AlarmPayload(time_ns=0, alarm="gel", text="the gel is due")
     assert "overload" in ALARMS
-    assert alarm_message(alarm).topic == "alarm/gel"
+    assert alarm.message().topic == "alarm/gel"
     assert alarm_cleared("gel").payload == b""
     with pytest.raises(ValueError, match="'gle' is not known"):
-        alarm_message(alarm.model_copy(update={"alarm": "gle"}))
+        alarm.model_copy(update={"alarm": "gle"}).message()
 
 
 @pytest.mark.parametrize("level", ["", "two words", "a/b", "a+", "#", "$SYS", "x" * 65, "tab\t", "null\x00"])

@@ -16,7 +16,7 @@ from edge.core.errors import StoreError
 from edge.core.ports import Message
 from edge.messaging.publisher import Publisher, PublisherLock
 from edge.messaging.sink_worker import RetainedState
-from edge.messaging.status_payloads import StatePayload, state_message
+from edge.messaging.status_payloads import StatePayload
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store
 
@@ -65,7 +65,7 @@ def test_what_is_announced_just_before_the_end_is_said(store: Store, path: Path)
     record(store, make_press(1))
     running.start()
     assert sink.is_sending.wait(60)
-    running.announce(state_message(StatePayload(time_ns=1, state="stopped")))
+    running.announce(StatePayload(time_ns=1, state="stopped").message())
     threading.Timer(0.2, sink.may_go_on.set).start()  # long after the call of `stop`
     running.stop(drain_s=60)
 

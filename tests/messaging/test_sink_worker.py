@@ -16,7 +16,7 @@ from edge.core.ports import Message
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.refused_rows import OFFER_REFUSED_S
 from edge.messaging.sink_worker import IDLE_S, RetainedState
-from edge.messaging.status_payloads import StatePayload, state_message
+from edge.messaging.status_payloads import StatePayload
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store
 
@@ -90,7 +90,7 @@ def test_a_full_disk_sends_nothing_twice_and_keeps_announcing(
         one = worker(outbox, sink, retained_state=retained_state, changes=changes)
         outbox.is_full = True
         pauses = [one.step() for _ in range(8)]
-        retained_state.announce(state_message(StatePayload(time_ns=1, state="halted", reason="full")))
+        retained_state.announce(StatePayload(time_ns=1, state="halted", reason="full").message())
         one.step()
 
         assert len(sink.results()) == 1
@@ -227,7 +227,7 @@ def test_announcements_bypass_the_outbox_and_only_the_latest_counts(
     one = worker(outbox, sink, retained_state=retained_state)
     sink.is_away = True
     for number, state in enumerate(("starting", "ready", "halted")):
-        retained_state.announce(state_message(StatePayload(time_ns=number, state=state)))  # type: ignore[arg-type]
+        retained_state.announce(StatePayload(time_ns=number, state=state).message())  # type: ignore[arg-type]
         one.step()
     sink.is_away = False
     drain(one)
@@ -249,7 +249,7 @@ def test_a_refused_announcement_does_not_block_the_rows(
 ) -> None:
     """A broker that forbids the state topic still gets the results."""
     retained_state = RetainedState()
-    retained_state.announce(state_message(StatePayload(time_ns=0, state="ready")))
+    retained_state.announce(StatePayload(time_ns=0, state="ready").message())
     sink.refuses = {"state"}
     one = worker(outbox, sink, retained_state=retained_state)
     record(store, make_press(1))

@@ -13,7 +13,7 @@ from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.core.verdict import Kind
-from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Outgoing
 from edge.messaging.payload_base import as_replayed
@@ -22,9 +22,6 @@ from edge.messaging.status_payloads import (
     InfoPayload,
     StatePayload,
     StatsPayload,
-    info_message,
-    state_message,
-    stats_message,
 )
 from edge.messaging.topics import TOPICS
 from plugins.sinks.sparkplug import SparkplugOptions, SparkplugSink, plugin
@@ -41,7 +38,7 @@ from plugins.sinks.sparkplug_metrics import (
 from .conftest import PATIENCE_S, ROOT, Listen, Listener
 
 NODE = "line1-press2"
-STATE = state_message(StatePayload(time_ns=10**18, state="ready"))
+STATE = StatePayload(time_ns=10**18, state="ready").message()
 FAILED = press_messages(
     result(time_ns=10**18, verdict=Kind.FAIL, score=2.5, score_ratio=2.5), GEL, b"\x89PNG"
 )
@@ -90,9 +87,9 @@ def test_every_metric_is_a_field_of_a_payload() -> None:
     [
         STATE,
         *FAILED,
-        alarm_message(AlarmPayload(time_ns=1, alarm="gel", text="due")),
-        info_message(InfoPayload(time_ns=1, gelgate_version="1")),
-        stats_message(StatsPayload(time_ns=1, uptime_s=1, frames=1, frames_corrupt=0, delivered_fps=1, presses=1)),
+        AlarmPayload(time_ns=1, alarm="gel", text="due").message(),
+        InfoPayload(time_ns=1, gelgate_version="1").message(),
+        StatsPayload(time_ns=1, uptime_s=1, frames=1, frames_corrupt=0, delivered_fps=1, presses=1).message(),
     ],
     ids=lambda message: message.topic,
 )  # fmt: skip

@@ -22,7 +22,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.gateway.command_policy import CommandPolicy
 from edge.gateway.commands import Change, Commands
-from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_broker import Broker, Outgoing, Received
 from edge.messaging.mqtt_connection import Connection
@@ -72,7 +72,7 @@ def listening(broker: LocalBroker, opened: ExitStack, topic_filter: str = ALL) -
 def test_it_shows_what_the_broker_has_and_what_comes(broker: LocalBroker) -> None:
     """The retained messages first: state, gel, alarms and the newest press; its place is in the topic. While the
     broker is away it says so; an alarm that ended is gone, the presses stay."""
-    raised = alarm_message(AlarmPayload(time_ns=T0_NS, alarm="gel", text="the gel is due"))
+    raised = AlarmPayload(time_ns=T0_NS, alarm="gel", text="the gel is due").message()
     newest = Message("last/press", press(1, picture=None)[0].payload, retain=True)
     says(broker, state("ready"), gel(801, GelState.DUE), raised, newest)
     with ExitStack() as opened:

@@ -10,7 +10,7 @@ from page_messages import PICTURE, T0_NS, gel, info, press, state, stats
 from edge.core.gel_life import GelState
 from edge.core.gel_scars.causes import Cause
 from edge.core.verdict import Kind
-from edge.messaging.alarm_payload import ADVICE, AlarmPayload, alarm_message
+from edge.messaging.alarm_payload import ADVICE, AlarmPayload
 from edge.messaging.result_payload import PressAgainPart
 from plugins.sinks.page import PageSink
 
@@ -39,7 +39,7 @@ def test_a_person_sees_the_verdict_as_it_comes(tab: Any, sink: PageSink) -> None
     for message in (
         state("ready"),
         gel(801, GelState.DUE),
-        alarm_message(AlarmPayload(time_ns=T0_NS, alarm="gel", text="gel S-1 is due", severity="warning")),
+        AlarmPayload(time_ns=T0_NS, alarm="gel", text="gel S-1 is due", severity="warning").message(),
         stats(mqtt="no broker answers"),
         info(warnings=("not proven: the bundle finds 1 of 48", "20 presses promise 1/21 at best")),
         *press(1),

@@ -18,7 +18,7 @@ from edge.core.errors import ConfigError, SinkRejected
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from edge.messaging.alarm_payload import ADVICE, AlarmPayload, alarm_cleared, alarm_message
+from edge.messaging.alarm_payload import ADVICE, AlarmPayload, alarm_cleared
 from edge.page.http_server import MOST_OF_ONE, REQUEST_S, HttpHandler, HttpServer
 from edge.page.shown import MOST_PICTURES, MOST_PRESSES
 from edge.pictures import png
@@ -31,8 +31,8 @@ def test_it_shows_the_newest_of_everything(sink: PageSink) -> None:
     assert asked(sink.port, "/state.json") is None
     for message in (
         *(state("starting"), state("ready"), info(), gel(801, GelState.DUE), stats(mqtt="up"), reference()),
-        alarm_message(AlarmPayload(time_ns=T0_NS, alarm="gel", text="the gel is due")),
-        alarm_message(AlarmPayload(time_ns=T0_NS, alarm="disk", text="little room")),
+        AlarmPayload(time_ns=T0_NS, alarm="gel", text="the gel is due").message(),
+        AlarmPayload(time_ns=T0_NS, alarm="disk", text="little room").message(),
         alarm_cleared("disk"),
         *press(1),
     ):

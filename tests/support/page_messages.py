@@ -9,17 +9,13 @@ from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.reference_press.charts import ReferencePress, judge
 from edge.core.verdict import Kind
-from edge.messaging.reference_payload import ReferencePayload, reference_message
+from edge.messaging.reference_payload import ReferencePayload
 from edge.messaging.result_payload import ResultPayload, heatmap_message
 from edge.messaging.status_payloads import (
     GelPayload,
     InfoPayload,
     StatePayload,
     StatsPayload,
-    gel_message,
-    info_message,
-    state_message,
-    stats_message,
 )
 from edge.store.ulid import new_ulid
 
@@ -49,11 +45,11 @@ def press(n: int, *, picture: bytes | None = b"\x89PNG", **outcome: Any) -> list
 
 def gel(presses: int, state: GelState) -> Message:
     fields = {"sensor_serial": "S", "gel_id": "S-1", "limit_presses": 1000}
-    return gel_message(GelPayload(time_ns=T0_NS, presses=presses, state=state, **fields))
+    return GelPayload(time_ns=T0_NS, presses=presses, state=state, **fields).message()
 
 
 def state(word: str, reason: str | None = None) -> Message:
-    return state_message(StatePayload(time_ns=T0_NS, state=word, reason=reason))  # type: ignore[arg-type]
+    return StatePayload(time_ns=T0_NS, state=word, reason=reason).message()  # type: ignore[arg-type]
 
 
 def info(
@@ -62,25 +58,23 @@ def info(
     parts: tuple[str, ...] = ("bolt/pos1", "nut/pos1"),
     warnings: tuple[str, ...] = (),
 ) -> Message:
-    return info_message(
-        InfoPayload(
-            time_ns=T0_NS,
-            gelgate_version="0.2.0",
-            sensor_product="GelSight Mini R0B",
-            sensor_serial="2BNN4ZE7",
-            part=part,
-            position=position,
-            parts=parts,
-            method="padim",
-            revision=3,
-            warnings=warnings,
-        )
-    )
+    return InfoPayload(
+        time_ns=T0_NS,
+        gelgate_version="0.2.0",
+        sensor_product="GelSight Mini R0B",
+        sensor_serial="2BNN4ZE7",
+        part=part,
+        position=position,
+        parts=parts,
+        method="padim",
+        revision=3,
+        warnings=warnings,
+    ).message()
 
 
 def stats(**receivers: str) -> Message:
     counts = {"uptime_s": 1, "frames": 1, "frames_corrupt": 0, "delivered_fps": 24.9, "presses": 2}
-    return stats_message(StatsPayload(time_ns=1, receivers=receivers, **counts))  # type: ignore[arg-type]
+    return StatsPayload(time_ns=1, receivers=receivers, **counts).message()  # type: ignore[arg-type]
 
 
 def ask(
@@ -129,4 +123,4 @@ def reference() -> Message:
         gel_presses=7,
         gel_limit_presses=1000,
     )
-    return reference_message(ReferencePayload.of(result, 7, "M1", "pass", judge(presses, 5)))
+    return ReferencePayload.of(result, 7, "M1", "pass", judge(presses, 5)).message()

@@ -17,7 +17,7 @@ from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import PageRequests
 from edge.core.verdict import Kind
-from edge.messaging.alarm_payload import AlarmPayload, alarm_message
+from edge.messaging.alarm_payload import AlarmPayload
 from edge.messaging.command_payloads import CommandResponse
 from edge.page.access import Access
 from edge.page.changes import Changes, TokenGate
@@ -53,19 +53,15 @@ READY: Final = (
     stats(mqtt="up, MQTT 5"),
 )
 WORN: Final = gel(812, GelState.DUE)
-DUE: Final = alarm_message(
-    AlarmPayload(
-        time_ns=T0_NS,
-        alarm="gel",
-        severity="warning",
-        text="gel S-1 is due: 812 of 1000 presses; then `gelgate gel replace`",
-    )
-)
-DROPPED: Final = alarm_message(
-    AlarmPayload(
-        time_ns=T0_NS, alarm="outbox_full", text="unsent messages were dropped: 3 of kind heatmap (no room)"
-    )
-)
+DUE: Final = AlarmPayload(
+    time_ns=T0_NS,
+    alarm="gel",
+    severity="warning",
+    text="gel S-1 is due: 812 of 1000 presses; then `gelgate gel replace`",
+).message()
+DROPPED: Final = AlarmPayload(
+    time_ns=T0_NS, alarm="outbox_full", text="unsent messages were dropped: 3 of kind heatmap (no room)"
+).message()
 AWAY: Final = "broker 192.168.1.5:1883 does not answer (Connection refused); trying again"
 
 
