@@ -88,17 +88,22 @@ class ContactTracker:
         self._track = Track()
         self._witness = witness
         self._is_lent = stored is None and witness is not None
-        self._reference: Reference | None = None
+        self.reference: Reference | None = None
+        """The free gel as last learnt, or the stored one until then."""
         self._structure: ReliefOfReference | None = None
         self._refer_to(stored or witness)
         self._baseline, self._free = _Mean(), _Mean()
         self._free_looks: tuple[View, ...] = ()
         self._rest: View | None = None
-        self._last: View | None = None
+        self.level: View | None = None
+        """The last view, at the reference's level where there is one: float32 (h, w, 3)."""
         self._recent: dict[int, _Seen] = {}
-        self._mask: NDArray[np.bool_] | None = None
-        self._touch: Touch | None = None
-        self._relief: Relief | None = None
+        self.mask: NDArray[np.bool_] | None = None
+        """The touched area in the last view, bool (h, w); None before there is a reference, as the next two."""
+        self.touch: Touch | None = None
+        """Area and centroid of `mask`."""
+        self.relief: Relief | None = None
+        """The fine structure that the last view adds."""
 
     @property
     def state(self) -> State:
@@ -108,31 +113,6 @@ class ContactTracker:
     def has_contact(self) -> bool:
         """True from `PressBegan` to `PressEnded`, and for a part that was there at the start."""
         return self._track.has_contact
-
-    @property
-    def reference(self) -> Reference | None:
-        """The free gel as last learnt, or the stored one until then."""
-        return self._reference
-
-    @property
-    def mask(self) -> NDArray[np.bool_] | None:
-        """The touched area in the last view: bool (h, w); None before there is a reference."""
-        return self._mask
-
-    @property
-    def touch(self) -> Touch | None:
-        """Area and centroid of `mask`."""
-        return self._touch
-
-    @property
-    def relief(self) -> Relief | None:
-        """The fine structure that the last view adds; None before there is a reference."""
-        return self._relief
-
-    @property
-    def level(self) -> View | None:
-        """The last view, at the reference's level where there is one: float32 (h, w, 3)."""
-        return self._last
 
     @property
     def candidates(self) -> frozenset[int]:
@@ -151,7 +131,7 @@ class ContactTracker:
             raise ValueError(f"a view is float32 (h, w, 3), found {view.dtype} {view.shape}")
         seen, level = self._observe(view, timestamp_ns, sequence)
         before = self.state
-        self._recent[sequence] = _Seen(level, self._mask, self._relief)
+        self._recent[sequence] = _Seen(level, self.mask, self.relief)
         self._track, stepped = contact.step(self._track, seen, self.settings)
         events = [
             replace(event, findings=self._findings(event)) if isinstance(event, PressSettled) else event
@@ -159,7 +139,7 @@ class ContactTracker:
         ]
         if any(isinstance(event, ReferenceCorrected) for event in events):
             self._correct(timestamp_ns)
-        self._last = level
+        self.level = level
         if self._track.still_ns == timestamp_ns:
             self._rest = level
         kept = self.candidates
@@ -182,7 +162,7 @@ class ContactTracker:
         """Forget the reference and learn a new one, as after a change of gel."""
         self._track, events = contact.relearn(self._track)
         self._refer_to(None)
-        self._mask, self._touch, self._relief = None, None, None
+        self.mask, self.touch, self.relief = None, None, None
         self._free_looks = ()
         self._is_lent = False
         self._witness = None
@@ -192,37 +172,38 @@ class ContactTracker:
 
     def _observe(self, view: View, timestamp_ns: int, sequence: int) -> tuple[Observation, View]:
         """The view in numbers, and at the reference's level; the view itself while there is no reference."""
-        if self._reference is None or self._structure is None:
-            return self._unreferred(view, timestamp_ns, sequence), view
-        if self._reference.view.shape != view.shape:
+        if self.reference is None or self._structure is None:
+            change, motion = self._change(view, timestamp_ns), self._motion(view)
+            return Observation(timestamp_ns, sequence, None, change, motion, is_black(view)), view
+        if self.reference.view.shape != view.shape:
             raise ValueError(
-                f"the reference is {self._reference.view.shape}, this view {view.shape}; use views of one size"
+                f"the reference is {self.reference.view.shape}, this view {view.shape}; use views of one size"
             )
-        difference = self._reference.difference(view)
+        difference = self.reference.difference(view)
         squared = squared_distance(difference)
-        self._mask = mask_beyond(squared)
-        self._touch = touched(self._mask)
-        self._relief = self._structure.of(difference, self.settings.light_levels)
+        self.mask = mask_beyond(squared)
+        self.touch = touched(self.mask)
+        self.relief = self._structure.of(difference, self.settings.light_levels)
         imprint = self._imprint(view)
-        is_foreign = self._is_lent and self.state in LEARNING and not _is_pressed(self._touch, imprint)
-        level = difference + self._reference.view
+        is_foreign = self._is_lent and self.state in LEARNING and not _is_pressed(self.touch, imprint)
+        level = difference + self.reference.view
         return Observation(
             timestamp_ns=timestamp_ns,
             sequence=sequence,
-            touch=None if is_foreign else self._touch,
+            touch=None if is_foreign else self.touch,
             change=self._change(level, timestamp_ns),
             motion=self._motion(level),
             is_black=is_black(view),
-            relief=self._relief.area,
-            strength=float(np.sqrt(squared[self._mask]).sum()) / squared.size,
-            texture=self._relief.level,
+            relief=self.relief.area,
+            strength=float(np.sqrt(squared[self.mask]).sum()) / squared.size,
+            texture=self.relief.level,
             imprint=imprint,
             place=self._place(),
         ), level
 
     def _findings(self, settled: PressSettled) -> Findings | None:
         """Return None only without a reference, against which no press settles."""
-        seen, reference = self._recent[settled.sequence], self._reference
+        seen, reference = self._recent[settled.sequence], self.reference
         if seen.mask is None or seen.relief is None or reference is None:
             return None
         mask = with_relief(seen.mask, seen.relief, self.settings.on_area)
@@ -237,14 +218,10 @@ class ContactTracker:
 
     def _place(self) -> Touch | None:
         """The place of a contact that is too light to have an area; computed only during a press."""
-        if self.state not in WATCHED or self._mask is None or self._relief is None:
+        if self.state not in WATCHED or self.mask is None or self.relief is None:
             return None
-        seen = with_relief(self._mask, self._relief, self.settings.on_area)
-        return None if seen is self._mask else touched(seen)
-
-    def _unreferred(self, view: View, timestamp_ns: int, sequence: int) -> Observation:
-        change = self._change(view, timestamp_ns)
-        return Observation(timestamp_ns, sequence, None, change, self._motion(view), is_black(view))
+        seen = with_relief(self.mask, self.relief, self.settings.on_area)
+        return None if seen is self.mask else touched(seen)
 
     def _change(self, level: View, timestamp_ns: int) -> float:
         """Against the view at rest while learning, and `settle_s` ago during a press; 1 where that is not known."""
@@ -255,18 +232,18 @@ class ContactTracker:
 
     def _motion(self, level: View) -> float:
         """Against the view before; computed only during a press."""
-        if self.state not in WATCHED or self._last is None:
+        if self.state not in WATCHED or self.level is None:
             return 1.0
-        return measure_change(level, self._last)
+        return measure_change(level, self.level)
 
     def _imprint(self, view: View) -> float:
         """Measure whether the view shows more or less structure than the reference; 0 where nothing is in doubt."""
         is_asked = self.state is State.BASELINE or self.state in PRESSED or self.state in WATCHED
-        if self._track.is_confirmed or not is_asked or self._relief is None or self._mask is None:
+        if self._track.is_confirmed or not is_asked or self.relief is None or self.mask is None:
             return 0.0
         if self._agrees_with_witness(view):
             return _WITNESSED
-        return self._relief.gain(self._mask)
+        return self.relief.gain(self.mask)
 
     def _agrees_with_witness(self, view: View) -> bool:
         """Tell whether an area that looks touched is the free gel of the bundle."""
@@ -285,7 +262,7 @@ class ContactTracker:
         self._refer_to(Reference(np.mean(views, axis=0, dtype=np.float32), len(views), timestamp_ns))
 
     def _refer_to(self, reference: Reference | None) -> None:
-        self._reference = reference
+        self.reference = reference
         self._structure = None if reference is None else ReliefOfReference(reference.view)
 
     def _learn(self, before: State, view: View, timestamp_ns: int) -> list[Event]:
@@ -303,12 +280,12 @@ class ContactTracker:
 
     def _refresh(self, view: View, timestamp_ns: int) -> list[Event]:
         """Follow the free gel, and only it: no press, no residue, and the recovery time over."""
-        is_free = self.state is State.NO_CONTACT and self._touch is not None and not is_black(view)
+        is_free = self.state is State.NO_CONTACT and self.touch is not None and not is_black(view)
         if (
-            self._reference is None
+            self.reference is None
             or not is_free
-            or (self._touch and self._touch.area > self.settings.off_area)
-            or (self._relief and self._relief.area >= self.settings.on_area)
+            or (self.touch and self.touch.area > self.settings.off_area)
+            or (self.relief and self.relief.area >= self.settings.on_area)
         ):
             self._free.clear()
             return []
@@ -316,7 +293,7 @@ class ContactTracker:
         self._free_looks = (*self._free_looks[-2:], view)
         if timestamp_ns - self._free.since_ns < self.settings.refresh_s * 1e9:
             return []
-        old = self._reference
+        old = self.reference
         new = old.refresh(self._free.view(), self.settings.refresh_weight, timestamp_ns)
         self._refer_to(new)
         self._free.clear()
