@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DatasetError, FrameCorrupt
-from edge.core.imaging.aspect import cut_to_aspect
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import damage, kind, picture_size
-from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.imaging.sensor_profile import SensorProfile, cut_to_aspect
 
 __all__ = ["SUFFIXES", "Faults", "pictures_in", "pool_mask", "read_mask", "read_rgb", "size_of"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.limits.threshold import count_needed, pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
-from edge.core.contact.light import foreign_free_gel
+from edge.core.contact.wear import foreign_free_gel
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.quality import NominalContact
 from edge.model.bundle import GoldenFrame

@@ -128,8 +128,8 @@ def _from_images(given: RecordArguments, folder: Path) -> str:
 def _from_video(given: RecordArguments, path: Path) -> str:
     """Record a film. Errors: ConfigError where it has another size than the profile's camera."""
     from edge.core.errors import ConfigError
-    from edge.core.imaging.aspect import cut_in_words
     from edge.core.imaging.known_profiles import profile as named
+    from edge.core.imaging.sensor_profile import cut_in_words
     from edge.recording.from_video import film_of, record_video
 
     profile, resize = given.profile, given.resize

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from edge.clock import local_time
 from edge.core.printable import printable, score_texts
 from edge.core.reference_press.charts import Chart, ReferencePress, charts, judge
-from edge.core.reference_press.measures import MEASURES
+from edge.core.reference_press.control_chart import MEASURES
 from edge.messaging.payload_base import iso_time
 from edge.messaging.reference_payload import ChartEntry
 from edge.store.reference_presses import PieceKey

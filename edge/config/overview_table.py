@@ -9,8 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from edge.config.plugin_tables import PluginTable
 from edge.core.errors import ConfigError
 from edge.core.overview.codes import CodeKind, TagFamily
-from edge.core.overview.presence import Zone
-from edge.core.overview.rules import OverviewRules
+from edge.core.overview.rules import OverviewRules, Zone
 from edge.extras import needs
 
 __all__ = ["OverviewTable"]

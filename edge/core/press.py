@@ -11,12 +11,46 @@ from edge.core.gel_scars.causes import Blame
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Rejection
 from edge.core.overview.rules import OverviewView
-from edge.core.press_label import PressLabel
-from edge.core.reference_press.measures import Imprint
+from edge.core.reference_press.control_chart import Imprint
 from edge.core.registration.registrar import Registered
 from edge.core.verdict import Kind, Verdict
 
-__all__ = ["Again", "JudgedFrame", "Press", "ScarFindings"]
+__all__ = ["Again", "JudgedFrame", "Press", "PressLabel", "ReferenceLabel", "ScarFindings", "StudyLabel"]
+
+
+@dataclass(frozen=True)
+class ReferenceLabel:
+    """A master piece."""
+
+    piece: str
+    expected: str
+    """The verdict that it must give."""
+    learn: int
+    """Presses that its limits are made from."""
+    is_start: bool = False
+    """Its charts begin again."""
+
+    @property
+    def kind(self) -> str:
+        return "reference"
+
+
+@dataclass(frozen=True)
+class StudyLabel:
+    """One step of the plan of a gauge study; repeat counts from 1."""
+
+    study_id: str
+    step: int
+    piece: str
+    operator: str
+    repeat: int
+
+    @property
+    def kind(self) -> str:
+        return "study"
+
+
+PressLabel = ReferenceLabel | StudyLabel
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ from typing import Final, Literal, Self
 from edge.core.gel_proof import GelProof
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
-from edge.core.press import Press
-from edge.core.press_label import ReferenceLabel
+from edge.core.press import Press, ReferenceLabel
 from edge.core.verdict import Kind
 from edge.features.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.store import gel_proofs

@@ -20,8 +20,7 @@ from edge.core.imaging.image_bytes import kind
 from edge.core.overview.rules import OverviewRules, OverviewView
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, Device
-from edge.core.press import Press
-from edge.core.press_label import PressLabel
+from edge.core.press import Press, PressLabel
 from edge.features.press_stage import Alarms, PressStage, Selection, StageParts
 from edge.store.acts import Act
 

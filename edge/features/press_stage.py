@@ -13,8 +13,7 @@ from edge.core.gel_proof import MadeOn
 from edge.core.imaging.frames import CameraFrame
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, DeviceIdentity, Message
-from edge.core.press import Press
-from edge.core.press_label import PressLabel
+from edge.core.press import Press, PressLabel
 from edge.messaging.result_payload import ResultPayload
 from edge.model.inspector import Inspector
 from edge.store.acts import Act

@@ -11,11 +11,9 @@ from edge.config.reference_table import MasterPieceTable, ReferenceTable
 from edge.core.contact.events import PressSettled
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock, Message
-from edge.core.press import Press
-from edge.core.press_label import PressLabel, ReferenceLabel
-from edge.core.reference_press.charts import Outcome, ReferencePress, judge
-from edge.core.reference_press.due import why_due
-from edge.core.reference_press.measures import Imprint
+from edge.core.press import Press, PressLabel, ReferenceLabel
+from edge.core.reference_press.charts import Outcome, ReferencePress, judge, why_due
+from edge.core.reference_press.control_chart import Imprint
 from edge.core.suggest import suggestion
 from edge.features.press_stage import Alarms, Mounted, OwnTable, PressStage, StageParts
 from edge.messaging.reference_payload import ReferencePayload

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from edge.core.contact.events import Event, Findings, PressSettled, ReferenceCorrected
 from edge.core.contact.press_detector import Look
-from edge.core.contact.reach import reach
 from edge.core.contact.reference import View
+from edge.core.contact.relief import reach
 from edge.core.gel_scars.causes import Blame, Cause
-from edge.core.gel_scars.free_views import FreeViews
+from edge.core.gel_scars.free_change import FreeViews
 from edge.core.gel_scars.gel_scars import GelScars, Judged, Repeated
-from edge.core.gel_scars.press import ScoredPress
-from edge.core.gel_scars.without_marks import without_marks
+from edge.core.gel_scars.press import ScoredPress, without_marks
 from edge.core.press import Press, ScarFindings
 from edge.core.registration.pose import warp
 from edge.features.press_stage import Alarms, PressStage, StageParts

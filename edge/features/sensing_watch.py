@@ -5,9 +5,8 @@ from datetime import datetime
 from typing import Self, final
 
 from edge.core.contact.events import Event, PressBegan, PressEnded
-from edge.core.contact.long_contact import LongContact
 from edge.core.contact.press_detector import Look
-from edge.core.contact.sight import BLIND_AFTER_S, Sight
+from edge.core.contact.sight import BLIND_AFTER_S, LongContact, Sight
 from edge.core.ports import Clock
 from edge.features.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.store.acts import Act

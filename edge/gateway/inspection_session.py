@@ -22,16 +22,14 @@ from edge.core.contact.events import (
     TriggerRepeated,
     TriggerWithoutContact,
 )
-from edge.core.contact.light import foreign_start
 from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.settings import ContactSettings
-from edge.core.contact.wear import wear
+from edge.core.contact.wear import foreign_start, wear
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
-from edge.core.press import JudgedFrame, Press
-from edge.core.press_label import PressLabel
+from edge.core.press import JudgedFrame, Press, PressLabel
 from edge.features.press_stage import Mounted, PressStage
 from edge.gateway.recorder import PressReport, Recorder, WaitingPress
 from edge.gateway.status import StationStatus

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
-from edge.core.contact.reach import find_expected_reach
+from edge.core.contact.relief import find_expected_reach
 from edge.core.errors import FrameCorrupt, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import DatasetError
-from edge.core.imaging.aspect import cut_to_aspect
+from edge.core.imaging.sensor_profile import cut_to_aspect
 from edge.recording.format import RecordingHeader, RecordingWriter
 
 __all__ = ["VIDEO_SUFFIXES", "Film", "film_of", "record_video"]

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from edge.core.contact.events import PressNotSettled, PressSettled, ReferenceCorrected
-from edge.core.contact.light import foreign_free_gel
 from edge.core.contact.mask import Touch
 from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.settings import ContactSettings
+from edge.core.contact.wear import foreign_free_gel
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.recording.format import Recording
 

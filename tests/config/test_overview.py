@@ -9,7 +9,7 @@ import pytest
 
 from edge.config import load_config
 from edge.core.errors import ConfigError
-from edge.core.overview.presence import Zone
+from edge.core.overview.rules import Zone
 
 STATION = """
 version = 1

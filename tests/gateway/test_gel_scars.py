@@ -9,7 +9,7 @@ from station import station_config
 from stepped_station import SteppedStation
 
 from edge.core.gel_scars.causes import Cause
-from edge.core.press_label import PressLabel, StudyLabel
+from edge.core.press import PressLabel, StudyLabel
 from edge.core.verdict import Kind
 from edge.features.press_stage import PressStage
 from edge.store.history import HistoryQuery, read_history

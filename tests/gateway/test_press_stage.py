@@ -9,8 +9,7 @@ from typing import Any
 from stepped_station import SteppedStation
 
 from edge.core.contact.events import PressSettled
-from edge.core.press import Press
-from edge.core.press_label import PressLabel
+from edge.core.press import Press, PressLabel
 from edge.features.press_stage import PressStage
 from edge.model.inspector import Inspector
 from edge.store.gel_ledger import GelRecord

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from edge.clock import ManualClock
 from edge.core.overview.codes import Code, read_codes
-from edge.core.overview.presence import share_of_change
+from edge.core.overview.rules import share_of_change
 from plugins.overviews.virtual_overview import VirtualOverviewOptions, plugin
 
 

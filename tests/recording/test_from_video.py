@@ -10,7 +10,7 @@ from command_line import gelgate, ran
 from numpy.typing import NDArray
 
 from edge.core.errors import DatasetError, RecordingError
-from edge.core.imaging.aspect import cut_in_words, cut_to_aspect
+from edge.core.imaging.sensor_profile import cut_in_words, cut_to_aspect
 from edge.recording.format import Recording
 from edge.recording.from_images import images_in
 from edge.recording.from_video import film_of, record_video

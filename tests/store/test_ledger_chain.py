@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from recorded_presses import SERIAL, T0, make_press, record
 
 from edge.core.reference_press.charts import ReferencePress
-from edge.core.reference_press.measures import Imprint
+from edge.core.reference_press.control_chart import Imprint
 from edge.store import acts, ledger_check, press_history, reference_presses, study_presses
 from edge.store.acts import Act
 from edge.store.backup import migrate

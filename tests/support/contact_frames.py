@@ -8,8 +8,8 @@ from edge.core.contact.mask import Touch
 from edge.core.contact.rules import step
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
+from edge.core.contact.signals import Track
 from edge.core.contact.table import State
-from edge.core.contact.track import Track
 
 RULES = ContactSettings()
 FREE, FAINT, PRESSED = 0.0, 0.007, 0.10

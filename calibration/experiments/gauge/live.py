@@ -11,8 +11,7 @@ from calibration.experiments.gauge.plan import ORIGIN, SCORED, StudyPlan
 from edge.clock import SystemClock
 from edge.config import Config
 from edge.core.errors import ConfigError, DatasetError
-from edge.core.press import Press
-from edge.core.press_label import PressLabel, StudyLabel
+from edge.core.press import Press, PressLabel, StudyLabel
 from edge.features.press_stage import Mounted, PressStage
 from edge.gateway.gateway import Gateway
 from edge.store import study_presses

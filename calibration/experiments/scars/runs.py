@@ -26,8 +26,7 @@ from edge.core.contact.reference import Reference, View
 from edge.core.errors import PoseNotFound
 from edge.core.gel_scars.causes import Cause
 from edge.core.gel_scars.gel_scars import GelScars, Judged
-from edge.core.gel_scars.press import ScoredPress
-from edge.core.gel_scars.without_marks import without_marks
+from edge.core.gel_scars.press import ScoredPress, without_marks
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.model.scorer import Scored, Scorer

@@ -19,7 +19,7 @@ from edge.core.detector import Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.core.registration.light import FreeLight
+from edge.core.registration.colours import FreeLight
 from edge.core.registration.registrar import Registrar, find_relief
 from edge.model.tile_runner import most_typical
 

@@ -12,11 +12,19 @@ from numpy.typing import NDArray
 
 from edge.core.errors import FitError
 from edge.core.registration.coarse import CoarseSearch
-from edge.core.registration.colours import SlopeColours
-from edge.core.registration.light import FreeLight
+from edge.core.registration.colours import FreeLight, SlopeColours
 from edge.core.registration.pose import Pose
-from edge.core.registration.pose_search import SIDE_PX, PoseSearch, shrunk
-from edge.core.registration.registrar import PartInPose, Registered, Registrar, depth_of, fade, in_pose
+from edge.core.registration.registrar import (
+    SIDE_PX,
+    PartInPose,
+    PoseSearch,
+    Registered,
+    Registrar,
+    depth_of,
+    fade,
+    in_pose,
+    shrunk,
+)
 
 __all__ = ["LearntPose", "completed", "in_pose_of", "learn_pose"]
 

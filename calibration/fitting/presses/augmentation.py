@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from edge.core.detector import Features, Mode, Nominal
 from edge.core.errors import FitError
-from edge.core.registration.light import FreeLight
+from edge.core.registration.colours import FreeLight
 from edge.core.registration.pose import Pose
 from edge.model.manifest_facts import AUGMENTATION
 

@@ -26,9 +26,19 @@ from edge.core.contact.events import (
 from edge.core.contact.mask import Touch
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation, Window, is_moving
-from edge.core.contact.signals import ADDS_STRUCTURE, RESIDUE_SHARE, level_of, signal_of
+from edge.core.contact.signals import (
+    ADDS_STRUCTURE,
+    IDLE,
+    LEARNING,
+    PRESSED,
+    RESIDUE_SHARE,
+    UNJUDGED,
+    WATCHED,
+    Track,
+    level_of,
+    signal_of,
+)
 from edge.core.contact.table import TABLE, Signal, State
-from edge.core.contact.track import IDLE, LEARNING, PRESSED, UNJUDGED, WATCHED, Track
 
 __all__ = ["gap", "relearn", "step", "trigger"]
 

@@ -1,13 +1,79 @@
-"""Which signal of the table one frame gives, from the state and the frame's numbers."""
+"""The memory of contact detection between frames, and which signal of the table one frame gives."""
 
+from dataclasses import dataclass, field
 from typing import Final
 
 from edge.core.contact.settings import ContactSettings
-from edge.core.contact.settled_frame import Observation
+from edge.core.contact.settled_frame import Observation, Window
 from edge.core.contact.table import Signal, State
-from edge.core.contact.track import Track
 
-__all__ = ["ADDS_STRUCTURE", "RESIDUE_SHARE", "level_of", "seconds", "signal_of"]
+__all__ = [
+    "ADDS_STRUCTURE",
+    "IDLE",
+    "LEARNING",
+    "PRESSED",
+    "RESIDUE_SHARE",
+    "UNJUDGED",
+    "WATCHED",
+    "Track",
+    "level_of",
+    "seconds",
+    "signal_of",
+]
+
+LEARNING = frozenset({State.WARM_UP, State.BASELINE})
+IDLE = frozenset({State.NO_CONTACT, State.RECOVERY})
+UNJUDGED = frozenset({State.SETTLING, State.EARLY_RELEASE})
+PRESSED = UNJUDGED | {State.CONTACT, State.RELEASE}
+WATCHED = UNJUDGED | {State.APPROACH, State.DOUBT}
+
+
+@dataclass(frozen=True)
+class Track:
+    """The memory of contact detection between frames.
+
+    since_ns, frames: when the present state began, and over how many frames. still_ns, still_frames: the same for the
+    view at rest while learning. peak, relief_peak, strength_peak: the largest area, relief and strength of this press.
+    residue, relief_residue, strength_residue: the rest of the last press.
+    """
+
+    state: State = State.WARM_UP
+    last_ns: int | None = None
+    since_ns: int = 0
+    frames: int = 0
+    still_ns: int = 0
+    still_frames: int = 0
+    window: Window = field(default_factory=Window)
+    """The frames of this press that may be chosen."""
+    began_ns: int = 0
+    is_wanted: bool = False
+    wanted_ns: int = 0
+    """The time since which a verdict is wanted."""
+    grown_ns: int = 0
+    """When the imprint last grew."""
+    peak: float = 0.0
+    relief_peak: float = 0.0
+    strength_peak: float = 0.0
+    sunk_ns: int | None = None
+    """The time since which the strength is that of a residue; None while the press is held."""
+    residue: float = 0.0
+    relief_residue: float = 0.0
+    strength_residue: float = 0.0
+    is_counted: bool = True
+    """False for a part that was there at the start."""
+    is_confirmed: bool = False
+    """Another picture of the free gel, or a press, has shown that the reference is one."""
+    is_cycled: bool = False
+    """A press has come and gone."""
+    adds_structure: bool = False
+    is_interrupted: bool = False
+    blind_until_ns: int = 0
+
+    @property
+    def has_contact(self) -> bool:
+        """True from `PressBegan` to `PressEnded`, and for a part that was there at the start."""
+        return self.state in PRESSED
+
 
 # A log ratio of structure (`Relief.gain`): a part that presses adds some, a reference learnt from a pressed gel has
 # more than the free gel. Public frames without markers lie beyond 1.7 either way, those with markers within 0.35.

@@ -21,9 +21,8 @@ from edge.core.contact.reference import Reference, View
 from edge.core.contact.relief import Relief, ReliefOfReference, with_relief
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
-from edge.core.contact.signals import ADDS_STRUCTURE
+from edge.core.contact.signals import ADDS_STRUCTURE, LEARNING, PRESSED, WATCHED, Track
 from edge.core.contact.table import State
-from edge.core.contact.track import LEARNING, PRESSED, WATCHED, Track
 
 __all__ = ["ContactTracker"]
 

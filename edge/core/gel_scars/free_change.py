@@ -1,17 +1,19 @@
-"""What has changed on the free gel since its first picture: the marks that it will show under every part.
+"""The free gel between two presses, and what has changed on it: the marks that it will show under every part.
 
 Light and shading are taken out, and the imprint that the last press has left behind.
 """
 
 from dataclasses import dataclass
+from typing import final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.reference import View, fit_levels
+from edge.core.contact.table import State
 
-__all__ = ["Marks", "marks"]
+__all__ = ["FreeViews", "Marks", "marks"]
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -124,3 +126,53 @@ def _detail(view: View) -> View:
 
 def _scale(view: View) -> float:
     return float(view.shape[1] / _PIXELS_ACROSS)
+
+
+# About this many views are averaged: a second of an idle station, whose last ones count most.
+_AVERAGED = 10
+# Fewer give no picture of the free gel.
+_LEAST = 3
+# The last views before a press may show its approach.
+_HELD_BACK = 2
+
+_FREE = (State.NO_CONTACT, State.RECOVERY)
+
+
+@final
+class FreeViews:
+    """Feed every view that is looked at; the mean is of those after the last press. It keeps three views."""
+
+    def __init__(self) -> None:
+        self._mean: View | None = None
+        self._count = 0
+        self._waiting: list[View] = []
+        self._was_free = False
+
+    def see(self, state: State, view: View | None) -> None:
+        """view: float32 (h, w, 3); None while none is known. state: of the contact table, with this view."""
+        is_free = state in _FREE and view is not None
+        if not is_free:
+            self._waiting.clear()
+        else:
+            if not self._was_free:
+                self._mean, self._count = None, 0
+            self._waiting.append(view)  # type: ignore[arg-type]
+            if len(self._waiting) > _HELD_BACK:
+                self._add(self._waiting.pop(0))
+        self._was_free = is_free
+
+    def mean(self) -> View | None:
+        """The free gel after the last press, float32 (h, w, 3); None where it was not seen long enough."""
+        return self._mean if self._count >= _LEAST else None
+
+    def clear(self) -> None:
+        """Forget it: another gel is mounted."""
+        self._mean, self._count, self._was_free = None, 0, False
+        self._waiting.clear()
+
+    def _add(self, view: View) -> None:
+        self._count += 1
+        if self._mean is None:
+            self._mean = view.copy()
+        else:
+            self._mean += np.float32(1 / min(self._count, _AVERAGED)) * (view - self._mean)

@@ -1,4 +1,4 @@
-"""A scored press in the pixels of the contact view, where the places of a gel are kept."""
+"""A scored press in the pixels of the contact view, where the places of a gel are kept, also without the gel's marks."""
 
 import math
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from edge.core.contact.reference import View
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region, touched_in
 
-__all__ = ["ScoredPress"]
+__all__ = ["ScoredPress", "without_marks"]
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -69,3 +69,27 @@ class ScoredPress:
     def area_mm2(self, places: Mask) -> float:
         """Measure the area of places of the map."""
         return float(places.sum()) * self.mm_per_pixel[0] * self.mm_per_pixel[1]
+
+
+U8 = NDArray[np.uint8]
+
+
+def without_marks(rgb: U8, change: View, size: tuple[int, int], region: Region) -> U8:
+    """A picture with a change of the gel taken out, uint8 (h, w, 3).
+
+    rgb: uint8 (h, w, 3) of `region`, in the picture of `size` (width, height). change: of `Marks`, float32 (h', w', 3)
+    of the view of the complete picture, levels.
+    """
+    across, down = change.shape[1] / size[0], change.shape[0] / size[1]
+    # From the centre of a pixel of the region to the place in the view.
+    places = np.array(
+        [[across, 0, (region.x + 0.5) * across - 0.5], [0, down, (region.y + 0.5) * down - 0.5]], np.float64
+    )
+    wide = cv2.warpAffine(
+        change,
+        places,
+        (region.width, region.height),
+        flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.asarray(np.clip(np.rint(rgb - wide), 0, 255), np.uint8)

@@ -7,7 +7,7 @@ scale, kernel and colour order are fixed here and stored in the bundle.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["LONGEST_SIDE", "SensorProfile"]
+__all__ = ["LONGEST_SIDE", "SensorProfile", "cut_in_words", "cut_to_aspect"]
 
 LONGEST_SIDE = 8192
 """Pixels or cells of any picture: the longest side of the sensor's frames has 3280."""
@@ -51,3 +51,18 @@ class SensorProfile:
             raise ValueError(
                 f"a profile has a name and a scale, found '{self.name:.128}', {self.pixels_per_mm}"
             )
+
+
+def cut_to_aspect(size: tuple[int, int], wanted: tuple[int, int]) -> tuple[float, float]:
+    """The fraction that is cut from each side, (x, y), so that (width, height) gets the aspect of `wanted`."""
+    width, height = size
+    aspect = wanted[0] / wanted[1]
+    return (max(0.0, (1 - height * aspect / width) / 2), max(0.0, (1 - width / aspect / height) / 2))
+
+
+def cut_in_words(size: tuple[int, int], wanted: tuple[int, int]) -> str:
+    """Describe what happens to a picture of this size, such as `640x400 cut to 533x400 and scaled to 320x240`."""
+    x, y = cut_to_aspect(size, wanted)
+    left = (round(size[0] * (1 - 2 * x)), round(size[1] * (1 - 2 * y)))
+    cut = "" if left == size else f" cut to {left[0]}x{left[1]} in the middle and"
+    return f"{size[0]}x{size[1]}{cut} scaled to {wanted[0]}x{wanted[1]}"

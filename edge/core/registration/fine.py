@@ -2,7 +2,7 @@
 
 Source: Baker and Matthews 2004, "Lucas-Kanade 20 years on", the inverse compositional form. Only the places whose
 slopes change most with the pose are read: they carry nearly all of the information. A part pressed deeper shows steeper
-slopes, so the part is scaled to the press. Several poses are refine at once, for one costs nearly as much as six.
+slopes, so the part is scaled to the press. Several poses are refined at once, for one costs nearly as much as six.
 """
 
 import math

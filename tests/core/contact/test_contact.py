@@ -32,8 +32,8 @@ from edge.core.contact.events import (
 from edge.core.contact.rules import gap, relearn, step, trigger
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
+from edge.core.contact.signals import Track
 from edge.core.contact.table import TABLE, Signal, State, table_markdown
-from edge.core.contact.track import Track
 
 EXTERNAL = ContactSettings(is_external=True)
 

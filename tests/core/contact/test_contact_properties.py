@@ -19,8 +19,8 @@ from edge.core.contact.mask import Touch
 from edge.core.contact.rules import gap, relearn, step, trigger
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
+from edge.core.contact.signals import Track
 from edge.core.contact.table import State
-from edge.core.contact.track import Track
 
 
 def check_grammar(events: Iterable[Event]) -> None:

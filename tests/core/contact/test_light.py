@@ -3,10 +3,10 @@
 import numpy as np
 from press_films import PARTS, series
 
-from edge.core.contact.light import foreign_free_gel, foreign_start
 from edge.core.contact.mask import Touch, touched, touched_mask
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.relief import ReliefOfReference
+from edge.core.contact.wear import foreign_free_gel, foreign_start
 
 
 def other_light(view: View) -> View:

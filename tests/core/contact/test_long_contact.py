@@ -2,7 +2,7 @@
 
 import pytest
 
-from edge.core.contact.long_contact import LongContact
+from edge.core.contact.sight import LongContact
 
 S = 1_000_000_000
 

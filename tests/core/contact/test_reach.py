@@ -5,9 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import touched_mask
-from edge.core.contact.reach import find_expected_reach, reach
 from edge.core.contact.reference import Reference, View
-from edge.core.contact.relief import ReliefOfReference
+from edge.core.contact.relief import ReliefOfReference, find_expected_reach, reach
 from edge.core.imaging.region import Region
 
 GEL = np.full((120, 160, 3), 120, np.float32)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from edge.core.contact.table import State
-from edge.core.gel_scars.free_views import FreeViews
+from edge.core.gel_scars.free_change import FreeViews
 
 
 def view(level: float) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from edge.core.gel_scars.without_marks import without_marks
+from edge.core.gel_scars.press import without_marks
 from edge.core.imaging.region import Region
 
 

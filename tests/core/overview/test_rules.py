@@ -13,8 +13,7 @@ from overview_stills import blank, encoded, with_data_matrix, with_qr, with_tag
 
 from edge.core.imaging.quality import Reason
 from edge.core.overview.codes import Code, CodeKind, read_codes
-from edge.core.overview.presence import Zone, share_of_change
-from edge.core.overview.rules import OverviewRules, OverviewView
+from edge.core.overview.rules import OverviewRules, OverviewView, Zone, share_of_change
 from edge.core.part_position import PartPosition
 from edge.extras import is_installed
 

@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from edge.core.reference_press.charts import Outcome, ReferencePress, charts, judge
-from edge.core.reference_press.due import why_due
-from edge.core.reference_press.measures import Imprint
+from edge.core.reference_press.charts import Outcome, ReferencePress, charts, judge, why_due
+from edge.core.reference_press.control_chart import Imprint
 
 LEARN = 5
 WOBBLE = (0.0, 1.0, -1.0, 0.5, -0.5)

@@ -3,7 +3,7 @@
 import numpy as np
 import turned_parts as parts
 
-from edge.core.registration.light import FreeLight
+from edge.core.registration.colours import FreeLight
 from edge.core.registration.pose import Pose
 
 

@@ -10,7 +10,7 @@ import turned_parts as parts
 from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.fine import FineSearch
 from edge.core.registration.pose import Pose, depth_inside, turn_slopes, warp
-from edge.core.registration.pose_search import PoseSearch, shrunk
+from edge.core.registration.registrar import PoseSearch, shrunk
 
 SIDE = 112
 POSES = (Pose(3.2, -7.1, 0.9), Pose(-14.3, 6.4, -2.6), Pose(9.7, 12.2, 3.0), Pose(0.4, -0.3, 0.02))

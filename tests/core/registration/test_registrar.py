@@ -12,10 +12,9 @@ import turned_parts as parts
 from scipy import optimize
 
 from calibration.fitting.pose.registration import LearntPose, learn_pose
-from edge.core.registration.light import FreeLight
+from edge.core.registration.colours import FreeLight
 from edge.core.registration.pose import Pose, depth_inside
-from edge.core.registration.pose_search import PoseSearch
-from edge.core.registration.registrar import Registrar, depth_of, find_relief
+from edge.core.registration.registrar import PoseSearch, Registrar, depth_of, find_relief
 
 RIM = Pose(34.0, -4.0, 0.4)
 
