@@ -1,26 +1,41 @@
-"""What a check of the database finds: SQLite's own integrity, counts against presses, the outbox against its totals.
+"""What a check of the database finds: SQLite's own integrity, counts against presses, the outbox, and the ledger.
 
 It writes nothing, so it may run while a gateway does. A *fault* is something that no gelgate writes. A *note* has an
 explanation in normal work, such as presses that were counted while the disk was full.
+
+The ledger still holds what was written where every link follows from the one before, every row agrees with its newest
+link, and no chained row is missing or was added: see `edge.store.ledger_chain`.
 """
 
+import hashlib
 import json
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from edge.store.database import open_read_only
-from edge.store.ledger_chain import Head
-from edge.store.ledger_check import Finding, chain_findings
+from edge.store.ledger_chain import KIND_OF, KINDS, NO_HASH, Head, canonical, hash_link, read_row
 from edge.store.outbox import ROW_OVERHEAD_BYTES
 from edge.store.press_counts import Count, PressCounts
+from edge.store.reference_presses import KEPT_REFERENCES
 from edge.store.ulid import is_ulid
 
 __all__ = ["Finding", "check_database"]
 
 # SQLite reports at most this number of damaged places.
 MOST_DAMAGES: Final = 10
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence about one part: file, presses, gels, counts, outbox or ledger."""
+
+    part: str
+    text: str
+    is_fault: bool = True
 
 
 def check_database(path: Path, held: Head | None = None) -> list[Finding]:
@@ -38,8 +53,12 @@ def check_database(path: Path, held: Head | None = None) -> list[Finding]:
             *_gels(connection),
             *_counts(connection, counts),
             *_outbox(connection),
-            *chain_findings(connection, held),
+            *_ledger(connection, held),
         ]
+
+
+def _count(connection: sqlite3.Connection, query: str) -> int:
+    return int(connection.execute(query).fetchone()[0])
 
 
 def _file(connection: sqlite3.Connection) -> Iterator[Finding]:
@@ -54,11 +73,8 @@ def _file(connection: sqlite3.Connection) -> Iterator[Finding]:
 
 def _presses(connection: sqlite3.Connection) -> Iterator[Finding]:
     """Ids are ULIDs; no number is missing between the first and the last; each press has its gel."""
-    wrong = [
-        number
-        for number, press_id in connection.execute("SELECT number, press_id FROM presses")
-        if not is_ulid(press_id)
-    ]
+    ids = connection.execute("SELECT number, press_id FROM presses")
+    wrong = [number for number, press_id in ids if not is_ulid(press_id)]
     if wrong:
         yield Finding("presses", f"{len(wrong)} have an id that is no ULID; the first is number {wrong[0]}")
     first, last, rows = connection.execute(
@@ -71,23 +87,18 @@ def _presses(connection: sqlite3.Connection) -> Iterator[Finding]:
             "an old copy leaves such a gap",
             is_fault=False,
         )
-    orphans = connection.execute(
-        "SELECT count(*) FROM presses WHERE NOT EXISTS (SELECT 1 FROM gels WHERE gels.serial = presses.serial "
-        "AND gels.gel_id = presses.gel_id)"
-    ).fetchone()[0]
-    if orphans:
-        yield Finding("presses", f"{orphans} are of gels that are not in the ledger")
+    orphans = "SELECT count(*) FROM presses WHERE (serial, gel_id) NOT IN (SELECT serial, gel_id FROM gels)"
+    if number := _count(connection, orphans):
+        yield Finding("presses", f"{number} are of gels that are not in the ledger")
 
 
 # Those of parts, of master pieces and of gauge studies.
-_EVERY_PRESS: Final = " UNION ALL ".join(
-    f"SELECT serial, gel_id FROM {table}" for table in ("presses", "reference_presses", "study_presses")
-)
+_EVERY_PRESS: Final = " UNION ALL ".join(f"SELECT serial, gel_id FROM {table}" for table in KIND_OF)
 
 
 def _gels(connection: sqlite3.Connection) -> Iterator[Finding]:
     """A gel has been pressed at least as often as the history says, and as often unless there is a reason."""
-    (oldest,) = connection.execute("SELECT coalesce(min(number), 1) FROM presses").fetchone()
+    oldest = _count(connection, "SELECT coalesce(min(number), 1) FROM presses")
     rows = connection.execute(
         f"SELECT gel_id, serial, presses, (SELECT count(*) FROM ({_EVERY_PRESS}) AS p WHERE p.serial = gels.serial "
         "AND p.gel_id = gels.gel_id) FROM gels ORDER BY serial, gels.rowid"
@@ -103,12 +114,12 @@ def _gels(connection: sqlite3.Connection) -> Iterator[Finding]:
 
 def _counts(connection: sqlite3.Connection, counts: dict[str, Count]) -> Iterator[Finding]:
     """The second record of the counts is never ahead of the database."""
-    newest = connection.execute("SELECT seq FROM sqlite_sequence WHERE name = 'presses'").fetchone()
+    number = _count(connection, "SELECT coalesce(max(seq), 0) FROM sqlite_sequence WHERE name = 'presses'")
     for serial, known in counts.items():
         gel = connection.execute(
             "SELECT presses FROM gels WHERE serial = ? AND gel_id = ?", (serial, known.gel_id)
         ).fetchone()
-        presses, number = (gel[0] if gel else 0), (newest[0] if newest else 0)
+        presses = gel[0] if gel else 0
         if known.presses > presses or known.sequence > number:
             yield Finding(
                 "counts",
@@ -117,11 +128,8 @@ def _counts(connection: sqlite3.Connection, counts: dict[str, Count]) -> Iterato
                 "the lost file, or start the gateway, which goes on from the higher count",
             )
         if known.uncounted:
-            yield Finding(
-                "counts",
-                f"{known.uncounted} presses of sensor {serial} wait to be counted; the next start does",
-                is_fault=False,
-            )
+            text = f"{known.uncounted} presses of sensor {serial} wait to be counted; the next start does"
+            yield Finding("counts", text, is_fault=False)
 
 
 def _outbox(connection: sqlite3.Connection) -> Iterator[Finding]:
@@ -129,63 +137,163 @@ def _outbox(connection: sqlite3.Connection) -> Iterator[Finding]:
     totals = connection.execute("SELECT rows, bytes FROM outbox_size").fetchone()
     counted = connection.execute("SELECT count(*), coalesce(sum(bytes), 0) FROM outbox").fetchone()
     if totals != counted:
-        yield Finding(
-            "outbox",
-            f"it has {counted[0]} rows of {counted[1]} bytes, its totals say {totals[0]} and {totals[1]}",
-        )
-    (orphans,) = connection.execute(
-        "SELECT count(*) FROM settled WHERE row_id NOT IN (SELECT row_id FROM outbox)"
-    ).fetchone()
-    if orphans:
+        said = f"{counted[0]} rows of {counted[1]} bytes, its totals say {totals[0]} and {totals[1]}"
+        yield Finding("outbox", f"it has {said}")
+    if orphans := _count(
+        connection, "SELECT count(*) FROM settled WHERE row_id NOT IN (SELECT row_id FROM outbox)"
+    ):
         yield Finding("outbox", f"{orphans} acknowledgements are of rows that are not there")
-    for what, is_wrong in _ROW_FAULTS.items():
-        rows = [row[0] for row in connection.execute(_ROWS) if is_wrong(connection, _Row(*row))]
-        if rows:
-            yield Finding("outbox", f"{len(rows)} rows {what}; the first is row {rows[0]}")
-    (refused,) = connection.execute(
-        "SELECT count(DISTINCT row_id) FROM settled WHERE refusal IS NOT NULL"
-    ).fetchone()
-    if refused:
+    faults: dict[str, list[int]] = defaultdict(list)
+    rows = "SELECT row_id, topic, content_type, bytes, payload FROM outbox ORDER BY row_id"
+    for row_id, *row in connection.execute(rows):
+        for what in _row_faults(connection, *row):
+            faults[what].append(row_id)
+    for what, ids in faults.items():
+        yield Finding("outbox", f"{len(ids)} rows {what}; the first is row {ids[0]}")
+    if refused := _count(connection, "SELECT count(DISTINCT row_id) FROM settled WHERE refusal IS NOT NULL"):
         yield Finding("outbox", f"{refused} rows were refused by a receiver and wait", is_fault=False)
 
 
-class _Row(NamedTuple):
-    """What is checked of a row of the outbox."""
-
-    row_id: int
-    topic: str
-    content_type: str
-    size: int
-    payload: bytes
-
-
-_ROWS: Final = "SELECT row_id, topic, content_type, bytes, payload FROM outbox ORDER BY row_id"
-
-
-def _has_no_press(connection: sqlite3.Connection, row: _Row) -> bool:
-    """Tell whether a row is a result of a press that the history does not have, though it has older ones."""
-    content = _content(row.payload) if row.topic == "result" else None
-    if not content:
-        return False
-    press_id = (content.get("press_id"),)
-    known = connection.execute("SELECT 1 FROM presses WHERE press_id = ?", press_id).fetchone()
-    (oldest,) = connection.execute("SELECT coalesce(min(time_ns), 0) FROM presses").fetchone()
-    return known is None and content.get("time_ns", 0) >= oldest
-
-
-def _content(payload: bytes) -> dict[str, object] | None:
-    """Parse a JSON object; None for anything else."""
+def _row_faults(
+    connection: sqlite3.Connection, topic: str, content_type: str, size: int, payload: bytes
+) -> Iterator[str]:
+    if size != len(payload) + ROW_OVERHEAD_BYTES:
+        yield "have another size than they say"
     try:
-        content = json.loads(payload)
+        content = json.loads(payload) if content_type == "application/json" and payload else {}
     except ValueError:
-        return None
-    return content if isinstance(content, dict) else None
+        content = None
+    if not isinstance(content, dict):
+        yield "hold a message that is no JSON"
+    elif topic == "result" and content:
+        press_id = (content.get("press_id"),)
+        known = connection.execute("SELECT 1 FROM presses WHERE press_id = ?", press_id).fetchone()
+        oldest = _count(connection, "SELECT coalesce(min(time_ns), 0) FROM presses")
+        if known is None and content.get("time_ns", 0) >= oldest:
+            yield "are results of presses that the history does not have"
 
 
-_ROW_FAULTS: Final[dict[str, Callable[[sqlite3.Connection, _Row], bool]]] = {
-    "have another size than they say": lambda _, row: row.size != len(row.payload) + ROW_OVERHEAD_BYTES,
-    "hold a message that is no JSON": lambda _, row: (
-        row.content_type == "application/json" and bool(row.payload) and _content(row.payload) is None
-    ),
-    "are results of presses that the history does not have": _has_no_press,
-}
+class _Start(NamedTuple):
+    """The row of `ledger_start`."""
+
+    one: int
+    ledger_id: str
+    presses_up_to: int
+    acts_up_to: int
+    acts_removed_up_to: int
+    link: int
+    hash: bytes
+
+
+def _ledger(connection: sqlite3.Connection, held: Head | None) -> Iterator[Finding]:
+    """The first row that was changed, removed or inserted, as a fault; where the chain starts, as a note."""
+    row = connection.execute("SELECT * FROM ledger_start").fetchone()
+    start = _Start(*row) if row else None
+    faults = _chain_faults(connection, start) if start else iter([f"{_name('start', 1)} was removed"])
+    if (fault := next(faults, None)) is not None:
+        yield Finding(
+            "ledger",
+            f"{fault}; keep the file as it is, compare with a backup, and see who may write it; "
+            "the links after it say nothing about the rows before",
+        )
+    if start is None:
+        return
+    if start.hash == NO_HASH and start.presses_up_to:
+        text = f"the chain starts after press {start.presses_up_to}, where the database was migrated: older rows are"
+        yield Finding("ledger", f"{text} not covered", is_fault=False)
+    if held is not None:
+        yield from _check_head(connection, start, held)
+
+
+def _chain_faults(connection: sqlite3.Connection, start: _Start) -> Iterator[str]:
+    """List the faults in the order of the chain, then the rows that are not in it."""
+    newest: dict[tuple[str, int | str], int] = {
+        (kind, ref): link
+        for kind, ref, link in connection.execute(
+            "SELECT kind, ref, max(link) FROM ledger_chain WHERE kind <> 'press' GROUP BY kind, ref"
+        )
+    }
+    if ("start", 1) not in newest:
+        yield f"the link of {_name('start', 1)} was removed"
+    number, before = start.link, start.hash
+    links = connection.execute("SELECT link, kind, ref, content, hash FROM ledger_chain ORDER BY link")
+    for link, kind, ref, content, made in links:
+        if link != number + 1:
+            yield f"links {number + 1} to {link - 1}, before that of {_name(kind, ref)}, were removed"
+        if kind not in KINDS or hash_link(before, link, kind, ref, content) != made:
+            yield (
+                f"link {link}, of {_name(kind, ref)}, does not follow from the one before: it was changed or inserted"
+            )
+        elif newest.get((kind, ref), link) == link:
+            yield from _row_fault(connection, start, kind, ref, content)
+        number, before = link, made
+    written = _count(
+        connection, "SELECT coalesce(max(seq), 0) FROM sqlite_sequence WHERE name = 'ledger_chain'"
+    )
+    if written > number:
+        yield f"links {number + 1} to {written}, the newest of the chain, were removed"
+    yield from _find_unchained(connection, start)
+
+
+def _row_fault(
+    connection: sqlite3.Connection, start: _Start, kind: str, ref: int | str, content: bytes
+) -> Iterator[str]:
+    """Compare a row with its newest link. A row may be gone where only the newest are kept."""
+    row = read_row(connection, kind, ref)
+    if row is not None:
+        if hashlib.sha256(canonical(row)).digest() != content:
+            yield f"{_name(kind, ref)} was changed after it was written"
+        return
+    retired_up_to = {"act": start.acts_removed_up_to}
+    if kind == "reference":
+        newest = _count(connection, "SELECT coalesce(max(number), 0) FROM reference_presses")
+        retired_up_to[kind] = newest - KEPT_REFERENCES
+    if not isinstance(ref, int) or ref > retired_up_to.get(kind, ref - 1):
+        yield f"{_name(kind, ref)} was removed"
+
+
+def _find_unchained(connection: sqlite3.Connection, start: _Start) -> Iterator[str]:
+    """Find rows without a link: they were inserted."""
+    after = {"presses": start.presses_up_to}
+    queries = [
+        (kind, f"SELECT number FROM {table} WHERE number > {after.get(table, 0)} AND number", "number")
+        for table, kind in KIND_OF.items()
+    ]
+    acts = (
+        f"SELECT act_id FROM acts WHERE act_id > {start.acts_up_to} AND outcome IS NOT 'refused' AND act_id"
+    )
+    gels = "SELECT gel_id || ' of sensor ' || serial FROM gels WHERE json_array(serial, gel_id)"
+    for kind, query, order in (*queries, ("act", acts, "act_id"), ("gel", gels, "serial, gel_id")):
+        unchained = (
+            f"{query} NOT IN (SELECT ref FROM ledger_chain WHERE kind = '{kind}') ORDER BY {order} LIMIT 1"
+        )
+        if (row := connection.execute(unchained).fetchone()) is not None:
+            yield f"{_name(kind, row[0])} was inserted: it has no link"
+
+
+def _check_head(connection: sqlite3.Connection, start: _Start, held: Head) -> Iterator[Finding]:
+    if held.ledger_id != start.ledger_id:
+        yield Finding(
+            "ledger",
+            f"the head {held} is of ledger {held.ledger_id}, this database is ledger {start.ledger_id}: it is of "
+            "another station, or was made again; name the database that published it",
+        )
+        return
+    if held.link < start.link:
+        text = f"link {held.link} of the head went with its old presses, so it cannot be compared: keep a newer one"
+        yield Finding("ledger", text, is_fault=False)
+        return
+    row = connection.execute("SELECT hash FROM ledger_chain WHERE link = ?", (held.link,)).fetchone()
+    sha256 = row[0] if row else start.hash if held.link == start.link else None
+    if sha256 is None or sha256.hex() != held.sha256:
+        yield Finding(
+            "ledger",
+            f"the head {held} is not in the chain: the ledger was written again, or replaced by an old copy; look for "
+            "the file that published it",
+        )
+
+
+def _name(kind: str, ref: int | str) -> str:
+    if kind == "start":
+        return "the row that says where the chain starts"
+    return f"{kind}{' press' if kind in ('reference', 'study') else ''} {ref}"

@@ -28,7 +28,6 @@ __all__ = [
     "KINDS",
     "KIND_OF",
     "Head",
-    "Link",
     "append",
     "canonical",
     "cut",
@@ -83,18 +82,6 @@ class Head:
                 "field ledger_head of `result` and `stats`"
             )
         return cls(parts[0], int(parts[1]), parts[2])
-
-
-@dataclass(frozen=True)
-class Link:
-    """One link as stored."""
-
-    link: int
-    kind: str
-    ref: int | str
-    """Number of a press in its table, id of an act, JSON array of sensor and gel, 1 of the start."""
-    content: bytes
-    hash: bytes
 
 
 def append(connection: sqlite3.Connection, kind: str, ref: int | str) -> Head:

@@ -15,7 +15,7 @@ from recorded_presses import SERIAL, T0, make_press, record
 
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.control_chart import Imprint
-from edge.store import acts, ledger_check, press_history, reference_presses, study_presses
+from edge.store import acts, integrity, press_history, reference_presses, study_presses
 from edge.store.acts import Act
 from edge.store.backup import migrate
 from edge.store.history import HistoryQuery, read_history
@@ -314,7 +314,7 @@ def test_presses_of_master_pieces_and_studies_are_chained(used: Path, statement:
 
 def test_old_reference_presses_go_without_a_fault(used: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Only the newest are kept."""
-    for module in (reference_presses, ledger_check):
+    for module in (reference_presses, integrity):
         monkeypatch.setattr(module, "KEPT_REFERENCES", 1)
     labelled(used)
 
