@@ -52,13 +52,15 @@ def inspect(
 def _rows(manifest: "Manifest") -> "Iterator[tuple[str, str]]":
     from edge.model.manifest_facts import (
         AUGMENTATION,
+        DEFAULT_COSTS,
         LIMIT,
         METHOD_CHOICE,
         MISSING,
+        again_sentence,
         choice_sentence,
+        plan_for,
         promise,
     )
-    from edge.model.press_again_facts import DEFAULT_COSTS, again_sentence, plan_for
 
     limit, profile, tolerance, facts = (
         manifest.threshold,

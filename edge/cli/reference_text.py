@@ -11,7 +11,7 @@ from edge.core.printable import printable, score_texts
 from edge.core.reference_press.charts import Chart, ReferencePress, charts, judge
 from edge.core.reference_press.control_chart import MEASURES
 from edge.messaging.payload_base import iso_time
-from edge.messaging.reference_payload import ChartEntry
+from edge.messaging.result_payload import ChartEntry
 from edge.store.reference_presses import PieceKey
 
 __all__ = ["csv_text", "json_line", "nothing_text", "piece_text"]

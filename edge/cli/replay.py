@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     from edge.config import Config
     from edge.features.black_box.replay import Replayed
     from edge.model.inspector import Inspector
-    from edge.store.evidence import ArchiveFolder, KnownPress
-    from edge.store.press_archive import ArchivedPress
+    from edge.store.press_archive import ArchivedPress, ArchiveFolder, KnownPress
 
     _InspectorOf = Callable[[ArchivedPress], Inspector | None]
 
@@ -56,7 +55,7 @@ def replay(
     From the archived camera bytes, by the bundle with the recorded hash and as many threads as then. Prints whether
     verdict, score and score map are equal, or where and by how much they differ, and what of the machine has changed.
     Exit code 8 when one differs, 1 when one cannot be made again."""
-    from edge.store.evidence import ArchiveFolder
+    from edge.store.press_archive import ArchiveFolder
 
     path, places = _places(config, database, [*(bundles or []), *([bundle] if bundle else [])])
     wanted = _select_presses(path, press_id, is_all, since)
@@ -201,7 +200,7 @@ def _select_presses(
 
     from edge.cli.history import moment_ns
     from edge.core.errors import ConfigError
-    from edge.store.evidence import find_press, presses_since
+    from edge.store.press_archive import find_press, presses_since
 
     if sum((press_id is not None, is_all, since is not None)) != 1:
         raise ConfigError(

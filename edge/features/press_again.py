@@ -14,7 +14,7 @@ from edge.features.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.messaging.result_payload import PressAgainPart
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
-from edge.model.press_again_facts import again_sentence, plan_for
+from edge.model.manifest_facts import again_sentence, plan_for
 from edge.store.gel_ledger import GelRecord
 
 __all__ = ["PressAgain"]

@@ -16,8 +16,7 @@ from edge.core.reference_press.charts import Outcome, ReferencePress, judge, why
 from edge.core.reference_press.control_chart import Imprint
 from edge.core.suggest import suggestion
 from edge.features.press_stage import Alarms, Mounted, OwnTable, PressStage, StageParts
-from edge.messaging.reference_payload import ReferencePayload
-from edge.messaging.result_payload import ResultPayload, heatmap_message
+from edge.messaging.result_payload import ReferencePayload, ResultPayload, heatmap_message
 from edge.model.inspector import Inspector
 from edge.store import reference_presses
 from edge.store.acts import Act

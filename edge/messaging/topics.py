@@ -6,8 +6,7 @@ from pydantic import BaseModel
 
 from edge.messaging.alarm_payload import AlarmPayload
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
-from edge.messaging.reference_payload import ReferencePayload
-from edge.messaging.result_payload import ResultPayload
+from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import GelPayload, InfoPayload, StatePayload, StatsPayload
 
 __all__ = ["TOPICS", "Topic"]

@@ -11,8 +11,7 @@ from pydantic import ValidationError
 from edge.core.ports import Message
 from edge.messaging.alarm_payload import ADVICE, ALARMS, STAYING, AlarmPayload
 from edge.messaging.payload_base import Payload
-from edge.messaging.reference_payload import ReferencePayload
-from edge.messaging.result_payload import ResultPayload
+from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import GelPayload, InfoPayload, StatePayload, StatsPayload
 from edge.store.ulid import is_ulid
 

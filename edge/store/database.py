@@ -6,6 +6,7 @@ the publisher read while the gateway writes; synchronous=FULL makes a committed 
 
 import sqlite3
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, contextmanager
 from importlib.resources import files
@@ -21,6 +22,7 @@ __all__ = [
     "MIGRATIONS",
     "SCHEMA_VERSION",
     "Database",
+    "RunningTime",
     "insert",
     "open_read_only",
     "quick_check",
@@ -241,3 +243,43 @@ def _statements(script: str) -> Iterator[str]:
         if sqlite3.complete_statement(statement):
             yield statement
             statement = ""
+
+
+# Without presses it is stored this often.
+STORED_EVERY_NS: Final = 600 * 10**9
+
+
+class RunningTime:
+    """The time that a gateway has run on this database: the clock by which messages age. Use it inside a transaction.
+
+    The wall clock may step by months when a gateway without a clock battery finds a time server, so it says nothing
+    about age. Running time only goes forward, at the pace of the monotonic clock: it does not count while no gateway
+    runs, and a crash takes back at most the time since it was last stored.
+    """
+
+    def __init__(self, monotonic_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self._monotonic_ns = monotonic_ns
+        self._opened_ns = monotonic_ns()
+        self._before_ns: int | None = None  # the running time at the first use
+
+    def now_ns(self, connection: sqlite3.Connection) -> int:
+        """Nanoseconds that gateways have run on this database, at least as many as at any call before."""
+        stored_ns = self._read_stored(connection)
+        if self._before_ns is None:
+            self._before_ns = stored_ns
+        return max(stored_ns, self._before_ns + self._monotonic_ns() - self._opened_ns)
+
+    def store(self, connection: sqlite3.Connection) -> int:
+        """Store the running time, and return it in nanoseconds."""
+        now_ns = self.now_ns(connection)
+        connection.execute("UPDATE running SET running_ns = ?", (now_ns,))
+        return now_ns
+
+    def store_sometimes(self, connection: sqlite3.Connection) -> None:
+        """Keep it if that was not done for ten minutes."""
+        if self.now_ns(connection) - self._read_stored(connection) >= STORED_EVERY_NS:
+            self.store(connection)
+
+    @staticmethod
+    def _read_stored(connection: sqlite3.Connection) -> int:
+        return int(connection.execute("SELECT running_ns FROM running").fetchone()[0])

@@ -50,7 +50,7 @@ class Bounds:
     max_bytes: int = 512 << 20
     """Payloads and their rows."""
     max_age_s: float = 30 * 86400.0
-    """The longest running time of a message (edge.store.running_time)."""
+    """The longest running time of a message (edge.store.database)."""
 
     def __post_init__(self) -> None:
         if self.max_bytes < 1 or not self.max_age_s > 0:

@@ -29,8 +29,7 @@ from edge.features.black_box.replay import replayed
 from edge.features.black_box.stage import BlackBox
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
-from edge.store.evidence import ArchiveFolder
-from edge.store.press_archive import ArchivedPress, PressArchive
+from edge.store.press_archive import ArchivedPress, ArchiveFolder, PressArchive
 from edge.store.ulid import new_ulid
 
 PRESSES = 25

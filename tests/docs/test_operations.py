@@ -12,7 +12,7 @@ from edge.messaging.alarm_payload import ADVICE, ALARMS
 from edge.store.acts import KEPT_ACTS, KEPT_REFUSALS
 from edge.store.database import JOURNAL_LIMIT_BYTES
 from edge.store.gel_files import KEPT_GELS
-from edge.store.press_history import KEPT_PRESSES
+from edge.store.press_store import KEPT_PRESSES
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "operations.md").read_text(encoding="utf-8")

@@ -18,9 +18,8 @@ from station import station_config, variant
 from stepped_station import SteppedStation
 
 from edge.gateway.recorder import PressReport
-from edge.store.evidence import ArchiveFolder
 from edge.store.integrity import check_database
-from edge.store.press_archive import ArchivedPress, PressArchive, list_presses
+from edge.store.press_archive import ArchivedPress, ArchiveFolder, PressArchive, list_presses
 
 
 class Played:

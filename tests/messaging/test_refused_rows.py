@@ -13,7 +13,7 @@ from scripted_sink import ScriptedSink, drain, worker
 from edge.clock import ManualClock
 from edge.core.ports import Message
 from edge.logs import Text
-from edge.messaging.refused_rows import BROKEN_ATTEMPTS, OFFER_REFUSED_S, OFFERED_ROWS
+from edge.messaging.sink_worker import BROKEN_ATTEMPTS, OFFER_REFUSED_S, OFFERED_ROWS
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store
 

@@ -14,8 +14,7 @@ from edge.core.backoff import Backoff
 from edge.core.errors import StoreError
 from edge.core.ports import Message
 from edge.messaging.alarm_payload import ALARMS
-from edge.messaging.refused_rows import OFFER_REFUSED_S
-from edge.messaging.sink_worker import IDLE_S, RetainedState
+from edge.messaging.sink_worker import IDLE_S, OFFER_REFUSED_S, RetainedState
 from edge.messaging.status_payloads import StatePayload
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store

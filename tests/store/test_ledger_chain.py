@@ -15,7 +15,7 @@ from recorded_presses import SERIAL, T0, make_press, record
 
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.control_chart import Imprint
-from edge.store import acts, integrity, press_history, reference_presses, study_presses
+from edge.store import acts, integrity, press_store, reference_presses, study_presses
 from edge.store.acts import Act
 from edge.store.backup import migrate
 from edge.store.history import HistoryQuery, read_history
@@ -238,7 +238,7 @@ def test_a_database_that_was_migrated_says_where_its_chain_starts(tmp_path: Path
 
 def test_the_chain_still_verifies_when_old_presses_go(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The hash of the last link that went is the anchor, and a change of what remains is found as before."""
-    monkeypatch.setattr(press_history, "KEPT_PRESSES", 4)
+    monkeypatch.setattr(press_store, "KEPT_PRESSES", 4)
     with Store(path) as store:
         for n in range(1, 21):
             record(store, make_press(n))

@@ -9,8 +9,7 @@ from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.reference_press.charts import ReferencePress, judge
 from edge.core.verdict import Kind
-from edge.messaging.reference_payload import ReferencePayload
-from edge.messaging.result_payload import ResultPayload, heatmap_message
+from edge.messaging.result_payload import ReferencePayload, ResultPayload, heatmap_message
 from edge.messaging.status_payloads import (
     GelPayload,
     InfoPayload,

@@ -9,11 +9,10 @@ from calibration.experiments.detectability.study import Place, Plan, Trial
 from calibration.fitting.damage.damage import KINDS
 from edge.core.errors import StoreError
 from edge.model.archive import MANIFEST, open_archive
-from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest
+from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest, read_verified
 from edge.model.bundle_writer import manifest_bytes, write_bundle
 from edge.model.detectability import CARD, DetectabilityCard, KindCard
 from edge.model.signature import SIGNATURE
-from edge.model.verified_files import read_verified
 
 __all__ = ["KindResult", "card", "results", "table", "write_card"]
 

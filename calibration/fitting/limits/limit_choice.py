@@ -22,7 +22,7 @@ from calibration.fitting.limits.map_limit import KINDS, PLACES, PLAIN, Limit, Sp
 from calibration.fitting.limits.threshold import conformal_threshold, pieces_of
 from edge.core.press_again import KnownScores
 from edge.model.manifest import ThresholdEntry
-from edge.model.press_again_facts import PRESS_AGAIN, score_facts
+from edge.model.manifest_facts import PRESS_AGAIN, score_facts
 
 __all__ = ["WORTH", "Choice", "Evidence", "OtherLimit", "choose_limit"]
 

@@ -1,4 +1,4 @@
-"""A scored press in the pixels of the contact view, where the places of a gel are kept; also without its gel's marks."""
+"""A scored press in the pixels of the contact view, where the places of a gel are kept; also without the marks."""
 
 import math
 from collections.abc import Callable

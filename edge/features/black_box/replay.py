@@ -22,10 +22,9 @@ from edge.features.scars import mask_scars
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
 from edge.model.inspector import Inspector
-from edge.model.machine import fingerprint, how_they_differ
 from edge.model.scorer import Scorer
-from edge.store.evidence import ArchiveFolder
-from edge.store.press_archive import ArchivedPress
+from edge.model.session import fingerprint, how_they_differ
+from edge.store.press_archive import ArchivedPress, ArchiveFolder
 
 __all__ = ["Bundles", "Replayed", "replayed"]
 

@@ -13,7 +13,7 @@ from edge.core.imaging.quality import Reason
 from edge.core.press import Press
 from edge.features.press_stage import Alarms, PressStage, StageParts
 from edge.model.inspector import Inspector
-from edge.model.machine import fingerprint, fingerprint_bytes
+from edge.model.session import fingerprint, fingerprint_bytes
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_archive import ArchivedPress, PressArchive
 

@@ -1,4 +1,4 @@
--- `running_ns` counts the time that a gateway has run on this database (edge.store.running_time). Rows of version 1 have
+-- `running_ns` counts the time that a gateway has run on this database (edge.store.database). Rows of version 1 have
 -- no such time, and their age starts with the migration. New columns of `outbox` come after the payload; the queries
 -- that need them use an index, so they read no page of a heatmap either.
 CREATE TABLE running (
