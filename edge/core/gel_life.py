@@ -1,9 +1,8 @@
 """The gel's life: its presses, its limit, and what to do about it."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 
-__all__ = ["DEFAULT_LIMIT_PRESSES", "DEFAULT_WARN_FRACTION", "MOST_PRESSES", "GelLife", "GelState"]
+__all__ = ["DEFAULT_LIMIT_PRESSES", "DEFAULT_WARN_FRACTION", "MOST_PRESSES", "GelState", "state_of"]
 
 # The maker's figure for the GelSight Mini gel: 1,000 coin presses (datasheet). Sharp threads cut faster than coins;
 # the seed paper used up two gels over 2,678 listed pictures, about 1,340 each.
@@ -22,23 +21,14 @@ class GelState(StrEnum):
     REPLACE = "replace"
 
 
-@dataclass(frozen=True)
-class GelLife:
-    """A gel's press count against its limit."""
-
-    presses: int
-    limit: int = DEFAULT_LIMIT_PRESSES
-    warn_fraction: float = DEFAULT_WARN_FRACTION
-
-    def __post_init__(self) -> None:
-        if self.presses < 0 or self.limit < 1:
-            raise ValueError(f"presses >= 0 and limit >= 1 are needed, found {self.presses} and {self.limit}")
-        if not 0 < self.warn_fraction <= 1:
-            raise ValueError(f"the warning fraction is in (0, 1], found {self.warn_fraction}")
-
-    @property
-    def state(self) -> GelState:
-        """Due from the warning fraction on, replace from the limit on."""
-        if self.presses >= self.limit:
-            return GelState.REPLACE
-        return GelState.DUE if self.presses >= self.warn_fraction * self.limit else GelState.GOOD
+def state_of(
+    presses: int, limit: int = DEFAULT_LIMIT_PRESSES, warn_fraction: float = DEFAULT_WARN_FRACTION
+) -> GelState:
+    """Compare a gel's presses with its limit: due from the warning fraction on, replace from the limit on."""
+    if presses < 0 or limit < 1:
+        raise ValueError(f"presses >= 0 and limit >= 1 are needed, found {presses} and {limit}")
+    if not 0 < warn_fraction <= 1:
+        raise ValueError(f"the warning fraction is in (0, 1], found {warn_fraction}")
+    if presses >= limit:
+        return GelState.REPLACE
+    return GelState.DUE if presses >= warn_fraction * limit else GelState.GOOD

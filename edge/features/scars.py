@@ -21,7 +21,7 @@ from edge.core.registration.pose import warp
 from edge.features.press_stage import Alarms, PressStage, StageParts
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
-from edge.store.gel_files import ScarFolder
+from edge.store.gel_files import GelFiles
 from edge.store.gel_ledger import GelRecord
 
 __all__ = ["ScarWatch", "mask_scars"]
@@ -43,7 +43,7 @@ class ScarWatch(PressStage):
     """
 
     def __init__(
-        self, folder: ScarFolder, alarms: Alarms, *, is_masking: bool, most_blind_share: float
+        self, folder: GelFiles, alarms: Alarms, *, is_masking: bool, most_blind_share: float
     ) -> None:
         self._folder, self._alarms = folder, alarms
         self._is_masking, self._most_blind_share = is_masking, most_blind_share
@@ -58,7 +58,7 @@ class ScarWatch(PressStage):
         """Scars are kept next to the database."""
         table, folder = parts.config.gel, parts.config.store.path.with_suffix(".references")
         is_masking, share = table.scars == "masked", table.most_blind_share
-        return cls(ScarFolder(folder), parts.alarms, is_masking=is_masking, most_blind_share=share)
+        return cls(GelFiles(folder), parts.alarms, is_masking=is_masking, most_blind_share=share)
 
     def mount(self, gel: GelRecord) -> None:
         """Read the record of this gel; an unknown gel has none."""
@@ -68,7 +68,7 @@ class ScarWatch(PressStage):
     def _read(self) -> None:
         self._blind = self._mark = None
         self._say()
-        self._scars = GelScars(self._folder.load(self._serial, self._gel_id))
+        self._scars = GelScars(self._folder.load_scars(self._serial, self._gel_id))
         self.relearn()
 
     def relearn(self) -> None:
@@ -78,7 +78,7 @@ class ScarWatch(PressStage):
     def see(self, event: Event) -> None:
         """Forget what was found with a first picture of the gel that proved to be wrong."""
         if isinstance(event, ReferenceCorrected):
-            self._folder.forget(self._serial, self._gel_id)
+            self._folder.forget(self._serial, self._gel_id, "scars")
             self._read()
 
     def learn(self, first: View | None) -> None:
@@ -138,7 +138,7 @@ class ScarWatch(PressStage):
     def _save(self) -> None:
         """Keep the record where it is due. Never raises."""
         if self._unsaved >= _KEPT_EVERY and self._scars.record.planes.any():
-            self._folder.save(self._serial, self._gel_id, self._scars.record)
+            self._folder.save_scars(self._serial, self._gel_id, self._scars.record)
             self._unsaved = 0
 
     def _findings(self, inspection: Press, judged: Judged) -> ScarFindings:

@@ -47,7 +47,7 @@ from edge.messaging.sink_worker import RetainedState
 from edge.messaging.status_payloads import StatePayload, availability_message
 from edge.store.backup import migrate
 from edge.store.database import SCHEMA_VERSION
-from edge.store.gel_files import ReferenceFolder
+from edge.store.gel_files import GelFiles
 from edge.store.outbox import Bounds
 from edge.store.press_store import Store
 
@@ -109,7 +109,7 @@ def build(
         contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
         place=config.station.place,
         store=store,
-        references=ReferenceFolder(config.store.path.with_suffix(".references")),
+        references=GelFiles(config.store.path.with_suffix(".references")),
         publisher=publisher,
         status=status,
         acquisition=acquisition,

@@ -36,7 +36,7 @@ from edge.gateway.status import StationStatus
 from edge.logs import about_press
 from edge.model.inspector import Inspector
 from edge.model.manifest_facts import read_origin
-from edge.store.gel_files import ReferenceFolder
+from edge.store.gel_files import GelFiles
 from edge.store.gel_ledger import GelRecord
 from edge.store.ulid import new_ulid
 
@@ -67,7 +67,7 @@ class InspectionSession:
         gel: GelRecord,
         inspector: Inspector,
         settings: ContactSettings,
-        references: ReferenceFolder,
+        references: GelFiles,
         recorder: Recorder,
         status: StationStatus,
         clock: Clock,
@@ -79,7 +79,7 @@ class InspectionSession:
         self._label: PressLabel | None = None
         self._waiting: deque[WaitingPress] = deque()
         self._uncounted = 0  # presses for which there was no room to wait
-        stored, bundle = references.load(gel.serial, gel.gel_id, "last"), inspector.bundle
+        stored, bundle = references.load_picture(gel.serial, gel.gel_id, "last"), inspector.bundle
         self._detector = PressDetector(bundle.profile, settings, stored, bundle.free_reference)
         for stage in stages:
             stage.use(inspector)
@@ -243,7 +243,7 @@ class InspectionSession:
                 log.warning("%s", DOUBTED)
                 self._status.set_fault("free_gel", DOUBTED)
             case ReferenceCorrected():
-                self._references.forget(self.gel.serial, self.gel.gel_id)
+                self._references.forget(self.gel.serial, self.gel.gel_id, "first", "last")
             case ReferenceReady():
                 self._status.clear_fault("free_gel")
                 self._status.set_waiting_for(None)
@@ -267,8 +267,8 @@ class InspectionSession:
         if reference is None:
             return
         serial, gel_id = self.gel.serial, self.gel.gel_id
-        self._references.save(serial, gel_id, reference)
-        first = self._references.load(serial, gel_id, "first")
+        self._references.save_picture(serial, gel_id, reference)
+        first = self._references.load_picture(serial, gel_id, "first")
         for stage in self._stages:
             stage.learn(None if first is None else first.view)
         if first is not None and first.view.shape == reference.view.shape:

@@ -23,7 +23,7 @@ from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.report import FreeSpace, Report, Summary
 from edge.gateway.status import StationStatus
 from edge.messaging.publisher import Publisher
-from edge.store.gel_files import ReferenceFolder
+from edge.store.gel_files import GelFiles
 from edge.store.press_store import Store
 
 __all__ = ["OnPress", "Parts", "StationLoop"]
@@ -49,7 +49,7 @@ class Parts:
     contact: ContactSettings
     place: Place
     store: Store
-    references: ReferenceFolder
+    references: GelFiles
     publisher: Publisher
     status: StationStatus
     acquisition: Acquisition

@@ -16,7 +16,7 @@ from edge.core.contact.reference import Reference
 from edge.core.gel_scars.record import PLANES, ScarRecord
 from edge.core.imaging.decode import VIEW_SIZE
 
-__all__ = ["KEPT_GELS", "ReferenceFolder", "ScarFolder"]
+__all__ = ["KEPT_GELS", "GelFiles"]
 
 log = logging.getLogger(__name__)
 
@@ -27,14 +27,40 @@ Name = Literal["first", "last", "scars"]
 KEPT_GELS: Final = 20
 
 
-class _GelFiles:
+class GelFiles:
     """A folder of `<serial>/<gel id>.<name>.npy`. A file that cannot be read or written is logged, and never raises."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
+    def load_picture(self, serial: str, gel_id: str, name: Literal["first", "last"]) -> Reference | None:
+        """Read a picture of the free gel, float32 (h, w, 3), RGB; None when it is missing or cannot be read."""
+        return self._load(serial, gel_id, name, _reference)
+
+    def load_scars(self, serial: str, gel_id: str) -> ScarRecord | None:
+        """Read the scars of a gel, float32 (7, 120, 160); None when they are missing or cannot be read."""
+        return self._load(serial, gel_id, "scars", _scars)
+
+    def save_picture(self, serial: str, gel_id: str, reference: Reference) -> None:
+        """Keep this picture as the last of its gel, and as the first if it has none."""
+        is_kept = self._save(serial, gel_id, "last", reference.view)
+        if is_kept and not self._path(serial, gel_id, "first").exists():
+            self._save(serial, gel_id, "first", reference.view)
+            self._remove_old(serial)
+
+    def save_scars(self, serial: str, gel_id: str, record: ScarRecord) -> None:
+        """Keep the scars of a gel."""
+        self._save(serial, gel_id, "scars", record.planes)
+
+    def forget(self, serial: str, gel_id: str, *names: Name) -> None:
+        """Remove what proved to be wrong of this gel; it is learnt again."""
+        for path in (self._path(serial, gel_id, name) for name in names):
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                log.warning("%s was not removed: %s", path, error.strerror or error)
+
     def _load(self, serial: str, gel_id: str, name: Name, make: Callable[[NDArray[Any]], T]) -> T | None:
-        """Read an array. make: gives what it is. Errors: ValueError of `make` is logged."""
         path = self._path(serial, gel_id, name)
         try:
             return make(np.load(path, allow_pickle=False))
@@ -58,36 +84,6 @@ class _GelFiles:
             return False
         return True
 
-    def _forget(self, serial: str, gel_id: str, *names: Name) -> None:
-        for name in names:
-            path = self._path(serial, gel_id, name)
-            try:
-                path.unlink(missing_ok=True)
-            except OSError as error:
-                log.warning("%s was not removed: %s", path, error.strerror or error)
-
-    def _path(self, serial: str, gel_id: str, name: Name) -> Path:
-        return self.folder / _file_name(serial) / f"{_file_name(gel_id)}.{name}.npy"
-
-
-class ReferenceFolder(_GelFiles):
-    """The pictures of the free gel: float32 (h, w, 3), RGB."""
-
-    def load(self, serial: str, gel_id: str, which: Literal["first", "last"]) -> Reference | None:
-        """Read the picture; None when it is missing or cannot be read."""
-        return self._load(serial, gel_id, which, _reference)
-
-    def save(self, serial: str, gel_id: str, reference: Reference) -> None:
-        """Keep this picture as the last of its gel, and as the first if it has none."""
-        is_kept = self._save(serial, gel_id, "last", reference.view)
-        if is_kept and not self._path(serial, gel_id, "first").exists():
-            self._save(serial, gel_id, "first", reference.view)
-            self._remove_old(serial)
-
-    def forget(self, serial: str, gel_id: str) -> None:
-        """Forget the pictures of this gel, which proved to show no free gel; they are learnt again."""
-        self._forget(serial, gel_id, "first", "last")
-
     def _remove_old(self, serial: str) -> None:
         """Remove the files of gels that were replaced long ago: nothing is compared with them any more."""
         folder, end = self.folder / _file_name(serial), ".last.npy"
@@ -99,21 +95,8 @@ class ReferenceFolder(_GelFiles):
         except OSError as error:
             log.warning("old files in %s were not removed: %s", folder, error.strerror or error)
 
-
-class ScarFolder(_GelFiles):
-    """The scars of gels: float32 (7, 120, 160)."""
-
-    def load(self, serial: str, gel_id: str) -> ScarRecord | None:
-        """Read the record; None when it is missing or cannot be read."""
-        return self._load(serial, gel_id, "scars", _scars)
-
-    def save(self, serial: str, gel_id: str, record: ScarRecord) -> None:
-        """Keep the record."""
-        self._save(serial, gel_id, "scars", record.planes)
-
-    def forget(self, serial: str, gel_id: str) -> None:
-        """Forget the scars of this gel; they are learnt again."""
-        self._forget(serial, gel_id, "scars")
+    def _path(self, serial: str, gel_id: str, name: Name) -> Path:
+        return self.folder / _file_name(serial) / f"{_file_name(gel_id)}.{name}.npy"
 
 
 def _reference(view: NDArray[Any]) -> Reference:

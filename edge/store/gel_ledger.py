@@ -8,7 +8,7 @@ import sqlite3
 from dataclasses import dataclass
 
 from edge.core.errors import StoreError
-from edge.core.gel_life import GelLife, GelState
+from edge.core.gel_life import GelState, state_of
 from edge.store import ledger_chain
 
 __all__ = ["GelRecord", "count_press", "find_mounted", "history", "mount", "set_wear"]
@@ -53,7 +53,7 @@ class GelRecord:
         """The state of its press count, or `replace` when it is optically worn or its count cannot be."""
         if (self.wear_index or 0.0) >= 1.0 or not self.can_be:
             return GelState.REPLACE
-        return GelLife(self.presses, self.limit_presses, self.warn_fraction).state
+        return state_of(self.presses, self.limit_presses, self.warn_fraction)
 
 
 def find_mounted(connection: sqlite3.Connection, serial: str, warn_fraction: float) -> GelRecord | None:

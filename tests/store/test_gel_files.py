@@ -8,15 +8,15 @@ import pytest
 
 from edge.core.contact.reference import Reference
 from edge.core.gel_scars.record import PLANES, ScarRecord
-from edge.store.gel_files import KEPT_GELS, ReferenceFolder, ScarFolder
+from edge.store.gel_files import KEPT_GELS, GelFiles
 
 
 def test_a_picture_comes_back(tmp_path: Path) -> None:
     """The first of a gel stays the first, the last is the newest."""
-    folder = ReferenceFolder(tmp_path)
+    folder = GelFiles(tmp_path)
     for level in (1.0, 2.0):
-        folder.save("S1", "gel/1", Reference(np.full((120, 160, 3), level, np.float32), 10, 0))
-    first, last = (folder.load("S1", "gel/1", which) for which in ("first", "last"))
+        folder.save_picture("S1", "gel/1", Reference(np.full((120, 160, 3), level, np.float32), 10, 0))
+    first, last = (folder.load_picture("S1", "gel/1", which) for which in ("first", "last"))
 
     assert first is not None
     assert last is not None
@@ -37,25 +37,25 @@ def test_a_damaged_picture_or_one_of_another_size_is_none(
     else:
         np.save(path, content)
 
-    assert ReferenceFolder(tmp_path).load("S1", "g", "last") is None
+    assert GelFiles(tmp_path).load_picture("S1", "g", "last") is None
 
 
 def test_pictures_of_gels_of_long_ago_are_removed(tmp_path: Path) -> None:
     """The newest are kept, with the first picture of each; another sensor's are not touched."""
-    folder = ReferenceFolder(tmp_path)
+    folder = GelFiles(tmp_path)
     view = Reference(np.zeros((120, 160, 3), np.float32), 10, 0)
-    folder.save("S2", "g0", view)
+    folder.save_picture("S2", "g0", view)
     for number in range(KEPT_GELS + 2):
-        folder.save("S1", f"g{number}", view)
+        folder.save_picture("S1", f"g{number}", view)
         for which in ("first", "last"):  # an order that the clock of the test's disk cannot blur
             os.utime(tmp_path / "S1" / f"g{number}.{which}.npy", ns=(number, number))
-    folder.save("S1", f"g{KEPT_GELS + 1}", view)
+    folder.save_picture("S1", f"g{KEPT_GELS + 1}", view)
 
     assert len(list((tmp_path / "S1").iterdir())) == 2 * KEPT_GELS
-    assert folder.load("S1", "g0", "first") is None
-    assert folder.load("S1", "g1", "last") is None
-    assert folder.load("S1", "g2", "first") is not None
-    assert folder.load("S2", "g0", "first") is not None
+    assert folder.load_picture("S1", "g0", "first") is None
+    assert folder.load_picture("S1", "g1", "last") is None
+    assert folder.load_picture("S1", "g2", "first") is not None
+    assert folder.load_picture("S2", "g0", "first") is not None
 
 
 def record() -> ScarRecord:
@@ -65,20 +65,20 @@ def record() -> ScarRecord:
 
 def test_a_record_is_read_as_it_was_kept(tmp_path: Path) -> None:
     """Of its sensor and gel, and of no other."""
-    ScarFolder(tmp_path).save("28J3", "gel-1", record())
-    found = ScarFolder(tmp_path).load("28J3", "gel-1")
+    GelFiles(tmp_path).save_scars("28J3", "gel-1", record())
+    found = GelFiles(tmp_path).load_scars("28J3", "gel-1")
 
     assert found is not None
     assert np.array_equal(found.planes, record().planes)
-    assert ScarFolder(tmp_path).load("28J3", "gel-2") is None
+    assert GelFiles(tmp_path).load_scars("28J3", "gel-2") is None
 
 
 def test_a_record_of_an_earlier_version_keeps_its_scars(tmp_path: Path) -> None:
     """It had one more plane at the end, which is not used any more."""
-    ScarFolder(tmp_path).save("28J3", "gel-1", record())
+    GelFiles(tmp_path).save_scars("28J3", "gel-1", record())
     path = next(tmp_path.rglob("*.scars.npy"))
     np.save(path, np.concatenate([record().planes, np.ones((1, 120, 160), np.float32)]))
-    found = ScarFolder(tmp_path).load("28J3", "gel-1")
+    found = GelFiles(tmp_path).load_scars("28J3", "gel-1")
 
     assert found is not None
     assert np.array_equal(found.planes, record().planes)
@@ -93,12 +93,12 @@ def test_a_damaged_record_is_learnt_again_and_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, damaged: bytes | np.ndarray
 ) -> None:
     """As after a power cut."""
-    ScarFolder(tmp_path).save("28J3", "gel-1", record())
+    GelFiles(tmp_path).save_scars("28J3", "gel-1", record())
     path = next(tmp_path.rglob("*.scars.npy"))
     if isinstance(damaged, bytes):
         path.write_bytes(damaged)
     else:
         np.save(path, damaged)
 
-    assert ScarFolder(tmp_path).load("28J3", "gel-1") is None
+    assert GelFiles(tmp_path).load_scars("28J3", "gel-1") is None
     assert "learnt again" in caplog.text
