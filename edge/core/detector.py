@@ -126,35 +126,28 @@ class Detector(Protocol):
     @property
     def name(self) -> str:
         """The method's name in manifests and messages; that of the entry point."""
-        ...
 
     @property
     def compares_places(self) -> bool:
         """True where a press is compared with the same place of nominal ones, so that parts must be at one place."""
-        ...
 
     @property
     def is_baseline(self) -> bool:
         """True for a baseline; baselines are left out of the default comparison of methods."""
-        ...
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> Any:
         """The mode's parameters with overrides. Errors: FitError for an unknown name or a value out of range."""
-        ...
 
     def taps(self, parameters: Any) -> tuple[str, ...]:
         """The taps that this detector reads, of those in the trunk."""
-        ...
 
     def fit(
         self, nominal: Nominal, grid: Grid, parameters: Any, rng: np.random.Generator, progress: Progress
     ) -> Bank:
         """Learn the bank. Errors: FitError (no presses, non-finite features, nothing left after filtering)."""
-        ...
 
     def head(self, grid: Grid, bank: Bank, parameters: Any) -> bytes:
         """The serialised ONNX graph for this grid. Imports onnx at use."""
-        ...
 
 
 @runtime_checkable
@@ -163,4 +156,3 @@ class HasReference(Protocol):
 
     def reference_score(self, features: Features, grid: Grid, bank: Bank, parameters: Any) -> ScoreMaps:
         """Scores of n presses by readable NumPy in float64, with the same parameters as `fit` and `head`."""
-        ...

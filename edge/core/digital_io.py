@@ -45,22 +45,18 @@ class Trigger(Protocol):
     @property
     def name(self) -> str:
         """Such as `PCsensor FootSwitch at /dev/hidraw3`."""
-        ...
 
     def read(self, deadline_ns: int) -> bool | None:
         """True when it went down, False when it was released, None when neither happened until the deadline.
 
         Each change is returned once. A vanished device may read as unchanged. Errors: DeviceLost.
         """
-        ...
 
     def is_present(self) -> bool:
         """Tell whether it is still plugged in."""
-        ...
 
     def close(self) -> None:
         """Release it. May be called again."""
-        ...
 
 
 @runtime_checkable
@@ -76,15 +72,12 @@ class Actuator(Protocol):
     def write(self, channel: int, is_on: bool) -> None:
         """Switch, and return when it is switched. Errors: DeviceLost, DeviceStalled when it does not switch;
         ValueError for a channel that it does not have."""
-        ...
 
     def is_present(self) -> bool:
         """Tell whether it is still plugged in."""
-        ...
 
     def close(self) -> None:
         """Release it, and leave the outputs as they are. May be called again."""
-        ...
 
 
 class Debounce:

@@ -25,32 +25,6 @@ GelgateError
 └── FitError           operator · give other or more nominal presses
 """
 
-__all__ = [
-    "ArchiveError",
-    "BundleCorrupt",
-    "BundleError",
-    "BundleMismatch",
-    "ConfigError",
-    "DatasetError",
-    "DeviceBusy",
-    "DeviceError",
-    "DeviceLost",
-    "DeviceNotFound",
-    "DeviceStalled",
-    "FitError",
-    "FrameCorrupt",
-    "GelgateError",
-    "NotScorable",
-    "PoseNotFound",
-    "PressesMissed",
-    "RecordingEnded",
-    "RecordingError",
-    "SinkError",
-    "SinkRejected",
-    "SinkUnavailable",
-    "StoreError",
-]
-
 
 class GelgateError(Exception):
     """Anything that gelgate refuses: one sentence with the thing, what was found, what was expected, what to do."""

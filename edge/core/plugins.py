@@ -57,11 +57,9 @@ class DevicePlugin(Protocol[OptionsT]):
 
     def discover(self, options: OptionsT) -> Sequence[DiscoveredDevice]:
         """Every device found that is, or looks like, this plugin's sensor, in a fixed order."""
-        ...
 
     def open(self, options: OptionsT, clock: Clock) -> Device:
         """The sensor selected by the options. Errors: DeviceNotFound, DeviceBusy, DeviceLost, RecordingError."""
-        ...
 
 
 @runtime_checkable
@@ -70,7 +68,6 @@ class Resettable(Protocol[AnyOptions]):
 
     def reset(self, options: AnyOptions) -> str:
         """Reset the sensor selected by the options, and return its name. Errors: as `DevicePlugin.open`."""
-        ...
 
 
 @runtime_checkable
@@ -79,7 +76,6 @@ class PlaysRecording(Protocol[AnyOptions]):
 
     def recording(self, options: AnyOptions) -> Path:
         """The folder that is played."""
-        ...
 
 
 @runtime_checkable
@@ -94,7 +90,6 @@ class SinkPlugin(Protocol[OptionsT]):
 
         Errors: ConfigError for options that can never work, such as a certificate that is not there.
         """
-        ...
 
 
 @runtime_checkable
@@ -103,7 +98,6 @@ class HasAddress(Protocol):
 
     def address(self) -> tuple[str, int]:
         """(host, port). Errors: ConfigError for options that can never work."""
-        ...
 
 
 @runtime_checkable
@@ -112,7 +106,6 @@ class HasIdentity(Protocol):
 
     def identity(self) -> str:
         """Such as `host:port`; the same for the same receiver."""
-        ...
 
 
 @runtime_checkable
@@ -121,7 +114,6 @@ class HasWarnings(Protocol):
 
     def warnings(self) -> Sequence[str]:
         """List warnings, one sentence for each. Errors: ConfigError for options that can never work."""
-        ...
 
 
 @runtime_checkable
@@ -134,11 +126,9 @@ class TriggerPlugin(Protocol[OptionsT]):
     def discover(self, options: OptionsT) -> Sequence[DiscoveredPort]:
         """Every device found that is, or looks like, one of this kind, in a fixed order. Errors: ConfigError for a
         package that is not installed."""
-        ...
 
     def open(self, options: OptionsT, clock: Clock) -> Trigger:
         """The device selected by the options. Errors: DeviceNotFound, DeviceBusy, DeviceLost."""
-        ...
 
 
 @runtime_checkable
@@ -151,12 +141,10 @@ class ActuatorPlugin(Protocol[OptionsT]):
     def discover(self, options: OptionsT) -> Sequence[DiscoveredPort]:
         """Every device found that is, or looks like, one of this kind, in a fixed order. It switches nothing. Errors:
         ConfigError for a package that is not installed."""
-        ...
 
     def open(self, options: OptionsT, clock: Clock) -> Actuator:
         """The device selected by the options; its outputs stay as they are. Errors: DeviceNotFound, DeviceBusy,
         DeviceLost."""
-        ...
 
 
 @runtime_checkable
@@ -172,7 +160,6 @@ class Backbone(Protocol):
         Input `frames` uint8 RGB (n, h, w, 3); every tap an output float32 (n, c, h', w'). Errors: ConfigError for a
         tap that it does not have.
         """
-        ...
 
 
 @runtime_checkable
@@ -181,4 +168,3 @@ class HasFacts(Protocol):
 
     def facts(self) -> Mapping[str, object]:
         """Plain JSON, for the manifest of every bundle that is fitted on it."""
-        ...

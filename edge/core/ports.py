@@ -71,11 +71,9 @@ class Device(Protocol):
         Errors: DeviceStalled at the deadline, DeviceLost when unplugged, FrameCorrupt for one bad frame,
         RecordingEnded when a recording is over. After DeviceLost only `close` is allowed.
         """
-        ...
 
     def close(self) -> None:
         """Release everything. May be called again."""
-        ...
 
 
 @runtime_checkable
@@ -112,11 +110,9 @@ class Sink(Protocol):
 
     def send(self, message: Message) -> None:
         """Deliver, and return only when acknowledged. Errors: SinkUnavailable, SinkRejected."""
-        ...
 
     def close(self) -> None:
         """Disconnect properly. May be called again."""
-        ...
 
 
 @runtime_checkable
@@ -126,4 +122,3 @@ class ReportsFaults(Protocol):
     @property
     def faults(self) -> Sequence[str]:
         """List the faults, one sentence for each; empty without a fault. Any thread may read it."""
-        ...

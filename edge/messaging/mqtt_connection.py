@@ -226,11 +226,13 @@ class Connection:
         if will is not None:
             properties = self._properties(will, PacketTypes.WILLMESSAGE)
             client.will_set(will.topic, will.payload, will.qos, will.retain, properties)
-        client.on_connect = self._on_connect
-        client.on_disconnect = self._on_disconnect
-        client.on_publish = self._on_publish
-        client.on_subscribe = self._on_subscribe
-        client.on_message = self._message
+        client.on_connect = lambda _, __, flags, reason, properties: self._take_consent(reason, properties)
+        client.on_disconnect = lambda _, __, flags, reason, properties: self._end(flags, reason)
+        client.on_publish = lambda _, __, mid, reason, properties: self._note(mid, reason)
+        client.on_subscribe = lambda _, __, mid, reasons, properties: self._note(
+            mid, next(iter(reasons), None)
+        )
+        client.on_message = lambda _, __, message: self._message(message)
         return client
 
     def _establish(self) -> None:
@@ -328,29 +330,15 @@ class Connection:
         if self._is_established:  # an attempt that failed was reported by its exception
             self._on_lost()
 
-    # The callbacks, called by the library's thread, which never waits here.
+    # Called by the library's thread, which never waits here.
 
-    def _on_connect(
-        self,
-        client: paho.Client,
-        userdata: object,
-        flags: paho.ConnectFlags,
-        reason: ReasonCode,
-        properties: Properties | None,
-    ) -> None:
+    def _take_consent(self, reason: ReasonCode, properties: Properties | None) -> None:
         with self._changed:
             self._consent = reason
             self._largest_packet = getattr(properties, "MaximumPacketSize", None)
             self._changed.notify_all()
 
-    def _on_disconnect(
-        self,
-        client: paho.Client,
-        userdata: object,
-        flags: paho.DisconnectFlags,
-        reason: ReasonCode,
-        properties: Properties | None,
-    ) -> None:
+    def _end(self, flags: paho.DisconnectFlags, reason: ReasonCode) -> None:
         if reason.value == _SILENT:
             self.was_given_up = True
             self._lose("it was silent for longer than keepalive_s")
@@ -364,27 +352,12 @@ class Connection:
         else:
             self._lose(str(reason))
 
-    def _on_publish(
-        self, client: paho.Client, userdata: object, mid: int, reason: ReasonCode, properties: Properties
-    ) -> None:
-        self._note(mid, reason)
-
-    def _on_subscribe(
-        self,
-        client: paho.Client,
-        userdata: object,
-        mid: int,
-        reasons: list[ReasonCode],
-        properties: Properties,
-    ) -> None:
-        self._note(mid, reasons[0] if reasons else None)
-
     def _note(self, mid: int, reason: ReasonCode | None) -> None:
         with self._changed:
             self._answers[mid] = reason
             self._changed.notify_all()
 
-    def _message(self, client: paho.Client, userdata: object, message: paho.MQTTMessage) -> None:
+    def _message(self, message: paho.MQTTMessage) -> None:
         if self._on_received is None:
             return
         properties = message.properties

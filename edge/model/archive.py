@@ -31,11 +31,9 @@ class Archive(Protocol):
 
     def has(self, name: str) -> bool:
         """Tell whether there is anything of that name."""
-        ...
 
     def read(self, name: str, limit: int = MAX_FILE_BYTES) -> bytes:
         """The bytes of one file. Errors: BundleCorrupt when missing, larger than the limit, or not a plain file."""
-        ...
 
 
 class _Folder:

@@ -26,21 +26,12 @@ __all__ = [
     "saturates",
 ]
 
-_NAMES = (
-    "EPFail",
-    "EngineError",
-    "Fail",
-    "InvalidArgument",
-    "InvalidGraph",
-    "InvalidProtobuf",
-    "ModelLoaded",
-    "NoModel",
-    "NoSuchFile",
-    "NotImplemented",
-    "RuntimeException",
-)
 RUNTIME_ERRORS: tuple[type[Exception], ...] = (
-    *(getattr(ort.capi.onnxruntime_pybind11_state, name) for name in _NAMES),
+    *(
+        kind
+        for kind in vars(ort.capi.onnxruntime_pybind11_state).values()
+        if isinstance(kind, type) and issubclass(kind, Exception)
+    ),
     RuntimeError,
     ValueError,
 )
