@@ -78,7 +78,9 @@ def test_every_error_is_in_the_manual_and_in_the_tree() -> None:
     """The tree names each class once, below its own base, and says whose fault it is and what comes next."""
     drawn = [kind for kind, _, _ in GENERATE.tree()]
 
-    assert sorted(kind.__name__ for kind in drawn) == sorted({name for name in vars(errors) if name[0].isupper()} - {"GelgateError"})
+    assert sorted(kind.__name__ for kind in drawn) == sorted(
+        {name for name in vars(errors) if name[0].isupper()} - {"GelgateError"}
+    )
     above: dict[int, type] = {0: errors.GelgateError}
     for line in (errors.__doc__ or "").splitlines():
         found = re.match(r"([│ ]*)[├└]── (\w+)", line)
