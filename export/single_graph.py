@@ -296,8 +296,8 @@ def _end(chosen: _Outputs, outputs: Mapping[str, NDArray[Any]], frame: tuple[int
     if not chosen.score:
         score = graph.op("ReduceMax", x, graph.ints(1, 2), keepdims=0)
     if (h, w) != frame:
-        rows, columns = (linear_matrix(a, b).astype(np.float32) for a, b in zip((h, w), frame, strict=True))
-        x = graph.op("MatMul", graph.constant(rows), graph.op("MatMul", x, graph.constant(columns.T)))
+        rows, columns = (linear_matrix(a, b) for a, b in zip((h, w), frame, strict=True))
+        x = graph.between(rows, x, columns)
     graph.output(SCORE_MAP, x, ("n", *frame))
     graph.output(SCORE, score, ("n",))
     return graph.serialise()

@@ -94,6 +94,35 @@ class Graph:
         """Reorder the axes."""
         return self.op("Transpose", value, perm=list(order))
 
+    def slice(self, value: Value, first: int, last: int, axis: int) -> Value:
+        """Take the places `first` to `last` of an axis."""
+        return self.op("Slice", value, self.ints(first), self.ints(last), self.ints(axis))
+
+    def unsqueeze(self, value: Value, *axes: int) -> Value:
+        """Add axes of length one."""
+        return self.op("Unsqueeze", value, self.ints(*axes))
+
+    def squeeze(self, value: Value, *axes: int) -> Value:
+        """Remove axes of length one."""
+        return self.op("Squeeze", value, self.ints(*axes))
+
+    def first(self, value: Value, axis: int) -> Value:
+        """Take the first place of an axis, without that axis."""
+        return self.squeeze(self.op("Gather", value, self.ints(0), axis=axis), axis)
+
+    def concat(self, values: Sequence[Value], axis: int) -> Value:
+        """Join values along an axis; a single one stays as it is."""
+        return self.op("Concat", *values, axis=axis) if len(values) > 1 else values[0]
+
+    def length(self, value: Value, axis: int) -> Value:
+        """Compute the Euclidean length along an axis, which goes."""
+        return self.op("Sqrt", self.op("ReduceSumSquare", value, self.ints(axis), keepdims=0))
+
+    def between(self, rows: NDArray[Any], value: Value, columns: NDArray[Any]) -> Value:
+        """Multiply maps (..., h, w) by fixed matrices: rows @ value @ columns.T."""
+        left, right = (self.constant(np.asarray(matrix, np.float32)) for matrix in (rows, columns.T))
+        return self.op("MatMul", left, self.op("MatMul", value, right))
+
     def serialise(self, facts: Mapping[str, str] | None = None) -> bytes:
         """The checked graph as bytes, with `facts` as its metadata.
 

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from edge.core.detector import Grid
 from export.importers.framing import Framing
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, HalvedBank
@@ -41,18 +39,13 @@ class MapSteps:
             smoothing_matrix(n, pixels, self.sigma_px, self.upsampling, self.border)
             for n, pixels in zip(cells, self.framing.size, strict=True)
         )
-        smooth = _between(graph, raw, rows, columns)
+        smooth = graph.between(rows, raw, columns)
         if score is None:
             score = graph.op("ReduceMax", smooth, graph.ints(1, 2), keepdims=0)
         if not self.framing.is_plain:
-            smooth = _between(graph, smooth, self.framing.back(0), self.framing.back(1))
+            smooth = graph.between(self.framing.back(0), smooth, self.framing.back(1))
         graph.output("score_map", smooth, ("n", *self.framing.frame))
         graph.output("score", score, ("n",))
-
-
-def _between(graph: Graph, maps: Value, rows: np.ndarray, columns: np.ndarray) -> Value:
-    right = graph.constant(np.ascontiguousarray(columns.T, np.float32))
-    return graph.op("MatMul", graph.constant(rows.astype(np.float32)), graph.op("MatMul", maps, right))
 
 
 def padim_head(embedding: Embedding, ridge: float, steps: MapSteps) -> bytes:
@@ -80,10 +73,10 @@ def patchcore_head(
     graph = Graph("patchcore")
     (h, w), width = descriptor.cells(grid), descriptor.width(grid)
     columns = descriptor.emit(graph, grid, None)
-    mean = graph.op("Unsqueeze", graph.input("mean", (width,)), graph.ints(1))
+    mean = graph.unsqueeze(graph.input("mean", (width,)), 1)
     patches = graph.transpose(graph.op("Sub", columns, mean), 0, 2, 1)
     bank = graph.input("bank", (rows, width))
-    raw = _nearest(graph, patches, bank, (rows, width), h * w)
+    raw = HalvedBank(graph, bank).search(patches, (h * w, width), PRODUCT_LIMIT // rows)
     if is_squared:
         raw = graph.op("Mul", raw, raw)
     score = graph.op("ReduceMax", raw, graph.ints(1), keepdims=0)
@@ -93,33 +86,17 @@ def patchcore_head(
     return graph.serialise()
 
 
-def _nearest(graph: Graph, patches: Value, bank: Value, size: tuple[int, int], cells: int) -> Value:
-    """Distances (n, cells) of patches (n, cells, d) to their nearest rows, in slices that limit the memory."""
-    searched = HalvedBank(graph, bank)
-    step = max(1, PRODUCT_LIMIT // size[0])
-    parts = []
-    for first in range(0, cells, step):
-        count = min(step, cells - first)
-        part = graph.op("Slice", patches, graph.ints(first), graph.ints(first + count), graph.ints(1))
-        parts.append(graph.reshape(searched.nearest(graph.reshape(part, -1, size[1])), -1, count))
-    return graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
-
-
 def _weight(graph: Graph, patches: Value, raw: Value, bank: Value, neighbours: int) -> Value:
     """anomalib's weight (n,): 1 minus the share of the nearest row in a softmax over the distances of the most
     anomalous patch to the rows around that row."""
     top = graph.op("ArgMax", raw, axis=1, keepdims=1)
     patch = graph.op("GatherND", patches, top, batch_dims=1)
     nearest = _closest(graph, patch, bank, 1)
-    around = _closest(
-        graph, graph.op("Squeeze", graph.op("Gather", bank, nearest, axis=0), graph.ints(1)), bank, neighbours
-    )
-    difference = graph.op(
-        "Sub", graph.op("Gather", bank, around, axis=0), graph.op("Unsqueeze", patch, graph.ints(1))
-    )
-    apart = graph.op("Sqrt", graph.op("ReduceSumSquare", difference, graph.ints(2), keepdims=0))
-    share = graph.op("Gather", graph.op("Softmax", apart, axis=1), graph.ints(0), axis=1)
-    return graph.op("Sub", graph.scalar(1.0), graph.op("Squeeze", share, graph.ints(1)))
+    around = _closest(graph, graph.squeeze(graph.op("Gather", bank, nearest, axis=0), 1), bank, neighbours)
+    difference = graph.op("Sub", graph.op("Gather", bank, around, axis=0), graph.unsqueeze(patch, 1))
+    apart = graph.length(difference, 2)
+    share = graph.first(graph.op("Softmax", apart, axis=1), 1)
+    return graph.op("Sub", graph.scalar(1.0), share)
 
 
 def _closest(graph: Graph, queries: Value, bank: Value, count: int) -> Value:
@@ -180,7 +157,7 @@ def dfkde_head(
         along = graph.op("Div", along, graph.op("Max", length, graph.scalar(1e-12)))
     scaled = graph.op("MatMul", along, graph.input("bandwidth", (components, components)))
     dataset = graph.input("dataset", (rows, components))
-    difference = graph.op("Sub", graph.op("Unsqueeze", scaled, graph.ints(1)), dataset)
+    difference = graph.op("Sub", graph.unsqueeze(scaled, 1), dataset)
     squared = graph.op("ReduceSumSquare", difference, graph.ints(2), keepdims=0)
     log = graph.op("ReduceLogSumExp", graph.op("Mul", squared, graph.scalar(-0.5)), graph.ints(1), keepdims=0)
     density = graph.op("Add", log, graph.input("log_norm", (1,)))
@@ -191,6 +168,6 @@ def dfkde_head(
 
 def emit_constant_map(graph: Graph, score: Value, framing: Framing) -> None:
     """The outputs of a method that says how anomalous a press is and not where: the score at every pixel."""
-    spread = graph.op("Expand", graph.op("Unsqueeze", score, graph.ints(1, 2)), graph.ints(1, *framing.frame))
+    spread = graph.op("Expand", graph.unsqueeze(score, 1, 2), graph.ints(1, *framing.frame))
     graph.output("score_map", spread, ("n", *framing.frame))
     graph.output("score", score, ("n",))

@@ -17,7 +17,8 @@ from edge.core.detector import Bank, Features, Grid
 from edge.core.errors import ConfigError
 from export.importers.contract import Settings
 from export.importers.heads import MapSteps, padim_head
-from plugins.detectors.common.embedding import Embedding, EmbeddingChoice
+from plugins.detectors.common.embedding import Embedding, split_channels
+from plugins.detectors.common.parameters import EmbeddingParameters
 from plugins.reading.foreign import float32
 
 __all__ = ["Gaussians", "PadimParts", "Reduced", "distances_both_ways", "padim_parts", "reduce_matrices"]
@@ -209,8 +210,7 @@ def padim_parts(given: Gaussians, grid: Grid, steps: MapSteps, settings: Setting
 
 def _embedding(given: Gaussians, grid: Grid) -> tuple[NDArray[np.int64], Embedding]:
     """The order that sorts the file's channels, and the embedding that takes them."""
-    counts = [grid.taps[tap][0] for tap in given.layers]
-    total = sum(counts)
+    total = sum(grid.taps[tap][0] for tap in given.layers)
     order = np.argsort(given.channels, kind="stable")
     chosen = given.channels[order]
     if chosen[0] < 0 or chosen[-1] >= total or len(np.unique(chosen)) != len(chosen):
@@ -218,20 +218,15 @@ def _embedding(given: Gaussians, grid: Grid) -> tuple[NDArray[np.int64], Embeddi
             f"{given.path}: the selected channels go from {chosen[0]} to {chosen[-1]}, the taps "
             f"{', '.join(given.layers)} have {total}, each at most once; name the trunk and layers of the training"
         )
-    arrays, first = {}, 0
-    for tap, count in zip(given.layers, counts, strict=True):
-        arrays[f"channels_{tap}"] = chosen[(chosen >= first) & (chosen < first + count)] - first
-        first += count
-    choice = EmbeddingChoice(
-        given.layers,
-        given.layers[0],
-        "random",
-        len(chosen),
-        False,
-        False,
-        tuple(int(channel) for channel in chosen),
+    choice = EmbeddingParameters(
+        taps=given.layers,
+        grid_tap=given.layers[0],
+        projection="random",
+        channels=len(chosen),
+        is_balanced=False,
+        is_sampled=False,
     )
-    return order, Embedding(choice, grid, arrays)
+    return order, Embedding(choice, grid, split_channels(chosen, given.layers, grid))
 
 
 def _both(

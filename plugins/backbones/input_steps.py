@@ -91,21 +91,14 @@ def input_planes(graph: Graph, steps: InputSteps, frame: tuple[int, int] | None 
     if steps.size is not None and steps.size != frame:
         if frame is None:
             raise ConfigError(f"frames are resized to {steps.size} from one fixed size; state the region")
-        x = _resize(graph, x, frame, steps.size, steps.is_antialiased)
+        # Fixed matrices: runtimes differ in how they resize with antialiasing at the border.
+        rows, columns = (
+            linear_matrix(a, b, steps.is_antialiased) for a, b in zip(frame, steps.size, strict=True)
+        )
+        x = graph.between(rows, x, columns)
     x = graph.op("Mul", x, graph.constant(scale.reshape(1, 3, 1, 1).astype(np.float32)))
     x = graph.op("Add", x, graph.constant(shift.reshape(1, 3, 1, 1).astype(np.float32)))
     return x if steps.copies == 1 else graph.op("Concat", *[x] * steps.copies, axis=1)
-
-
-def _resize(
-    graph: Graph, planes: Value, frame: tuple[int, int], size: tuple[int, int], is_antialiased: bool
-) -> Value:
-    """Two products with fixed matrices: runtimes differ in how they resize with antialiasing at the border."""
-    rows, columns = (
-        linear_matrix(a, b, is_antialiased).astype(np.float32) for a, b in zip(frame, size, strict=True)
-    )
-    across = graph.op("MatMul", planes, graph.constant(columns.T))
-    return graph.op("MatMul", graph.constant(rows), across)
 
 
 def apply_steps(steps: InputSteps, frames: NDArray[np.uint8]) -> NDArray[np.float64]:

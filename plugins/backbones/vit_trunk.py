@@ -102,7 +102,7 @@ class _VitBuilder:
         x = g.op("Add", x, g.constant(positions[None]))
         if shape.prefixes:
             # The tokens are the same for every frame: repeated by adding them to zeros of the batch's size.
-            zeros = g.op("Mul", g.op("Slice", x, g.ints(0), g.ints(1), g.ints(1)), g.scalar(0))
+            zeros = g.op("Mul", g.slice(x, 0, 1, 1), g.scalar(0))
             x = g.op("Concat", g.op("Add", zeros, g.constant(prefix[None])), x, axis=1)
         return self._norm(x, "norm_pre") if "norm_pre.weight" in self._state else x
 
@@ -118,7 +118,7 @@ class _VitBuilder:
         each = self._shape.width // heads
         qkv = g.reshape(self._linear(x, f"{name}.attn.qkv"), 0, self._tokens, 3, heads, each)
         split = g.ops("Split", 3, g.transpose(qkv, 2, 0, 3, 1, 4), axis=0, num_outputs=3)
-        q, k, v = (g.op("Squeeze", part, g.ints(0)) for part in split)
+        q, k, v = (g.squeeze(part, 0) for part in split)
         scores = g.op("MatMul", g.op("Mul", q, g.scalar(each**-0.5)), g.transpose(k, 0, 1, 3, 2))
         mixed = g.op("MatMul", g.op("Softmax", scores, axis=-1), v)
         joined = g.reshape(g.transpose(mixed, 0, 2, 1, 3), 0, self._tokens, self._shape.width)
@@ -128,7 +128,7 @@ class _VitBuilder:
         """The patches' features (n, d, rows, columns), without the prefix tokens."""
         g, first = self.graph, self._shape.prefixes
         if first:
-            x = g.op("Slice", x, g.ints(first), g.ints(self._tokens), g.ints(1))
+            x = g.slice(x, first, self._tokens, 1)
         return g.reshape(g.transpose(x, 0, 2, 1), 0, self._shape.width, *self.grid)
 
     def _linear(self, x: Value, name: str) -> Value:

@@ -1,8 +1,8 @@
 """H8: a channel whose members are all equal has standard deviation 0, and "closer than 5 x 0" holds for none.
 
-Guards in `inreach/steps.py`: a member may lie as far as most members of all channels (`is_floored`), and the comparison
-is not strict. Checked by removal: with `<` instead of `<=` the first and the last test lose the constant channels;
-without the stray distance the second keeps no channel.
+Guards in `inreach/parameters.py`: a member may lie as far as most members of all channels (`is_floored`), and the
+comparison is not strict. Checked by removal: with `<` instead of `<=` the first and the last test lose the
+constant channels; without the stray distance the second keeps no channel.
 """
 
 import numpy as np

@@ -1,8 +1,8 @@
 """H13: four coarse values repeated four times in a row fall on the rows of a cell, not on its quadrants.
 
-Guard: `quadrant` in `plugins/detectors/fapm/steps.py`, in the corrected steps and where `fusion="quadrants"`; `rows`
-reproduces the published layout. Checked by removal: with `repeated_in_rows` in `CORRECTED` the first test fails for the
-usual parameters, with it always in `paper.steps_of` for the named ones: the heat is up to three cells away.
+Guard: `cover` in `plugins/detectors/fapm/parameters.py`, also where `fusion="quadrants"`; `rows` reproduces the
+published layout. Checked by removal: with the published layout everywhere the tests fail, the heat is up
+to three cells away.
 """
 
 import numpy as np

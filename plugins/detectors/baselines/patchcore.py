@@ -23,8 +23,8 @@ from plugins.detectors.common.patchbank import PatchBank, draw_rows
 from plugins.detectors.common.smoothing import (
     PAPER_SIGMA_MM,
     PAPER_SIGMA_PX,
+    UPSAMPLING,
     Smoothing,
-    Upsampling,
     emit_scores,
 )
 from plugins.detectors.common.validation import require_fittable, require_scorable
@@ -84,8 +84,9 @@ class PatchcoreParameters(Parameters):
         return PatchBank(descriptor, self.dims, self.is_balanced)
 
     def smoothing(self, grid: Grid) -> Smoothing:
-        kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
-        return Smoothing.of(grid, grid.taps[self.grid_tap][1:], self.sigma, kind, self.sigma_unit)
+        return Smoothing.of(
+            grid, grid.taps[self.grid_tap][1:], self.sigma, UPSAMPLING[self.is_sampled], self.sigma_unit
+        )
 
 
 PAPER = PatchcoreParameters(
@@ -137,7 +138,7 @@ class Patchcore:
     ) -> Bank:
         """Keep the coreset: `bank` (rows, width), and `mean`, `basis` and `scales`. Errors: FitError."""
         p = parameters
-        require_fittable(self.name, nominal, grid, p.layers, is_tileable=True)
+        require_fittable(self.name, nominal, grid, p.layers)
         arrays, rows = p.rows.learn(nominal.features, grid, rng)
         progress(0.5)
         patches = rows.shape[0] * rows.shape[1]

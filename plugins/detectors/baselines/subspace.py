@@ -9,68 +9,35 @@ Ref: PCA residuals on deep features (SubspaceAD, 2026, on transformer features; 
 """
 
 from collections.abc import Callable
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, ScoreMaps
 from plugins.detectors.common import parameters as shared
-from plugins.detectors.common.embedding import (
-    Embedded,
-    Embedding,
-    EmbeddingChoice,
-    blocks,
-    learn_embedding,
-)
+from plugins.detectors.common.embedding import Embedded, Embedding, blocks, learn_embedding
 from plugins.detectors.common.lowrank import RELATIVE_CUT
-from plugins.detectors.common.parameters import Parameters, choose
-from plugins.detectors.common.smoothing import (
-    PAPER_SIGMA_MM,
-    PAPER_SIGMA_PX,
-    Smoothing,
-    Upsampling,
-    emit_scores,
-)
+from plugins.detectors.common.parameters import EmbeddingParameters, choose
+from plugins.detectors.common.smoothing import PAPER_SIGMA_PX, emit_scores
 from plugins.detectors.common.validation import require_fittable, require_scorable
 from plugins.onnx_builder import Graph
 
 __all__ = ["SubspaceParameters", "subspace"]
 
 
-class SubspaceParameters(Parameters):
+class SubspaceParameters(EmbeddingParameters):
     """The parameters of the PCA subspace. docs/detectors.md has the measured results."""
 
     taps: shared.Taps = ("layer1", "layer2")
     grid_tap: shared.GridTap = "layer2"
-    projection: shared.ChannelProjection = "semi_orthogonal"
     channels: shared.Channels = 256
-    is_balanced: shared.Balanced = True
-    is_sampled: shared.Sampled = True
     variance: float = Field(
         default=0.99, gt=0, le=1, description="part of the pooled nominal variance that the span explains"
     )
     most_rank: int = Field(
         default=192, ge=1, description="directions of the span at most, which bounds the cost"
     )
-    sigma: shared.Sigma = PAPER_SIGMA_MM
-    sigma_unit: shared.SigmaUnit = "mm"
-
-    @model_validator(mode="after")
-    def _makes_an_embedding(self) -> Self:
-        _ = self.embedding
-        return self
-
-    @property
-    def embedding(self) -> EmbeddingChoice:
-        return EmbeddingChoice(
-            self.taps, self.grid_tap, self.projection, self.channels, self.is_balanced, self.is_sampled
-        )
-
-    def smoothing(self, grid: Grid, cells: tuple[int, int]) -> Smoothing:
-        kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
-        return Smoothing.of(grid, cells, self.sigma, kind, self.sigma_unit)
 
 
 # Descriptors are made in float32: a variance below this part of their power is rounding, (6e-8)^2 and a margin.
@@ -113,9 +80,9 @@ class Subspace:
         progress: Progress,
     ) -> Bank:
         """centre (d,) and basis (r, d) of all cells of all presses. Errors: FitError."""
-        require_fittable(self.name, nominal, grid, parameters.taps, is_tileable=True)
+        require_fittable(self.name, nominal, grid, parameters.taps)
         rows, columns = grid.taps[parameters.grid_tap][1:]
-        embedding = learn_embedding(parameters.embedding, grid, nominal, np.ones(rows * columns, bool), rng)
+        embedding = learn_embedding(parameters, grid, nominal, np.ones(rows * columns, bool), rng)
         descriptors = embedding.numpy(nominal.features, np.float32)
         centre = _average(descriptors, lambda x: x.sum(axis=(0, 1)), lambda done: progress(done / 2))
         covariance = _average(
@@ -151,7 +118,7 @@ class Subspace:
     ) -> ScoreMaps:
         """The oracle. Errors: NotScorable for features that are not finite."""
         require_scorable(self.name, features, parameters.taps)
-        embedding = Embedding(parameters.embedding, grid, bank.arrays)
+        embedding = Embedding(parameters, grid, bank.arrays)
         basis, centre = (bank.arrays[name].astype(np.float64) for name in ("basis", "centre"))
         delta = embedding.numpy(features).at(np.arange(embedding.count)) - centre
         off = delta - delta @ basis.T @ basis
@@ -160,13 +127,13 @@ class Subspace:
 
     def head(self, grid: Grid, bank: Bank, parameters: SubspaceParameters) -> bytes:
         """Taps, `centre` and `basis` in; score_map, score and raw_map out."""
-        embedding = Embedding(parameters.embedding, grid, bank.arrays)
+        embedding = Embedding(parameters, grid, bank.arrays)
         graph = Graph("subspace")
         delta = graph.op("Sub", embedding.emit(graph), graph.input("centre", (embedding.width,)))
         basis = graph.input("basis", ("rank", embedding.width))
         along = graph.op("MatMul", delta, graph.transpose(basis, 1, 0))
         off = graph.op("Sub", delta, graph.op("MatMul", along, basis))
-        distance = graph.op("Sqrt", graph.op("ReduceSumSquare", off, graph.ints(2), keepdims=0))
+        distance = graph.length(off, 2)
         raw = graph.reshape(distance, -1, *embedding.cells)
         emit_scores(graph, raw, parameters.smoothing(grid, embedding.cells))
         return graph.serialise()

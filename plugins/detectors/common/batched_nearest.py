@@ -33,7 +33,7 @@ RUN = 32
 def emit_ranked(graph: Graph, bank: Value) -> Value:
     """Rows (..., m, width) with one more number, -|row|^2/2, so that a product with (query, 1) ranks by distance."""
     squares = graph.op("ReduceSum", graph.op("Mul", bank, bank), graph.ints(-1), keepdims=0)
-    penalty = graph.op("Unsqueeze", graph.op("Mul", squares, graph.scalar(-0.5)), graph.ints(-1))
+    penalty = graph.unsqueeze(graph.op("Mul", squares, graph.scalar(-0.5)), -1)
     return graph.op("Concat", bank, penalty, axis=-1)
 
 
@@ -59,11 +59,9 @@ def emit_group_nearest(
         closeness = graph.op("Sub", closeness, bias)
     short, rows = graph.ops("TopK", 2, closeness, graph.op("Min", graph.ints(shortlist), rows_there), axis=2)
     chosen = graph.op("GatherND", ranked, graph.reshape(rows, 0, -1, 1), batch_dims=1)
-    chosen = graph.op("Slice", chosen, graph.ints(0), graph.ints(width), graph.ints(2))
+    chosen = graph.slice(chosen, 0, width, 2)
     shape = graph.op("Concat", graph.op("Shape", rows), graph.ints(width), axis=0)
-    difference = graph.op(
-        "Sub", graph.op("Reshape", chosen, shape), graph.op("Unsqueeze", queries, graph.ints(2))
-    )
+    difference = graph.op("Sub", graph.op("Reshape", chosen, shape), graph.unsqueeze(queries, 2))
     exact = graph.op("ReduceSum", graph.op("Mul", difference, difference), graph.ints(3), keepdims=0)
     if bias is not None:
         forbidden = graph.op("Less", short, graph.scalar(-FORBIDDEN / 2))
@@ -85,15 +83,15 @@ def emit_closest(graph: Graph, queries: Value, bank: Value, width: int) -> Value
     Several times faster than a shortlist.
     """
     squares = graph.op("ReduceSumSquare", bank, graph.ints(2), keepdims=0)
-    half = graph.op("Unsqueeze", graph.op("Mul", squares, graph.scalar(0.5)), graph.ints(1))
+    half = graph.unsqueeze(graph.op("Mul", squares, graph.scalar(0.5)), 1)
     closeness = graph.op("Sub", graph.op("MatMul", queries, graph.transpose(bank, 0, 2, 1)), half)
     best = graph.op("ArgMax", closeness, axis=3, keepdims=0)
     groups, rows = (graph.op("Shape", bank, start=axis, end=axis + 1) for axis in (0, 1))
     first = graph.op("Mul", emit_range(graph, groups), rows)
-    flat = graph.op("Add", best, graph.op("Unsqueeze", first, graph.ints(1)))
+    flat = graph.op("Add", best, graph.unsqueeze(first, 1))
     chosen = graph.op("Gather", graph.reshape(bank, -1, width), flat, axis=0)
     difference = graph.op("Sub", queries, chosen)
-    return graph.op("Sqrt", graph.op("ReduceSumSquare", difference, graph.ints(3), keepdims=0))
+    return graph.length(difference, 3)
 
 
 class HalvedBank:
@@ -128,9 +126,19 @@ class HalvedBank:
         place = graph.op("ArgMax", graph.op("Gather", runs, run, axis=0), axis=1, keepdims=0)
         row = graph.op("Mod", graph.op("Add", graph.op("Mul", run, graph.ints(RUN)), place), self.count)
         chosen = graph.op("Gather", self.rows, graph.reshape(row, -1, 2), axis=0)
-        difference = graph.op("Sub", chosen, graph.op("Unsqueeze", queries, graph.ints(1)))
+        difference = graph.op("Sub", chosen, graph.unsqueeze(queries, 1))
         exact = graph.op("ReduceSumSquare", difference, graph.ints(2), keepdims=0)
         return graph.op("Sqrt", graph.op("ReduceMin", exact, graph.ints(1), keepdims=0))
+
+    def search(self, rows: Value, size: tuple[int, int], step: int) -> Value:
+        """Plain distances (n, cells) of rows (n, cells, width), so many cells at a time. size: cells, width."""
+        graph, (cells, width) = self.graph, size
+        parts = []
+        for first in range(0, cells, max(1, step)):
+            count = min(max(1, step), cells - first)
+            asked = rows if count == cells else graph.slice(rows, first, first + count, 1)
+            parts.append(graph.reshape(self.nearest(graph.reshape(asked, -1, width)), -1, count))
+        return graph.concat(parts, 1)
 
 
 def emit_range(graph: Graph, count: Value) -> Value:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Features, Grid
-from plugins.detectors.common.smoothing import upsampling_matrix
+from plugins.detectors.common.smoothing import UPSAMPLING, upsampling_matrix
 from plugins.detectors.common.tile_layout import emit_split, split, tile_grid
 from plugins.onnx_builder import Graph, Value
 
@@ -147,7 +147,7 @@ class Descriptor:
             if parts and self.kind == "binned" and number * BINS % len(self.taps):
                 parts[-1], part = _emit_shared_row(graph, parts[-1], part)
             parts.append(part)
-        columns = graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+        columns = graph.concat(parts, 1)
         h, w = self.cells(grid)
         return graph.reshape(columns, 0, self.width(grid), h * w)
 
@@ -176,12 +176,10 @@ class Descriptor:
             return graph.op("AveragePool", x, kernel_shape=[3, 3], pads=[1, 1, 1, 1], count_include_pad=1)
         parts = []
         for band in _bands(grid.taps[self.taps[number]][0], len(self.taps), number):
-            chosen = graph.op(
-                "Slice", x, graph.ints(band.channels.start), graph.ints(band.channels.stop), graph.ints(1)
-            )
+            chosen = graph.slice(x, band.channels.start, band.channels.stop, 1)
             weights = graph.constant(band.weights.astype(np.float32))
             parts.append(graph.op("Conv", chosen, weights, pads=[1, 1, 1, 1]))
-        return graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+        return graph.concat(parts, 1)
 
     def _is_finer(self, grid: Grid, tap: str) -> bool:
         return grid.taps[tap][1] > self.cells(grid)[0]
@@ -198,16 +196,14 @@ class Descriptor:
         if grid.taps[tap][1:] == self.cells(grid):
             return native
         rows, columns = self._resampling(grid, tap)
-        right = graph.constant(np.ascontiguousarray(columns.T, np.float32))
-        return graph.op("MatMul", graph.constant(rows.astype(np.float32)), graph.op("MatMul", native, right))
+        return graph.between(rows, native, columns)
 
 
 def resampling_matrix(cells: int, onto: int, is_sampled: bool) -> NDArray[np.float64]:
     """Resample one axis: bilinear onto a finer grid, by the transposed weights onto a coarser one (none is skipped)."""
-    kind: Literal["sampled", "bilinear"] = "sampled" if is_sampled else "bilinear"
     if cells <= onto:
-        return upsampling_matrix(cells, onto, kind)
-    turned = upsampling_matrix(onto, cells, kind).T
+        return upsampling_matrix(cells, onto, UPSAMPLING[is_sampled])
+    turned = upsampling_matrix(onto, cells, UPSAMPLING[is_sampled]).T
     weights: NDArray[np.float64] = turned / turned.sum(axis=1, keepdims=True)
     return weights
 
@@ -215,8 +211,8 @@ def resampling_matrix(cells: int, onto: int, is_sampled: bool) -> NDArray[np.flo
 def _emit_shared_row(graph: Graph, upper: Value, lower: Value) -> tuple[Value, Value]:
     """Add the first row of `lower` to the last of `upper`, where two taps share one, and drop it from `lower`."""
     end = graph.ints(np.iinfo(np.int64).max)
-    first = graph.op("Slice", lower, graph.ints(0), graph.ints(1), graph.ints(1))
+    first = graph.slice(lower, 0, 1, 1)
     last = graph.op("Slice", upper, graph.ints(-1), end, graph.ints(1))
-    rest = graph.op("Slice", upper, graph.ints(0), graph.ints(-1), graph.ints(1))
+    rest = graph.slice(upper, 0, -1, 1)
     joined = graph.op("Concat", rest, graph.op("Add", last, first), axis=1)
     return joined, graph.op("Slice", lower, graph.ints(1), end, graph.ints(1))

@@ -5,70 +5,26 @@ are chosen or projected at each tap's own resolution, before the coarse taps are
 (both are linear) and up to sixteen times cheaper.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.errors import FitError
+from plugins.detectors.common.parameters import EmbeddingParameters
 from plugins.onnx_builder import Graph, Value
 
-__all__ = ["Embedding", "EmbeddingChoice", "Projection", "blocks", "learn_embedding", "touched_cells"]
-
-Projection = Literal["all", "random", "semi_orthogonal"]
-"""all: every channel. random: the given number, drawn once (PaDiM). semi_orthogonal: a random orthonormal frame of the
-given number of directions over all channels (Kim et al., arXiv 2105.14737)."""
+__all__ = ["Embedding", "blocks", "learn_embedding", "require_touched", "split_channels", "touched_cells"]
 
 # A tap's nominal deviation is taken to be at least this part of its root mean square: identical or single presses
 # have no deviation. Our value: pressing one real part again changes features by several per cent.
 DEVIATION_FLOOR = 1e-2
 # Cells embedded at once during a fit: bounds the memory at BLOCK * presses * channels float64 numbers.
 BLOCK = 128
-
-
-@dataclass(frozen=True)
-class EmbeddingChoice:
-    """What a descriptor is made of."""
-
-    taps: tuple[str, ...]
-    """They are concatenated in this order."""
-    grid_tap: str
-    """The tap whose grid the descriptors are on; finer taps are averaged down to it, coarser ones repeated."""
-    projection: Projection
-    channels: int | None
-    """How many remain; None, or more than there are: all."""
-    is_balanced: bool
-    """Whether each tap is divided by its nominal deviation, so that no tap dominates and no scale matters."""
-    is_sampled: bool
-    """Whether a coarse cell is repeated around the centre of its convolution, not to the right of and below it."""
-    channel_list: tuple[int, ...] = ()
-    """The channels, counted through all taps, instead of a random choice; `channels` then has no effect."""
-
-    def __post_init__(self) -> None:
-        if not self.taps or len(set(self.taps)) != len(self.taps):
-            raise ValueError(f"taps must be distinct and at least one, found {self.taps}")
-        if self.grid_tap not in self.taps:
-            raise ValueError(f"grid_tap '{self.grid_tap}' is not among the taps {', '.join(self.taps)}")
-        if self.projection not in ("all", "random", "semi_orthogonal"):
-            raise ValueError(f"projection is all, random or semi_orthogonal, found '{self.projection}'")
-        if self.channel_list and self.projection != "random":
-            raise ValueError(
-                f"channel_list is a choice of channels: projection=random, found '{self.projection}'"
-            )
-        if len(set(self.channel_list)) != len(self.channel_list) or min(self.channel_list, default=0) < 0:
-            raise ValueError(
-                "channel_list holds different channel numbers, 0 or more, counted through all taps"
-            )
-        if (
-            self.projection != "all"
-            and not self.channel_list
-            and (self.channels is None or self.channels < 1)
-        ):
-            raise ValueError(f"projection '{self.projection}' needs channels >= 1, found {self.channels}")
 
 
 @dataclass(frozen=True)
@@ -79,7 +35,7 @@ class Embedding:
     one, its scale included; `scales` float32 (taps,) otherwise, where balanced.
     """
 
-    choice: EmbeddingChoice
+    choice: EmbeddingParameters
     grid: Grid
     arrays: Mapping[str, NDArray[Any]]
 
@@ -116,7 +72,7 @@ class Embedding:
         parts = [self._emit_tap(graph, index, tap) for index, tap in read]
         if self.choice.projection == "semi_orthogonal":
             return reduce(lambda total, part: graph.op("Add", total, part), parts)
-        return graph.op("Concat", *parts, axis=2) if len(parts) > 1 else parts[0]
+        return graph.concat(parts, 2)
 
     def index(self, tap: str) -> NDArray[np.int64]:
         """The flat cell of `tap` (averaged to the grid where it is finer) for each cell of the grid, int64 (cells,)."""
@@ -216,7 +172,7 @@ def blocks(count: int) -> Iterator[slice]:
 
 
 def learn_embedding(
-    choice: EmbeddingChoice,
+    choice: EmbeddingParameters,
     grid: Grid,
     nominal: Nominal,
     touched: NDArray[np.bool_],
@@ -245,23 +201,27 @@ def learn_embedding(
             arrays[f"projection_{tap}"] = (frame[end - count : end] * scale).astype(np.float32)
         return Embedding(choice, grid, arrays)
     if choice.projection == "random":
-        drawn = (
-            _check_channels(choice.channel_list, total)
-            if choice.channel_list
-            else rng.choice(total, channels, False)
-        )
-        drawn = np.sort(drawn)
-        for tap, end, count in zip(choice.taps, ends, counts, strict=True):
-            arrays[f"channels_{tap}"] = drawn[(drawn >= end - count) & (drawn < end)] - (end - count)
+        listed = choice.listed_channels
+        drawn = _check_channels(listed, total) if listed else rng.choice(total, channels, False)
+        arrays |= split_channels(np.sort(drawn), choice.taps, grid)
     if choice.is_balanced:
         arrays["scales"] = scales.astype(np.float32)
     return Embedding(choice, grid, arrays)
 
 
+def split_channels(
+    channels: NDArray[np.int64], taps: Sequence[str], grid: Grid
+) -> dict[str, NDArray[np.int64]]:
+    """Split rising channels, counted through all taps, into `channels_TAP` of each tap."""
+    ends = np.cumsum([0, *(grid.taps[tap][0] for tap in taps)])
+    parts = np.split(channels, np.searchsorted(channels, ends[1:-1]))
+    return {f"channels_{tap}": part - first for tap, part, first in zip(taps, parts, ends[:-1], strict=True)}
+
+
 def touched_cells(
     nominal: Nominal, grid: Grid, cells: tuple[int, int], margin_mm: float
 ) -> NDArray[np.bool_]:
-    """Which cells see a touched pixel within the margin around their square: flat bool (rows * columns,).
+    """Find the cells that see a touched pixel within the margin around their square: flat bool (rows * columns,).
 
     All of them where the touch is not known.
     """
@@ -281,6 +241,13 @@ def touched_cells(
         + count[np.ix_(top, left)]
     )
     touched: NDArray[np.bool_] = (inside > 0).ravel()
+    return touched
+
+
+def require_touched(touched: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Give the touched cells. Errors: FitError for none."""
+    if not touched.any():
+        raise FitError("no nominal press touches the inspected region; move the region or press the part")
     return touched
 
 

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Grid, Nominal
-from edge.core.errors import FitError
-from plugins.detectors.common.embedding import touched_cells
+from plugins.detectors.common.embedding import require_touched, touched_cells
 from plugins.detectors.common.tile_layout import layout, split
 from plugins.onnx_builder import Graph, Value
 
@@ -26,18 +25,14 @@ BLOCK = 512
 
 
 def touched_places(
-    detector: str, nominal: Nominal, grid: Grid, cells: tuple[int, int], margin_mm: float
+    nominal: Nominal, grid: Grid, cells: tuple[int, int], margin_mm: float
 ) -> NDArray[np.bool_]:
     """Which cells see a touched pixel within the margin, flat bool (tiles * h * w,), tile by tile.
 
     cells: (h, w) of one tile. All of them where the touch is not known. Errors: FitError for none.
     """
     (down, across), (h, w) = layout(grid), cells
-    touched = touched_cells(nominal, grid, (down * h, across * w), margin_mm)
-    if not touched.any():
-        raise FitError(
-            f"{detector}: no nominal press touches the inspected region; move the region or press the part"
-        )
+    touched = require_touched(touched_cells(nominal, grid, (down * h, across * w), margin_mm))
     tiles = split(touched.reshape(1, 1, down * h, across * w).astype(np.float32), grid)
     return tiles.ravel() > 0
 

@@ -1,20 +1,25 @@
 """The common base of all methods' parameters: plain values, validated when they are made."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from edge.core.detector import Mode
+from edge.core.detector import Grid, Mode
 from edge.core.errors import FitError
 from edge.validation_messages import sentences
 from plugins.detectors.common.descriptor import Kind
-from plugins.detectors.common.embedding import Projection
+from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, UPSAMPLING, Smoothing
 
 __all__ = [
-    "Balanced", "ChannelProjection", "Channels", "DescriptorKind", "Dims", "GridTap", "MarginMm", "Parameters",
+    "Balanced", "ChannelProjection", "Channels", "DescriptorKind", "Dims", "EmbeddingParameters", "GridTap", "MarginMm",
+    "Parameters",
     "Sampled", "Sigma", "SigmaUnit", "Squared", "Taps", "choose", "list_repairs",
 ]  # fmt: skip
+
+Projection = Literal["all", "random", "semi_orthogonal"]
+"""all: every channel. random: the given number, drawn once (PaDiM). semi_orthogonal: a random orthonormal frame of the
+given number of directions over all channels (Kim et al., arXiv 2105.14737)."""
 
 # What several methods have a parameter for.
 Taps = Annotated[tuple[str, ...], Field(description="the taps that make a descriptor, in this order")]
@@ -57,6 +62,46 @@ class Parameters(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     mode: Mode = Field(default="corrected", description="the settings to start from")
+
+
+class EmbeddingParameters(Parameters):
+    """What a descriptor of several taps is made of: see `plugins.detectors.common.embedding`."""
+
+    taps: Taps
+    grid_tap: GridTap
+    projection: ChannelProjection = "semi_orthogonal"
+    channels: Channels
+    is_balanced: Balanced = True
+    is_sampled: Sampled = True
+    sigma: Sigma = PAPER_SIGMA_MM
+    sigma_unit: SigmaUnit = "mm"
+
+    @property
+    def listed_channels(self) -> tuple[int, ...]:
+        """Channels, counted through all taps, instead of a random choice; `channels` then has no effect."""
+        return ()
+
+    @model_validator(mode="after")
+    def _makes_an_embedding(self) -> Self:
+        taps, listed = self.taps, self.listed_channels
+        if not taps or len(set(taps)) != len(taps):
+            raise ValueError(f"taps must be distinct and at least one, found {taps}")
+        if self.grid_tap not in taps:
+            raise ValueError(f"grid_tap '{self.grid_tap}' is not among the taps {', '.join(taps)}")
+        if listed and self.projection != "random":
+            raise ValueError(
+                f"channel_list is a choice of channels: projection=random, found '{self.projection}'"
+            )
+        if len(set(listed)) != len(listed) or min(listed, default=0) < 0:
+            raise ValueError(
+                "channel_list holds different channel numbers, 0 or more, counted through all taps"
+            )
+        if self.projection != "all" and not listed and self.channels is None:
+            raise ValueError(f"projection '{self.projection}' needs channels >= 1, found {self.channels}")
+        return self
+
+    def smoothing(self, grid: Grid, cells: tuple[int, int]) -> Smoothing:
+        return Smoothing.of(grid, cells, self.sigma, UPSAMPLING[self.is_sampled], self.sigma_unit)
 
 
 P = TypeVar("P", bound=Parameters)

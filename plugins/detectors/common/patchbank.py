@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Nominal
-from edge.core.errors import FitError
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, HalvedBank
 from plugins.detectors.common.descriptor import Descriptor
 from plugins.detectors.common.distances import nearest
-from plugins.detectors.common.embedding import touched_cells
+from plugins.detectors.common.free_gel import touched_places
 from plugins.detectors.common.pca import Rotation, emit_rotation, fit_rotation
 from plugins.detectors.common.tile_layout import emit_join, join, layout, split
 from plugins.onnx_builder import Graph, Value
@@ -77,12 +76,7 @@ class PatchBank:
     def touched(self, nominal: Nominal, grid: Grid) -> NDArray[np.bool_]:
         """Which of the rows' cells any nominal press touches: (cells of all tiles,), all where this is not known.
         Errors: FitError where none is touched."""
-        cells = grid.taps[self.descriptor.grid_tap][1:]
-        mask = touched_cells(nominal, grid, cells, MARGIN_MM)
-        if not mask.any():
-            raise FitError("no nominal press touches the inspected region; move the region or press the part")
-        order = split(np.arange(mask.size, dtype=np.float64).reshape(1, 1, *cells), grid)
-        return mask[order.ravel().astype(np.int64)]
+        return touched_places(nominal, grid, self.descriptor.cells(grid), MARGIN_MM)
 
     def free_gel(
         self,
@@ -157,19 +151,9 @@ class PatchBank:
     ) -> Value:
         """Distances (n, grid rows, grid columns), in slices of cells that limit the memory."""
         h, w = self.descriptor.cells(grid)
-        bank = HalvedBank(graph, memory)
-        # A slice holds this many cells of every tile.
-        step = max(1, PRODUCT_LIMIT // (size[0] * math.prod(layout(grid))))
-        parts = []
-        for first in range(0, h * w, step):
-            count = min(step, h * w - first)
-            asked = rows
-            if count < h * w:
-                asked = graph.op("Slice", rows, graph.ints(first), graph.ints(first + count), graph.ints(1))
-            distances = bank.nearest(graph.reshape(asked, -1, size[1]))
-            parts.append(graph.reshape(distances, -1, count))
-        raw = graph.reshape(graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0], -1, h, w)
-        return emit_join(graph, raw, (h, w), grid)
+        step = PRODUCT_LIMIT // (size[0] * math.prod(layout(grid)))
+        raw = HalvedBank(graph, memory).search(rows, (h * w, size[1]), step)
+        return emit_join(graph, graph.reshape(raw, -1, h, w), (h, w), grid)
 
     def _describe(
         self, features: Features, grid: Grid, press: int, arrays: Mapping[str, NDArray[Any]]

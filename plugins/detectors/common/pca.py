@@ -59,7 +59,7 @@ def fit_rotation(rows: NDArray[np.floating], dims: int | None) -> Rotation:
 
 def emit_rotation(graph: Graph, columns: Value, mean: Value, basis: Value | None) -> Value:
     """Rotate in a graph: descriptors as columns (n, c, p), mean (c,), basis (d, c); gives rows (n, p, width)."""
-    centred = graph.op("Sub", columns, graph.op("Unsqueeze", mean, graph.ints(1)))
+    centred = graph.op("Sub", columns, graph.unsqueeze(mean, 1))
     if basis is not None:
         along = graph.op("MatMul", basis, centred)
         rest = graph.op("Sub", centred, graph.op("MatMul", graph.transpose(basis, 1, 0), along))

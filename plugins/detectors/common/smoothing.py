@@ -8,6 +8,7 @@ Source: torch bilinear (align_corners False, no antialias), torch nearest, scipy
 defaults; tests/detectors/test_smoothing.py compares each with the original.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal
@@ -22,6 +23,7 @@ from plugins.onnx_builder import Graph, Value
 __all__ = [
     "PAPER_SIGMA_MM",
     "PAPER_SIGMA_PX",
+    "UPSAMPLING",
     "Border",
     "Smoothing",
     "Upsampling",
@@ -34,6 +36,9 @@ __all__ = [
 Upsampling = Literal["bilinear", "nearest", "sampled"]
 """bilinear and nearest take a cell as a square of pixels (the published way). sampled takes it as a sample at its top
 left pixel, the centre of strided convolutions with symmetric padding, and is bilinear between such samples."""
+
+UPSAMPLING: Mapping[bool, Upsampling] = {True: "sampled", False: "bilinear"}
+"""By whether a cell is a sample."""
 
 Border = Literal["symmetric", "reflect"]
 """What a blur sees beyond the border: symmetric repeats the edge sample (scipy's `reflect`), reflect does not, as torch
@@ -170,11 +175,7 @@ def emit_scores(graph: Graph, raw: Value, smoothing: Smoothing, score: Value | N
     score: a press's score (n,) where the method has its own; otherwise the maximum of the map. `raw_map` is the
     grid before upsampling and blur, float32 (n, rows, columns), from which tiles are blended.
     """
-    smooth = graph.op(
-        "MatMul",
-        graph.constant(smoothing.rows.astype(np.float32)),
-        graph.op("MatMul", raw, graph.constant(np.ascontiguousarray(smoothing.columns.T, np.float32))),
-    )
+    smooth = graph.between(smoothing.rows, raw, smoothing.columns)
     if score is None:
         score = graph.op("ReduceMax", smooth, graph.ints(1, 2), keepdims=0)
     graph.output("score_map", smooth, ("n", *smoothing.frame))

@@ -19,17 +19,12 @@ def bank_bytes(bank_mb: float, grid: Grid) -> int:
     return int(1e6 * bank_mb * min(max(times, 1.0), MOST_TIMES))
 
 
-def require_fittable(
-    detector: str, nominal: Nominal, grid: Grid, taps: tuple[str, ...], *, is_tileable: bool = False
-) -> None:
+def require_fittable(detector: str, nominal: Nominal, grid: Grid, taps: tuple[str, ...]) -> None:
     """Refuse presses from which no bank can be learnt.
 
-    is_tileable: whether this detector's head can join a mosaic of tiles. Errors: FitError for a missing tap, no press,
-    a shape that differs from the grid, a value that is not finite or out of range, one press far stronger than the
-    others, or a grid of tiles.
+    Errors: FitError for a missing tap, no press, a shape that differs from the grid, a value that is not finite or out
+    of range, or one press far stronger than the others.
     """
-    if grid.tiles is not None and not is_tileable:
-        raise FitError(f"{detector} does not work on tiles; use a trunk that sees the frame in one piece")
     _check(detector, "nominal presses", nominal.features, grid, taps)
     if nominal.no_contact is not None:
         _check(detector, "no-contact frames", nominal.no_contact, grid, taps)

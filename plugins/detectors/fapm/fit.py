@@ -26,8 +26,8 @@ from plugins.detectors.common.parameters import choose, list_repairs
 from plugins.detectors.common.tile_layout import join, split, tile_grid
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
 from plugins.detectors.fapm.head import coarse_of_fine, fapm_head, fewest, is_unweighted, shape_of
-from plugins.detectors.fapm.paper import PAPER, REPAIRS, steps_of
-from plugins.detectors.fapm.parameters import FapmParameters
+from plugins.detectors.fapm.paper import PAPER, REPAIRS
+from plugins.detectors.fapm.parameters import COARSE_SIDE, FINE_SIDE, FapmParameters
 from plugins.detectors.fapm.prototypes import (
     Layout,
     cell_layout,
@@ -35,8 +35,6 @@ from plugins.detectors.fapm.prototypes import (
     choose_prototypes,
     prototype_distances,
 )
-from plugins.detectors.fapm.steps import COARSE_SIDE, FINE_SIDE
-from plugins.detectors.fapm.weighting import softmax_weight
 
 __all__ = ["FapmParameters", "fapm"]
 
@@ -80,7 +78,7 @@ class Fapm:
         `<tap>_gel_weight` (1,). Errors: FitError.
         """
         p = parameters
-        require_fittable(self.name, nominal, grid, p.layers, is_tileable=True)
+        require_fittable(self.name, nominal, grid, p.layers)
         _require_halved(grid, p)
         # One start for every group.
         start = float(rng.random())
@@ -111,7 +109,7 @@ class Fapm:
         if not p.is_touched_only:
             return np.ones(len(groups), bool)
         cells = tile_grid(grid).taps[tap][1:]
-        touched = touched_places(self.name, nominal, grid, cells, p.margin_mm)
+        touched = touched_places(nominal, grid, cells, p.margin_mm)
         return np.asarray(touched[groups].any(axis=1), np.bool_)
 
     def reference_score(
@@ -134,8 +132,7 @@ class Fapm:
         neighbours = fused[np.arange(len(fused)), top]
         if is_unweighted(bank.arrays, p):
             return ScoreMaps(maps.score_map, neighbours[:, 0])
-        weight = softmax_weight(steps_of(p).shift(neighbours), p.weighting)
-        return ScoreMaps(maps.score_map, neighbours[:, 0] * weight)
+        return ScoreMaps(maps.score_map, neighbours[:, 0] * p.weigh(neighbours))
 
     def head(self, grid: Grid, bank: Bank, parameters: FapmParameters) -> bytes:
         """The graph; the number of prototypes is free."""

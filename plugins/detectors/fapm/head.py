@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Grid
 from plugins.detectors.common.smoothing import emit_scores
 from plugins.detectors.common.tile_layout import emit_join, emit_split, layout, tile_grid
-from plugins.detectors.fapm.paper import steps_of
 from plugins.detectors.fapm.parameters import FapmParameters
 from plugins.detectors.fapm.prototypes import emit_prototype_distances
-from plugins.detectors.fapm.weighting import emit_first, emit_softmax_weight
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["coarse_of_fine", "fapm_head", "fewest", "is_unweighted", "shape_of"]
@@ -27,16 +25,15 @@ def fapm_head(name: str, grid: Grid, bank: Bank, p: FapmParameters) -> bytes:
         coarse = _emit_layer(graph, p.layers[1], grid, bank, p)
         above = graph.op("Gather", coarse, graph.constant(coarse_of_fine(grid, p)), axis=1)
         fused = graph.op("Add", fused, above)
-    nearest_of = emit_first(graph, fused, 2)
+    nearest_of = graph.first(fused, 2)
     smoothing = p.smoothing(grid)
     score = None
     if p.weighting != "none":
         top = graph.op("ArgMax", nearest_of, axis=1, keepdims=1)
         neighbours = graph.op("GatherND", fused, top, batch_dims=1)
-        score = emit_first(graph, neighbours, 1)
+        score = graph.first(neighbours, 1)
         if not is_unweighted(bank.arrays, p):
-            shifted = steps_of(p).emit_shift(graph, neighbours)
-            score = graph.op("Mul", score, emit_softmax_weight(graph, shifted, p.weighting))
+            score = graph.op("Mul", score, p.emit_weight(graph, neighbours))
     cells = tile_grid(grid).taps[p.layers[0]][1:]
     emit_scores(graph, emit_join(graph, graph.reshape(nearest_of, -1, *cells), cells, grid), smoothing, score)
     return graph.serialise()
@@ -44,7 +41,7 @@ def fapm_head(name: str, grid: Grid, bank: Bank, p: FapmParameters) -> bytes:
 
 def is_unweighted(arrays: Mapping[str, NDArray[Any]], p: FapmParameters) -> bool:
     """Tell whether the score has no weight because there is no second neighbour."""
-    return min(p.neighbours, fewest(arrays, p)) < steps_of(p).least_weighted
+    return min(p.neighbours, fewest(arrays, p)) < p.least_weighted
 
 
 def fewest(arrays: Mapping[str, NDArray[Any]], p: FapmParameters) -> int:
@@ -62,7 +59,7 @@ def shape_of(grid: Grid, tap: str) -> tuple[int, int]:
 def coarse_of_fine(grid: Grid, p: FapmParameters) -> NDArray[np.int64]:
     """Which coarse sub-patch each fine one gets: int64 (fine h * w,)."""
     (fine_h, fine_w), (coarse_h, coarse_w) = (shape_of(grid, tap) for tap in p.layers)
-    row, column = steps_of(p).above(*np.indices((fine_h, fine_w)).reshape(2, -1))
+    row, column = p.cover(*np.indices((fine_h, fine_w)).reshape(2, -1))
     flat: NDArray[np.int64] = np.minimum(row, coarse_h - 1) * coarse_w + np.minimum(column, coarse_w - 1)
     return flat
 
@@ -84,6 +81,6 @@ def _emit_layer(graph: Graph, tap: str, grid: Grid, bank: Bank, p: FapmParameter
     rows = graph.reshape(rows, -1, tiles * h * w, c)
     distances = emit_prototype_distances(graph, rows, tap, bank.arrays, p.looked_at)
     if p.is_calibrated:
-        weight = graph.op("Unsqueeze", graph.input(f"{tap}_weight", (tiles * h * w,)), graph.ints(1))
+        weight = graph.unsqueeze(graph.input(f"{tap}_weight", (tiles * h * w,)), 1)
         distances = graph.op("Mul", distances, weight)
     return distances

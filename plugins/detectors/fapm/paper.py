@@ -2,13 +2,15 @@
 
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from plugins.detectors.common.smoothing import PAPER_SIGMA_PX
-from plugins.detectors.fapm.parameters import FapmParameters
-from plugins.detectors.fapm.steps import COARSE_SIDE, CORRECTED, FINE_SIDE, Cells, Steps, quadrant
+from plugins.detectors.fapm.parameters import COARSE_SIDE, FINE_SIDE, Cells, FapmParameters
+from plugins.onnx_builder import Graph, Value
 
-__all__ = ["PAPER", "REPAIRS", "PublishedFapm", "steps_of"]
+__all__ = ["PAPER", "REPAIRS", "PublishedFapm"]
 
 
 class PublishedFapm(FapmParameters):
@@ -24,6 +26,26 @@ class PublishedFapm(FapmParameters):
     is_single_unweighted: bool = Field(
         default=True, description="no weight where there is one neighbour; false: the weight is 0 there"
     )
+
+    @property
+    def least_weighted(self) -> int:
+        return super().least_weighted if self.is_single_unweighted else 0
+
+    def cover(self, row: Cells, column: Cells) -> tuple[Cells, Cells]:
+        """Take quadrant c for fine row c: the release repeats each of a cell's coarse values four times in a row."""
+        if self.fusion == "quadrants":
+            return super().cover(row, column)
+        number = row % FINE_SIDE
+        return (
+            row // FINE_SIDE * COARSE_SIDE + number // COARSE_SIDE,
+            column // FINE_SIDE * COARSE_SIDE + number % COARSE_SIDE,
+        )
+
+    def shift(self, distances: NDArray[np.float64]) -> NDArray[np.float64]:
+        return super().shift(distances) if self.is_softmax_stable else distances
+
+    def emit_shift(self, graph: Graph, distances: Value) -> Value:
+        return super().emit_shift(graph, distances) if self.is_softmax_stable else distances
 
 
 PAPER = PublishedFapm(
@@ -54,24 +76,3 @@ REPAIRS = (
     "is_sampled",
 )
 """The switches in which the corrected mode differs; the others are operating points."""
-
-
-def steps_of(p: FapmParameters) -> Steps:
-    """The steps with the published defects that the parameters name."""
-    if not isinstance(p, PublishedFapm):
-        return CORRECTED
-    return Steps(
-        above=quadrant if p.fusion == "quadrants" else repeated_in_rows,
-        shift=CORRECTED.shift if p.is_softmax_stable else lambda distances: distances,
-        emit_shift=CORRECTED.emit_shift if p.is_softmax_stable else lambda graph, distances: distances,
-        least_weighted=CORRECTED.least_weighted if p.is_single_unweighted else 0,
-    )
-
-
-def repeated_in_rows(row: Cells, column: Cells) -> tuple[Cells, Cells]:
-    """The release repeats each of a cell's four coarse values four times in a row: quadrant c falls on fine row c."""
-    number = row % FINE_SIDE
-    return (
-        row // FINE_SIDE * COARSE_SIDE + number // COARSE_SIDE,
-        column // FINE_SIDE * COARSE_SIDE + number % COARSE_SIDE,
-    )

@@ -2,15 +2,26 @@
 
 from typing import Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from edge.core.detector import Grid
 from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.parameters import Parameters
-from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling
-from plugins.detectors.fapm.weighting import Weighting
+from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, UPSAMPLING, Smoothing
+from plugins.onnx_builder import Graph, Value
 
-__all__ = ["FapmParameters"]
+__all__ = ["COARSE_SIDE", "FINE_SIDE", "Cells", "FapmParameters"]
+
+# Sub-patches along one side of a cell, fine and coarse: FAPM_official test.py.
+FINE_SIDE, COARSE_SIDE = 4, 2
+
+Weighting = Literal["none", "largest", "nearest"]
+"""none: the maximum of the map. largest: FAPM's weight, from the farthest of the neighbours (FAPM_official @5d2d2f2).
+nearest: that of PatchCore's paper."""
+
+Cells = NDArray[np.int64]
 
 
 class FapmParameters(Parameters):
@@ -86,5 +97,39 @@ class FapmParameters(Parameters):
         return 1 if self.weighting == "none" else self.neighbours
 
     def smoothing(self, grid: Grid) -> Smoothing:
-        kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
-        return Smoothing.of(grid, grid.taps[self.layers[0]][1:], self.sigma, kind, self.sigma_unit)
+        return Smoothing.of(
+            grid, grid.taps[self.layers[0]][1:], self.sigma, UPSAMPLING[self.is_sampled], self.sigma_unit
+        )
+
+    @property
+    def least_weighted(self) -> int:
+        """The neighbours with which a score has a weight."""
+        return 2
+
+    def cover(self, row: Cells, column: Cells) -> tuple[Cells, Cells]:
+        """Find the coarse sub-patch whose distance is added to a fine one: the one that covers it."""
+        return row // 2, column // 2
+
+    def shift(self, distances: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Subtract the largest of each row of distances (n, k), so that no exp overflows."""
+        shifted: NDArray[np.float64] = distances - distances.max(axis=1, keepdims=True)
+        return shifted
+
+    def emit_shift(self, graph: Graph, distances: Value) -> Value:
+        return graph.op("Sub", distances, graph.op("ReduceMax", distances, graph.ints(1), keepdims=1))
+
+    def weigh(self, distances: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Find the factor (n,) of a press's largest distance from those to its neighbours (n, k), rising: a softmax."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            share = np.exp(self.shift(distances))
+            share /= share.sum(axis=1, keepdims=True)
+        weight: NDArray[np.float64] = 1 - (share.max(axis=1) if self.weighting == "largest" else share[:, 0])
+        return weight
+
+    def emit_weight(self, graph: Graph, distances: Value) -> Value:
+        """Do the same in a graph."""
+        grown = graph.op("Exp", self.emit_shift(graph, distances))
+        share = graph.op("Div", grown, graph.op("ReduceSum", grown, graph.ints(1), keepdims=1))
+        if self.weighting == "nearest":
+            return graph.op("Sub", graph.scalar(1.0), graph.first(share, 1))
+        return graph.op("Sub", graph.scalar(1.0), graph.op("ReduceMax", share, graph.ints(1), keepdims=0))

@@ -190,7 +190,7 @@ def emit_prototype_distances(
     ]
     if f"{tap}_gel" in arrays:
         parts.append(_emit_gel(graph, rows, tap, arrays[f"{tap}_gel"].shape[1], k))
-    distances = graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+    distances = graph.concat(parts, 1)
     order = graph.input(f"{tap}_order", arrays[f"{tap}_order"].shape, "int64")
     return graph.op("Gather", distances, order, axis=1)
 
@@ -200,7 +200,7 @@ def _emit_kind(graph: Graph, rows: Value, name: str, arrays: Mapping[str, NDArra
     c, s = arrays[name].shape[2], arrays[f"{name}_places"].shape[1]
     groups = f"{name}_groups"
     here = graph.op("Gather", rows, graph.input(f"{name}_places", (groups, s), "int64"), axis=1)
-    mean = graph.op("Unsqueeze", graph.input(f"{name}_mean", (groups, c)), graph.ints(1))
+    mean = graph.unsqueeze(graph.input(f"{name}_mean", (groups, c)), 1)
     asked = graph.op("Sub", here, mean)
     prototypes = graph.input(name, (groups, f"{name}_prototypes", c))
     if k == 1:
@@ -219,5 +219,5 @@ def _emit_gel(graph: Graph, rows: Value, tap: str, c: int, k: int) -> Value:
     count = f"{tap}_gel_places"
     here = graph.op("Gather", rows, graph.input(f"{tap}_gel_places", (count,), "int64"), axis=1)
     mean, weight = graph.input(f"{tap}_gel", (count, c)), graph.input(f"{tap}_gel_weight", (1,))
-    distances = graph.op("Unsqueeze", emit_gel_distances(graph, here, mean, weight), graph.ints(2))
+    distances = graph.unsqueeze(emit_gel_distances(graph, here, mean, weight), 2)
     return graph.op("Concat", *[distances] * k, axis=2) if k > 1 else distances

@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Progress
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT
-from plugins.detectors.inreach.paper import steps_of
-from plugins.detectors.inreach.parameters import InreachParameters
-from plugins.detectors.inreach.steps import Joined, Match, Nearest, Steps, squared_distances
+from plugins.detectors.inreach.parameters import InreachParameters, Match, Nearest, squared_distances
 
 __all__ = ["Channels", "associate", "prune"]
 
@@ -36,7 +34,7 @@ def associate(
 
     Only the best realisation so far is remembered for each patch. Among equally near realisations the first wins.
     """
-    steps, (n, cells) = steps_of(p), rows.shape[:2]
+    n, cells = rows.shape[:2]
     keys, presses, patches = [], [], []
     # Two more columns each, so that a product is the squared distance: (-2a, |a|^2, 1) with (b, 1, |b|^2).
     ones = np.ones((n, cells, 1), np.float32)
@@ -50,13 +48,13 @@ def associate(
         seeds = min(press, p.realisations)
         nearest = _nearest(asking[press], asked_of[:seeds])
         for seed in range(seeds):
-            match = _match(rows[press], rows[seed], Nearest(*(each[seed] for each in nearest)), steps)
-            is_better = steps.is_taken(match, best)
+            match = _match(rows[press], rows[seed], Nearest(*(each[seed] for each in nearest)), p)
+            is_better = p.is_taken(match, best)
             best[is_better] = match.squared[is_better]
-            opener[is_better] = seed * cells + match.patch[is_better]
+            opener[is_better] = seed * cells + match.there[is_better]
             is_joined[is_better] = match.is_mutual[is_better]
         joined = np.flatnonzero(is_joined)
-        key, patch = steps.member(opener[joined], joined, cells)
+        key, patch = p.member(opener[joined], joined, cells)
         keys.append(key)
         presses.append(np.full(len(key), press))
         patches.append(patch)
@@ -95,19 +93,19 @@ def _nearest(asking: NDArray[np.float32], asked_of: NDArray[np.float32]) -> Near
     return Nearest(there, away, back, asking[:, -2] + asked_of[:, :, -1])
 
 
-def _match(asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, steps: Steps) -> Match:
-    """The matches of a press's patches (cells, width) with a realisation's, with exact distances."""
-    every, there = np.arange(len(asked)), nearest.there
-    exact, back = squared_distances(asked, seed[there]), np.full(len(asked), -1)
+def _match(
+    asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, p: InreachParameters
+) -> Match:
+    """Match a press's patches (cells, width) with a realisation's, with exact distances."""
+    there, back = nearest.there, np.full(len(asked), -1)
     both = np.flatnonzero(nearest.away <= nearest.back[there])[::-1]
     back[there[both]] = both
-    preferred = steps.prefer(asked, seed, nearest, Joined(exact, there, back))
-    return Match(preferred.squared, preferred.there, preferred.back[preferred.there] == every)
+    return p.prefer(asked, seed, nearest, Match(squared_distances(asked, seed[there]), there, back))
 
 
 def prune(rows: NDArray[np.float32], channels: Channels, p: InreachParameters) -> Channels:
     """The members of channels that are long and tight enough."""
-    steps, shortest = steps_of(p), p.shortest(len(rows))
+    shortest = p.shortest(len(rows))
     channels = _longer(channels, shortest)
     if not len(channels.key):
         return channels
@@ -121,8 +119,8 @@ def prune(rows: NDArray[np.float32], channels: Channels, p: InreachParameters) -
     mean_away = np.add.reduceat(away, first) / length
     deviation = np.sqrt(np.add.reduceat((away - mean_away[number]) ** 2, first) / length)
     stray = float(np.quantile(away, STRAY_QUANTILE))
-    is_kept = steps.is_near(away, p.max_dispersion * deviation[number], stray)
-    is_kept &= steps.is_tight(np.sqrt(mean_square)[number], stray)
+    is_kept = p.is_near(away, p.max_dispersion * deviation[number], stray)
+    is_kept &= p.is_tight(np.sqrt(mean_square)[number], stray)
     return _longer(Channels(*(field[is_kept] for field in channels)), shortest)
 
 

@@ -25,7 +25,7 @@ from plugins.detectors.common.smoothing import emit_scores
 from plugins.detectors.common.tile_layout import layout
 from plugins.detectors.common.validation import require_fittable, require_scorable
 from plugins.detectors.inreach.channels import Channels, associate, prune
-from plugins.detectors.inreach.paper import PAPER, REPAIRS, steps_of
+from plugins.detectors.inreach.paper import PAPER, REPAIRS
 from plugins.detectors.inreach.parameters import InreachParameters
 from plugins.onnx_builder import Graph
 
@@ -58,7 +58,7 @@ class Inreach:
         Errors: FitError, also for an empty bank where there is no fallback.
         """
         p = parameters
-        require_fittable(self.name, nominal, grid, p.taps, is_tileable=True)
+        require_fittable(self.name, nominal, grid, p.taps)
         arrays, rows = p.rows.learn(nominal.features, grid, rng)
         touched, free = np.ones(rows.shape[1], bool), rows[:0, 0]
         if p.is_touched_only:
@@ -97,7 +97,7 @@ class Inreach:
         self, rows: NDArray[np.float32], facts: dict[str, Any], p: InreachParameters
     ) -> NDArray[np.float32]:
         """Every patch of every press, and a warning. Errors: FitError where this is switched off."""
-        if not steps_of(p).has_fallback:
+        if not p.has_fallback:
             raise FitError(
                 f"inreach: none of {facts['channels_found']} channels of {len(rows)} presses has "
                 f"{p.shortest(len(rows))} elements within the dispersion; press more good parts"

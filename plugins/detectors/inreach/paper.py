@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from plugins.detectors.inreach.parameters import InreachParameters
-from plugins.detectors.inreach.steps import CORRECTED, Joined, Match, Nearest, Steps
+from plugins.detectors.inreach.parameters import InreachParameters, Match, Nearest
 
-__all__ = ["PAPER", "PAPER_TAPS", "REPAIRS", "PublishedInreach", "steps_of"]
+__all__ = ["PAPER", "PAPER_TAPS", "REPAIRS", "PublishedInreach"]
 
 # The taps of the published descriptor on Wide-ResNet-50-2; layer3.0 is skipped there.
 PAPER_TAPS = (
@@ -55,6 +54,36 @@ class PublishedInreach(InreachParameters):
     def shortest(self, presses: int) -> int:
         return super().shortest(presses) + (self.is_minimum_exceeded and self.length_fraction == 0)
 
+    @property
+    def has_fallback(self) -> bool:
+        return self.is_fallback
+
+    def prefer(
+        self, asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, match: Match
+    ) -> Match:
+        """Let the first of equally near patches win: constant gel leaves one pair."""
+        return super().prefer(asked, seed, nearest, match) if self.is_tie_local else match
+
+    def is_taken(self, match: Match, best: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Tell whether a realisation is the closest so far, mutual or not."""
+        return super().is_taken(match, best) if self.is_mutual_sought else match.squared < best
+
+    def member(
+        self, opener: NDArray[np.int64], patch: NDArray[np.int64], cells: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Give the two patch numbers of a match in the wrong order."""
+        return (opener, patch) if self.is_index_right else (opener // cells * cells + patch, opener % cells)
+
+    def is_near(
+        self, away: NDArray[np.float64], limit: NDArray[np.float64], stray: float
+    ) -> NDArray[np.bool_]:
+        """Keep members strictly closer than the limit, which is 0 for a channel without spread."""
+        return super().is_near(away, limit, stray) if self.is_floored else away < limit
+
+    def is_tight(self, spread: NDArray[np.float64], stray: float) -> NDArray[np.bool_]:
+        """Keep a channel however wide it is."""
+        return super().is_tight(spread, stray) if self.is_spread_limited else np.ones(len(spread), np.bool_)
+
 
 PAPER = PublishedInreach(
     mode="paper",
@@ -96,46 +125,3 @@ REPAIRS = (
     "upsampling",
 )
 """The switches in which the corrected mode differs; the others are operating points."""
-
-
-def steps_of(p: InreachParameters) -> Steps:
-    """The steps with the published defects that the parameters name."""
-    if not isinstance(p, PublishedInreach):
-        return CORRECTED
-    return Steps(
-        prefer=CORRECTED.prefer if p.is_tie_local else keep_first,
-        is_taken=CORRECTED.is_taken if p.is_mutual_sought else is_nearer,
-        member=CORRECTED.member if p.is_index_right else swapped,
-        is_near=CORRECTED.is_near if p.is_floored else is_within,
-        is_tight=CORRECTED.is_tight if p.is_spread_limited else every_channel,
-        has_fallback=p.is_fallback,
-    )
-
-
-def keep_first(
-    asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, match: Joined
-) -> Joined:
-    """Among equally near patches the first wins, and constant gel leaves one pair."""
-    return match
-
-
-def is_nearer(match: Match, best: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Tell whether a realisation is the closest so far, mutual or not."""
-    return match.squared < best
-
-
-def swapped(
-    opener: NDArray[np.int64], patch: NDArray[np.int64], cells: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The two patch numbers of a match in the wrong order."""
-    return opener // cells * cells + patch, opener % cells
-
-
-def is_within(away: NDArray[np.float64], limit: NDArray[np.float64], stray: float) -> NDArray[np.bool_]:
-    """Strictly closer than the limit, which is 0 for a channel without spread."""
-    return away < limit
-
-
-def every_channel(spread: NDArray[np.float64], stray: float) -> NDArray[np.bool_]:
-    """However wide."""
-    return np.ones(len(spread), np.bool_)

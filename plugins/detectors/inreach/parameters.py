@@ -1,8 +1,10 @@
 """The parameters of InReaCh."""
 
 import math
-from typing import Self
+from typing import NamedTuple, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from edge.core.detector import Grid, Packing
@@ -12,7 +14,49 @@ from plugins.detectors.common.parameters import Parameters
 from plugins.detectors.common.patchbank import PatchBank
 from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling
 
-__all__ = ["InreachParameters"]
+__all__ = ["InreachParameters", "Match", "Nearest", "squared_distances"]
+
+# Two distances that differ by less than this part are equal: rounding of float32.
+EQUAL = 1e-5
+# A squared distance below this part of the two squared lengths is rounding of the product, in float32.
+ROUNDING = 1e-6
+
+
+class Match(NamedTuple):
+    """The nearest patches between a press and one realisation, with exact distances."""
+
+    squared: NDArray[np.float32]
+    """The squared distances of the press's patches, float32 (cells,)."""
+    there: NDArray[np.int64]
+    """Int64 (cells,), for each patch of the press its nearest of the realisation."""
+    back: NDArray[np.int64]
+    """The other direction, -1 for none."""
+
+    @property
+    def is_mutual(self) -> NDArray[np.bool_]:
+        """Whether the nearest patch of a press's nearest patch is that one, (cells,)."""
+        mutual: NDArray[np.bool_] = self.back[self.there] == np.arange(len(self.there))
+        return mutual
+
+
+class Nearest(NamedTuple):
+    """Both directions between a press and each of k realisations, by the product."""
+
+    there: NDArray[np.int64]
+    """Int64 (k, cells), for each patch of the press the nearest of the realisation."""
+    away: NDArray[np.float32]
+    """Float32 (k, cells), its squared distance."""
+    back: NDArray[np.float32]
+    """Float32 (k, cells), for each patch of the realisation the distance to the nearest patch of the press."""
+    lengths: NDArray[np.float32]
+    """Float32 (k, cells), the sum of the squared lengths of both patches at each place."""
+
+
+def squared_distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Compute squared distances (p,) of rows (p, c), as sums of squared differences."""
+    difference = a - b
+    squares: NDArray[np.float32] = np.einsum("pc,pc->p", difference, difference)
+    return squares
 
 
 class InreachParameters(Parameters):
@@ -81,3 +125,44 @@ class InreachParameters(Parameters):
             depth = min(self.realisations, presses)
             return max(2, math.ceil(self.length_fraction * (presses - 1) / depth))
         return self.minimum_length
+
+    @property
+    def has_fallback(self) -> bool:
+        """Whether every patch is the bank where no channel remains."""
+        return True
+
+    def prefer(
+        self, asked: NDArray[np.float32], seed: NDArray[np.float32], nearest: Nearest, match: Match
+    ) -> Match:
+        """Prefer the same place among equally near patches, so that constant gel keeps its channels."""
+        every, here = np.arange(len(asked)), squared_distances(asked, seed)
+        is_there = here <= match.squared * (1 + EQUAL)
+        is_back = here <= np.maximum(nearest.back, 0) * (1 + EQUAL) + ROUNDING * nearest.lengths
+        return Match(
+            np.where(is_there, here, match.squared),
+            np.where(is_there, every, match.there),
+            np.where(is_back, every, match.back),
+        )
+
+    def is_taken(self, match: Match, best: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Tell which patches join a realisation: closer than the best so far, and mutual.
+
+        The others may still join another one.
+        """
+        return (match.squared < best) & match.is_mutual
+
+    def member(
+        self, opener: NDArray[np.int64], patch: NDArray[np.int64], cells: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Give the key of the channel and its member: opener and matched patch."""
+        return opener, patch
+
+    def is_near(
+        self, away: NDArray[np.float64], limit: NDArray[np.float64], stray: float
+    ) -> NDArray[np.bool_]:
+        """Tell which members stay: within their channel's limit, or as near as most members of all channels."""
+        return away <= np.maximum(limit, stray)
+
+    def is_tight(self, spread: NDArray[np.float64], stray: float) -> NDArray[np.bool_]:
+        """Tell which channels stay: those not wider than the stray distance, by their root mean square distance."""
+        return spread <= stray * (1 + EQUAL)

@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
-from edge.core.errors import FitError
 from plugins.detectors.common.embedding import (
     Embedded,
     Embedding,
     blocks,
     learn_embedding,
+    require_touched,
     touched_cells,
 )
 from plugins.detectors.common.lowrank import Spectrum, covariance_spectrum, mahalanobis_squared, spectrum
@@ -62,16 +62,12 @@ class Padim:
         progress: Progress,
     ) -> Bank:
         """Means per cell, eigenpairs per touched block of cells, one shared set elsewhere. Errors: FitError."""
-        require_fittable(self.name, nominal, grid, parameters.taps, is_tileable=True)
+        require_fittable(self.name, nominal, grid, parameters.taps)
         cells = grid.taps[parameters.grid_tap][1:]
         touched = np.ones(cells[0] * cells[1], bool)
         if parameters.is_touched_only:
-            touched = touched_cells(nominal, grid, cells, parameters.margin_mm)
-        if not touched.any():
-            raise FitError(
-                "padim: no nominal press touches the inspected region; move the region or press the part"
-            )
-        embedding = learn_embedding(parameters.embedding, grid, nominal, touched, rng)
+            touched = require_touched(touched_cells(nominal, grid, cells, parameters.margin_mm))
+        embedding = learn_embedding(parameters, grid, nominal, touched, rng)
         squares = cell_blocks(cells, layout(grid), parameters.block)
         squares = squares[touched[squares].any(axis=1)]
         locations = squares.ravel()
@@ -98,7 +94,7 @@ class Padim:
         """The oracle. Errors: NotScorable for features that are not finite."""
         require_scorable(self.name, features, parameters.taps)
         arrays = bank.arrays
-        embedding = Embedding(parameters.embedding, grid, bank.arrays)
+        embedding = Embedding(parameters, grid, bank.arrays)
         descriptors = embedding.numpy(features)
         squared = np.empty((embedding.count, next(iter(features.values())).shape[0]))
         every = np.arange(embedding.count)

@@ -11,7 +11,7 @@ __all__ = ["emit_squared", "padim_head"]
 
 def padim_head(name: str, grid: Grid, bank: Bank, parameters: PadimParameters) -> bytes:
     """The serialised head of a bank; the number of directions is free."""
-    arrays, embedding = bank.arrays, Embedding(parameters.embedding, grid, bank.arrays)
+    arrays, embedding = bank.arrays, Embedding(parameters, grid, bank.arrays)
     graph = Graph(name)
     count, width = embedding.count, embedding.width
     delta = graph.op("Sub", embedding.emit(graph), graph.input("mean", (count, width)))
@@ -48,7 +48,7 @@ def emit_squared(graph: Graph, delta: Value, basis: Value, weights: Value, count
     rows = graph.op("Reshape", delta, shape)
     along = graph.op("MatMul", rows, graph.transpose(basis, 0, 2, 1))
     off = graph.op("Sub", rows, graph.op("MatMul", along, basis))
-    squared = _sum(graph, along, graph.op("Unsqueeze", weights, graph.ints(1)), off, ridge, 3)
+    squared = _sum(graph, along, graph.unsqueeze(weights, 1), off, ridge, 3)
     return graph.reshape(squared, 0, -1)
 
 

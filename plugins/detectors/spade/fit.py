@@ -31,7 +31,7 @@ from plugins.detectors.common.pca import Rotation, fit_rotation
 from plugins.detectors.common.tile_layout import join, layout, split, stacked
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
 from plugins.detectors.spade.head import spade_head
-from plugins.detectors.spade.paper import PAPER, REPAIRS, steps_of
+from plugins.detectors.spade.paper import PAPER, REPAIRS
 from plugins.detectors.spade.parameters import SpadeParameters
 from plugins.detectors.spade.window import Tables, window_nearest
 
@@ -80,7 +80,6 @@ class Spade:
             nominal,
             grid,
             tuple(dict.fromkeys((*p.layers, *p.descriptor_taps(grid)))),
-            is_tileable=True,
         )
         described = _describe(nominal.features, grid, p)
         start = int(rng.integers(len(described)))
@@ -124,7 +123,7 @@ class Spade:
         cells = p.cells(grid, tap)
         if not p.is_touched_only or p.window(grid, tap) is None:
             return np.ones(math.prod(layout(grid)) * math.prod(cells), np.bool_)
-        return touched_places(self.name, nominal, grid, cells, p.margin_mm)
+        return touched_places(nominal, grid, cells, p.margin_mm)
 
     def reference_score(
         self, features: Features, grid: Grid, bank: Bank, parameters: SpadeParameters
@@ -245,7 +244,7 @@ def _fit_layer(
     arrays: dict[str, NDArray[Any]] = {}
     if p.is_normalised:
         # All-zero features have no length; with any positive number they stay zero.
-        floor_length = max(steps_of(p).length_floor(layer), np.finfo(np.float32).tiny)
+        floor_length = max(p.length_floor(layer), np.finfo(np.float32).tiny)
         arrays[f"{tap}_floor"] = np.array([floor_length], np.float32)
     floor = arrays.get(f"{tap}_floor")
     drawn = np.arange(len(layer) * len(cells))
@@ -338,7 +337,7 @@ def _search(
         return np.stack([window_nearest(tile, gallery[:, t], window) for t, tile in enumerate(tiles)])
     distances = []
     for t, tile in enumerate(tiles):
-        searched = steps_of(p).gallery(gallery[:, t])
+        searched = p.gallery_rows(gallery[:, t])
         distances.append(nearest(tile.reshape(h * w, -1), searched).distances.reshape(h, w))
     return np.stack(distances)
 

@@ -12,7 +12,6 @@ from plugins.detectors.common.free_gel import emit_gel_distances
 from plugins.detectors.common.pca import emit_rotation
 from plugins.detectors.common.smoothing import Smoothing, upsampling_matrix
 from plugins.detectors.common.tile_layout import emit_join, emit_split, layout
-from plugins.detectors.spade.paper import steps_of
 from plugins.detectors.spade.parameters import SpadeParameters
 from plugins.detectors.spade.window import Tables, emit_window_nearest
 from plugins.onnx_builder import Graph, Value
@@ -26,21 +25,16 @@ def spade_head(name: str, grid: Grid, bank: Bank, p: SpadeParameters) -> bytes:
     names = dict.fromkeys((*p.layers, *p.descriptor_taps(grid)))
     taps = {tap: graph.input(tap, ("n", *grid.taps[tap])) for tap in names}
     squared, order = _emit_press_order(graph, taps, grid, p)
-    gallery = _emit_first(graph, order, p.pixel_neighbours)
+    gallery = graph.slice(order, 0, p.pixel_neighbours, 1)
     maps = [_emit_layer(graph, tap, taps[tap], gallery, grid, bank, p) for tap in p.layers]
     score = None
     if p.image_score == "presses":
-        best = _emit_first(graph, squared, p.image_neighbours)
+        best = graph.slice(squared, 0, p.image_neighbours, 1)
         best = best if p.is_squared else graph.op("Sqrt", best)
         score = graph.op("ReduceMean", best, graph.ints(1), keepdims=0)
     smoothings = [p.smoothing(grid, tap) for tap in p.layers]
     _emit_layered_scores(graph, maps, smoothings, score)
     return graph.serialise()
-
-
-def _emit_first(graph: Graph, values: Value, count: int) -> Value:
-    """The first `count` columns, or all where there are fewer."""
-    return graph.op("Slice", values, graph.ints(0), graph.ints(count), graph.ints(1))
 
 
 def _emit_press_order(
@@ -49,18 +43,17 @@ def _emit_press_order(
     """Squared distances (n, k) to the nearest presses, rising, and their numbers."""
     means, width = [], 0
     for tap in p.descriptor_taps(grid):
-        down, across = (np.asarray(matrix, np.float32) for matrix in p.regions_of(grid, tap))
+        down, across = p.regions_of(grid, tap)
         size = grid.taps[tap][0] * len(down) * len(across)
-        columns = graph.op("MatMul", taps[tap], graph.constant(np.ascontiguousarray(across.T)))
-        means.append(graph.reshape(graph.op("MatMul", graph.constant(down), columns), -1, size))
+        means.append(graph.reshape(graph.between(down, taps[tap], across), -1, size))
         width += size
     described = graph.op(
         "Sub",
-        graph.op("Concat", *means, axis=1) if len(means) > 1 else means[0],
+        graph.concat(means, 1),
         graph.input("press_mean", (width,)),
     )
     presses = graph.input("press_descriptors", ("presses", width))
-    difference = graph.op("Sub", graph.op("Unsqueeze", described, graph.ints(1)), presses)
+    difference = graph.op("Sub", graph.unsqueeze(described, 1), presses)
     squared = graph.op("ReduceSum", graph.op("Mul", difference, difference), graph.ints(2), keepdims=0)
     wanted = graph.ints(max(p.image_neighbours, p.pixel_neighbours))
     count = graph.op("Min", wanted, graph.op("Shape", presses, start=0, end=1))
@@ -77,10 +70,7 @@ def _emit_layer(
     layer = emit_split(graph, layer, grid.taps[tap], grid)
     matrices = p.averaging(grid, tap)
     if matrices is not None:
-        down, across = (
-            graph.constant(np.ascontiguousarray(m, np.float32)) for m in (matrices[0], matrices[1].T)
-        )
-        layer = graph.op("MatMul", down, graph.op("MatMul", layer, across))
+        layer = graph.between(matrices[0], layer, matrices[1])
     columns = graph.reshape(layer, 0, c, h * w)
     if p.is_normalised:
         length = graph.op("ReduceL2", columns, graph.ints(1), keepdims=1)
@@ -147,18 +137,18 @@ def _emit_whole_search(
     shape = graph.op("Concat", graph.ints(-1), count, graph.ints(width), axis=0)
     bank = graph.op("Reshape", graph.transpose(gathered, 0, 2, 1, 3, 4), shape)
     rows = graph.reshape(rows, -1, cells, width)
-    bank = emit_ranked(graph, steps_of(p).emit_gallery(graph, bank, (h, w, width)))
+    bank = emit_ranked(graph, p.emit_gallery_rows(graph, bank, (h, w, width)))
     step = max(1, PRODUCT_LIMIT // (p.pixel_neighbours * cells))
     parts = [
         emit_group_nearest(
             graph,
-            graph.op("Slice", rows, graph.ints(first), graph.ints(first + step), graph.ints(1)),
+            graph.slice(rows, first, first + step, 1),
             bank,
             width,
         )
         for first in range(0, cells, step)
     ]
-    return graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+    return graph.concat(parts, 1)
 
 
 def _emit_layered_scores(
@@ -195,7 +185,6 @@ def _emit_sum(
     """Emit the sum of rows @ map @ columns.T over the maps."""
     total = ""
     for value, (rows, columns) in zip(maps, sides, strict=True):
-        right = graph.constant(np.ascontiguousarray(columns.T, np.float32))
-        part = graph.op("MatMul", graph.constant(rows.astype(np.float32)), graph.op("MatMul", value, right))
+        part = graph.between(rows, value, columns)
         total = graph.op("Add", total, part) if total else part
     return total

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from plugins.detectors.common.smoothing import PAPER_SIGMA_PX
-from plugins.detectors.spade.parameters import SpadeParameters
-from plugins.detectors.spade.steps import CORRECTED, LENGTH_FLOOR, Steps, keep_gallery, relative_floor
+from plugins.detectors.spade.parameters import LENGTH_FLOOR, SpadeParameters
 from plugins.onnx_builder import Graph, Value
 
-__all__ = ["PAPER", "REPAIRS", "PublishedSpade", "steps_of"]
+__all__ = ["PAPER", "REPAIRS", "PublishedSpade"]
 
 # SPADE-pytorch src/main.py: the gallery (presses, columns, rows) is scanned in chunks of this many cells.
 CHUNK = 100
@@ -39,6 +38,33 @@ class PublishedSpade(SpadeParameters):
                 "is_gallery_whole=false leaves out cells of a search without window; set window_mm=null"
             )
         return self
+
+    def length_floor(self, layer: NDArray[np.floating]) -> float:
+        """Use one constant for all features, which changes faint ones."""
+        return super().length_floor(layer) if self.is_floor_relative else LENGTH_FLOOR
+
+    def gallery_rows(self, gallery: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Give the cells column by column, without those after the last complete chunk.
+
+        A gallery smaller than one chunk is kept.
+        """
+        if self.is_gallery_whole:
+            return super().gallery_rows(gallery)
+        flat = gallery.swapaxes(1, 2).reshape(-1, gallery.shape[3])
+        return flat if len(flat) < CHUNK else flat[: len(flat) // CHUNK * CHUNK]
+
+    def emit_gallery_rows(self, graph: Graph, bank: Value, size: tuple[int, int, int]) -> Value:
+        if self.is_gallery_whole:
+            return bank
+        h, w, width = size
+        total = graph.op("Shape", bank, start=1, end=2)
+        turned = graph.transpose(graph.reshape(bank, 0, -1, h, w, width), 0, 1, 3, 2, 4)
+        shape = graph.op("Concat", graph.ints(0), total, graph.ints(width), axis=0)
+        columns = graph.op("Reshape", turned, shape)
+        whole = graph.op("Mul", graph.op("Div", total, graph.ints(CHUNK)), graph.ints(CHUNK))
+        small = graph.op("Less", total, graph.ints(CHUNK))
+        end = graph.op("Where", small, total, whole)
+        return graph.op("Slice", columns, graph.ints(0), end, graph.ints(1))
 
 
 PAPER = PublishedSpade(
@@ -71,39 +97,3 @@ REPAIRS = (
     "is_sampled",
 )
 """The switches in which the corrected mode differs; the others are operating points."""
-
-
-def steps_of(p: SpadeParameters) -> Steps:
-    """The steps with the published defects that the parameters name."""
-    if not isinstance(p, PublishedSpade):
-        return CORRECTED
-    return Steps(
-        length_floor=relative_floor if p.is_floor_relative else absolute_floor,
-        gallery=keep_gallery if p.is_gallery_whole else whole_chunks,
-        emit_gallery=CORRECTED.emit_gallery if p.is_gallery_whole else emit_whole_chunks,
-    )
-
-
-def absolute_floor(layer: NDArray[np.floating]) -> float:
-    """Use one constant for all features, which changes faint ones."""
-    return LENGTH_FLOOR
-
-
-def whole_chunks(gallery: NDArray[np.floating]) -> NDArray[np.floating]:
-    """The gallery (presses, h, w, c) column by column, without the cells after the last complete chunk: (m, c).
-
-    A gallery smaller than one chunk is kept.
-    """
-    flat = gallery.swapaxes(1, 2).reshape(-1, gallery.shape[3])
-    return flat if len(flat) < CHUNK else flat[: len(flat) // CHUNK * CHUNK]
-
-
-def emit_whole_chunks(graph: Graph, bank: Value, size: tuple[int, int, int]) -> Value:
-    """Do the same in a graph, for a gallery (m, presses * cells, width). size: rows and columns, width."""
-    h, w, width = size
-    total = graph.op("Shape", bank, start=1, end=2)
-    turned = graph.transpose(graph.reshape(bank, 0, -1, h, w, width), 0, 1, 3, 2, 4)
-    columns = graph.op("Reshape", turned, graph.op("Concat", graph.ints(0), total, graph.ints(width), axis=0))
-    whole = graph.op("Mul", graph.op("Div", total, graph.ints(CHUNK)), graph.ints(CHUNK))
-    small = graph.op("Less", total, graph.ints(CHUNK))
-    return graph.op("Slice", columns, graph.ints(0), graph.op("Where", small, total, whole), graph.ints(1))

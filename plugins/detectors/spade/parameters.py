@@ -11,11 +11,15 @@ from edge.core.detector import Grid, Packing
 from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.descriptor import resampling_matrix
 from plugins.detectors.common.parameters import Parameters
-from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, Smoothing, Upsampling
+from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, UPSAMPLING, Smoothing
 from plugins.detectors.common.tile_layout import layout, tile_grid
 from plugins.detectors.spade.window import Blocks
+from plugins.onnx_builder import Graph, Value
 
-__all__ = ["SpadeParameters"]
+__all__ = ["LENGTH_FLOOR", "SpadeParameters"]
+
+# The seed scripts divide a descriptor by its length plus this.
+LENGTH_FLOOR = 1e-6
 
 
 class SpadeParameters(Parameters):
@@ -133,6 +137,23 @@ class SpadeParameters(Parameters):
         return Blocks(self.cells(grid, tap), window, math.prod(layout(grid)))
 
     def smoothing(self, grid: Grid, tap: str) -> Smoothing:
-        kind: Upsampling = "sampled" if self.is_sampled else "bilinear"
         (h, w), (down, across) = self.cells(grid, tap), layout(grid)
-        return Smoothing.of(grid, (down * h, across * w), self.sigma, kind, self.sigma_unit)
+        return Smoothing.of(
+            grid, (down * h, across * w), self.sigma, UPSAMPLING[self.is_sampled], self.sigma_unit
+        )
+
+    def length_floor(self, layer: NDArray[np.floating]) -> float:
+        """Find the number to add to a length before the division by it, for a layer (n, c, h, w).
+
+        It is a part of the mean length of a cell's descriptor, so that scaled features give the same map.
+        """
+        lengths = [np.sqrt(np.square(press, dtype=np.float64).sum(axis=0)).mean() for press in layer]
+        return LENGTH_FLOOR * float(np.mean(lengths))
+
+    def gallery_rows(self, gallery: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Give the rows (m, c) of a gallery (presses, h, w, c) that are searched without a window: every cell."""
+        return gallery.reshape(-1, gallery.shape[3])
+
+    def emit_gallery_rows(self, graph: Graph, bank: Value, size: tuple[int, int, int]) -> Value:
+        """Do the same in a graph, for a gallery (m, presses * h * w, c). size: h, w, c."""
+        return bank

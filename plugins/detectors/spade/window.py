@@ -137,12 +137,9 @@ def emit_window_nearest(
     step = blocks.step(width * most)
     parts = []
     for first in range(0, blocks.tiles * math.prod(blocks.count), step):
-        part = [
-            graph.op("Slice", table, graph.ints(first), graph.ints(first + step), graph.ints(0))
-            for table in tables
-        ]
+        part = [graph.slice(table, first, first + step, 0) for table in tables]
         parts.append(search.closest(part[0], part[1]))
-    closest = graph.op("Concat", *parts, axis=1) if len(parts) > 1 else parts[0]
+    closest = graph.concat(parts, 1)
     return graph.reshape(search.measure(tables[0], closest), 0, -1)
 
 
@@ -174,8 +171,8 @@ class _Search:
         here = graph.op("Min", reached, self.last)
         numbers = graph.op(
             "Add",
-            graph.op("Unsqueeze", self.first, graph.ints(1, 3)),
-            graph.op("Unsqueeze", here, graph.ints(1)),
+            graph.unsqueeze(self.first, 1, 3),
+            graph.unsqueeze(here, 1),
         )
         # The rows as the left side of the product need no repacking: (n, blocks, k * r, width + 1).
         rows = self._shaped(
@@ -187,15 +184,15 @@ class _Search:
         product = self._shaped(product, self.presses, graph.ints(self.r, self.q))
         best = graph.op("ReduceMax", product, graph.ints(2), keepdims=0)
         absent = graph.op("Cast", graph.op("Greater", reached, self.last), to=_FLOAT)
-        absent = graph.op("Unsqueeze", graph.op("Mul", absent, graph.scalar(FORBIDDEN)), graph.ints(2))
+        absent = graph.unsqueeze(graph.op("Mul", absent, graph.scalar(FORBIDDEN)), 2)
         allowed = graph.op("Sub", best, graph.op("Add", self.bias, absent))
         cell = graph.op("ArgMax", graph.transpose(allowed, 0, 1, 3, 2), axis=3, keepdims=0)
         # The press whose row won at that cell.
-        index = graph.op("Unsqueeze", cell, graph.ints(2, 3))
+        index = graph.unsqueeze(cell, 2, 3)
         index = graph.op(
             "Expand", index, graph.op("Concat", graph.ints(1, 1), self.presses, graph.ints(1, 1), axis=0)
         )
-        there = graph.op("Squeeze", graph.op("GatherElements", product, index, axis=3), graph.ints(3))
+        there = graph.squeeze(graph.op("GatherElements", product, index, axis=3), 3)
         press = graph.op("ArgMax", there, axis=2, keepdims=0)
         at = graph.op("Add", graph.op("Mul", press, graph.ints(self.r)), cell)
         ends = graph.op("Mul", self.presses, graph.ints(self.r))
@@ -209,7 +206,7 @@ class _Search:
             graph.op("Gather", self.flat, closest, axis=0),
             graph.op("Gather", self.rows, queries, axis=1),
         )
-        return graph.op("Sqrt", graph.op("ReduceSumSquare", difference, graph.ints(3), keepdims=0))
+        return graph.length(difference, 3)
 
     def _shaped(self, value: Value, *sizes: Value) -> Value:
         """The sizes after the presses and the blocks, which may be none."""
