@@ -9,7 +9,6 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from types import NoneType
@@ -23,7 +22,7 @@ from edge.cli import EXIT_MEANINGS, exit_code, place
 from edge.cli.run import example
 from edge.config import Config
 from edge.core import errors
-from edge.gateway.command_table import COMMANDS
+from edge.gateway.command_table import every_command
 from edge.messaging.topic_reference import reference
 
 FOLDER: Final = Path(__file__).parent
@@ -391,7 +390,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "config.md": config_page,
     "errors.md": errors_page,
     "parameters.md": parameters_page,
-    "mqtt.md": partial(reference, COMMANDS),
+    "mqtt.md": lambda: reference(every_command()),
 }
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ __all__ = [
     "command",
     "detector",
     "device",
+    "feature",
     "hidden_package",
     "importer",
     "names",
@@ -48,6 +49,7 @@ Group: TypeAlias = Literal[
     "detectors",
     "backbones",
     "importers",
+    "features",
     "commands",
 ]
 """The last part of an entry point group's name, `gelgate.<group>`."""
@@ -129,6 +131,11 @@ def backbone(name: str) -> "Backbone":
 def importer(name: str) -> object:
     """The importer of that name; `export.importers.contract` checks its protocol. Errors: as `device`."""
     return _load("importers", name)
+
+
+def feature(name: str) -> object:
+    """The feature of that name; `edge.gateway.features` checks its class. Errors: as `device`."""
+    return _load("features", name)
 
 
 def command(name: str) -> Verb:

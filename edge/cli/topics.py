@@ -5,7 +5,7 @@ __all__ = ["topics"]
 
 def topics() -> None:
     """Print every MQTT topic and field, as in docs/mqtt.md."""
-    from edge.gateway.command_table import COMMANDS
+    from edge.gateway.command_table import every_command
     from edge.messaging.topic_reference import reference
 
-    print(reference(COMMANDS), end="")
+    print(reference(every_command()), end="")

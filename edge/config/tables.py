@@ -1,6 +1,7 @@
 """The tables of a configuration, but for those that name a plugin."""
 
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -330,3 +331,20 @@ class Config(Table):
     actuators: list[ActuatorTable] = Field(
         default_factory=list, description="lights and relays; one table each"
     )
+
+    @property
+    def features(self) -> Mapping[str, bool]:
+        """Whether each feature of a press is wanted, in the order in which a press goes through them."""
+        commands = self.commands
+        served = {*commands.unsigned, *commands.signed, *commands.page}
+        return {
+            "sensing_watch": True,
+            "reference_press": bool(self.reference.pieces) or "reference_press" in served,
+            "gel_proof": True,
+            "overview": self.overview is not None,
+            "scars": True,
+            "press_again": self.inspection.press_again != "never",
+            "outputs": bool(self.triggers or self.actuators),
+            "black_box": self.archive.presses > 0,
+            "snapshots": "snapshot" in served,
+        }

@@ -9,6 +9,7 @@ An entry point is always `package.module:value`, and the value is an object that
     gelgate.actuators  ActuatorPlugin
     gelgate.detectors  Detector, in edge.core.detector
     gelgate.backbones  Backbone
+    gelgate.features   a class of PressStage, in edge.press_stage
 
 A plugin has an optional ability by having its attributes; the program asks `isinstance(plugin, Resettable)`. What
 `open` returns is in `edge.core.ports`. docs/plugins.md shows plugins of other authors.

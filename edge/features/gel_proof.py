@@ -9,7 +9,8 @@ from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
 from edge.core.press import Press, ReferenceLabel
 from edge.core.verdict import Kind
-from edge.features.press_stage import Alarms, Mounted, PressStage, StageParts
+from edge.messaging.command_payloads import NoArguments
+from edge.press_stage import Alarms, Command, Data, Mounted, PressStage, StageParts
 from edge.store import gel_proofs
 from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle
@@ -87,6 +88,21 @@ class GelProofWatch(PressStage):
         proof = self._store.write("proving a bundle on a gel", change)
         self._look(mounted)
         return proof
+
+    def _answer_prove(self, arguments: NoArguments) -> Data:
+        proof = self.prove()
+        return {"presses": proof.presses, "alarms": proof.alarms, "rate": proof.rate}
+
+    commands = (
+        Command(
+            "prove_gel",
+            NoArguments,
+            _answer_prove,
+            "a person says that every press on this gel was of a sound part: with enough presses and few alarms the "
+            "bundle in use is proven on it. `rate`: the false alarms that they still allow",
+            "what the bundle is trusted with",
+        ),
+    )
 
     def _look(self, mounted: Mounted) -> None:
         change = partial(

@@ -2,7 +2,7 @@
 with `overview.select`, which bundle judges them."""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final, Literal, Self
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from edge import registry
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
-from edge.config import PluginTable
+from edge.config import Config, OverviewTable, PluginTable
 from edge.core.errors import DeviceError, FrameCorrupt, StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
@@ -21,7 +21,7 @@ from edge.core.overview.rules import OverviewRules, OverviewView
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, Device
 from edge.core.press import Press, PressLabel
-from edge.features.press_stage import Alarms, PressStage, Selection, StageParts
+from edge.press_stage import Alarms, PressStage, Selection, StageParts
 from edge.store.acts import Act
 
 __all__ = ["Overview", "overview_opener", "say_overview_camera", "still_of"]
@@ -82,6 +82,11 @@ class Overview(PressStage):
             max_age_s=table.max_age_s,
             max_side_px=table.max_side_px,
         )
+
+    @classmethod
+    def attempts(cls, config: Config) -> Iterator[tuple[str, Callable[[], str]]]:
+        if config.overview is not None:
+            yield "overview", partial(_find_camera, config.overview)
 
     def start(self) -> None:
         self.camera.start()
@@ -173,6 +178,21 @@ class Overview(PressStage):
 
     def _is_fresh(self, frame: CameraFrame) -> bool:
         return frame.is_on_demand or self._clock.monotonic_ns() - frame.timestamp_ns <= self._max_age_s * 1e9
+
+
+def _find_camera(table: OverviewTable) -> str:
+    """A camera that is away is no fault: the station waits for it. Errors: ConfigError for its `empty`."""
+    rules = table.rules()
+    plugin = registry.overview(table.plugin)
+    try:
+        discovered = plugin.discover(plugin.Options.model_validate(table.options))
+    except DeviceError as error:
+        discovered, away = [], str(error)
+    else:
+        away = "; ".join(one.refusal for one in discovered if one.refusal) or "no camera is found"
+    names = [f"{one.identity.product}, serial {one.identity.serial}" for one in discovered if one.identity]
+    until = "presses are refused" if rules.is_asking else "results come without its still"
+    return ", ".join(names) or f"{away}; until it comes {until}"
 
 
 def overview_opener(table: PluginTable, clock: Clock) -> Callable[[], Device]:

@@ -10,11 +10,11 @@ from edge.core.contact.events import PressSettled
 from edge.core.ports import Clock
 from edge.core.press import Again, Press
 from edge.core.press_again import Costs, Plan, is_asked, second_verdict, unsure
-from edge.features.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.messaging.result_payload import PressAgainPart
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.model.manifest_facts import again_sentence, plan_for
+from edge.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
 
 __all__ = ["PressAgain"]
@@ -43,9 +43,7 @@ class PressAgain(PressStage):
         self._is_said = False
 
     @classmethod
-    def open(cls, parts: StageParts) -> Self | None:
-        if parts.config.inspection.press_again != "unsure":
-            return None
+    def open(cls, parts: StageParts) -> Self:
         table = parts.config.press_again
         costs = Costs(table.missed_defect, table.false_alarm, table.press, table.defect_rate)
         return cls(costs, table.within_s, parts.clock, parts.alarms)

@@ -15,9 +15,10 @@ from edge.core.press import Press, PressLabel, ReferenceLabel
 from edge.core.reference_press.charts import Outcome, ReferencePress, judge, why_due
 from edge.core.reference_press.control_chart import Imprint
 from edge.core.suggest import suggestion
-from edge.features.press_stage import Alarms, Mounted, OwnTable, PressStage, StageParts
+from edge.messaging.command_payloads import ReferencePressArguments
 from edge.messaging.result_payload import ReferencePayload, ResultPayload, heatmap_message
 from edge.model.inspector import Inspector
+from edge.press_stage import Alarms, Command, Data, Mounted, OwnTable, PressStage, StageParts
 from edge.store import reference_presses
 from edge.store.acts import Act
 from edge.store.gel_ledger import GelRecord
@@ -83,10 +84,23 @@ class ReferenceGuard(PressStage):
         self._armed = None
         self._say()
 
-    @property
-    def within_s(self) -> float:
-        """The time in which a press that was asked for must come."""
-        return self._table.within_s
+    def _answer(self, arguments: ReferencePressArguments) -> Data:
+        if arguments.cancel:
+            self.cancel()
+            return {"is_waiting": False}
+        label = self.request(arguments.piece, is_start=arguments.restart)
+        return {"piece": label.piece, "is_waiting": True, "within_s": self._table.within_s}
+
+    commands = (
+        Command(
+            "reference_press",
+            ReferencePressArguments,
+            _answer,
+            "the next press is that of a master piece; its outcome is on the topic `reference`. `restart`: its charts "
+            "begin again; `cancel`: the next press is a part's",
+            "the charts of the master piece",
+        ),
+    )
 
     def turn(self, mounted: Mounted | None) -> None:
         now_ns = self._clock.monotonic_ns()

@@ -18,9 +18,9 @@ from edge.core.gel_scars.gel_scars import GelScars, Judged, Repeated
 from edge.core.gel_scars.press import ScoredPress, without_marks
 from edge.core.press import Press, ScarFindings
 from edge.core.registration.pose import warp
-from edge.features.press_stage import Alarms, PressStage, StageParts
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
+from edge.press_stage import Alarms, PressStage, StageParts
 from edge.store.gel_files import GelFiles
 from edge.store.gel_ledger import GelRecord
 

@@ -8,7 +8,7 @@ from edge.core.contact.events import Event, PressBegan, PressEnded
 from edge.core.contact.press_detector import Look
 from edge.core.contact.sight import BLIND_AFTER_S, LongContact, Sight
 from edge.core.ports import Clock
-from edge.features.press_stage import Alarms, Mounted, PressStage, StageParts
+from edge.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.store.acts import Act
 from edge.store.press_store import Store
 

@@ -16,13 +16,13 @@ from typing import Final, Self
 from edge.core.errors import GelgateError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, DeviceIdentity
-from edge.features.press_stage import Mounted, PressStage, StageParts
-from edge.messaging.command_payloads import MOST_SNAPSHOT_S
+from edge.messaging.command_payloads import MOST_SNAPSHOT_S, SnapshotArguments
+from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
 from edge.recording.format import RecordingHeader, RecordingWriter
 from edge.store.acts import Act
 from edge.store.press_store import Store
 
-__all__ = ["KEPT", "KEPT_BYTES", "RING_BYTES", "Snapshots"]
+__all__ = ["KEPT", "RING_BYTES", "Snapshots"]
 
 # In memory: 7 s of the sensor's 3280x2464 at 25 frames a second of some 700 kB each.
 RING_BYTES: Final = 128_000_000
@@ -74,11 +74,8 @@ class Snapshots(PressStage):
         self._thread = threading.Thread(target=self._run, name="snapshots", daemon=True)
 
     @classmethod
-    def open(cls, parts: StageParts) -> Self | None:
-        """Snapshots are kept next to the database; they are off where the command is not served."""
-        commands = parts.config.commands
-        if "snapshot" not in (*commands.signed, *commands.unsigned, *commands.page):
-            return None
+    def open(cls, parts: StageParts) -> Self:
+        """Snapshots are kept next to the database."""
         folder = parts.config.store.path.with_suffix(".snapshots")
         return cls(folder, parts.clock, parts.store, parts.find_sensor, parts.find_low_space)
 
@@ -112,6 +109,22 @@ class Snapshots(PressStage):
         due_ns = self._clock.monotonic_ns() + round((after_s + PATIENCE_S) * 1e9)
         self._wish = _Wish(folder, first_ns, last_ns, due_ns)
         return folder
+
+    def _answer(self, arguments: SnapshotArguments) -> Data:
+        recording = self.request(arguments.before_s, arguments.after_s)
+        return {"recording": str(recording), "is_waiting": True}
+
+    commands = (
+        Command(
+            "snapshot",
+            SnapshotArguments,
+            _answer,
+            "write the camera's frames around now as a recording below the state folder; `recording` is its folder, "
+            f"which is there when it is complete. At most {KEPT} with {KEPT_BYTES / 1e6:g} MB are kept, the oldest go "
+            "first",
+            "the oldest snapshots",
+        ),
+    )
 
     def turn(self, mounted: Mounted | None) -> None:
         """Hand over the frames of a wish when the last one is there, and record the outcome of one."""

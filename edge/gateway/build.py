@@ -6,10 +6,9 @@ What belongs to one session of a sensor is made by the loop, when the first fram
 import logging
 import random
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
-from typing import Final
 
 from edge import registry
 from edge.acquisition import Acquisition
@@ -17,22 +16,13 @@ from edge.config import Config, sink_names
 from edge.core.errors import GelgateError
 from edge.core.ports import Clock, Device, Message, Sink
 from edge.core.sink_context import PageRequests, Station, client_id, topic_root
-from edge.features.black_box.stage import BlackBox
-from edge.features.gel_proof import GelProofWatch
-from edge.features.outputs.stage import Outputs
-from edge.features.overview import Overview
-from edge.features.press_again import PressAgain
-from edge.features.press_stage import PressStage, StageParts
-from edge.features.reference_press import ReferenceGuard
-from edge.features.scars import ScarWatch
-from edge.features.sensing_watch import SensingWatch
-from edge.features.snapshots import Snapshots
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.bundle_stage import BundleStage, OpenBundles
 from edge.gateway.command_policy import policy_of
-from edge.gateway.command_table import acknowledge_by_pedal, station_handlers, trigger_by_pedal
+from edge.gateway.command_table import station_commands, station_handlers, trigger_by_pedal
 from edge.gateway.commands import Commands
 from edge.gateway.description import describe_station
+from edge.gateway.features import load_features
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.metrics import serve_metrics
 from edge.gateway.opening import BundleOpener, Opened, device_opener, first_part
@@ -45,6 +35,7 @@ from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.publisher import Publisher, PublisherLock
 from edge.messaging.sink_worker import RetainedState
 from edge.messaging.status_payloads import StatePayload, availability_message
+from edge.press_stage import PressStage, StageParts
 from edge.store.backup import migrate
 from edge.store.database import SCHEMA_VERSION
 from edge.store.gel_files import GelFiles
@@ -62,13 +53,13 @@ def build(
     closing: ExitStack,
     checked: Preflight | None = None,
     read_again: Callable[[], Config] | None = None,
-    labels: PressStage | None = None,
+    stages: Mapping[str, PressStage] | None = None,
 ) -> Parts:
     """Every part; a part that cannot work is refused here. closing: gets the calls that close the parts, in reverse.
 
     checked: the parts that the check before the start has opened. read_again: the configuration as it is at a reload;
-    by default as it was at the start. labels: names the presses of references and studies; by default the reference
-    presses that are asked for. Errors: ConfigError, BundleError, StoreError.
+    by default as it was at the start. stages: stages that take the place of the features of these names. Errors:
+    ConfigError, BundleError, StoreError.
     """
     calls, retained_state = LoopCalls[StationLoop](), _retained_state(config)
     # The lock first: a second gateway must not migrate the tables of this one, or take its place at the broker.
@@ -98,13 +89,11 @@ def build(
         selection,
         find_sensor=lambda: acquisition.status.identity,
         find_low_space=free_space.check,
-        requests={
-            "trigger": partial(calls.post, trigger_by_pedal),
-            "acknowledge": partial(calls.post, acknowledge_by_pedal),
-        },
+        post=lambda do: calls.post(lambda loop: do()),
+        trigger=partial(calls.post, trigger_by_pedal),
     )
     return Parts(
-        stages=_open_stages(stage_parts, labels, closing),
+        stages=_open_stages(stage_parts, stages or {}, closing),
         selection=selection,
         contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
         place=config.station.place,
@@ -120,25 +109,14 @@ def build(
     )
 
 
-STAGES: Final[Sequence[type[PressStage]]] = (
-    SensingWatch,
-    ReferenceGuard,
-    GelProofWatch,
-    Overview,
-    ScarWatch,
-    PressAgain,
-    Outputs,
-    BlackBox,
-    Snapshots,
-)
-"""What a press goes through, in this order. A new feature of presses is one line."""
-
-
-def _open_stages(parts: StageParts, labels: PressStage | None, closing: ExitStack) -> list[PressStage]:
-    """Open the stages that are configured. labels: instead of the reference presses. Errors: ConfigError."""
-    stages = []
-    for kind in STAGES:
-        stage = labels if labels is not None and kind is ReferenceGuard else kind.open(parts)
+def _open_stages(
+    parts: StageParts, instead: Mapping[str, PressStage], closing: ExitStack
+) -> list[PressStage]:
+    """Open the features that are configured. instead: of features of these names. Errors: ConfigError."""
+    features = load_features(parts.config)
+    stages = [stage for name, stage in instead.items() if name not in features]
+    for name, feature in features.items():
+        stage = instead.get(name) or feature.open(parts)
         if stage is not None:
             closing.callback(stage.close)
             stages.append(stage)
@@ -146,9 +124,8 @@ def _open_stages(parts: StageParts, labels: PressStage | None, closing: ExitStac
 
 
 def _commands(config: Config, calls: LoopCalls[StationLoop], store: Store, clock: Clock) -> Commands:
-    handlers = station_handlers(calls)
-    policy = policy_of(config, frozenset(handlers))
-    return Commands(handlers, policy, store, clock, config.commands.requests_per_minute)
+    handlers = station_handlers(calls, station_commands(config))
+    return Commands(handlers, policy_of(config), store, clock, config.commands.requests_per_minute)
 
 
 def _publisher(

@@ -1,53 +1,34 @@
-"""The verbs of a station: arguments, what each does, and its text in the manual."""
+"""The verbs of a station: those that every station has, and those of its features."""
 
 import logging
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final
 
-from edge.core.errors import DeviceNotFound
+from edge.config import Config
+from edge.core.errors import ConfigError, DeviceNotFound
 from edge.core.suggest import suggestion
-from edge.features.gel_proof import GelProofWatch
-from edge.features.outputs.stage import Outputs
-from edge.features.reference_press import ReferenceGuard
-from edge.features.snapshots import KEPT, KEPT_BYTES, Snapshots
 from edge.gateway.commands import Change, Handler
+from edge.gateway.features import load_every_feature, load_features
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.self_test import self_test
 from edge.gateway.station_loop import StationLoop
-from edge.messaging.alarm_payload import ALARMS
+from edge.messaging.alarm_payload import ALARMS, STAYING
 from edge.messaging.command_payloads import (
     AcknowledgeAlarmArguments,
     CommandArguments,
     NoArguments,
-    ReferencePressArguments,
     ReplaceGelArguments,
     SelectPartArguments,
-    SnapshotArguments,
 )
+from edge.press_stage import Command, Data, PressStage
 
-__all__ = ["COMMANDS", "Command", "acknowledge_by_pedal", "station_handlers", "trigger_by_pedal"]
+__all__ = ["every_command", "station_commands", "station_handlers", "trigger_by_pedal"]
 
 log = logging.getLogger(__name__)
 
-A = TypeVar("A", bound=CommandArguments)
-
-Data = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Command(Generic[A]):
-    """One verb: its arguments' model, the loop's action, and its text in the manual."""
-
-    verb: str
-    arguments: type[A]
-    do: Callable[[StationLoop, A], Data | Callable[[], Data]]
-    """Returns the data of the response, plain JSON, or what makes them on the requester's thread while the loop goes
-    on. Errors of both: GelgateError, ValueError."""
-    help: str
-    changes: str = ""
-    """What it changes for good, for the manual; empty for nothing."""
+LoopCommand = Command[StationLoop, Any]
 
 
 def _trigger(loop: StationLoop, arguments: NoArguments) -> Data:
@@ -64,12 +45,6 @@ def trigger_by_pedal(loop: StationLoop) -> None:
         _trigger(loop, NoArguments())
     except (DeviceNotFound, ValueError) as error:
         log.warning("the trigger gave no verdict: %s", error)
-
-
-def acknowledge_by_pedal(loop: StationLoop) -> None:
-    """A person has seen the last verdict, and the pulses that were not given."""
-    if (outputs := loop.find(Outputs)) is not None:
-        outputs.acknowledge()
 
 
 def _relearn(loop: StationLoop, arguments: NoArguments) -> Data:
@@ -101,59 +76,31 @@ def _reload(loop: StationLoop, arguments: NoArguments) -> Data:
     return {"is_waiting": True}
 
 
-def _reference_press(loop: StationLoop, arguments: ReferencePressArguments) -> Data:
-    guard = loop.find(ReferenceGuard)
-    if guard is None:
-        raise ValueError("a gauge study runs on this station; ask for a reference press after it")
-    if arguments.cancel:
-        guard.cancel()
-        return {"is_waiting": False}
-    label = guard.request(arguments.piece, is_start=arguments.restart)
-    return {"piece": label.piece, "is_waiting": True, "within_s": guard.within_s}
-
-
-def _prove_gel(loop: StationLoop, arguments: NoArguments) -> Data:
-    watch = loop.find(GelProofWatch)
-    if watch is None:
-        raise ValueError("this station does not watch whether a bundle is proven on its gel")
-    proof = watch.prove()
-    return {"presses": proof.presses, "alarms": proof.alarms, "rate": proof.rate}
-
-
 def _acknowledge_alarm(loop: StationLoop, arguments: AcknowledgeAlarmArguments) -> Data:
     alarm, raised = arguments.alarm, _alarms(loop)
     if alarm not in ALARMS:
         raise ValueError(f"no alarm is named '{alarm}'; {suggestion(alarm, sorted(ALARMS))}")
-    outputs = loop.find(Outputs)
-    staying = {
-        "pulse": outputs.acknowledge_pulses if outputs else lambda: None,
-        "outbox_full": loop.report.acknowledge_drops,
-        "counts": loop.parts.store.findings.clear,
-    }
-    if alarm not in staying:
+    if alarm not in STAYING:
         raise ValueError(
             f"the alarm '{alarm}' ends by itself when its reason is over; see docs/operations.md"
         )
     if alarm not in raised:
         raise ValueError(f"the alarm '{alarm}' is not raised; raised: {', '.join(raised) or 'none'}")
-    staying[alarm]()
+    if alarm == "outbox_full":
+        loop.report.acknowledge_drops()
+    elif alarm == "counts":
+        loop.parts.store.findings.clear()
+    for stage in loop.parts.stages:
+        stage.acknowledge(alarm)
     loop.parts.status.say(alarm, None)
     return {"alarms": _alarms(loop)}
-
-
-def _snapshot(loop: StationLoop, arguments: SnapshotArguments) -> Data:
-    snapshots = loop.find(Snapshots)
-    if snapshots is None:
-        raise ValueError("snapshots are off; name the command snapshot in [commands]")
-    recording = snapshots.request(arguments.before_s, arguments.after_s)
-    return {"recording": str(recording), "is_waiting": True}
 
 
 def _self_test(loop: StationLoop, arguments: NoArguments) -> Callable[[], Data]:
     return self_test(loop.parts)
 
 
-COMMANDS: Final[tuple[Command[Any], ...]] = (
+COMMANDS: Final[Sequence[LoopCommand]] = (
     Command(
         "trigger",
         NoArguments,
@@ -175,14 +122,6 @@ COMMANDS: Final[tuple[Command[Any], ...]] = (
         "the record of wear",
     ),
     Command(
-        "prove_gel",
-        NoArguments,
-        _prove_gel,
-        "a person says that every press on this gel was of a sound part: with enough presses and few alarms the bundle "
-        "in use is proven on it. `rate`: the false alarms that they still allow",
-        "what the bundle is trusted with",
-    ),
-    Command(
         "select_part",
         SelectPartArguments,
         _select_part,
@@ -198,28 +137,12 @@ COMMANDS: Final[tuple[Command[Any], ...]] = (
         "the bundles",
     ),
     Command(
-        "reference_press",
-        ReferencePressArguments,
-        _reference_press,
-        "the next press is that of a master piece; its outcome is on the topic `reference`. `restart`: its charts "
-        "begin again; `cancel`: the next press is a part's",
-        "the charts of the master piece",
-    ),
-    Command(
         "acknowledge_alarm",
         AcknowledgeAlarmArguments,
         _acknowledge_alarm,
         "end an alarm that stays after its reason is over: `pulse`, `outbox_full` or `counts`; the others end by "
         "themselves. `alarms`: those that remain",
         "the alarm",
-    ),
-    Command(
-        "snapshot",
-        SnapshotArguments,
-        _snapshot,
-        f"write the camera's frames around now as a recording below the state folder; `recording` is its folder, which "
-        f"is there when it is complete. At most {KEPT} with {KEPT_BYTES / 1e6:g} MB are kept, the oldest go first",
-        "the oldest snapshots",
     ),
     Command(
         "self_test",
@@ -229,15 +152,50 @@ COMMANDS: Final[tuple[Command[Any], ...]] = (
         "outcome, `is_ok` all of them together. Other requests wait for its end, up to 15 s",
     ),
 )
-"""All commands of a station; docs/mqtt.md prints this table."""
+"""Those of every station."""
 
 
-def station_handlers(calls: LoopCalls[StationLoop]) -> dict[str, Handler]:
+def every_command() -> Sequence[LoopCommand]:
+    """Return all commands, with those of every installed feature; docs/mqtt.md prints them."""
+    return [*COMMANDS, *_commands_of(load_every_feature().values())]
+
+
+def station_commands(config: Config) -> Sequence[LoopCommand]:
+    """Return the commands that this station can serve. Errors: ConfigError for a verb in [commands] that no one has."""
+    commands = [*COMMANDS, *_commands_of(load_features(config).values())]
+    verbs, table = {command.verb for command in commands}, config.commands
+    for verb in (*table.unsigned, *table.signed, *table.page):
+        if verb not in verbs:
+            known = sorted(command.verb for command in every_command())
+            raise ConfigError(f"commands: no command is named '{verb}'; {suggestion(verb, known)}")
+    return commands
+
+
+def _commands_of(features: Iterable[type[PressStage]]) -> list[LoopCommand]:
+    return [
+        replace(command, do=partial(_ask_stage, feature, command))
+        for feature in features
+        for command in feature.commands
+    ]
+
+
+def _ask_stage(
+    feature: type[PressStage], command: Command[Any, Any], loop: StationLoop, arguments: CommandArguments
+) -> Data | Callable[[], Data]:
+    stage = loop.find(feature)
+    if stage is None:
+        raise ValueError(
+            f"'{command.verb}' is off now: it is not configured, or a gauge study runs on this station"
+        )
+    return command.do(stage, arguments)
+
+
+def station_handlers(calls: LoopCalls[StationLoop], commands: Iterable[LoopCommand]) -> dict[str, Handler]:
     """Verb to handler. Arguments are read on the caller's thread; the station's loop does the rest."""
-    return {command.verb: partial(_ask, calls, command) for command in COMMANDS}
+    return {command.verb: partial(_ask, calls, command) for command in commands}
 
 
-def _ask(calls: LoopCalls[StationLoop], command: Command[Any], arguments: Mapping[str, Any]) -> Change:
+def _ask(calls: LoopCalls[StationLoop], command: LoopCommand, arguments: Mapping[str, Any]) -> Change:
     wish = command.arguments.of(arguments)
 
     def do(loop: StationLoop) -> tuple[Data | Callable[[], Data], Data, Data]:

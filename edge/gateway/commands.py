@@ -157,7 +157,7 @@ class Commands:
         """Record the request, do it unless it was done before, and record its outcome. Errors: those of a handler."""
         now_ns = self._clock.time_ns()
         asked = admit(verb, request, now_ns)
-        why = self._unknown(verb) or asked.why
+        why = asked.why
         act = Act(now_ns, asked.who, verb[:64], request.transaction, request.arguments, asked.signature)
         is_within_rate = self._rates[asked.kind].take()
         if why is not None and is_within_rate:
@@ -170,11 +170,6 @@ class Commands:
         if earlier is not None:
             return self._repeated(act, earlier)
         return self._done(verb, request, act_id)
-
-    def _unknown(self, verb: str) -> str | None:
-        if verb in self._handlers:
-            return None
-        return f"no command is named '{verb[:64]}'; known: {', '.join(sorted(self._handlers)) or 'none'}"
 
     def _done(self, verb: str, request: CommandRequest, act_id: int) -> bytes:
         try:

@@ -5,7 +5,7 @@ from importlib.metadata import version
 
 from edge.config import Config
 from edge.core.sink_context import Place, topic_root
-from edge.gateway.command_table import COMMANDS
+from edge.gateway.command_table import station_commands
 from edge.messaging.descriptions.station import DescribedStation, ServedCommand, SparkplugNode
 
 __all__ = ["DescribedBroker", "broker_of", "describe_station"]
@@ -21,7 +21,7 @@ def describe_station(config: Config) -> DescribedStation:
         version=version("gelgate"),
         commands=[
             ServedCommand(one.verb, one.arguments, one.help, is_signed=one.verb in commands.signed)
-            for one in COMMANDS
+            for one in station_commands(config)
             if one.verb in served
         ],
     )

@@ -5,19 +5,19 @@ score, verdict, and the one transaction that counts a press and queues its messa
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import Self
 
 from edge.acquisition import AcquisitionStatus
 from edge.config import Config
 from edge.core.ports import Clock
-from edge.features.press_stage import PressStage
 from edge.gateway.build import build
 from edge.gateway.preflight import Preflight
 from edge.gateway.report import Summary
 from edge.gateway.service_manager import ServiceManager
 from edge.gateway.station_loop import OnPress, Parts, StationLoop
+from edge.press_stage import PressStage
 
 __all__ = ["Gateway"]
 
@@ -42,16 +42,16 @@ class Gateway:
         on_press: OnPress = lambda report: None,
         checked: Preflight | None = None,
         read_again: Callable[[], Config] | None = None,
-        labels: PressStage | None = None,
+        stages: Mapping[str, PressStage] | None = None,
     ) -> Self:
         """Build every part; a part that cannot work is refused here, before anything is started.
 
         on_press: called by the loop with every recorded press. checked: the parts opened by the check before the start.
-        read_again: reads the configuration at a reload. labels: names the presses of references and studies. Errors:
-        ConfigError, BundleError, StoreError.
+        read_again: reads the configuration at a reload. stages: they take the place of the features of these names.
+        Errors: ConfigError, BundleError, StoreError.
         """
         with ExitStack() as closing:
-            parts = build(config, clock, closing, checked, read_again, labels)
+            parts = build(config, clock, closing, checked, read_again, stages)
             return cls(parts, closing.pop_all(), on_press)
 
     def run(self, stop: threading.Event, *, presses: int | None = None) -> Summary:

@@ -30,12 +30,12 @@ from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.core.press import JudgedFrame, Press, PressLabel
-from edge.features.press_stage import Mounted, PressStage
 from edge.gateway.recorder import PressReport, Recorder, WaitingPress
 from edge.gateway.status import StationStatus
 from edge.logs import about_press
 from edge.model.inspector import Inspector
 from edge.model.manifest_facts import read_origin
+from edge.press_stage import Mounted, PressStage
 from edge.store.gel_files import GelFiles
 from edge.store.gel_ledger import GelRecord
 from edge.store.ulid import new_ulid

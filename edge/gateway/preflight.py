@@ -14,21 +14,20 @@ from functools import partial
 from typing import Self, TypeVar
 
 from edge import registry
-from edge.config import Config, OverviewTable, PluginTable
+from edge.config import Config, PluginTable
 from edge.core.errors import (
     BundleMismatch,
     ConfigError,
-    DeviceError,
     DeviceNotFound,
     GelgateError,
     StoreError,
 )
 from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
-from edge.features.outputs.opening import describe_actuator, describe_trigger
 from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_policy import policy_of
-from edge.gateway.command_table import COMMANDS
+from edge.gateway.command_table import station_commands
+from edge.gateway.features import load_features
 from edge.gateway.metrics import ADDRESS, serve_metrics
 from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.model.manifest_facts import licence_sentence
@@ -136,17 +135,15 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
         selected = _describe_store(config, bundles_in_use.read_selected)
         found.try_part("part", lambda: str(first_part(config.inspection, found.bundles, selected)))
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
-    if config.overview is not None:
-        found.try_part("overview", partial(_overview, config.overview))
     found.try_part("database", lambda: _database(config))
     found.try_part("commands", lambda: _commands(config))
     port = config.metrics.port
     if port is not None:
         found.try_part("metrics", lambda: _metrics(port))
-    for trigger in config.triggers:
-        found.try_part(f"trigger {trigger.plugin}", partial(describe_trigger, trigger))
-    for actuator in config.actuators:
-        found.try_part(f"actuator {actuator.plugin}", partial(describe_actuator, actuator))
+    with contextlib.suppress(ConfigError):  # a feature that cannot be loaded is a finding of `commands`
+        for feature in load_features(config).values():
+            for part, attempt in feature.attempts(config):
+                found.try_part(part, attempt)
     for index, sink in enumerate(config.sinks):
         found.try_part(f"sink {sink.plugin}", partial(_try_sink, sink, f"sinks.{index}"))
     return found
@@ -185,21 +182,6 @@ def _require_sensor(config: Config) -> None:
         )
 
 
-def _overview(table: OverviewTable) -> str:
-    """A camera that is away is no fault: the station waits for it. Errors: ConfigError for its `empty`."""
-    rules = table.rules()
-    plugin = registry.overview(table.plugin)
-    try:
-        discovered = plugin.discover(plugin.Options.model_validate(table.options))
-    except DeviceError as error:
-        discovered, away = [], str(error)
-    else:
-        away = "; ".join(one.refusal for one in discovered if one.refusal) or "no camera is found"
-    names = [f"{one.identity.product}, serial {one.identity.serial}" for one in discovered if one.identity]
-    until = "presses are refused" if rules.is_asking else "results come without its still"
-    return ", ".join(names) or f"{away}; until it comes {until}"
-
-
 def _database(config: Config) -> str:
     path = config.store.path
     if not path.parent.is_dir():
@@ -231,7 +213,8 @@ def _database(config: Config) -> str:
 
 
 def _commands(config: Config) -> str:
-    policy = policy_of(config, frozenset(command.verb for command in COMMANDS))
+    station_commands(config)
+    policy = policy_of(config)
     has_page = any(sink.plugin == "page" for sink in config.sinks)
     words = [f"{verb} (unsigned)" for verb in sorted(policy.unsigned)]
     words += [f"{verb} (signed)" for verb in sorted(policy.signed)]

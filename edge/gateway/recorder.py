@@ -12,13 +12,13 @@ from edge.core.ports import Clock, Message
 from edge.core.press import Press
 from edge.core.sink_context import Place
 from edge.core.verdict import Kind
-from edge.features.press_stage import OwnTable, PressStage
 from edge.messaging.payload_base import iso_time
 from edge.messaging.result_payload import MOST_DEFECTS, DefectPlace, PosePlace, ResultPayload, press_messages
 from edge.messaging.status_payloads import GelPayload
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.pictures.press_picture import PressCaption, press_png
+from edge.press_stage import OwnTable, PressStage
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, Recorded, Store
 

@@ -15,7 +15,6 @@ from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, Sto
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, DeviceIdentity
 from edge.core.sink_context import Place
-from edge.features.press_stage import PressStage
 from edge.gateway.inspection_session import InspectionSession
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.part_selection import PartSelection
@@ -23,6 +22,7 @@ from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.report import FreeSpace, Report, Summary
 from edge.gateway.status import StationStatus
 from edge.messaging.publisher import Publisher
+from edge.press_stage import PressStage
 from edge.store.gel_files import GelFiles
 from edge.store.press_store import Store
 

@@ -12,7 +12,7 @@ from edge.cli import EXIT_CODES, EXIT_MEANINGS
 from edge.cli.run import example
 from edge.config import Config, load_config
 from edge.core import errors
-from edge.gateway.command_table import COMMANDS, station_handlers
+from edge.gateway.command_table import every_command, station_handlers
 from edge.gateway.loop_calls import LoopCalls
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -63,11 +63,11 @@ def test_every_key_says_what_it_means() -> None:
 
 def test_every_command_verb_is_in_the_manual() -> None:
     """What a running station answers to is the table that the page prints, with every argument of every verb."""
-    handlers = station_handlers(LoopCalls())
+    handlers = station_handlers(LoopCalls(), every_command())
     rows = {line.split("`")[1]: line for line in PRINTED["mqtt.md"].splitlines() if line.startswith("| `")}
 
-    assert set(handlers) == {command.verb for command in COMMANDS}
-    for command in COMMANDS:
+    assert set(handlers) == {command.verb for command in every_command()}
+    for command in every_command():
         assert command.help in rows[command.verb]
         assert [
             name for name in command.arguments.model_fields if f"`{name}`" not in rows[command.verb]

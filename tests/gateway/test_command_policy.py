@@ -13,7 +13,7 @@ from edge.clock import ManualClock
 from edge.config import load_config
 from edge.core.errors import ConfigError, StoreError
 from edge.gateway.command_policy import SIGNED_WITHIN_S, CommandPolicy, policy_of
-from edge.gateway.command_table import COMMANDS
+from edge.gateway.command_table import every_command, station_commands
 from edge.gateway.commands import REPEATED_WITHIN_S, Change, Commands
 from edge.messaging.command_payloads import signature_of, signed_text
 from edge.store import acts
@@ -21,7 +21,7 @@ from edge.store.press_store import Store
 
 SECRET = b"0123456789abcdef"
 ROOT = "gelgate/site/line/station/gel/v1"
-VERBS = frozenset(command.verb for command in COMMANDS)
+VERBS = frozenset(command.verb for command in every_command())
 START_NS = 1_780_000_000 * 10**9
 
 
@@ -79,7 +79,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 
 def test_only_a_trigger_is_served_by_default(station: SteppedStation, config: Path) -> None:
     """A station as it comes records no change of gel that somebody on the network asks for."""
-    commands = Commands({}, policy_of(load_config(config), VERBS), station.parts.store, station.clock)
+    commands = Commands({}, policy_of(load_config(config)), station.parts.store, station.clock)
     commands._handlers = {verb: lambda arguments: Change({}) for verb in VERBS}
     answers = {verb: json.loads(commands(verb, b'{"transaction":"1"}')) for verb in VERBS}
 
@@ -289,6 +289,12 @@ def test_control_characters_of_a_gel_are_refused(bench: Bench, change: dict[str,
         bench.store.replace_gel("S1", 1, **change)
 
 
+def admit(path: Path) -> None:
+    """Read who may ask for what, as a start does."""
+    station_commands(config := load_config(path))
+    policy_of(config)
+
+
 @pytest.mark.parametrize(
     ("table", "words"),
     [
@@ -312,7 +318,7 @@ def test_a_policy_that_cannot_be_is_refused_at_the_start(
     path = station_config(tmp_path, recording, bundle, tables=f"[commands]\n{table}")
 
     with pytest.raises(ConfigError) as caught:
-        policy_of(load_config(path), VERBS)
+        admit(path)
     assert words in str(caught.value)
 
 

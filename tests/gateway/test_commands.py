@@ -9,7 +9,7 @@ from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
 from edge.core.errors import GelgateError
-from edge.gateway.command_table import station_handlers
+from edge.gateway.command_table import every_command, station_handlers
 from edge.gateway.loop_calls import LoopCalls
 from edge.messaging.command_payloads import ReplaceGelArguments
 
@@ -39,7 +39,7 @@ def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_from_nothing(
     with SteppedStation(
         station_config(tmp_path / "station", recording, bundle, trigger="command")
     ) as station:
-        handlers = station_handlers(station.parts.calls)
+        handlers = station_handlers(station.parts.calls, every_command())
 
         def ask(verb: str, **arguments: object) -> str:
             return answer(lambda: handlers[verb](arguments), station.turn)

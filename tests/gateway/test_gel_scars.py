@@ -11,7 +11,7 @@ from stepped_station import SteppedStation
 from edge.core.gel_scars.causes import Cause
 from edge.core.press import PressLabel, StudyLabel
 from edge.core.verdict import Kind
-from edge.features.press_stage import PressStage
+from edge.press_stage import PressStage
 from edge.store.history import HistoryQuery, read_history
 
 # Of the other marks together, more than a twentieth of the contact once they are masked with their surroundings.
@@ -101,16 +101,21 @@ class Study(PressStage):
 
 
 @pytest.mark.parametrize(
-    ("tables", "labels", "cause"), [('[gel]\nscars = "named"', None, Cause.GEL), ("", Study(), None)]
+    ("tables", "stages", "cause"), [('[gel]\nscars = "named"', {}, Cause.GEL), ("", {"study": Study()}, None)]
 )
 def test_scars_that_are_not_masked_are_judged(
-    tmp_path: Path, scarred: Path, bundle: Path, tables: str, labels: PressStage | None, cause: Cause | None
+    tmp_path: Path,
+    scarred: Path,
+    bundle: Path,
+    tables: str,
+    stages: dict[str, PressStage],
+    cause: Cause | None,
 ) -> None:
     """For parts of which every place must be judged: each press fails, and the cause says why. And in a gauge study
     one piece is pressed again and again: nothing of it is masked, and no press has a cause."""
-    with SteppedStation(station_config(tmp_path, scarred, bundle, tables=tables), labels=labels) as station:
+    with SteppedStation(station_config(tmp_path, scarred, bundle, tables=tables), stages=stages) as station:
         station.play_until(lambda: len(station.reports) == 4)
 
-    assert labels or station.verdicts[2:] == [Kind.FAIL, Kind.FAIL]
+    assert stages or station.verdicts[2:] == [Kind.FAIL, Kind.FAIL]
     assert [result.cause for result in station.results] == [None, None, cause, cause]
     assert [result.unmasked_score for result in station.results] == [None] * 4

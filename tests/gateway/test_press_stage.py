@@ -1,32 +1,14 @@
-"""A feature of presses is one stage: a class of some lines, and a line in `build.py`."""
+"""A feature of presses is one stage; tests/plugins has one of another author."""
 
-import re
-from collections import Counter
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from stepped_station import SteppedStation
 
 from edge.core.contact.events import PressSettled
 from edge.core.press import Press, PressLabel
-from edge.features.press_stage import PressStage
 from edge.model.inspector import Inspector
+from edge.press_stage import PressStage
 from edge.store.gel_ledger import GelRecord
-
-PAGE = Path(__file__).parents[2] / "docs/plugins.md"
-
-
-def test_the_feature_of_the_page_is_one_class(config: Path) -> None:
-    """It sees every press that is recorded, and touches no other file."""
-    (code,) = re.findall(
-        r"```python\n(class PressesPerShift.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL
-    )
-    names: dict[str, Any] = {one.__name__: one for one in (Counter, datetime, PressStage, Press, GelRecord)}
-    exec(code, names | {"UTC": UTC}, names)
-    with SteppedStation(config, labels=(shifts := names["PressesPerShift"]())) as station:
-        station.play()
-    assert shifts.counts == {0: 3}
 
 
 class Told(PressStage):
@@ -53,7 +35,7 @@ class Told(PressStage):
 
 def test_the_calls_of_a_press_come_in_order(config: Path) -> None:
     """Three presses, the second one dented, each from its beginning to its row."""
-    with SteppedStation(config, labels=(told := Told())) as station:
+    with SteppedStation(config, stages={"told": (told := Told())}) as station:
         station.play()
     assert told.calls == [
         call

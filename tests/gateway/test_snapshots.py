@@ -171,7 +171,7 @@ def test_a_snapshot_of_a_station_is_a_recording_of_its_sensor(
 
 @pytest.mark.parametrize(
     ("tables", "store", "words"),
-    [("", "", "snapshots are off"), (SERVED, "free_mb = 1e9", "no snapshot is written: the disk of")],
+    [("", "", "'snapshot' is off"), (SERVED, "free_mb = 1e9", "no snapshot is written: the disk of")],
 )
 def test_a_station_that_may_not_write_one_says_why(
     tmp_path: Path, recording: Path, bundle: Path, tables: str, store: str, words: str

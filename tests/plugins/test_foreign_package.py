@@ -16,6 +16,7 @@ import pytest
 from command_line import gelgate
 from ports import free_port
 from station import press_recording, station_config
+from stepped_station import SteppedStation
 
 from edge import registry
 from edge.clock import ManualClock
@@ -78,7 +79,7 @@ def server(port: int = 0) -> Iterator[ThreadingHTTPServer]:
 
 
 def test_the_page_shows_a_complete_package() -> None:
-    """Its entry points lead to the modules that are printed; no plugin reaches below the contract."""
+    """Its entry points lead to the modules that are printed; nothing reaches below the contracts."""
     points = tomllib.loads(FILES["pyproject.toml"])["project"]["entry-points"]
     values = [value for group in points.values() for value in group.values()]
     modules = {name: text for name, text in FILES.items() if name.startswith("acme_touch/")}
@@ -86,8 +87,11 @@ def test_the_page_shows_a_complete_package() -> None:
     imported = [name for text in modules.values() for name in re.findall(ours, text)]
 
     assert {value.partition(":")[0].replace(".", "/") + ".py" for value in values} == set(modules)
-    assert len(modules) == 3
-    assert [name for name in imported if not name.startswith("edge.core.")] == []
+    assert len(modules) == 4
+    assert {name for name in imported if not name.startswith("edge.core.")} == {
+        "edge.messaging.command_payloads",
+        "edge.press_stage",
+    }
 
 
 def test_the_detectors_own_test_passes(acme: Path) -> None:
@@ -194,8 +198,8 @@ def test_the_sink_conforms(acme: Path) -> None:
 def test_from_nominal_presses_to_a_verdict_at_the_webhook(
     acme: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The folder is a sensor, the package's detector is fitted, and its sink posts, with gelgate's own commands. A
-    process that does not see the package reads the bundle."""
+    """The folder is a sensor, the package's detector is fitted, its sink posts and its feature counts, with gelgate's
+    own commands. A process that does not see the package reads the bundle."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "ACME0001").mkdir()
     listed = gelgate("devices", "--device", "watched_folder", "--option", f"folder={tmp_path / 'ACME0001'}")
@@ -217,3 +221,11 @@ def test_from_nominal_presses_to_a_verdict_at_the_webhook(
     assert done.code == 0, done.err
     results = [json.loads(payload) for topic, payload in posted if topic.endswith("/result")]
     assert [result["verdict"] for result in results] == ["pass", "fail", "pass"]
+
+    served = '[commands]\nunsigned = ["shift_counts"]'
+    (tmp_path / "again").mkdir()
+    with SteppedStation(
+        station_config(tmp_path / "again", line, tmp_path / "bolt", tables=served)
+    ) as station:
+        station.play()
+        assert station.ask("shift_counts") == {"shift 1": 3}

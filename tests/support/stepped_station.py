@@ -2,7 +2,7 @@
 
 import json
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -11,12 +11,12 @@ from typing import Any, Self, TypeVar
 from edge.clock import ManualClock
 from edge.config import Config, load_config
 from edge.core.errors import RecordingEnded
-from edge.features.press_stage import PressStage
 from edge.gateway.build import build
-from edge.gateway.command_table import COMMANDS
+from edge.gateway.command_table import every_command
 from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
 from edge.messaging.result_payload import ResultPayload
+from edge.press_stage import PressStage
 
 S = TypeVar("S", bound=PressStage)
 
@@ -28,7 +28,7 @@ class SteppedStation:
         self,
         config: Path,
         read_again: Callable[[], Config] | None = None,
-        labels: PressStage | None = None,
+        stages: Mapping[str, PressStage] | None = None,
         on_press: Callable[[PressReport], None] = lambda report: None,
     ) -> None:
         self.clock = ManualClock()
@@ -36,7 +36,7 @@ class SteppedStation:
         self.has_ended = False
         self._pause_s = 0.0  # before the next step of the reader; the loop may look meanwhile
         with ExitStack() as closing:
-            self.parts = build(load_config(config), self.clock, closing, read_again=read_again, labels=labels)
+            self.parts = build(load_config(config), self.clock, closing, read_again=read_again, stages=stages)
             self._closing = closing.pop_all()
         self.loop = StationLoop(self.parts, lambda report: (self.reports.append(report), on_press(report))[1])
 
@@ -48,7 +48,7 @@ class SteppedStation:
 
     def ask(self, verb: str, **arguments: Any) -> Any:
         """Do a request at once, as the loop does it; returns the data of its response."""
-        command = next(command for command in COMMANDS if command.verb == verb)
+        command = next(command for command in every_command() if command.verb == verb)
         return command.do(self.loop, command.arguments.of(arguments))
 
     @property

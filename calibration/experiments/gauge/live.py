@@ -12,8 +12,8 @@ from edge.clock import SystemClock
 from edge.config import Config
 from edge.core.errors import ConfigError, DatasetError
 from edge.core.press import Press, PressLabel, StudyLabel
-from edge.features.press_stage import Mounted, PressStage
 from edge.gateway.gateway import Gateway
+from edge.press_stage import Mounted, PressStage
 from edge.store import study_presses
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, Store
@@ -151,7 +151,7 @@ def run_study(plan: StudyPlan, config: Config, say: Callable[[str], None]) -> in
         labels = prepare_labels(plan, store, say, stop.set)
         if not labels.left:
             return 0
-        with Gateway.open(config, SystemClock(), labels=labels) as gateway:
+        with Gateway.open(config, SystemClock(), stages={"reference_press": labels}) as gateway:
             if sys.stdin is not None and sys.stdin.isatty():  # the thread ends with the process
                 threading.Thread(target=_read_keys, args=(labels.keys,), name="keys", daemon=True).start()
             try:

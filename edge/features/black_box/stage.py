@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from edge.core.contact.reference import View
 from edge.core.imaging.quality import Reason
 from edge.core.press import Press
-from edge.features.press_stage import Alarms, PressStage, StageParts
 from edge.model.inspector import Inspector
 from edge.model.session import fingerprint, fingerprint_bytes
+from edge.press_stage import Alarms, PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_archive import ArchivedPress, PressArchive
 
@@ -32,11 +32,9 @@ class BlackBox(PressStage):
         self._reference: tuple[View, tuple[str, bytes]] | None = None
 
     @classmethod
-    def open(cls, parts: StageParts) -> Self | None:
+    def open(cls, parts: StageParts) -> Self:
         """The archive is next to the database."""
         config, table = parts.config, parts.config.archive
-        if not table.presses:
-            return None
         folder, most_bytes = config.store.path.with_suffix(".archive"), round(table.mb * 1e6)
         archive = PressArchive(folder, table.presses, most_bytes, parts.find_low_space)
         return cls(archive, str(config.station.place), config.inspection.threads, parts.alarms)

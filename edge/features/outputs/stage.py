@@ -3,20 +3,28 @@
 They follow the presses of parts; master pieces and studies switch nothing.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final, Self, final
 
+from edge.config import Config
 from edge.core.contact.events import Event, PressBegan, PressSettled
 from edge.core.contact.press_detector import Look
 from edge.core.digital_io import StationView
 from edge.core.ports import Clock
 from edge.core.press import Press
 from edge.features.outputs.actuator_driver import ActuatorDriver
-from edge.features.outputs.opening import IoAlarms, open_drivers, open_readers
+from edge.features.outputs.opening import (
+    IoAlarms,
+    describe_actuator,
+    describe_trigger,
+    open_drivers,
+    open_readers,
+)
 from edge.features.outputs.trigger_reader import TriggerReader
-from edge.features.press_stage import PressStage, StageParts
 from edge.model.inspector import Inspector
+from edge.press_stage import PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
 
 __all__ = ["Outputs"]
@@ -42,13 +50,23 @@ class Outputs(PressStage):
         self._seen_ns: int | None = None
 
     @classmethod
-    def open(cls, parts: StageParts) -> Self | None:
+    def open(cls, parts: StageParts) -> Self:
         """Open the configured pedals, lights and relays, not yet started. Errors: ConfigError."""
         config, clock, alarms = parts.config, parts.clock, IoAlarms(parts.alarms.say)
-        if not (config.triggers or config.actuators):
-            return None
-        readers = open_readers(config.triggers, clock, alarms, parts.requests)
-        return cls(readers, open_drivers(config.actuators, clock, alarms), alarms, clock)
+        outputs = cls((), open_drivers(config.actuators, clock, alarms), alarms, clock)
+        actions: dict[str, Callable[[], None]] = {
+            "trigger": parts.trigger,
+            "acknowledge": partial(parts.post, outputs.acknowledge_all),
+        }
+        outputs.readers = tuple(open_readers(config.triggers, clock, alarms, actions))
+        return outputs
+
+    @classmethod
+    def attempts(cls, config: Config) -> Iterator[tuple[str, Callable[[], str]]]:
+        for trigger in config.triggers:
+            yield f"trigger {trigger.plugin}", partial(describe_trigger, trigger)
+        for actuator in config.actuators:
+            yield f"actuator {actuator.plugin}", partial(describe_actuator, actuator)
 
     def start(self) -> None:
         """Outputs first: they are then in the state `starting` before anything can be asked for."""
@@ -103,13 +121,13 @@ class Outputs(PressStage):
                 self._verdict = press.word
             self._pulse(press)
 
-    def acknowledge(self) -> None:
-        """A person has seen the last verdict, and the pulses that were not given."""
-        self._verdict, self._awaited_ns = None, None
-        self.acknowledge_pulses()
+    def acknowledge(self, alarm: str) -> None:
+        if alarm == "pulse":
+            self._alarms.acknowledge()
 
-    def acknowledge_pulses(self) -> None:
-        """A person has seen the pulses that were not given."""
+    def acknowledge_all(self) -> None:
+        """Take it that a person has seen the last verdict, and the pulses that were not given."""
+        self._verdict, self._awaited_ns = None, None
         self._alarms.acknowledge()
 
     def _pulse(self, press: Press) -> None:

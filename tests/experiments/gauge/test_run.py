@@ -54,7 +54,7 @@ def running(
     stopped: list[bool] = []
     with Store(config.parent / "gelgate.db") as store:
         labels = prepare_labels(plan, store, said.append, lambda: stopped.append(True))
-        with SteppedStation(config, labels=labels) as station:
+        with SteppedStation(config, stages={"reference_press": labels}) as station:
             yield station, labels, stopped
 
 

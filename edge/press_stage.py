@@ -1,8 +1,11 @@
-"""What a press goes through: each concern of a station is one stage, and `edge.gateway.build` lists them in order."""
+"""What a press goes through: each feature of a station is one stage, with the verbs that it brings.
 
-from collections.abc import Callable, Mapping, Sequence, Set
+Stages enter by the entry points `gelgate.features`, those of gelgate and those of other packages.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, Self
+from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
 
 from edge.config import Config
 from edge.core.contact.events import Event, PressSettled
@@ -14,13 +17,20 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, DeviceIdentity, Message
 from edge.core.press import Press, PressLabel
+from edge.messaging.command_payloads import CommandArguments
 from edge.messaging.result_payload import ResultPayload
 from edge.model.inspector import Inspector
 from edge.store.acts import Act
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, PressTable, Store
 
-__all__ = ["Alarms", "Mounted", "OwnTable", "PressStage", "Selection", "StageParts"]
+__all__ = ["Alarms", "Command", "Data", "Mounted", "OwnTable", "PressStage", "Selection", "StageParts"]
+
+A = TypeVar("A", bound=CommandArguments)
+S = TypeVar("S", contravariant=True)
+
+Data = Mapping[str, Any]
+"""The data of a response, plain JSON."""
 
 
 class Alarms(Protocol):
@@ -72,8 +82,26 @@ class StageParts:
     """Returns the sensor; None while it is not known."""
     find_low_space: Callable[[], str | None]
     """Returns why nothing more may be written to the disk."""
-    requests: Mapping[str, Callable[[], None]]
-    """What a pedal may ask for, by the word of its table."""
+    post: Callable[[Callable[[], None]], None]
+    """Lets the loop call something between two frames; any thread may use it."""
+    trigger: Callable[[], None]
+    """Asks the loop to score the press that is held now; any thread may use it."""
+
+
+@dataclass(frozen=True)
+class Command(Generic[S, A]):
+    """One verb that a station serves."""
+
+    verb: str
+    arguments: type[A]
+    """The model of its arguments."""
+    do: Callable[[S, A], Data | Callable[[], Data]]
+    """Called by the loop, with the stage. Returns the data of the response, or what makes them on the requester's
+    thread while the loop goes on. Errors of both: GelgateError, ValueError."""
+    help: str
+    """What it does, for the manual."""
+    changes: str = ""
+    """What it changes for good, for the manual; empty for nothing."""
 
 
 class OwnTable(PressTable, Protocol):
@@ -106,10 +134,19 @@ class PressStage:
     `record`. The others are about what is mounted, what is seen, and time.
     """
 
+    commands: ClassVar[Sequence[Command[Any, Any]]] = ()
+    """The verbs that it serves."""
+
     @classmethod
     def open(cls, parts: StageParts) -> Self | None:
         """Make the stage of a station; None where it is not configured. Errors: ConfigError."""
         return cls()
+
+    @classmethod
+    def attempts(cls, config: Config) -> Iterator[tuple[str, Callable[[], str]]]:
+        """Yield what the check before a start tries: the name of a part, and what says how it was found. Errors of
+        the latter: GelgateError."""
+        yield from ()
 
     def start(self) -> None:
         """Begin to work in the background."""
@@ -164,6 +201,9 @@ class PressStage:
 
     def record(self, press: Press, gel: GelRecord) -> None:
         """Take a press that is in the database, with its gel, this press counted. Errors: StoreError."""
+
+    def acknowledge(self, alarm: str) -> None:
+        """Take it that a person has seen an alarm that stays until then."""
 
     def show(self, view: StationView) -> None:
         """Take the state of the station, at the end of every turn of the loop."""

@@ -1,0 +1,39 @@
+"""The features of a station: found by the entry points `gelgate.features`, and loaded where they are wanted."""
+
+from collections.abc import Mapping
+
+from edge import registry
+from edge.config import Config
+from edge.core.errors import ConfigError
+from edge.press_stage import PressStage
+
+__all__ = ["load_every_feature", "load_features"]
+
+Features = Mapping[str, type[PressStage]]
+
+
+def load_features(config: Config) -> Features:
+    """Load the features that are configured, and those of other packages, in the order in which a press goes through
+    them. Others may refuse a press, so they come before the outputs, which show what was decided.
+
+    Errors: ConfigError for a feature that cannot be loaded.
+    """
+    ours = config.features
+    others = [name for name in registry.names("features") if name not in ours]
+    before = list(ours).index("outputs")
+    names = [*list(ours)[:before], *others, *list(ours)[before:]]
+    return {name: _load(name) for name in names if ours.get(name, True)}
+
+
+def load_every_feature() -> Features:
+    """Load all that are installed, for the manual. Errors: as `load_features`."""
+    return {name: _load(name) for name in registry.names("features")}
+
+
+def _load(name: str) -> type[PressStage]:
+    feature = registry.feature(name)
+    if isinstance(feature, type) and issubclass(feature, PressStage):
+        return feature
+    raise ConfigError(
+        f"the entry point '{name}' of gelgate.features is no class of PressStage; correct its package"
+    )
