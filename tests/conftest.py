@@ -2,6 +2,7 @@
 
 import signal
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,14 +35,26 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@cache
+def find_marker(path: Path) -> str | None:
+    """Return the marker that a file's tests have by its place."""
+    if path.is_relative_to(TESTS / "training"):
+        return "train"
+    return "lab" if any(path.is_relative_to(TESTS / place) for place in LAB) else None
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no experiment that is not selected."""
+    marker = find_marker(collection_path)
+    return True if marker and f"not {marker}" in config.option.markexpr else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the experiments before pytest selects by marker."""
     for item in items:
-        if item.path.is_relative_to(TESTS / "training"):
-            item.add_marker("train")
-        elif any(item.path.is_relative_to(TESTS / place) for place in LAB):
-            item.add_marker("lab")
+        if marker := find_marker(item.path):
+            item.add_marker(marker)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -134,7 +134,7 @@ def learnt_by_fit(folder: Path) -> list[bytes]:
     return [frames[int(name.rpartition("#")[2])].frame.payload for name in names]
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(stretches=STRETCHES, fps=st.sampled_from([5.0, 10.0, 15.0, 18.75, 25.0, 30.0, 60.0]))
 def test_fit_and_gateway_choose_the_same_frames(stretches: list[Stretch], fps: float) -> None:
     """Recordings with holes, broken, black, small and repeated frames, at any rate: the same frames, in order."""
@@ -152,7 +152,7 @@ def test_a_hole_is_an_interruption_for_both(tmp_path: Path) -> None:
     assert len(learnt_by_fit(recording)) == len(scored_by_the_gateway(recording)) == 2
 
 
-@pytest.mark.parametrize(("nominal_fps", "pace"), [(18.75, 1.0), (25.0, 0.0), (60.0, 1.0)])
+@pytest.mark.parametrize(("nominal_fps", "pace"), [(25.0, 0.0), (60.0, 1.0)])
 def test_every_virtual_sensor_plays_the_same_film(tmp_path: Path, nominal_fps: float, pace: float) -> None:
     """The times of the frames are the pace, whatever rate the camera advertises: presses of four frames do not rest for
     0.2 s, presses of six do."""

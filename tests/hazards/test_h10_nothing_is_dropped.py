@@ -30,18 +30,17 @@ def test_every_gallery_cell_is_found(h: int, w: int, n: int, seed: int) -> None:
 
 
 def test_rows_searched_in_parts_are_the_same_rows() -> None:
-    """56x56 cells and five presses are searched in three parts with a remainder: each cell finds itself."""
+    """56x56 cells and five presses are searched in three parts with a remainder: each has the oracle's distance."""
     taps = {"layer1": (8, 56, 56)}
     assert 56 * 56 % (PRODUCT_LIMIT // (5 * 56 * 56)) != 0
     nominal = presses_of(5, 0, taps)
     p = spade.parameters("paper", layers=("layer1",), is_normalised=False)
     bank = fit(spade, p, nominal, grid(taps))
-    asked = {"layer1": np.concatenate([nominal["layer1"][3:4], presses_of(1, 8, taps)["layer1"]])}
+    asked = presses_of(1, 8, taps)
     raw = run_head(spade.head(grid(taps), bank, p), asked, bank)["raw_map"]
-    assert raw[0].max() < 1e-4
     rows = bank.arrays["layer1_bank"].reshape(-1, 8)
-    other = asked["layer1"][1].reshape(8, -1).T - bank.arrays["layer1_mean"]
-    np.testing.assert_allclose(raw[1].ravel(), nearest(other, rows).distances[:, 0], atol=1e-5)
+    other = asked["layer1"][0].reshape(8, -1).T - bank.arrays["layer1_mean"]
+    np.testing.assert_allclose(raw.ravel(), nearest(other, rows).distances[:, 0], atol=1e-5)
 
 
 @settings(max_examples=20, deadline=None)
