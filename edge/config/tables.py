@@ -334,7 +334,7 @@ class Config(Table):
 
     @property
     def features(self) -> Mapping[str, bool]:
-        """Whether each feature of a press is wanted, in the order in which a press goes through them."""
+        """Whether each feature is wanted, in the order in which a press goes through them."""
         commands = self.commands
         served = {*commands.unsigned, *commands.signed, *commands.page}
         return {
@@ -347,4 +347,5 @@ class Config(Table):
             "outputs": bool(self.triggers or self.actuators),
             "black_box": self.archive.presses > 0,
             "snapshots": "snapshot" in served,
+            "metrics": self.metrics.port is not None,
         }

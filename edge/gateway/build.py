@@ -24,7 +24,6 @@ from edge.gateway.commands import Commands
 from edge.gateway.description import describe_station
 from edge.gateway.features import load_features
 from edge.gateway.loop_calls import LoopCalls
-from edge.gateway.metrics import serve_metrics
 from edge.gateway.opening import BundleOpener, Opened, device_opener, first_part
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
@@ -70,7 +69,8 @@ def build(
     part = first_part(config.inspection, bundles, store.read_selected())
     commands = _commands(config, calls, store, clock)
     publisher = _publisher(config, clock, retained_state, commands, closing, lock)
-    status = StationStatus(_announcer(config, publisher.announce, closing), clock)
+    listeners: list[Callable[[Message], object]] = [publisher.announce]
+    status = StationStatus(lambda message: [hear(message) for hear in listeners], clock)
     closing.callback(publisher.stop)
     closing.callback(status.stopped)
     status.set_waiting_for("the sensor")
@@ -91,6 +91,7 @@ def build(
         find_low_space=free_space.check,
         post=lambda do: calls.post(lambda loop: do()),
         trigger=partial(calls.post, trigger_by_pedal),
+        listen=listeners.append,
     )
     return Parts(
         stages=_open_stages(stage_parts, stages or {}, closing),
@@ -177,22 +178,6 @@ def _staging(opener: BundleOpener, read_again: Callable[[], Config]) -> OpenBund
             return error
 
     return open_bundles
-
-
-def _announcer(
-    config: Config, publish: Callable[[Message], object], closing: ExitStack
-) -> Callable[[Message], None]:
-    """Status messages go to the receivers, and to the metrics where they are served. Errors: ConfigError."""
-    serving = None
-    if config.metrics.port is not None:
-        serving = closing.enter_context(serve_metrics(config.metrics.port))
-
-    def announce(message: Message) -> None:
-        if serving is not None:
-            serving.see(message)
-        publish(message)
-
-    return announce
 
 
 def _names_before(config: Config) -> dict[str, str]:

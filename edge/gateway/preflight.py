@@ -28,7 +28,6 @@ from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_policy import policy_of
 from edge.gateway.command_table import station_commands
 from edge.gateway.features import load_features
-from edge.gateway.metrics import ADDRESS, serve_metrics
 from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.model.manifest_facts import licence_sentence
 from edge.store import bundles_in_use, gel_ledger
@@ -137,9 +136,6 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     found.try_part("database", lambda: _database(config))
     found.try_part("commands", lambda: _commands(config))
-    port = config.metrics.port
-    if port is not None:
-        found.try_part("metrics", lambda: _metrics(port))
     with contextlib.suppress(ConfigError):  # a feature that cannot be loaded is a finding of `commands`
         for feature in load_features(config).values():
             for part, attempt in feature.attempts(config):
@@ -220,12 +216,6 @@ def _commands(config: Config) -> str:
     words += [f"{verb} (signed)" for verb in sorted(policy.signed)]
     words += [f"{verb} (page)" for verb in sorted(policy.page)] if has_page else []
     return ", ".join(words) or "none"
-
-
-def _metrics(port: int) -> str:
-    """Try to serve metrics. Errors: ConfigError where the extra is not installed or the port is taken."""
-    with serve_metrics(port):
-        return f"http://{ADDRESS}:{port}/metrics on this machine"
 
 
 def _try_sink(table: PluginTable, key: str) -> str:

@@ -1,7 +1,7 @@
 """Counters for Prometheus: every number of the stats, every alarm, on this machine alone."""
 
 import socket
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
@@ -10,7 +10,7 @@ from ports import free_port
 from station import station_config
 from stepped_station import SteppedStation
 
-from edge.gateway.metrics import METRICS, Metrics, serve_metrics
+from edge.features.metrics import METRICS, Metrics
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
 from edge.messaging.payload_base import Payload
 from edge.messaging.status_payloads import StatePayload, StatsPayload
@@ -58,7 +58,7 @@ def test_the_values_are_those_of_the_report() -> None:
         dropped={"heatmap": 4},
         receivers={"mqtt:a": "up, MQTT 5", "mqtt:b": "connection refused"},
     )
-    seen.see(report.message())
+    seen.note(report.message())
     found = samples(seen)
 
     assert found["gelgate_frames_total",] == 100
@@ -76,13 +76,13 @@ def test_alarms_and_state_are_followed() -> None:
         key[1]: value for key, value in samples(seen).items() if key[0] == "gelgate_alarm"
     } == dict.fromkeys(ALARMS, 0.0)
 
-    seen.see(AlarmPayload(time_ns=T0, alarm="disk", text="low").message())
-    seen.see(StatePayload(time_ns=T0, state="ready").message())
+    seen.note(AlarmPayload(time_ns=T0, alarm="disk", text="low").message())
+    seen.note(StatePayload(time_ns=T0, state="ready").message())
     found = samples(seen)
     assert (found["gelgate_alarm", "disk"], found["gelgate_ready",]) == (1, 1)
 
-    seen.see(alarm_cleared("disk"))
-    seen.see(StatePayload(time_ns=T0, state="halted", reason="the disk is full").message())
+    seen.note(alarm_cleared("disk"))
+    seen.note(StatePayload(time_ns=T0, state="halted", reason="the disk is full").message())
     found = samples(seen)
     assert (found["gelgate_alarm", "disk"], found["gelgate_ready",]) == (0, 0)
 
@@ -110,7 +110,8 @@ def test_a_station_serves_them_until_it_is_closed(
 
 def test_a_page_of_others_and_slow_clients_are_no_readers(port: int) -> None:
     """A name server of others may answer with our address. Half requests take no place from a whole one."""
-    with serve_metrics(port), ExitStack() as opened:
+    with closing(Metrics()) as metrics, ExitStack() as opened:
+        metrics.serve(port)
         for _ in range(MOST_OF_ONE + 10):
             slow = opened.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10))
             slow.sendall(b"GET /metrics")

@@ -7,23 +7,25 @@ hangs is seen.
 
 import json
 import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, Self
 from urllib.parse import urlsplit
 
 from edge.clock import SystemClock
+from edge.config import Config
 from edge.core.errors import ConfigError
 from edge.core.ports import Message
 from edge.extras import needs
 from edge.messaging.alarm_payload import ALARMS
 from edge.page.access import Access
 from edge.page.http_server import HttpHandler, HttpServer
+from edge.press_stage import PressStage, StageParts
 
 if TYPE_CHECKING:
     from prometheus_client.core import Metric
 
-__all__ = ["METRICS", "Metrics", "serve_metrics"]
+__all__ = ["METRICS", "Metrics"]
 
 ADDRESS: Final = "127.0.0.1"
 
@@ -53,17 +55,41 @@ METRICS: Final[Mapping[str, tuple[str, str, str, str]]] = {
 }
 
 
-class Metrics:
-    """The newest report of a station. `see` is called by any thread, `collect` by the server's."""
+class Metrics(PressStage):
+    """The newest report of a station, served to this machine alone at /metrics.
+
+    `note` is called by any thread, `collect` by the server's.
+    """
 
     def __init__(self) -> None:
+        self._server: HttpServer | None = None
         self._lock = threading.Lock()
         self._stats: dict[str, Any] = {}
         self._state = "starting"
         self._alarms: set[str] = set()
 
-    def see(self, message: Message) -> None:
-        """A message of the station about itself; others are left out."""
+    @classmethod
+    def open(cls, parts: StageParts) -> Self | None:
+        """Serve what the station says of itself. Errors: ConfigError, as `serve`."""
+        if (port := parts.config.metrics.port) is None:
+            return None
+        metrics = cls()
+        metrics.serve(port)
+        parts.listen(metrics.note)
+        return metrics
+
+    @classmethod
+    def attempts(cls, config: Config) -> Iterator[tuple[str, Callable[[], str]]]:
+        if config.metrics.port is not None:
+            yield "metrics", partial(cls()._try, config.metrics.port)
+
+    def _try(self, port: int) -> str:
+        self.serve(port)
+        self.close()
+        return f"http://{ADDRESS}:{port}/metrics on this machine"
+
+    def note(self, message: Message) -> None:
+        """Take a message of the station about itself; others are left out."""
         kind, _, name = message.topic.partition("/")
         with self._lock:
             if kind == "alarm":
@@ -87,42 +113,38 @@ class Metrics:
             if stats.get(field) is not None:
                 yield _family(kind, name, text, label, _values(stats[field]))
 
+    def serve(self, port: int) -> None:
+        """Answer this machine until `close`. Errors: ConfigError where the extra is missing or the port is taken."""
+        needs("metrics", "metrics.port")
+        from prometheus_client import CollectorRegistry, ProcessCollector
+        from prometheus_client.exposition import choose_encoder
 
-@contextmanager
-def serve_metrics(port: int) -> Iterator[Metrics]:
-    """Serve metrics that this machine can read at /metrics until the end of the block.
+        registry = CollectorRegistry()
+        ProcessCollector(registry=registry)
+        registry.register(self)
 
-    Errors: ConfigError where the extra is not installed or the port is taken.
-    """
-    needs("metrics", "metrics.port")
-    from prometheus_client import CollectorRegistry, ProcessCollector
-    from prometheus_client.exposition import choose_encoder
+        class Scrape(HttpHandler):
+            access = Access()
 
-    registry, metrics = CollectorRegistry(), Metrics()
-    ProcessCollector(registry=registry)
-    registry.register(metrics)
+            def do_GET(self) -> None:
+                if urlsplit(self.path).path != "/metrics":
+                    self.say(404, "the counters are at /metrics")
+                    return
+                encode, content_type = choose_encoder(self.headers.get("Accept", ""))
+                self.answer(200, content_type, encode(registry))
 
-    class Scrape(HttpHandler):
-        access = Access()
+        try:
+            self._server = HttpServer((ADDRESS, port), Scrape, SystemClock(), "metrics")
+        except OSError as error:
+            raise ConfigError(
+                f"metrics.port {port} cannot be served on {ADDRESS}: {error.strerror}; choose another port"
+            ) from error
+        self._server.start()
 
-        def do_GET(self) -> None:
-            if urlsplit(self.path).path != "/metrics":
-                self.say(404, "the counters are at /metrics")
-                return
-            encode, content_type = choose_encoder(self.headers.get("Accept", ""))
-            self.answer(200, content_type, encode(registry))
-
-    try:
-        server = HttpServer((ADDRESS, port), Scrape, SystemClock(), "metrics")
-    except OSError as error:
-        raise ConfigError(
-            f"metrics.port {port} cannot be served on {ADDRESS}: {error.strerror}; choose another port"
-        ) from error
-    server.start()
-    try:
-        yield metrics
-    finally:
-        server.close()
+    def close(self) -> None:
+        if self._server is not None:
+            self._server.close()
+            self._server = None
 
 
 def _values(found: object) -> dict[str, float]:
