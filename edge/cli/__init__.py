@@ -1,6 +1,6 @@
 """The command line: one command `gelgate`, its verbs found through the entry points `gelgate.commands`.
 
-A verb's module imports only typer at the top and everything heavy inside its function, so help stays instant.
+A verb's module is imported when the verb is called; the list of verbs is known without that, so help is instant.
 
 Exit codes: EXIT_MEANINGS. After 2 or 3 a restart does not help: a person has to correct something first.
 """
@@ -51,35 +51,75 @@ EXIT_CODES: Final[tuple[tuple[type[errors.GelgateError], int], ...]] = (
     (errors.GelgateError, 1),
 )
 
-# The verbs of `gelgate --help` in the order of work, the station's first; those of other packages follow as "Others".
-_SECTIONS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+# The verbs of `gelgate --help` by section, in the order of work, and those of each group: verb to its line. They are
+# listed without being loaded. Those of other packages follow as "Others".
+_SECTIONS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
-        "Station": ("demo", "devices", "check", "run", "watch", "page", "gel", "history", "db", "station"),
-        "Bundles": ("record", "fit", "evaluate", "export", "bundle"),
-        "Research": ("lab",),
+        "Station": {
+            "demo": "Simulate a bolt, fit a bundle, inspect, publish.",
+            "devices": "List the plugged-in cameras, pedals and relays.",
+            "check": "Check all that `run` needs; report every fault.",
+            "run": "Run the gateway: inspect every press and publish.",
+            "watch": "Print verdicts as they arrive, each press once.",
+            "page": "Serve the page of a station from a broker.",
+            "gel": "Show the wear of gels, or record a replacement.",
+            "history": "Show which presses were made.",
+            "db": "Check, back up or migrate the gateway's database.",
+            "station": "Set up a station, describe it, and look into it.",
+        },
+        "Bundles": {
+            "record": "Record frames from a device, video or press images.",
+            "fit": "Learn a bundle from nominal presses.",
+            "evaluate": "Score a bundle on a dataset: metrics and report.",
+            "export": "Import trained backbones, or write graphs.",
+            "bundle": "Acquire, inspect, verify, sign or carry over a bundle.",
+        },
+        "Research": {"lab": "Simulate, study accuracy, and train: the laboratory."},
     }
 )
 
-_GROUP_HELP: Final[Mapping[str, str]] = MappingProxyType(
+# Each of these verbs still answers at the top for this version, with a hint; the entry points are flat.
+_GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
-        "station": "Set up a station, describe it, and look into it.",
-        "bundle": "Acquire, inspect, verify, sign or carry over a bundle.",
-        "lab": "Simulate, study accuracy, and train: the laboratory.",
+        "station": {
+            "overview": "Print what one still of the overview camera shows.",
+            "reference": "Press a master piece, or show its control charts.",
+            "acts": "Show who asked the station for what.",
+            "replay": "Make verdicts again, bit for bit.",
+            "describe": "Describe a station to other programs.",
+            "topics": "Print every MQTT topic and field, as in docs/mqtt.md.",
+            "docs": "List the pages of the manual, or print one.",
+            "install-service": "Install the systemd unit and the udev rule.",
+        },
+        "bundle": {
+            "acquire": "Take nominal presses until they are enough, then fit.",
+            "carry": "Carry a bundle over to a new gel of its sensor.",
+            "inspect": "Show what a bundle contains, from its manifest.",
+            "verify": "Check a bundle's files and its scores on this machine.",
+            "sign": "Sign a bundle, so that a gateway can tell who made it.",
+            "keys": "Make and show the keys that bundles are signed with.",
+            "wrap": "Make a bundle of another tool's detector graph.",
+        },
+        "lab": {
+            "simulate": "Simulate presses as a dataset or as recordings.",
+            "calibrate": "Fit the simulator to a sensor, from presses of a ball.",
+            "msa": "Measurement systems analysis: a gauge study.",
+            "study": "Study what accuracy costs, cell by cell.",
+            "report": "Make a study's page and figures from its rows.",
+            "recommend": "Say which method to take for a need, from rows alone.",
+            "tradeoff": "Measure what accuracy costs: time, memory, presses.",
+            "detectability": "Measure the smallest damage found, by place.",
+            "train-backbone": "Train the tactile backbone on simulated presses.",
+            "evaluate-backbone": "Compare backbones on presses that training never draws.",
+            "evaluate-new-gel": "What a bundle loses on a new gel, and how to keep it.",
+            "evaluate-scars": "How scars of the gel and damage are distinguished.",
+        },
     }
 )
 
-# Group to its verbs. Each still answers at the top for this version, with a hint; the entry points are flat.
-_GROUPS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "station": ("overview", "reference", "acts", "replay", "describe", "topics", "docs", "install-service"),
-        "bundle": ("acquire", "carry", "inspect", "verify", "sign", "keys", "wrap"),
-        "lab": (
-            "simulate", "calibrate", "msa", "study", "report", "recommend", "tradeoff", "detectability",
-            "train-backbone", "evaluate-backbone", "evaluate-new-gel", "evaluate-scars",
-        ),
-    }
-)  # fmt: skip
-
+_LINES: Final[Mapping[str, str]] = {
+    verb: line for verbs in (*_SECTIONS.values(), *_GROUPS.values()) for verb, line in verbs.items()
+}
 _GROUP_OF: Final = {verb: group for group, verbs in _GROUPS.items() for verb in verbs}
 
 # Errors of a disk that is full, read-only or faulty; such an error names no file.
@@ -112,15 +152,14 @@ class _LoadedVerbs(Mapping[str, Any]):
         if self._group:
             return (name for name in _GROUPS[self._group] if name in known)
         ours = [name for names in _SECTIONS.values() for name in names]
-        others = sorted({*known} - {*ours} - {*_GROUP_OF})
-        return (name for name in (*ours, *others) if name in known or name in _GROUPS)
+        return (name for name in (*ours, *sorted({*known} - {*_LINES})) if name in known or name in _GROUPS)
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
 
 def _group(name: str) -> "_Verbs":
-    return _Verbs(name=name, help=_GROUP_HELP[name], no_args_is_help=True, rich_markup_mode=None)
+    return _Verbs(name=name, help=_LINES[name], no_args_is_help=True, rich_markup_mode=None)
 
 
 def _load(name: str) -> Any:
@@ -162,9 +201,9 @@ class _Verbs(typer.core.TyperGroup):
         self.commands = _LoadedVerbs(None if self._is_top else given["name"])  # type: ignore[assignment]  # only read
 
     def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
-        """List the verbs that can be loaded, with a warning for each other one."""
+        """List the verbs; one of another package that cannot be loaded is left out, with a warning."""
         names = list(self.commands)
-        for name in tuple(names):
+        for name in {*names} - {*_LINES}:
             try:
                 self.commands[name]
             except errors.ConfigError as error:
@@ -172,18 +211,24 @@ class _Verbs(typer.core.TyperGroup):
                 print(f"gelgate: warning: {error}", file=sys.stderr)
         return names
 
+    def shell_complete(self, ctx: typer.Context, incomplete: str) -> Any:  # type: ignore[override]
+        """Suggest verbs, without loading ours."""
+        listed = [typer.core.TyperCommand(name, help=self._line(name)) for name in self.list_commands(ctx)]
+        group = typer.core.TyperGroup(name=self.name, commands=listed, params=self.params)
+        return group.shell_complete(typer.Context(group), incomplete)
+
+    def _line(self, name: str) -> str:
+        return _LINES.get(name) or self.commands[name].get_short_help_str(100)
+
     def format_commands(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
         """Write the verbs, those of the top in sections."""
         names = self.list_commands(ctx)
         sections = {title: [name for name in names if name in verbs] for title, verbs in _SECTIONS.items()}
         others = [name for name in names if not any(name in verbs for verbs in sections.values())]
-        room = formatter.width - 6 - max(map(len, names))
         for title, verbs in {**sections, "Others" if self._is_top else "Commands": others}.items():
             if verbs:
                 with formatter.section(title):
-                    formatter.write_dl(
-                        [(name, self.commands[name].get_short_help_str(room)) for name in verbs]
-                    )
+                    formatter.write_dl([(name, self._line(name)) for name in verbs])
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]
         """Find the verb; a name that has moved into a group is found too, with a hint."""

@@ -1,13 +1,16 @@
 """`gelgate station acts`: requests to the station and their outcomes, newest first."""
 
-from typing import TYPE_CHECKING, Annotated
+import json
+from dataclasses import asdict
+from typing import Annotated
 
 import typer
 
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
-
-if TYPE_CHECKING:
-    from edge.store.acts import Act
+from edge.clock import local_time
+from edge.core.printable import printable
+from edge.store.acts import Act, newest
+from edge.store.database import open_read_only
 
 __all__ = ["acts"]
 
@@ -21,12 +24,6 @@ def acts(
     """Show who asked the station for what.
 
     Every request with its outcome, and the gel before and after."""
-    import json
-    from dataclasses import asdict
-
-    from edge.store.acts import newest
-    from edge.store.database import open_read_only
-
     with open_read_only(database_path(config, database), "reading the acts") as connection:
         requests = newest(connection, count)
     for act in requests:
@@ -35,10 +32,7 @@ def acts(
         typer.echo("nothing was asked of this station yet")
 
 
-def _line(act: "Act") -> str:
-    from edge.clock import local_time
-    from edge.core.printable import printable
-
+def _line(act: Act) -> str:
     words = [
         local_time(act.time_ns),
         act.verb,
@@ -51,6 +45,6 @@ def _line(act: "Act") -> str:
     return printable("  ".join([*words, *([act.sentence] if act.sentence else [])]))
 
 
-def _changes(act: "Act") -> list[str]:
+def _changes(act: Act) -> list[str]:
     before, after = act.before or {}, act.after or {}
     return [key for key in after if after[key] != before.get(key)]

@@ -1,16 +1,34 @@
 """`gelgate bundle inspect` and `gelgate bundle verify`: what is in a bundle, and whether it is sound."""
 
+import hashlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from edge.cli.options import BundlePath, TrunkStore
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from edge.model.manifest import ColourEntry, Manifest
+from edge.core.errors import BundleError
+from edge.model.archive import MANIFEST, open_archive
+from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle, parse_manifest
+from edge.model.detectability import detectability_lines
+from edge.model.manifest import ColourEntry, Manifest
+from edge.model.manifest_facts import (
+    AUGMENTATION,
+    BACKBONE_CHOICE,
+    DEFAULT_COSTS,
+    LIMIT,
+    METHOD_CHOICE,
+    MISSING,
+    again_sentence,
+    choice_sentence,
+    licence_sentence,
+    plan_for,
+    promise,
+)
+from edge.model.scorer import Scorer
+from edge.model.signature import Trust, trusted_keys
+from edge.model.trial import try_bundle
 
 __all__ = ["inspect", "verify"]
 
@@ -30,12 +48,6 @@ def inspect(
 
     Part, method, sensor profile, bank, threshold, cost, provenance. `verify` checks the files too.
     """
-    import hashlib
-
-    from edge.model.archive import MANIFEST, open_archive
-    from edge.model.bundle import MAX_MANIFEST_BYTES, parse_manifest
-    from edge.model.signature import Trust, trusted_keys
-
     archive = open_archive(bundle)
     raw = archive.read(MANIFEST, MAX_MANIFEST_BYTES)
     manifest = parse_manifest(raw, archive.where)
@@ -49,19 +61,7 @@ def inspect(
         typer.echo(f"{label:<{width}}  {value}")
 
 
-def _rows(manifest: "Manifest") -> "Iterator[tuple[str, str]]":
-    from edge.model.manifest_facts import (
-        AUGMENTATION,
-        DEFAULT_COSTS,
-        LIMIT,
-        METHOD_CHOICE,
-        MISSING,
-        again_sentence,
-        choice_sentence,
-        plan_for,
-        promise,
-    )
-
+def _rows(manifest: Manifest) -> Iterator[tuple[str, str]]:
     limit, profile, tolerance, facts = (
         manifest.threshold,
         manifest.profile,
@@ -93,10 +93,8 @@ def _rows(manifest: "Manifest") -> "Iterator[tuple[str, str]]":
     yield from _cards(manifest)
 
 
-def _graph_rows(manifest: "Manifest") -> "Iterator[tuple[str, str]]":
+def _graph_rows(manifest: Manifest) -> Iterator[tuple[str, str]]:
     """Describe the trunk, its taps and tiles, the other graphs and the bank."""
-    from edge.model.manifest_facts import BACKBONE_CHOICE, choice_sentence
-
     backbone, grid = manifest.backbone, manifest.grid
     if backbone is not None:
         place = "in the bundle" if backbone.in_bundle else "in the gateway's trunk store"
@@ -117,11 +115,8 @@ def _graph_rows(manifest: "Manifest") -> "Iterator[tuple[str, str]]":
         yield f"bank {name}", f"{array.dtype} {shape}, {_mb(array.bytes_unpacked)}, {stored}"
 
 
-def _cards(manifest: "Manifest") -> "Iterator[tuple[str, str]]":
+def _cards(manifest: Manifest) -> Iterator[tuple[str, str]]:
     """Describe the licence, what was measured, and where the bundle comes from."""
-    from edge.model.detectability import detectability_lines
-    from edge.model.manifest_facts import licence_sentence
-
     cost, origin = manifest.cost, manifest.provenance
     if licence := licence_sentence(manifest):
         yield "licence", licence.removeprefix("licence of the ")
@@ -143,7 +138,7 @@ def _cards(manifest: "Manifest") -> "Iterator[tuple[str, str]]":
     yield from (("left out", name) for name in origin.left_out)
 
 
-def _colours(colours: "ColourEntry | None") -> str:
+def _colours(colours: ColourEntry | None) -> str:
     if colours is None:
         return "unknown: frames of another sensor are not refused; fit again"
     return f"refused beyond {colours.limit:.1%} of the light, nominal presses differ by {colours.spread:.1%}"
@@ -164,12 +159,6 @@ def verify(
     Checked: signature, schema, every hash, the graphs, the scores of the golden frames. With --keys an unsigned bundle
     fails. Exit code 5 when a check fails.
     """
-    from edge.core.errors import BundleError
-    from edge.model.bundle import Bundle
-    from edge.model.scorer import Scorer
-    from edge.model.signature import Trust, trusted_keys
-    from edge.model.trial import try_bundle
-
     trust = Trust("required", trusted_keys(keys)) if keys else Trust()
     try:
         try_bundle(bundle, trunks, threads)

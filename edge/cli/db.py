@@ -1,14 +1,19 @@
 """`gelgate db`: check, back up and migrate the database of a station."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
-
-if TYPE_CHECKING:
-    from edge.store.ledger_chain import Head
+from edge.core.errors import ConfigError, StoreError
+from edge.core.printable import printable
+from edge.messaging.publisher import PublisherLock
+from edge.store.backup import back_up, backups_in
+from edge.store.backup import migrate as migrate_file
+from edge.store.database import CHAINED_SINCE, SCHEMA_VERSION
+from edge.store.integrity import check_database
+from edge.store.ledger_chain import Head
 
 __all__ = ["db"]
 
@@ -30,10 +35,6 @@ def check(
 
     The file's integrity, gel counts with presses and with their second record, the outbox with its totals, and the
     ledger with its chain of hashes. It reads only, and the gateway may run meanwhile."""
-    from edge.core.errors import StoreError
-    from edge.core.printable import printable
-    from edge.store.integrity import check_database
-
     path = database_path(config, database)
     findings = check_database(path, None if head is None else _head(head))
     for finding in findings:
@@ -59,9 +60,6 @@ def backup(
     """Copy the database while the gateway runs.
 
     The copy is complete, checked, and needs no other file."""
-    from edge.core.errors import ConfigError
-    from edge.store.backup import back_up, backups_in
-
     path = database_path(config, database)
     if keep is not None and not target.is_dir():
         raise ConfigError(f"--keep removes older backups in a folder, and {target} is none; name a folder")
@@ -77,10 +75,6 @@ def migrate(database: DatabaseOption = None, config: ConfigOption = CONFIG) -> N
     """Bring an older database to this version, after a backup.
 
     The backup is next to the file. A start of the gateway does the same."""
-    from edge.messaging.publisher import PublisherLock
-    from edge.store.backup import migrate as migrate_file
-    from edge.store.database import CHAINED_SINCE, SCHEMA_VERSION
-
     path = database_path(config, database)
     lock = PublisherLock(path)  # an older gateway must not write meanwhile
     try:
@@ -95,11 +89,8 @@ def migrate(database: DatabaseOption = None, config: ConfigOption = CONFIG) -> N
             typer.echo("its ledger is chained from here on; the presses and acts from before are not covered")
 
 
-def _head(text: str) -> "Head":
+def _head(text: str) -> Head:
     """Read a head from the command line. Errors: ConfigError."""
-    from edge.core.errors import ConfigError
-    from edge.store.ledger_chain import Head
-
     try:
         return Head.parse(text)
     except ValueError as error:

@@ -1,19 +1,27 @@
 """`gelgate station describe`: a station, as AsyncAPI, Home Assistant, Node-RED and mosquitto read it."""
 
+import json
+import time
 from collections.abc import Mapping
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 import typer
 
 from edge.cli.options import CONFIG, ConfigOption
+from edge.config import Config, load_config
 from edge.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from edge.config import Config
-    from edge.messaging.descriptions.station import DescribedStation
-    from edge.messaging.mqtt_broker import Broker
+from edge.core.printable import printable
+from edge.gateway.description import broker_of, describe_station
+from edge.messaging.descriptions.access_rules import access_rules
+from edge.messaging.descriptions.asyncapi import document
+from edge.messaging.descriptions.home_assistant import discovery
+from edge.messaging.descriptions.node_red import flow
+from edge.messaging.descriptions.station import DescribedStation
+from edge.messaging.mqtt_broker import Broker
+from edge.messaging.subscriber import broker_at, listening, next_message, station_filter
 
 __all__ = ["Format", "describe", "describe_config", "station_at", "text_at"]
 
@@ -60,9 +68,6 @@ def describe(
 
     It reads the configuration alone, or with --host what the station has left at its broker. docs/subscribers.md says
     what to do with each format."""
-    from edge.config import load_config
-    from edge.messaging.subscriber import broker_at, station_filter
-
     if host is None:
         text = describe_config(load_config(config), form)
     else:
@@ -74,7 +79,7 @@ def describe(
         output.write_text(text, encoding="utf-8")
 
 
-def text_at(broker: "Broker", topic_filter: str, form: Format) -> str:
+def text_at(broker: Broker, topic_filter: str, form: Format) -> str:
     """The file, from a broker. Errors: ConfigError, SinkUnavailable."""
     if form is Format.MOSQUITTO:
         raise ConfigError(
@@ -84,12 +89,8 @@ def text_at(broker: "Broker", topic_filter: str, form: Format) -> str:
     return _text(form, station, document, broker.host, broker.port, broker.tls is not None)
 
 
-def describe_config(config: "Config", form: Format) -> str:
+def describe_config(config: Config, form: Format) -> str:
     """The file, from a configuration. Errors: ConfigError."""
-    from edge.gateway.description import broker_of, describe_station
-    from edge.messaging.descriptions.access_rules import access_rules
-    from edge.messaging.descriptions.asyncapi import document
-
     station, broker = describe_station(config), broker_of(config)
     if form is Format.MOSQUITTO:
         return access_rules(station, broker.user, discovery_prefix=broker.discovery_prefix, node=broker.node)
@@ -97,13 +98,8 @@ def describe_config(config: "Config", form: Format) -> str:
 
 
 def _text(
-    form: Format, station: "DescribedStation", document: object, host: str, port: int, has_tls: bool
+    form: Format, station: DescribedStation, document: object, host: str, port: int, has_tls: bool
 ) -> str:
-    import json
-
-    from edge.messaging.descriptions.home_assistant import discovery
-    from edge.messaging.descriptions.node_red import flow
-
     if form is Format.HOME_ASSISTANT:
         document = discovery(station)
     elif form is Format.NODE_RED:
@@ -112,20 +108,13 @@ def _text(
 
 
 def station_at(
-    broker: "Broker", topic_filter: str, wait_s: float = WAIT_S
-) -> "tuple[DescribedStation, Mapping[str, Any]]":
+    broker: Broker, topic_filter: str, wait_s: float = WAIT_S
+) -> tuple[DescribedStation, Mapping[str, Any]]:
     """Find the one station with these topics, and its AsyncAPI document.
 
     topic_filter: as of `station_filter`. Errors: SinkUnavailable without a broker; ConfigError where no station
     describes itself there, or several do.
     """
-    import json
-    import time
-    from dataclasses import replace
-
-    from edge.messaging.descriptions.station import DescribedStation
-    from edge.messaging.subscriber import listening, next_message
-
     documents: dict[str, Mapping[str, Any]] = {}
     with listening(broker, topic_filter.removesuffix("#") + "asyncapi") as (_, inbox):
         end = time.monotonic() + wait_s
@@ -144,9 +133,7 @@ def station_at(
     return replace(DescribedStation.of_root(root), version=str(version)), document
 
 
-def _not_one(broker: "Broker", topic_filter: str, roots: list[str]) -> str:
-    from edge.core.printable import printable
-
+def _not_one(broker: Broker, topic_filter: str, roots: list[str]) -> str:
     if not roots:
         return (
             f"broker {broker} has no station that describes itself below {topic_filter}; check the names, and that its "

@@ -1,11 +1,16 @@
 """`gelgate devices`: sensors, overview cameras, pedals and relays that are plugged in, and why one is refused."""
 
+import json
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Annotated, Any, Final
 
 import typer
 
 from edge import registry
+from edge.cli.arguments import plugin_options
+from edge.core.errors import ConfigError, GelgateError
+from edge.core.plugins import Resettable
 
 __all__ = ["devices"]
 
@@ -25,8 +30,6 @@ def devices(
     """List the plugged-in cameras, pedals and relays.
 
     They are listed by plugin; a device that is refused with the reason. --device names the plugin of a sensor."""
-    from edge.core.errors import ConfigError
-
     if (option or reset) and device is None:
         raise ConfigError("--option and --reset belong to one plugin; name it with --device")
     if reset and device is not None:
@@ -36,8 +39,6 @@ def devices(
     groups: Sequence[tuple[registry.PluginGroup, str]] = [("devices", device)] if device else _every_plugin()
     reports = [_report(group, name, option or []) for group, name in groups]
     if as_json:
-        import json
-
         typer.echo(json.dumps(reports, indent=2, ensure_ascii=False))
     else:
         for report in reports:
@@ -66,11 +67,6 @@ def _every_plugin() -> Sequence[tuple[registry.PluginGroup, str]]:
 
 def _report(group: registry.PluginGroup, name: str, given: list[str]) -> dict[str, Any]:
     """Search with a plugin; say why where it cannot (a missing option, a missing package)."""
-    from dataclasses import asdict
-
-    from edge.cli.arguments import plugin_options
-    from edge.core.errors import GelgateError
-
     report: dict[str, Any] = {"plugin": name, "kind": _KINDS[group], "seen": [], "note": ""}
     try:
         plugin = _FINDERS[group](name)
@@ -115,10 +111,6 @@ def _description(found: dict[str, Any]) -> str:
 
 
 def _reset(name: str, given: list[str]) -> None:
-    from edge.cli.arguments import plugin_options
-    from edge.core.errors import ConfigError
-    from edge.core.plugins import Resettable
-
     plugin = registry.device(name)
     if not isinstance(plugin, Resettable):
         raise ConfigError(f"the device plugin '{name}' has nothing to reset")

@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from edge.core.errors import ConfigError
+from edge.core.suggest import suggestion
+
 __all__ = ["docs"]
 
 
@@ -16,9 +19,6 @@ def docs(
     ] = "",
 ) -> None:
     """List the pages of the manual, or print one."""
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
-
     pages = _pages()
     if not pages:
         raise ConfigError("this installation has no manual; install gelgate from its wheel")

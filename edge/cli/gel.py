@@ -1,17 +1,29 @@
 """`gelgate gel`: show the gel ledger, or record that a gel was replaced."""
 
+import dataclasses
+import getpass
+import json
+import time
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
-
-if TYPE_CHECKING:
-    from edge.config.tables import GelTable
-    from edge.core.part_position import PartPosition
-    from edge.store.gel_proofs import GelBundle
-    from edge.store.press_store import GelRecord, Store
+from edge.clock import local_time
+from edge.config import load_config
+from edge.config.tables import GelTable
+from edge.core.errors import ConfigError
+from edge.core.part_position import PartPosition
+from edge.core.printable import printable
+from edge.core.suggest import suggestion
+from edge.messaging.status_payloads import GelPayload
+from edge.store import gel_ledger, gel_proofs
+from edge.store.acts import Act
+from edge.store.database import open_read_only
+from edge.store.gel_proofs import GelBundle
+from edge.store.press_store import GelRecord, Store
 
 __all__ = ["gel", "user"]
 
@@ -30,12 +42,6 @@ def show(
     """Print every gel with its presses, limit and state.
 
     A mounted gel is marked with *."""
-    import json
-
-    from edge.core.printable import printable
-    from edge.store import gel_ledger, gel_proofs
-    from edge.store.database import open_read_only
-
     with open_read_only(database_path(config, database), "reading the gel ledger") as connection:
         gels = gel_ledger.history(connection, serial, _gel_table(config, database).warn_fraction)
         used = gel_proofs.of_mounted(connection)
@@ -66,12 +72,6 @@ def replace(
     """Record that a new gel is mounted.
 
     Its count starts at 0; the count of the old gel stays as history."""
-    import json
-    import time
-
-    from edge.messaging.status_payloads import GelPayload
-    from edge.store.acts import Act
-
     now_ns = time.time_ns()
     asked = {"serial": serial, "gel_id": gel_id, "limit_presses": limit, "note": note}
     with _open(config, database) as store:
@@ -99,9 +99,6 @@ def prove(
 
     A bundle that was made on another gel is then proven on this one, if they are enough with few alarms. Exit code 1
     where one is not."""
-    from edge.core.errors import ConfigError
-    from edge.store import gel_proofs
-
     with _open(config, database) as store:
         known = sorted({record.serial for record in store.gels()})
         on = _only(known) if serial is None else _check_serial(serial, known)
@@ -117,15 +114,8 @@ def prove(
         raise typer.Exit(1)
 
 
-def _prove(store: "Store", key: "GelBundle", part: "PartPosition") -> bool:
+def _prove(store: Store, key: GelBundle, part: PartPosition) -> bool:
     """Prints the outcome, and writes it into the table of acts."""
-    import time
-    from functools import partial
-
-    from edge.core.printable import printable
-    from edge.store import gel_proofs
-    from edge.store.acts import Act
-
     asked = {"serial": key.serial, "gel_id": key.gel_id, "bundle_id": key.bundle_id}
     act = partial(Act, time.time_ns(), f"{user()}, command line", "prove_gel", arguments=asked)
     try:
@@ -141,8 +131,6 @@ def _prove(store: "Store", key: "GelBundle", part: "PartPosition") -> bool:
 
 def user() -> str:
     """Who asks, for the table of acts."""
-    import getpass
-
     try:
         return getpass.getuser()
     except (KeyError, OSError):  # a container may have no name for its user
@@ -150,8 +138,6 @@ def user() -> str:
 
 
 def _only(serials: list[str]) -> str:
-    from edge.core.errors import ConfigError
-
     if len(serials) != 1:
         known = ", ".join(serials) or "none"
         raise ConfigError(
@@ -162,33 +148,22 @@ def _only(serials: list[str]) -> str:
 
 def _check_serial(serial: str, serials: list[str]) -> str:
     """Refuse an unknown serial: a mistyped one must not leave the worn gel in the ledger. Errors: ConfigError."""
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
-
     if serial not in serials:
         raise ConfigError(f"no gel of a sensor '{serial}' is in the ledger; {suggestion(serial, serials)}")
     return serial
 
 
-def _open(config: Path, database: Path | None) -> "Store":
-    from edge.store.press_store import Store
-
+def _open(config: Path, database: Path | None) -> Store:
     path, table = database_path(config, database), _gel_table(config, database)
     return Store(path, limit_presses=table.limit_presses, warn_fraction=table.warn_fraction)
 
 
-def _gel_table(config: Path, database: Path | None) -> "GelTable":
+def _gel_table(config: Path, database: Path | None) -> GelTable:
     """The limits of gels; the usual ones where a database is named."""
-    from edge.config import load_config
-    from edge.config.tables import GelTable
-
     return GelTable() if database is not None else load_config(config).gel
 
 
-def _line(record: "GelRecord") -> str:
-    from edge.clock import local_time
-    from edge.core.printable import printable
-
+def _line(record: GelRecord) -> str:
     mark = "*" if record.removed_ns is None else " "
     wear = "" if record.wear_index is None else f"  wear {record.wear_index:.2f}"
     last = "never used" if record.last_use_ns is None else f"last used {local_time(record.last_use_ns)}"
@@ -199,7 +174,5 @@ def _line(record: "GelRecord") -> str:
     )
 
 
-def _plain(record: "GelRecord") -> dict[str, object]:
-    import dataclasses
-
+def _plain(record: GelRecord) -> dict[str, object]:
     return {**dataclasses.asdict(record), "state": str(record.state)}

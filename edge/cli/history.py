@@ -1,16 +1,25 @@
 """`gelgate history`: which presses were made, by time, part, gel and verdict; as lines, JSON, CSV or Parquet."""
 
+import datetime
+import json
+import re
+import time
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import typer
 
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from edge.store.history import HistoryRow
+from edge.clock import local_time
+from edge.core.errors import ConfigError
+from edge.core.printable import printable, score_texts
+from edge.core.suggest import suggestion
+from edge.extras import needs
+from edge.store.history import HistoryQuery, HistoryRow, read_history, write_history
+from edge.store.press_store import VERDICTS
 
 __all__ = ["history", "moment_ns"]
 
@@ -47,11 +56,6 @@ def history(
 
     Oldest first, with a line of totals. The gateway may run meanwhile. Each press is one row: number, id, time,
     sensor, gel, part, position, verdict, score, threshold and cause: part or gel."""
-    import time
-
-    from edge.extras import needs
-    from edge.store.history import HistoryQuery, read_history, write_history
-
     if output is not None and output.suffix.lower() == ".parquet":
         needs("parquet", f"writing {output}")
     now_ns = time.time_ns()
@@ -76,11 +80,6 @@ def history(
 
 def moment_ns(text: str, now_ns: int) -> int:
     """The wall-clock nanoseconds that a person means. Errors: ConfigError."""
-    import datetime
-    import re
-
-    from edge.core.errors import ConfigError
-
     if age := re.fullmatch(r"(\d{1,6})([smhd])", text):
         return now_ns - int(age[1]) * {"s": 1, "m": 60, "h": 3600, "d": 86400}[age[2]] * 10**9
     try:
@@ -91,27 +90,18 @@ def moment_ns(text: str, now_ns: int) -> int:
 
 def _verdicts(given: list[str]) -> tuple[str, ...]:
     """Check the verdicts. Errors: ConfigError with the nearest one."""
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
-    from edge.store.press_store import VERDICTS
-
     for word in given:
         if word not in VERDICTS:
             raise ConfigError(f"no press has the verdict '{word}'; {suggestion(word, VERDICTS)}")
     return tuple(given)
 
 
-def _print_json(rows: "Iterable[HistoryRow]") -> None:
-    import json
-    from dataclasses import asdict
-
+def _print_json(rows: Iterable[HistoryRow]) -> None:
     for row in rows:
         typer.echo(json.dumps(asdict(row)))
 
 
-def _print_lines(rows: "Iterable[HistoryRow]") -> None:
-    from collections import Counter
-
+def _print_lines(rows: Iterable[HistoryRow]) -> None:
     totals: Counter[str] = Counter()
     for row in rows:
         typer.echo(_line(row))
@@ -120,10 +110,7 @@ def _print_lines(rows: "Iterable[HistoryRow]") -> None:
     typer.echo(f"{totals.total()} presses: {words}" if totals else "no press fits")
 
 
-def _line(row: "HistoryRow") -> str:
-    from edge.clock import local_time
-    from edge.core.printable import printable, score_texts
-
+def _line(row: HistoryRow) -> str:
     score = ""
     if row.score is not None and row.threshold is not None:
         score = "  " + " / ".join(score_texts(row.score, row.threshold))

@@ -1,11 +1,14 @@
 """`gelgate station install-service`: the systemd unit and the udev rule of a station."""
 
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
+
+from edge.core.errors import ConfigError, GelgateError
 
 __all__ = ["install_service"]
 
@@ -66,8 +69,6 @@ def install_service(
 
 def _refuse_hidden(config: Path) -> None:
     """Refuse places that the unit hides from the program. Errors: ConfigError."""
-    from edge.core.errors import ConfigError
-
     used = [Path(sys.prefix), Path(sys.base_prefix), Path(__file__).parents[2], config.absolute()]
     hidden = [path for path in used for place in _HIDDEN if path.resolve().is_relative_to(place)]
     if hidden:
@@ -81,10 +82,6 @@ def _refuse_hidden(config: Path) -> None:
 
 def _remove(root: Path, config: Path, *, is_printed: bool) -> None:
     """Remove the service. Errors: GelgateError where a command fails."""
-    import subprocess
-
-    from edge.core.errors import GelgateError
-
     files = [root / place for place in _PLACES.values()]
     commands = [f"rm -fv '{path}'" for path in files]
     if root == Path("/"):

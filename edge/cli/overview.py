@@ -6,6 +6,10 @@ from typing import Annotated, Final
 import typer
 
 from edge.cli.options import CONFIG, ConfigOption
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.core.errors import ConfigError
+from edge.features.overview import overview_opener, still_of
 
 __all__ = ["overview"]
 
@@ -22,11 +26,6 @@ def overview(
     """Print what one still of the overview camera shows.
 
     For setting up [overview]: the codes that are read, and how much differs from the empty station."""
-    from edge.clock import SystemClock
-    from edge.config import load_config
-    from edge.core.errors import ConfigError
-    from edge.features.overview import overview_opener, still_of
-
     table, clock = load_config(config).overview, SystemClock()
     if table is None:
         raise ConfigError(f"configuration {config} has no [overview]; docs/operations.md shows one")

@@ -1,14 +1,23 @@
 """`gelgate page`: the page of a station on another machine, such as a tablet or a PC in the office."""
 
+import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from pydantic import ValidationError
 
-if TYPE_CHECKING:
-    from edge.page.changes import Changes
-    from edge.page.from_broker import BrokerStation
-    from edge.page.settings import PageSettings
+from edge.clock import SystemClock
+from edge.config.secret_file import read_secret
+from edge.core.errors import ConfigError
+from edge.logs import start
+from edge.messaging.command_payloads import SHORTEST_SECRET
+from edge.messaging.subscriber import broker_at, station_filter
+from edge.page.changes import Changes, TokenGate
+from edge.page.from_broker import BrokerStation, page_requests
+from edge.page.server import PageServer
+from edge.page.settings import PageSettings
+from edge.validation_messages import numbered, sentences
 
 __all__ = ["page"]
 
@@ -45,14 +54,6 @@ def page(
     """Serve the page of a station from a broker.
 
     It goes on until Ctrl-C, and says when the broker or the station is away. Without --secret-file it only shows."""
-    import threading
-
-    from edge.clock import SystemClock
-    from edge.logs import start
-    from edge.messaging.subscriber import broker_at, station_filter
-    from edge.page.from_broker import BrokerStation
-    from edge.page.server import PageServer
-
     given = {"bind": bind, "allow_from": allow_from or (), "names": name or (), "token_file": token_file}
     settings = _settings({"port": page_port, **given})
     broker = broker_at(host, port, "page", username, password_file, ca)
@@ -72,29 +73,16 @@ def page(
         shown.close()
 
 
-def _settings(given: dict[str, object]) -> "PageSettings":
+def _settings(given: dict[str, object]) -> PageSettings:
     """Check the options. Errors: ConfigError with every fault."""
-    from pydantic import ValidationError
-
-    from edge.core.errors import ConfigError
-    from edge.page.settings import PageSettings
-    from edge.validation_messages import numbered, sentences
-
     try:
         return PageSettings.model_validate(given)
     except ValidationError as error:
         raise ConfigError(numbered("the page's options", sentences(PageSettings, error))) from error
 
 
-def _changes(shown: "BrokerStation", settings: "PageSettings", secret_file: Path | None) -> "Changes":
+def _changes(shown: BrokerStation, settings: PageSettings, secret_file: Path | None) -> Changes:
     """Make the way in which the page changes something. Errors: ConfigError for a secret or a token alone."""
-    from edge.clock import SystemClock
-    from edge.config.secret_file import read_secret
-    from edge.core.errors import ConfigError
-    from edge.messaging.command_payloads import SHORTEST_SECRET
-    from edge.page.changes import Changes, TokenGate
-    from edge.page.from_broker import page_requests
-
     clock = SystemClock()
     token = settings.token()
     if (token is None) != (secret_file is None):

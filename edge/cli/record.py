@@ -6,7 +6,17 @@ from typing import Annotated, Any
 
 import typer
 
-from edge.cli.arguments import flatten
+from edge import registry
+from edge.cli.arguments import flatten, plugin_options
+from edge.clock import SystemClock
+from edge.core.errors import ConfigError, FrameCorrupt, GelgateError, RecordingEnded
+from edge.core.imaging.known_profiles import PROFILES
+from edge.core.imaging.known_profiles import profile as named
+from edge.core.imaging.sensor_profile import cut_in_words
+from edge.recording.format import Recording, RecordingHeader, RecordingWriter
+from edge.recording.from_images import CopyNoise, PressLift, images_in, record_images
+from edge.recording.from_video import film_of, record_video
+from edge.recording.presses_in import presses_in
 
 __all__ = ["RecordArguments", "record"]
 
@@ -89,8 +99,6 @@ def record(given: RecordArguments) -> None:
     identical frames, which the gateway and fit leave out, so each copy of an image gets a number. No noise is added
     by default.
     """
-    from edge.core.errors import ConfigError
-
     if sum(source is not None for source in (given.device, given.from_images, given.from_video)) != 1:
         raise ConfigError(
             "name one of --device, --from-video and --from-images; `gelgate devices` lists the devices"
@@ -108,9 +116,6 @@ def record(given: RecordArguments) -> None:
 
 def _from_images(given: RecordArguments, folder: Path) -> str:
     """Record press images. Errors: ConfigError."""
-    from edge.core.errors import ConfigError
-    from edge.recording.from_images import CopyNoise, PressLift, images_in, record_images
-
     free = given.reference
     images = [path for path in images_in(folder, given.pattern) if free is None or not path.samefile(free)]
     noise = CopyNoise(given.noise, given.seed) if given.noise else None
@@ -127,11 +132,6 @@ def _from_images(given: RecordArguments, folder: Path) -> str:
 
 def _from_video(given: RecordArguments, path: Path) -> str:
     """Record a film. Errors: ConfigError where it has another size than the profile's camera."""
-    from edge.core.errors import ConfigError
-    from edge.core.imaging.known_profiles import profile as named
-    from edge.core.imaging.sensor_profile import cut_in_words
-    from edge.recording.from_video import film_of, record_video
-
     profile, resize = given.profile, given.resize
     film = film_of(path)
     wanted = named(profile).native if profile else None
@@ -163,10 +163,6 @@ def _from_video(given: RecordArguments, path: Path) -> str:
 
 def _say_presses(out: Path, name: str) -> None:
     """Print what the gateway would find, with this profile or one for frames of this size."""
-    from edge.core.imaging.known_profiles import PROFILES
-    from edge.recording.format import Recording
-    from edge.recording.presses_in import presses_in
-
     recording = Recording.open(out)
     mode = recording.header.mode
     profile = PROFILES.get(name) or next((known for known in PROFILES.values() if known.native == mode), None)
@@ -185,12 +181,6 @@ def _say_presses(out: Path, name: str) -> None:
 
 
 def _from_device(given: RecordArguments, name: str) -> str:
-    from edge import registry
-    from edge.cli.arguments import plugin_options
-    from edge.clock import SystemClock
-    from edge.core.errors import GelgateError
-    from edge.recording.format import RecordingHeader, RecordingWriter
-
     clock = SystemClock()
     plugin = registry.device(name)
     sensor = plugin.open(plugin_options("devices", name, plugin.Options, given.option or []), clock)
@@ -214,8 +204,6 @@ def _copy_frames(
     sensor: Any, writer: Any, clock: Any, end_ns: int | None, frames: int | None
 ) -> tuple[int, str]:
     """(number of corrupt frames, how it ended). A sensor that goes away ends the recording with an error."""
-    from edge.core.errors import FrameCorrupt, RecordingEnded
-
     corrupt = 0
     said_ns = clock.monotonic_ns()
     try:

@@ -1,20 +1,27 @@
 """`gelgate station reference`: ask a running station for a reference press, and show the control charts."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, TypeVar
+from typing import Annotated, Final, TypeVar
 
 import typer
 
+from edge.cli.gel import user
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
-
-if TYPE_CHECKING:
-    from edge.config import Config
-    from edge.core.ports import Clock
-    from edge.core.reference_press.charts import ReferencePress
-    from edge.store.acts import Act
-    from edge.store.press_store import Store
-    from edge.store.reference_presses import PieceKey, ReferenceRequest
+from edge.cli.reference_text import csv_text, json_line, nothing_text, piece_text
+from edge.clock import SystemClock
+from edge.config import Config, load_config
+from edge.config.reference_table import ReferenceTable
+from edge.core.errors import ConfigError, GelgateError
+from edge.core.ports import Clock
+from edge.core.reference_press.charts import Outcome, ReferencePress, charts, judge
+from edge.pictures.control_chart import control_charts_svg
+from edge.store import reference_presses as table
+from edge.store.acts import Act
+from edge.store.press_store import Store
+from edge.store.reference_presses import PieceKey, ReferenceRequest, read_pieces
+from edge.store.ulid import new_ulid
 
 __all__ = ["reference", "request_press"]
 
@@ -41,15 +48,6 @@ def press(
 
     It is asked for through the station's database, so on the same machine. Exit code 1 where the press is out of
     limits, has no score, or does not come."""
-    from edge.cli.gel import user
-    from edge.clock import SystemClock
-    from edge.config import load_config
-    from edge.core.errors import ConfigError
-    from edge.core.reference_press.charts import Outcome, judge
-    from edge.store.press_store import Store
-    from edge.store.reference_presses import ReferenceRequest
-    from edge.store.ulid import new_ulid
-
     loaded = None if database is not None else load_config(config)
     if loaded is not None and not loaded.reference.pieces:
         raise ConfigError(f"{config} names no master piece; name one under [[reference.pieces]]")
@@ -84,12 +82,6 @@ def chart(
     """Show the reference presses with their control charts.
 
     For each measure: limits, and the presses with what they said. The gateway may run meanwhile."""
-    from functools import partial
-
-    from edge.cli.reference_text import json_line, nothing_text, piece_text
-    from edge.config import load_config
-    from edge.store.reference_presses import read_pieces
-
     loaded = None if database is not None else load_config(config)
     known = read_pieces(database_path(config, database))
     chosen = {
@@ -108,27 +100,22 @@ def chart(
 
 
 def request_press(
-    store: "Store",
-    clock: "Clock",
-    wish: "ReferenceRequest",
+    store: Store,
+    clock: Clock,
+    wish: ReferenceRequest,
     say: Callable[[str], None],
     timeout_s: float,
-) -> "list[ReferencePress]":
+) -> list[ReferencePress]:
     """Ask for a reference press and wait for it; returns the presses of its piece, of which it is the last.
 
     say: gets what the person does next. Errors: GelgateError for a request that is not taken or is refused, or a press
     that does not come; StoreError.
     """
-    from functools import partial
-
-    from edge.core.errors import GelgateError
-    from edge.store import reference_presses as table
-
     before = store.read("reading the reference presses", table.newest_number)
     store.write("asking for a reference press", partial(table.ask, wish=wish))
     say(f"asked; a gateway takes it within {TAKEN_WITHIN_S:g} s while the gel is free")
 
-    def outcome() -> "Act | None":
+    def outcome() -> Act | None:
         return next((act for act in store.acts() if act.request == wish.request), None)
 
     act = _waited(clock, TAKEN_WITHIN_S, outcome)
@@ -148,7 +135,7 @@ def request_press(
     return presses
 
 
-def _waited(clock: "Clock", timeout_s: float, found: Callable[[], T | None]) -> T | None:
+def _waited(clock: Clock, timeout_s: float, found: Callable[[], T | None]) -> T | None:
     """The first thing that is found, or None when the time is over."""
     end_ns = clock.monotonic_ns() + round(timeout_s * 1e9)
     while (one := found()) is None and clock.monotonic_ns() <= end_ns:
@@ -156,19 +143,12 @@ def _waited(clock: "Clock", timeout_s: float, found: Callable[[], T | None]) -> 
     return one
 
 
-def _learn(loaded: "Config | None", learn: int | None) -> int:
-    from edge.config.reference_table import ReferenceTable
-
+def _learn(loaded: Config | None, learn: int | None) -> int:
     return learn or (loaded.reference if loaded is not None else ReferenceTable()).learn
 
 
-def _write(output: Path, chosen: "Mapping[PieceKey, list[ReferencePress]]", learn: int) -> None:
+def _write(output: Path, chosen: Mapping[PieceKey, list[ReferencePress]], learn: int) -> None:
     """Write the charts. Errors: ConfigError for an unknown ending, and for an .svg of several master pieces."""
-    from edge.cli.reference_text import csv_text
-    from edge.core.errors import ConfigError
-    from edge.core.reference_press.charts import charts
-    from edge.pictures.control_chart import control_charts_svg
-
     if output.suffix == ".csv":
         text = csv_text(chosen, learn)
     elif output.suffix != ".svg":

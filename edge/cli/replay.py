@@ -1,25 +1,33 @@
 """`gelgate station replay`: make verdicts again from the archived camera bytes, with the same or another bundle."""
 
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from edge.cli.history import moment_ns
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from edge.config import Config
-    from edge.features.black_box.replay import Replayed
-    from edge.model.inspector import Inspector
-    from edge.store.press_archive import ArchivedPress, ArchiveFolder, KnownPress
-
-    _InspectorOf = Callable[[ArchivedPress], Inspector | None]
+from edge.clock import SystemClock, local_time
+from edge.config import Config, load_config
+from edge.core.errors import ArchiveError, BundleError, ConfigError
+from edge.core.printable import printable
+from edge.features.black_box.replay import Bundles, Replayed, replayed
+from edge.gateway.recorder import heatmap_png
+from edge.model.bundle import Bundle
+from edge.model.inspector import Inspector
+from edge.model.scorer import Scorer
+from edge.store.press_archive import ArchivedPress, ArchiveFolder, KnownPress, find_press, presses_since
 
 __all__ = ["DIFFERS", "replay"]
 
 DIFFERS = 8
+
+_InspectorOf = Callable[[ArchivedPress], Inspector | None]
 
 
 def replay(
@@ -55,8 +63,6 @@ def replay(
     From the archived camera bytes, by the bundle with the recorded hash and as many threads as then. Prints whether
     verdict, score and score map are equal, or where and by how much they differ, and what of the machine has changed.
     Exit code 8 when one differs, 1 when one cannot be made again."""
-    from edge.store.press_archive import ArchiveFolder
-
     path, places = _places(config, database, [*(bundles or []), *([bundle] if bundle else [])])
     wanted = _select_presses(path, press_id, is_all, since)
     folder = ArchiveFolder(archive or path.with_suffix(".archive"))
@@ -74,15 +80,12 @@ def replay(
 class _Run:
     """One call: what is printed, and how it ends. differing, impossible: presses."""
 
-    def __init__(self, folder: "ArchiveFolder", picture: Path | None, as_json: bool, is_many: bool) -> None:
+    def __init__(self, folder: ArchiveFolder, picture: Path | None, as_json: bool, is_many: bool) -> None:
         self.differing = self.impossible = self.equal = self.never = 0
         self._folder, self._picture, self._as_json, self._is_many = folder, picture, as_json, is_many
 
-    def again(self, wanted: "Iterable[KnownPress]", places: list[Path]) -> None:
+    def again(self, wanted: Iterable[KnownPress], places: list[Path]) -> None:
         """Judge again with the bundles that judged."""
-        from edge.clock import SystemClock
-        from edge.features.black_box.replay import Bundles
-
         bundles = Bundles(places, SystemClock())
         for press, replayed_press in self._each(wanted, bundles.inspector):
             self.equal += replayed_press.is_equal
@@ -94,16 +97,8 @@ class _Run:
                 f"differ, {self.impossible} not made again; {self.never} others were never archived"
             )
 
-    def otherwise(self, wanted: "Iterable[KnownPress]", path: Path) -> None:
+    def otherwise(self, wanted: Iterable[KnownPress], path: Path) -> None:
         """Judge with another bundle: print the verdicts that change, and how many of each kind."""
-        from collections import Counter
-
-        from edge.clock import SystemClock
-        from edge.core.printable import printable
-        from edge.model.bundle import Bundle
-        from edge.model.inspector import Inspector
-        from edge.model.scorer import Scorer
-
         inspector = Inspector(Scorer(Bundle.load(path)), SystemClock())
         counts: Counter[tuple[str, str]] = Counter()
         for press, replayed_press in self._each(wanted, _same_part(inspector)):
@@ -117,12 +112,8 @@ class _Run:
             _print_table(counts)
 
     def _each(
-        self, wanted: "Iterable[KnownPress]", inspector_of: "_InspectorOf"
-    ) -> "Iterator[tuple[KnownPress, Replayed]]":
-        from edge.core.errors import ArchiveError, BundleError
-        from edge.core.printable import printable
-        from edge.features.black_box.replay import replayed
-
+        self, wanted: Iterable[KnownPress], inspector_of: _InspectorOf
+    ) -> Iterator[tuple[KnownPress, Replayed]]:
         for press in wanted:
             if press.evidence is None and self._is_many:
                 self.never += 1
@@ -142,9 +133,7 @@ class _Run:
                 continue
             yield press, replayed_press
 
-    def _print(self, press: "KnownPress", found: "Replayed") -> None:
-        from edge.core.printable import printable
-
+    def _print(self, press: KnownPress, found: Replayed) -> None:
         if self._as_json:
             typer.echo(_as_json(press, found))
             return
@@ -154,12 +143,9 @@ class _Run:
         for sentence in found.machine:
             typer.echo(printable(f"    may be why: {sentence}"))
 
-    def _write_picture(self, found: "Replayed", inspector: "Inspector") -> None:
+    def _write_picture(self, found: Replayed, inspector: Inspector) -> None:
         if self._picture is None:
             return
-        from dataclasses import replace
-
-        from edge.gateway.recorder import heatmap_png
 
         then = found.then
         press = replace(found.now, press_id=then.press_id, time_ns=then.time_ns)
@@ -175,8 +161,6 @@ class _Run:
 
 def _places(config: Path, database: Path | None, bundles: list[Path]) -> tuple[Path, list[Path]]:
     """The database, and where bundles are; where both are named no configuration is needed. Errors: ConfigError."""
-    from edge.config import load_config
-
     if database is not None and bundles and not config.exists():
         places = bundles
     else:
@@ -184,7 +168,7 @@ def _places(config: Path, database: Path | None, bundles: list[Path]) -> tuple[P
     return database_path(config, database), places
 
 
-def _configured(config: "Config") -> "Iterator[Path]":
+def _configured(config: Config) -> Iterator[Path]:
     """The station's bundles that are there."""
     table = config.inspection
     for path in (table.bundle, table.bundle_folder, *(bundle.path for bundle in table.bundles)):
@@ -194,14 +178,8 @@ def _configured(config: "Config") -> "Iterator[Path]":
 
 def _select_presses(
     database: Path, press_id: str | None, is_all: bool, since: str | None
-) -> "Iterable[KnownPress]":
+) -> Iterable[KnownPress]:
     """Select the presses that are judged again. Errors: ConfigError, ArchiveError."""
-    import time
-
-    from edge.cli.history import moment_ns
-    from edge.core.errors import ConfigError
-    from edge.store.press_archive import find_press, presses_since
-
     if sum((press_id is not None, is_all, since is not None)) != 1:
         raise ConfigError(
             "give a press id, --all or --since; one of them selects the presses that are judged again"
@@ -211,15 +189,13 @@ def _select_presses(
     return presses_since(database, None if since is None else moment_ns(since, time.time_ns()))
 
 
-def _same_part(inspector: "Inspector") -> "_InspectorOf":
+def _same_part(inspector: Inspector) -> _InspectorOf:
     """The inspector for presses of its own part and position, none for others."""
     part = (inspector.bundle.manifest.part, inspector.bundle.manifest.position)
     return lambda press: inspector if (press.part, press.position) == part else None
 
 
-def _line(found: "Replayed") -> str:
-    from edge.clock import local_time
-
+def _line(found: Replayed) -> str:
     then = found.then
     score = "" if then.score is None else f"  {then.score:.6g} / {then.threshold or 0.0:.6g}"
     return (
@@ -228,7 +204,7 @@ def _line(found: "Replayed") -> str:
     )
 
 
-def _side(found: "Replayed") -> str:
+def _side(found: Replayed) -> str:
     then, verdict = found.then, found.now.verdict
     now = (verdict.score, verdict.threshold) if verdict else (None, None)
     return f"{then.verdict:8} {_ratio(then.score, then.threshold)}  ->  {found.now.word:8} {_ratio(*now)}"
@@ -239,7 +215,7 @@ def _ratio(score: float | None, threshold: float | None) -> str:
     return "   -  " if score is None or not threshold else f"{score / threshold:6.3f}"
 
 
-def _print_table(counts: "dict[tuple[str, str], int]") -> None:
+def _print_table(counts: dict[tuple[str, str], int]) -> None:
     """Rows: the verdict then; columns: the verdict now."""
     words = sorted({word for pair in counts for word in pair})
     changed = sum(n for (then, now), n in counts.items() if then != now)
@@ -250,9 +226,7 @@ def _print_table(counts: "dict[tuple[str, str], int]") -> None:
         typer.echo(then.ljust(12) + "".join(str(counts.get((then, now), 0)).rjust(10) for now in words))
 
 
-def _as_json(press: "KnownPress", found: "Replayed") -> str:
-    import json
-
+def _as_json(press: KnownPress, found: Replayed) -> str:
     verdict = found.now.verdict
     return json.dumps(
         {

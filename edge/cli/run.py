@@ -1,16 +1,27 @@
 """`gelgate run` and `gelgate check`."""
 
+import logging
+import os
+import signal
+import threading
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from edge import logs
 from edge.cli.options import CONFIG, ConfigOption
-
-if TYPE_CHECKING:
-    from edge.gateway.recorder import PressReport
-    from edge.gateway.report import Summary
+from edge.clock import SystemClock, local_time
+from edge.config import load_config
+from edge.core.errors import DeviceError, GelgateError
+from edge.core.printable import score_texts
+from edge.gateway.gateway import Gateway
+from edge.gateway.opening import played_recording
+from edge.gateway.preflight import preflight
+from edge.gateway.recorder import PressReport
+from edge.gateway.report import Summary, check_played
+from edge.logs import press_event
 
 __all__ = ["check", "example", "press_line", "run", "summary_text"]
 
@@ -51,19 +62,6 @@ def run(
 
     It reads the sensor, scores every press, publishes the verdict and counts the press on its gel. Ctrl-C or SIGTERM
     ends it."""
-    import os
-    import signal
-    import threading
-
-    from edge import logs
-    from edge.clock import SystemClock
-    from edge.config import load_config
-    from edge.core.errors import DeviceError
-    from edge.gateway.gateway import Gateway
-    from edge.gateway.opening import played_recording
-    from edge.gateway.preflight import preflight
-    from edge.gateway.report import check_played
-
     logs.start("json" if log_json else "text", is_verbose=verbose)
     os.umask(os.umask(0o077) | 0o027)  # results and counts are not for every user of the machine
     loaded = load_config(config, state_dir)
@@ -101,9 +99,6 @@ class Lines:
 
     def put(self, line: str) -> None:
         """Print it, or say once in the log that lines are left out."""
-        import logging
-        import os
-
         if not self._is_open:
             return
         try:
@@ -130,10 +125,6 @@ def check(
     if is_example:
         typer.echo(example(), nl=False)
         return
-    from edge.clock import SystemClock
-    from edge.config import load_config
-    from edge.core.errors import GelgateError
-    from edge.gateway.preflight import preflight
 
     loaded = load_config(config, state_dir)
     typer.echo(f"ok     configuration: {config}")
@@ -151,7 +142,7 @@ def example() -> str:
     return (Path(__file__).parents[1] / "service" / "example.toml").read_text(encoding="utf-8")
 
 
-def summary_text(summary: "Summary") -> str:
+def summary_text(summary: Summary) -> str:
     """Say what a run did, in one or two lines; lost frames are always reported."""
     words = ", ".join(f"{n} {word}" for word, n in sorted(summary.verdicts.items())) or "none"
     frames = summary.frames
@@ -167,12 +158,8 @@ def summary_text(summary: "Summary") -> str:
     return text
 
 
-def log_press(report: "PressReport") -> None:
+def log_press(report: PressReport) -> None:
     """Log one press, its facts as fields."""
-    import logging
-
-    from edge.logs import press_event
-
     result, gel = report.result, report.gel
     fields = {
         "event": "press",
@@ -182,25 +169,19 @@ def log_press(report: "PressReport") -> None:
     press_event(logging.getLogger(__name__), result.press_id, press_line(report), fields)
 
 
-def log_summary(summary: "Summary") -> None:
+def log_summary(summary: Summary) -> None:
     """The end of a run in the log."""
-    import logging
-
     fields = {"event": "summary", "presses": summary.presses, "verdicts": dict(summary.verdicts)}
     log = logging.getLogger(__name__)
     log.info("%s", summary_text(summary).replace("\n", "; "), extra={"fields": fields})
 
 
-def _line_with_time(report: "PressReport") -> str:
-    from edge.clock import local_time
-
+def _line_with_time(report: PressReport) -> str:
     return f"{local_time(report.result.time_ns)}  {press_line(report)}"
 
 
-def press_line(report: "PressReport") -> str:
+def press_line(report: PressReport) -> str:
     """Write one press in one line: part, verdict, score against threshold, latency per stage, gel count."""
-    from edge.core.printable import score_texts
-
     result = report.result
     if result.score is None:
         outcome = result.error or result.reason or ""

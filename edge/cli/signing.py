@@ -6,6 +6,20 @@ from typing import Annotated
 import typer
 
 from edge.cli.options import BundlePath
+from edge.core.errors import ConfigError
+from edge.model.archive import MANIFEST, open_archive
+from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
+from edge.model.bundle_writer import add_file
+from edge.model.signature import (
+    PRIVATE_SUFFIX,
+    PUBLIC_SUFFIX,
+    SIGNATURE,
+    fingerprint,
+    read_public_key,
+    trusted_keys,
+)
+from edge.model.signing import new_key, read_private_key
+from edge.model.signing import sign as signature_of
 
 __all__ = ["keys", "sign"]
 
@@ -21,13 +35,6 @@ def sign(
     Every file is checked first. The signature covers the manifest, which has the hash of every other file; a later
     change of the bundle makes it invalid. A signature that exists is replaced.
     """
-    from edge.model.archive import MANIFEST, open_archive
-    from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
-    from edge.model.bundle_writer import add_file
-    from edge.model.signature import SIGNATURE, fingerprint
-    from edge.model.signing import read_private_key
-    from edge.model.signing import sign as signature_of
-
     private = read_private_key(key)
     digest = Bundle.load(bundle).digest
     raw = open_archive(bundle).read(MANIFEST, MAX_MANIFEST_BYTES)
@@ -45,10 +52,6 @@ def new(
 
     Keep NAME.key secret and off the gateway; copy NAME.pub into the folder `inspection.trusted_keys` of every gateway.
     """
-    from edge.core.errors import ConfigError
-    from edge.model.signature import PRIVATE_SUFFIX, PUBLIC_SUFFIX
-    from edge.model.signing import new_key
-
     try:
         made = new_key(name)
     except FileExistsError as error:
@@ -68,8 +71,6 @@ def show(
 
     `inspect`, `verify` and `check` name keys by it.
     """
-    from edge.model.signature import fingerprint, read_public_key, trusted_keys
-
     if path.is_dir():
         marks = {name: mark for mark, (name, _) in trusted_keys(path).items()}
     else:

@@ -1,12 +1,17 @@
 """`gelgate watch`: a subscriber that prints one line per verdict and saves the heatmaps."""
 
+import json
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from edge.messaging.mqtt_broker import Broker
+from edge.core.printable import printable
+from edge.extras import needs
+from edge.messaging.mqtt_broker import Broker
+from edge.messaging.subscriber import broker_at, describe, receive, station_filter
+from edge.messaging.subscriber import watch as listen
 
 __all__ = ["watch"]
 
@@ -39,9 +44,6 @@ def watch(
 
     It ends with exit code 1 if --count is not reached in --timeout seconds, and with --validate if a message is not as
     its station describes it."""
-    from edge.extras import needs
-    from edge.messaging.subscriber import broker_at, station_filter
-
     if validate:
         needs("validate", "--validate")
     broker = broker_at(host, port, "watch", username, password_file, ca)
@@ -53,7 +55,7 @@ def watch(
 
 
 def _watch(
-    broker: "Broker",
+    broker: Broker,
     topics: str,
     save: Path | None,
     count: int | None,
@@ -61,12 +63,6 @@ def _watch(
     *,
     as_json: bool,
 ) -> None:
-    import json
-
-    from edge.core.printable import printable
-    from edge.messaging.subscriber import describe
-    from edge.messaging.subscriber import watch as listen
-
     results = heatmaps = 0
     for seen in listen(broker, topics, save, count, timeout, _tell):
         if seen.kind == "result":
@@ -88,10 +84,8 @@ def _watch(
         raise typer.Exit(1)
 
 
-def _validate(broker: "Broker", topics: str, count: int | None, timeout: float | None) -> None:
+def _validate(broker: Broker, topics: str, count: int | None, timeout: float | None) -> None:
     """Print every fault. count: of messages that end it."""
-    from edge.core.printable import printable
-    from edge.messaging.subscriber import receive
     from edge.messaging.validation import StationsCheck
 
     check, faults = StationsCheck(), 0
@@ -113,8 +107,4 @@ def _validate(broker: "Broker", topics: str, count: int | None, timeout: float |
 
 
 def _tell(sentence: str) -> None:
-    import sys
-
-    from edge.core.printable import printable
-
     print(f"gelgate: {printable(sentence)}", file=sys.stderr)

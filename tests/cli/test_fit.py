@@ -101,7 +101,7 @@ def test_a_bundle_without_its_trunk_is_found_through_the_installed_backbone(
 ) -> None:
     """`--no-trunk` leaves it out; the installed backbone of that name, complete or cut, supplies it by its hash."""
     # The child process of the first run does not know the backbone that this test has installed.
-    monkeypatch.setattr("edge.model.trial.try_bundle", lambda *arguments: None)
+    monkeypatch.setattr("edge.cli.bundles.try_bundle", lambda *arguments: None)
     assert fit(pictures, tmp_path / "bolt", "--no-trunk").exit_code == 0
     assert not (tmp_path / "bolt" / "trunk.onnx").exists()
     assert run("bundle", "verify", tmp_path / "bolt").exit_code == 0

@@ -66,12 +66,12 @@ def sections(*path: str) -> dict[str, dict[str, str]]:
 
 
 def test_no_line_of_a_verb_is_cut_at_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each verb's line is complete on a terminal of the usual width, in the help of a group too."""
+    """Each verb's line is complete on a terminal of the usual width, in the help of a group too, and is its own."""
     monkeypatch.setenv("COLUMNS", "80")
     lines = {(*path, verb): line for path in ALL for verb, line in listed(*path).items()}
 
     assert set(lines) == {path for path in ALL if path}
-    assert [line for line in lines.values() if line.endswith("...")] == []
+    assert [path for path, line in lines.items() if not line.endswith(ALL[path].get_short_help_str(80))] == []
 
 
 def test_the_first_page_has_few_verbs_in_sections() -> None:
@@ -101,7 +101,8 @@ def test_a_verb_of_another_package_has_a_section(tmp_path: Path, monkeypatch: py
     (tmp_path / "lamp.py").write_text("def lamp() -> None:\n    'Switch a lamp.'\n")
     monkeypatch.syspath_prepend(tmp_path)
     points = {**registry._points("commands"), "lamp": [EntryPoint("lamp", "lamp:lamp", "gelgate.commands")]}
-    monkeypatch.setattr(registry, "_points", lambda group: points)
+    known = registry._points
+    monkeypatch.setattr(registry, "_points", lambda group: points if group == "commands" else known(group))
 
     assert list(sections().items())[-1] == ("Others", {"lamp": "  lamp  Switch a lamp."})
     assert gelgate("lamp").code == 0
@@ -115,7 +116,8 @@ def test_a_verb_that_cannot_be_loaded_stops_no_other(
     (tmp_path / "broken_lamp.py").write_text("raise RuntimeError('no lamp')")
     monkeypatch.syspath_prepend(tmp_path)
     points = {**registry._points("commands"), "lamp": [EntryPoint("lamp", value, "gelgate.commands")]}
-    monkeypatch.setattr(registry, "_points", lambda group: points)
+    known = registry._points
+    monkeypatch.setattr(registry, "_points", lambda group: points if group == "commands" else known(group))
 
     first = gelgate("--help")
     assert (first.code, "fit" in first.out, "lamp" in first.out) == (0, True, False)
@@ -174,6 +176,16 @@ def test_a_folder_that_hides_the_command_line_itself_is_named(tmp_path: Path) ->
 
     assert (done.returncode, done.stdout) == (3, "")
     assert f"{tmp_path}/edge hides gelgate's own package 'edge'" in done.stderr
+
+
+def test_a_shell_suggests_verbs() -> None:
+    """Those that begin so, each with its line."""
+    group = typer.main.get_command(build())
+    context = group.make_context("gelgate", [], resilient_parsing=True)
+
+    assert [(one.value, one.help) for one in group.shell_complete(context, "ex")] == [
+        ("export", "Import trained backbones, or write graphs.")
+    ]
 
 
 def test_help_loads_nothing_heavy() -> None:

@@ -26,8 +26,6 @@ HEAVY = {
 @pytest.mark.parametrize(
     ("statement", "needed"),
     [
-        # `gelgate --help` needs typer and every verb's signature, and nothing that computes.
-        ("import typer, edge.cli; dict(typer.main.get_command(edge.cli.build()).commands)", set()),
         ("import edge.gateway.gateway", {"cv2", "onnxruntime"}),
     ],
 )
