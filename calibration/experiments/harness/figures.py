@@ -1,18 +1,13 @@
 """Figures of the studies, as matplotlib figures and as SVG text that is the same in every run."""
 
 import io
-import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
-from itertools import groupby
-from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calibration.experiments.harness.intervals import is_drawn, mean_interval
+from calibration.experiments.harness.evidence import are_drawn, mean_interval
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 if TYPE_CHECKING:
@@ -21,14 +16,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "Curve",
-    "conditions_figure",
-    "curves",
-    "fraction_figure",
+    "draw_conditions",
+    "draw_curves",
+    "draw_fractions",
+    "draw_overview",
+    "draw_shots",
+    "find_curves",
     "gel_share",
-    "overview_figure",
-    "shares_figure",
-    "shots_figure",
     "svg",
 ]
 
@@ -49,49 +43,22 @@ _PANEL = (4.2, 3.1)  # inches
 _SHARE = "share of the nominal presses, %"
 
 
-@dataclass(frozen=True)
-class Curve:
-    """One method on one part."""
+def find_curves(rows: "pd.DataFrame", x: str, measure: str) -> "pd.DataFrame":
+    """Return mean, low and high over seeds, and presses, by part, method and x. rows: of one backbone, mode and split.
 
-    part: str
-    method: str
-    x: NDArray[np.float64]
-    """The fractions or shots, rising, (m,)."""
-    values: tuple[NDArray[np.float64], ...]
-    """Each seed's, a row per x."""
-    mean: NDArray[np.float64]
-    low: NDArray[np.float64]
-    """Of the 95 % interval of the mean over seeds, (m,), as `high`; nan where too few presses were drawn for one."""
-    high: NDArray[np.float64]
-    presses: NDArray[np.int64]
-    """Nominal presses at each x, (m,)."""
+    x: the column that varies, such as `fraction`. low, high: of the 95 % interval; nan where presses were not drawn.
+    """
+    import pandas as pd
 
-
-def curves(rows: "pd.DataFrame", x: str, measure: str) -> Iterator[Curve]:
-    """Compute the curves of one backbone, mode and split. x: the column that varies, such as `fraction`."""
-    if x not in rows or measure not in rows:
-        return
-    for (part, method), group in rows.dropna(subset=[x, measure]).groupby(["part", "method"]):
-        at = list(group.groupby(x))
-        values = tuple(cell[measure].to_numpy(np.float64) for _, cell in at)
-        spans = [_interval(cell, each) for (_, cell), each in zip(at, values, strict=True)]
-        yield Curve(
-            part,
-            method,
-            np.array([float(value) for value, _ in at]),
-            values,
-            np.array([each.mean() for each in values]),
-            np.array([low for low, _ in spans]),
-            np.array([high for _, high in spans]),
-            np.array([int(cell["presses"].max()) for _, cell in at]),
-        )
-
-
-def _interval(cell: "pd.DataFrame", values: NDArray[np.float64]) -> tuple[float, float]:
-    """The interval of the mean over the seeds of a cell; nan where they learn the same presses."""
-    if not any(is_drawn(row) for row in cell.to_dict("records")):
-        return math.nan, math.nan
-    return mean_interval(values)
+    found = {}
+    if x in rows and measure in rows:
+        known = rows.dropna(subset=[x, measure])
+        for key, cell in known.assign(drawn=are_drawn(known)).groupby(["part", "method", x]):
+            values = cell[measure].to_numpy(np.float64)
+            interval = mean_interval(values) if cell["drawn"].any() else (np.nan, np.nan)
+            found[key] = (values.mean(), *interval, cell["presses"].max())
+    index = pd.MultiIndex.from_tuples(list(found), names=["part", "method", x]) if found else None
+    return pd.DataFrame(list(found.values()), index, columns=["mean", "low", "high", "presses"])
 
 
 def gel_share(presses: float) -> float:
@@ -99,17 +66,18 @@ def gel_share(presses: float) -> float:
     return presses / DEFAULT_LIMIT_PRESSES
 
 
-def overview_figure(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
+def draw_overview(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
     """Draw a panel per method, a line per part, against the fraction. rows: of one backbone, mode and split."""
-    return shares_figure(rows, "fraction", _SHARE, measure, panel="method", with_dots=False)
+    return draw_curves(rows, "fraction", _SHARE, measure, panel="method", with_dots=False)
 
 
-def fraction_figure(rows: "pd.DataFrame", part: str, measure: str = "aupro_001") -> "Figure":
+def draw_fractions(rows: "pd.DataFrame", part: str, measure: str = "aupro_001") -> "Figure":
     """Draw all methods on one part, every seed a dot, against the fraction, the presses and the gel that they use."""
     own = rows[rows["part"] == part]
-    figure = shares_figure(own, "fraction", _SHARE, measure)
-    pool = max((float(c.presses[-1] / c.x[-1]) for c in curves(own, "fraction", measure)), default=0.0)
-    if pool:
+    figure = draw_curves(own, "fraction", _SHARE, measure)
+    if len(found := find_curves(own, "fraction", measure)):
+        last = found.groupby("method").tail(1)
+        pool = float((last["presses"] / last.index.get_level_values("fraction")).max())
         above = figure.axes[0].secondary_xaxis(
             "top", functions=(partial(np.multiply, pool / 100), partial(np.multiply, 100 / pool))
         )
@@ -120,9 +88,9 @@ def fraction_figure(rows: "pd.DataFrame", part: str, measure: str = "aupro_001")
     return figure
 
 
-def shots_figure(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
+def draw_shots(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
     """Draw a panel per part, a line per method, against the number of presses on a logarithmic axis."""
-    figure = shares_figure(rows, "shots", "nominal presses", measure, scale=1)
+    figure = draw_curves(rows, "shots", "nominal presses", measure, scale=1)
     for axis in figure.axes:
         if axis.has_data():
             axis.set_xscale("log", base=2)
@@ -132,7 +100,19 @@ def shots_figure(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
     return figure
 
 
-def shares_figure(
+def draw_conditions(
+    rows: "pd.DataFrame", column: str, order: Sequence[str], measure: str, title: str
+) -> "Figure":
+    """Draw a panel per part, a line per method, over named conditions in an order."""
+    figure = draw_curves(rows.assign(place=rows[column].map(order.index)), "place", "", measure, scale=1)
+    for axis in figure.axes:
+        if axis.has_data():
+            axis.set_xticks(range(len(order)), list(order))
+            axis.set_ylabel(title, fontsize=8)
+    return figure
+
+
+def draw_curves(
     rows: "pd.DataFrame",
     x: str,
     label: str,
@@ -142,33 +122,25 @@ def shares_figure(
     scale: float = 100,
     with_dots: bool = True,
 ) -> "Figure":
-    """Draw a panel per part, a line per method, against a share that may be zero.
+    """Draw a panel per part, a line per method: the mean, its interval as a band, and a dot for each seed.
 
-    x: the column of shares. panel: `part` or `method`, the other one has the lines. scale: of x.
+    x: the column that varies. panel: `part` or `method`, the other one has the lines. scale: of x.
     """
-    line = attrgetter("method" if panel == "part" else "part")
-    every = sorted(curves(rows, x, measure), key=lambda curve: (getattr(curve, panel), line(curve)))
-    panels = [(name, list(group)) for name, group in groupby(every, attrgetter(panel))]
-    figure, axes = _panels(len(panels))
-    names = sorted({line(curve) for curve in every})
-    colours = {name: _COLOURS[k % len(_COLOURS)] for k, name in enumerate(names)}
-    for axis, (name, group) in zip(axes, panels, strict=False):
-        for curve in group:
-            _line(axis, curve, scale * curve.x, line(curve), colours[line(curve)], with_dots=with_dots)
-        _label(axis, name, label, measure)
-    return figure
-
-
-def conditions_figure(
-    rows: "pd.DataFrame", column: str, order: Sequence[str], measure: str, title: str
-) -> "Figure":
-    """Draw a panel per part, a line per method, over named conditions in an order."""
-    placed = rows.assign(place=[order.index(name) for name in rows[column]])
-    figure = shares_figure(placed, "place", "", measure, scale=1)
-    for axis in figure.axes:
-        if axis.has_data():
-            axis.set_xticks(range(len(order)), list(order))
-            axis.set_ylabel(title, fontsize=8)
+    line = "method" if panel == "part" else "part"
+    found = find_curves(rows, x, measure).reset_index()
+    figure, axes = _panels(found[panel].nunique() if len(found) else 0)
+    names = sorted(set(found.get(line, ())))
+    for axis, (title, group) in zip(axes, found.groupby(panel) if len(found) else (), strict=False):
+        for name, curve in group.groupby(line):
+            colour, at = _COLOURS[names.index(name) % len(_COLOURS)], scale * curve[x].astype(float)
+            axis.plot(at, curve["mean"], color=colour, label=name, linewidth=1.3)
+            axis.fill_between(at, curve["low"], curve["high"], color=colour, alpha=0.15, linewidth=0)
+            if with_dots:
+                seeds = rows[(rows[panel] == title) & (rows[line] == name)].dropna(subset=[x, measure])
+                seeds = seeds.sort_values(x, kind="stable")
+                dots = scale * seeds[x].astype(float), seeds[measure]
+                axis.plot(*dots, ".", color=colour, markersize=2.5, alpha=0.6)
+        _label(axis, title, label, measure)
     return figure
 
 
@@ -195,18 +167,6 @@ def _panels(count: int) -> tuple["Figure", Sequence["Axes"]]:
     for spare in axes[max(1, count) :]:
         spare.set_axis_off()
     return figure, list(axes[: max(1, count)])
-
-
-def _line(
-    axis: "Axes", curve: Curve, x: NDArray[np.float64], name: str, colour: str, *, with_dots: bool = True
-) -> None:
-    """The mean, its interval as a band, and a dot for each seed."""
-    axis.plot(x, curve.mean, color=colour, label=name, linewidth=1.3)
-    axis.fill_between(x, curve.low, curve.high, color=colour, alpha=0.15, linewidth=0)
-    if with_dots:
-        xs = [at for at, each in zip(x, curve.values, strict=True) for _ in each]
-        ys = [value for each in curve.values for value in each]
-        axis.plot(xs, ys, ".", color=colour, markersize=2.5, alpha=0.6)
 
 
 def _label(axis: "Axes", title: str, x: str, measure: str) -> None:

@@ -1,80 +1,109 @@
-"""What the pages of the studies have in common: their order, tables, what was not scored, what it cost."""
+"""What the pages of the studies have in common: setups, tables, what was not scored, what it cost."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from calibration.experiments.harness.effects import COMPARED, Effect, Medians, count_agreements
-from calibration.experiments.harness.published import source
+from calibration.experiments.harness.evidence import COMPARED, are_drawn, count_agreements
+from calibration.experiments.harness.published import paper_medians, source
 from calibration.experiments.harness.rows import TIMES
 
 if TYPE_CHECKING:
     import pandas as pd
+    from jinja2 import Environment
     from matplotlib.figure import Figure
 
 __all__ = [
+    "SETUP",
+    "Figures",
     "Page",
     "by_setup",
-    "cells_table",
-    "cost_table",
-    "directions_table",
-    "effects_table",
-    "fractions_of",
+    "figure_file",
+    "list_cells",
+    "list_costs",
     "make_page",
-    "medians_table",
     "only_scored",
-    "paper_note",
     "percent",
-    "refusals",
-    "section",
-    "seeds_of",
-    "split_table",
+    "render",
+    "share_of",
     "table",
+    "tabulate_medians",
 ]
 
-_SETUP = ["backbone", "mode", "split"]
+SETUP = ["backbone", "mode", "split"]
+
+Figures = Mapping[str, Callable[[], "Figure"]]
+"""What draws each figure, by its file name."""
 
 
 @dataclass(frozen=True)
 class Page:
-    """One study's page: markdown that names its figures, and what draws each, by file name."""
+    """One study's page."""
 
-    markdown: str
-    figures: Mapping[str, Callable[[], "Figure"]] = field(default_factory=dict)
+    text: str
+    """Markdown that names the figures."""
+    figures: Figures = field(default_factory=dict)
 
-    @property
-    def text(self) -> str:
-        """The page as it is written: its title, what kind of page it is, and the rest."""
-        title, _, rest = self.markdown.partition("\n\n")
-        return f"{title}\n\nA reference, printed from rows by `gelgate lab report`.\n\n{rest}"
+
+def render(template: str, **values: Any) -> str:
+    """Return a page from a template of `studies/pages`, with one empty line between its blocks."""
+    text = _templates().get_template(f"{template}.md.jinja").render(values)
+    return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"
+
+
+@cache
+def _templates() -> "Environment":
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("calibration.experiments", "studies/pages")
+    made = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    made.filters |= {"table": table, "percent": percent, "count_agreements": count_agreements}
+    made.globals |= {"source": source(), "compared": COMPARED}
+    return made
 
 
 def make_page(
+    study: str,
     rows: "pd.DataFrame",
     condition: str,
-    head: str,
-    setup: Callable[["pd.DataFrame"], Iterable[str]],
-    draw: Callable[["pd.DataFrame"], "Figure"] | None = None,
+    describe: Callable[["pd.DataFrame"], Mapping[str, Any]],
+    draw: Callable[["pd.DataFrame"], Figures] = lambda rows: {},
     name: Callable[[Any], str] = str,
+    **more: Any,
 ) -> Page:
-    """Make the page of a study: head and cells, every setup with its figure, both splits, refusals and cost.
+    """Make the page of a study from its template: cells, every setup with its figures, both splits, refusals and cost.
 
-    rows: of the study. condition: the column that it varies. setup: what is said of one backbone, mode and split. name:
-    of a value of the condition.
+    rows: of the study. condition: the column that it varies. describe: the template's values for one backbone, mode and
+    split. name: of a value of the condition. more: further values.
     """
-    scored, figures = only_scored(rows), dict[str, Callable[[], "Figure"]]()
-    sections = [head, cells_table(rows, condition)]
+    scored, figures, setups = only_scored(rows), dict[str, Callable[[], "Figure"]](), []
     for title, group in by_setup(scored):
-        sections.append("\n".join([f"## {title}\n", *setup(group)]))
-        if draw is not None:
-            words = [str(group[column].iloc[0]) for column in ("study", *_SETUP)]
-            file = re.sub(r"[^A-Za-z0-9_-]+", "-", "-".join(words)) + ".svg"
-            figures[file] = partial(draw, group)
-            sections.append(f"![{title}]({file})\n")
-    sections += [split_table(scored, condition), refusals(rows), cost_table(scored, condition, name)]
-    return Page("\n".join(section for section in sections if section), figures)
+        drawn = draw(group)
+        figures |= drawn
+        setups.append({"title": title, "figures": list(drawn), **describe(group)})
+    refused = rows[rows["error"].notna()] if "error" in rows else rows[:0]
+    values = {
+        "rows": rows,
+        "parts": ", ".join(sorted(rows["part"].unique())),
+        "seeds": _count_seeds(rows, condition) if condition in rows else "",
+        "cells": [list_cells(rows, condition)],
+        "setups": setups,
+        "splits": compare_splits(scored, condition),
+        "refused": count_rows(refused, ["method", "mode", "backbone", "error"]) if len(refused) else None,
+        "costs": list_costs(scored, condition, name),
+        "minutes": round(scored[list(TIMES)].sum().sum() / 60),
+        "timed": len(scored),
+    }
+    return Page(render(study, **(values | more)), figures)
+
+
+def count_rows(rows: "pd.DataFrame", columns: list[str]) -> "pd.DataFrame":
+    """Return how many rows have each combination of values, with the last column at the end."""
+    *keys, last = columns
+    found = rows.groupby(columns).size().reset_index(name="cells")
+    return found[[*keys, "cells", last]]
 
 
 def percent(share: float) -> str:
@@ -82,15 +111,10 @@ def percent(share: float) -> str:
     return f"{100 * share:g} %"
 
 
-def table(heading: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A markdown table."""
-    lines = [heading, ["---"] * len(heading), *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines) + "\n"
-
-
-def section(text: str, heading: Sequence[str], lines: Sequence[Sequence[object]]) -> str:
-    """Write a table below its text; nothing without a line."""
-    return f"{text}\n\n{table(heading, lines)}" if lines else ""
+def table(lines: "pd.DataFrame") -> str:
+    """Return a frame as a markdown table, without its index."""
+    rows = [list(lines.columns), ["---"] * len(lines.columns), *lines.itertuples(index=False)]
+    return "\n".join("| " + " | ".join(str(cell) for cell in row) + " |" for row in rows) + "\n"
 
 
 def only_scored(rows: "pd.DataFrame") -> "pd.DataFrame":
@@ -99,145 +123,109 @@ def only_scored(rows: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def by_setup(rows: "pd.DataFrame") -> Iterator[tuple[str, "pd.DataFrame"]]:
-    """The rows of each backbone, mode and split, with a heading; weights that are random are called so."""
-    for (backbone, mode, split), group in rows.groupby(_SETUP):
+    """Give the rows of each backbone, mode and split, with a heading; weights that are random are called so."""
+    for (backbone, mode, split), group in rows.assign(drawn=are_drawn(rows)).groupby(SETUP):
         weights = set(group["weights"].dropna()) if "weights" in group else set()
         said = f" ({', '.join(sorted(weights))})" if weights else ""
         yield f"{backbone}{said}, {mode} mode, split by {split}", group
 
 
-def cells_table(rows: "pd.DataFrame", condition: str) -> str:
-    """Which cells the rows have, by part and setup. condition: the column that the study varies."""
-    lines = [
-        [
-            part,
-            backbone,
-            mode,
-            split,
-            ", ".join(sorted(set(group["method"]))),
-            ", ".join(_write_values(group[condition].dropna().unique())),
-            seeds_of(group, condition),
-            len(group),
-        ]
-        for (part, backbone, mode, split), group in rows.groupby(["part", *_SETUP])
-    ]
-    heading = ["part", "backbone", "mode", "split", "methods", condition.replace("_", " "), "seeds", "cells"]
-    return f"**Cells.** What was computed, and what this page is made from:\n\n{table(heading, lines)}"
+def figure_file(rows: "pd.DataFrame", *more: str) -> str:
+    """Return the file name of a figure of one study and setup."""
+    words = [str(rows[column].iloc[0]) for column in ("study", *SETUP)]
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", "-".join([*words, *more])) + ".svg"
 
 
-def seeds_of(rows: "pd.DataFrame", condition: str) -> str:
+def list_cells(rows: "pd.DataFrame", condition: str) -> "pd.DataFrame":
+    """Return which cells the rows have, by part and setup. condition: the column that the study varies."""
+    keys = ["part", *SETUP]
+    groups = rows.groupby(keys)
+    found = groups.agg(
+        methods=("method", lambda own: ", ".join(sorted(set(own)))),
+        condition=(
+            condition,
+            lambda own: ", ".join(_write(value) for value in sorted(own.dropna().unique())),
+        ),
+    )
+    found["seeds"] = [_count_seeds(group, condition) for _, group in groups]
+    found["cells"] = groups.size()
+    return found.reset_index().rename(columns={"condition": condition.replace("_", " ")})
+
+
+def _count_seeds(rows: "pd.DataFrame", condition: str) -> str:
     """Write how many seeds the conditions have: `10`, or `1 to 3` where not all have as many."""
-    counts = rows.groupby(["part", *_SETUP, "method", condition])["seed"].nunique()
+    counts = rows.groupby(["part", *SETUP, "method", condition])["seed"].nunique()
     return f"{counts.min()}" if counts.min() == counts.max() else f"{counts.min()} to {counts.max()}"
 
 
-def _write_values(values: Iterable[Any]) -> list[str]:
-    return [f"{value:g}" if isinstance(value, float) else str(value) for value in sorted(values)]
+def _write(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def fractions_of(rows: "pd.DataFrame") -> str:
+def share_of(rows: "pd.DataFrame") -> str:
     """Write the share of the presses that each method learns from."""
-    return ", ".join(f"{method} {percent(own['fraction'].max())}" for method, own in rows.groupby("method"))
+    shares = rows.groupby("method")["fraction"].max()
+    return ", ".join(f"{method} {percent(share)}" for method, share in shares.items())
 
 
-def paper_note() -> str:
-    """Say what the numbers in brackets are."""
-    return (
-        f"In brackets: the paper's median ({source()}). It pressed real parts and had Wide-ResNet-50-2 with ImageNet "
-        "weights, so orders and directions can be compared, and levels cannot.\n"
-    )
+def tabulate_medians(
+    rows: "pd.DataFrame",
+    condition: str,
+    names: Mapping[Any, str],
+    measures: Iterable[str] = COMPARED,
+    published: Mapping[Any, str] = {},
+) -> list["pd.DataFrame"]:
+    """Return a table of medians over seeds for each measure, the paper's in brackets.
 
-
-def medians_table(
-    ours: Medians, paper: Medians, measure: str, conditions: Sequence[tuple[str, str, str]]
-) -> str:
-    """Medians over seeds of one measure. conditions: their names in our rows, in the paper's data, and on the page."""
-    pairs = sorted({(method, part) for method, part, name in ours if name == measure}, key=lambda p: p[::-1])
-    lines = []
-    for method, part in pairs:
-        own, theirs = ours[method, part, measure], paper.get((method, part, measure), {})
-        lines.append([method, part, *(_both(own.get(a), theirs.get(b)) for a, b, _ in conditions)])
-    return table(
-        [COMPARED[measure.removesuffix("_common")], "part", *(title for _, _, title in conditions)], lines
-    )
+    rows: of one study and setup. names: the values of the condition, as they are printed. published: what the paper's
+    data call them.
+    """
+    paper, tables = paper_medians(str(rows["study"].iloc[0])), []
+    for measure in measures:
+        medians = rows.pivot_table(measure, ["part", "method"], condition, aggfunc="median")
+        found = medians.index.to_frame(index=False)[["method", "part"]]
+        for value, heading in names.items():
+            theirs = [
+                paper.get((method, part, measure), {}).get(published.get(value, ""))
+                for part, method in medians.index
+            ]
+            found[heading] = list(map(_both, medians.get(value, [None] * len(found)), theirs))
+        tables.append(found.rename(columns={"method": COMPARED[measure.removesuffix("_common")]}))
+    return tables
 
 
 def _both(ours: float | None, paper: float | None) -> str:
-    text = "-" if ours is None else f"{ours:.4f}"
+    text = "-" if ours is None or ours != ours else f"{ours:.4f}"
     return text if paper is None else f"{text} ({paper:.4f})"
 
 
-def effects_table(found: Sequence[Effect], title: str) -> str:
-    """Directions of an effect, ours and the paper's, with their counts."""
-    return f"{title}: {count_agreements(effect.agreement for effect in found)}.\n\n{directions_table(found)}"
-
-
-def directions_table(found: Sequence[Effect]) -> str:
-    """Write the directions without title and counts."""
-    lines = [
-        [
-            e.method,
-            e.part,
-            COMPARED[e.measure],
-            f"{e.difference:+.4f}",
-            e.ours,
-            e.paper or "-",
-            e.agreement or "-",
-        ]
-        for e in found
-    ]
-    heading = ["method", "part", "measure", "mean difference", "here", "paper", "direction"]
-    return table(heading, lines)
-
-
-def split_table(rows: "pd.DataFrame", condition: str, measure: str = "aupro_001") -> str:
-    """Write how much higher a measure is if presses, not specimens, are held out; empty without rows of both splits.
+def compare_splits(rows: "pd.DataFrame", condition: str, measure: str = "aupro_001") -> "pd.DataFrame | None":
+    """Return how much higher a measure is if presses, not specimens, are held out; None without rows of both splits.
 
     condition: the column that the study varies. Only cells that both splits have are compared.
     """
     keys = ["backbone", "mode", "method", "part"]
     by = rows.pivot_table(measure, [*keys, condition, "seed"], "split", aggfunc="mean")
     if set(by) != {"press", "specimen"} or (both := by.dropna()).empty:
-        return ""
-    lines = [
-        [
-            *names,
-            len(pairs),
-            *(f"{pairs[split].mean():.4f}" for split in ("press", "specimen")),
-            f"{(pairs['press'] - pairs['specimen']).mean():+.4f}",
-        ]
-        for names, pairs in both.groupby(level=keys)
-    ]
-    heading = ["backbone", "mode", "method", "part", "cells of each", "by press", "by specimen", "difference"]
-    return (
-        f"## Split by press and by specimen\n\nMean {COMPARED[measure]} over the conditions and seeds that both splits "
-        "have. In a split by press, other presses of a tested specimen are in the bank.\n\n"
-        f"{table(heading, lines)}"
-    )
+        return None
+    found = both.groupby(level=keys).mean()
+    found.insert(0, "cells of each", both.groupby(level=keys).size())
+    found["difference"] = [f"{value:+.4f}" for value in found["press"] - found["specimen"]]
+    for split in ("press", "specimen"):
+        found[split] = found[split].map("{:.4f}".format)
+    return found.rename(columns={"press": "by press", "specimen": "by specimen"}).reset_index()
 
 
-def refusals(rows: "pd.DataFrame") -> str:
-    """List what was not scored, and why; empty where every cell was."""
-    if "error" not in rows or rows["error"].isna().all():
-        return ""
-    bad = rows[rows["error"].notna()]
-    lines = [
-        [method, mode, backbone, len(group), sentence]
-        for (method, mode, backbone, sentence), group in bad.groupby(["method", "mode", "backbone", "error"])
-    ]
-    return f"## Not scored\n\n{table(['method', 'mode', 'backbone', 'cells', 'why'], lines)}"
-
-
-def cost_table(rows: "pd.DataFrame", condition: str, name: Callable[[Any], str] = str) -> str:
-    """Median processor seconds of a cell by its stages, and the bank, for each condition and method."""
-    lines, stages = [], list(TIMES)
-    for (value, method), group in rows.groupby([condition, "method"]):
-        seconds = [f"{group[stage].median():.2f}" for stage in stages]
-        bank = f"{group['bank_bytes'].median() / 1e6:.1f}"
-        lines.append([name(value), method, len(group), int(group["presses"].median()), *seconds, bank])
-    heading = [condition, "method", "cells", "presses", "fit s", "score s", "measures s", "bank MB"]
-    minutes = round(sum(rows[stage].sum() for stage in stages) / 60)
-    return (
-        f"## Cost\n\nProcessor seconds, medians per cell; the {len(rows)} cells of this table took "
-        f"{minutes} minute{'s' * (minutes != 1)} of one core.\n\n{table(heading, lines)}"
+def list_costs(rows: "pd.DataFrame", condition: str, name: Callable[[Any], str] = str) -> "pd.DataFrame":
+    """Return median processor seconds of a cell by its stages, and the bank, for each condition and method."""
+    groups = rows.groupby([condition, "method"])
+    found = groups[["presses", *TIMES, "bank_bytes"]].median().astype({"presses": int})
+    found.insert(0, "cells", groups.size())
+    found["bank_bytes"] = (found["bank_bytes"] / 1e6).map("{:.1f}".format)
+    for stage in TIMES:
+        found[stage] = found[stage].map("{:.2f}".format)
+    found = found.reset_index()
+    found[condition] = found[condition].map(name)
+    return found.set_axis(
+        [condition, "method", "cells", "presses", "fit s", "score s", "measures s", "bank MB"], axis=1
     )

@@ -1,15 +1,16 @@
 """The stable fraction of a method: the share of the nominal presses at which validations 2 and 3 fix it."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from statistics import fmean
-from typing import Any
+from typing import TYPE_CHECKING
 
-from calibration.experiments.harness.effects import COMPARED
+from calibration.experiments.harness.evidence import COMPARED
 from calibration.experiments.harness.published import stable_fraction
-from calibration.experiments.harness.rows import read_rows
+from calibration.experiments.harness.rows import frame
 from edge.core.detector import Mode
 from edge.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["STABLE_WITHIN", "find_stable_fraction", "stable_from"]
 
@@ -25,9 +26,15 @@ def find_stable_fraction(file: Path, method: str, mode: Mode, backbone: str, spl
     """
     if mode == "paper" and (own := stable_fraction(method)) is not None:
         return own
-    wanted = {"study": "good-fraction", "method": method, "mode": mode, "backbone": backbone}
-    rows = [row for row in read_rows(file) if all(row[k] == v for k, v in wanted.items())]
-    found = stable_from([row for row in rows if row["split"] == split]) or stable_from(rows)
+    rows = frame(file)
+    for column, value in {
+        "study": "good-fraction",
+        "method": method,
+        "mode": mode,
+        "backbone": backbone,
+    }.items():
+        rows = rows[rows[column] == value] if column in rows else rows
+    found = None if rows.empty else stable_from(rows[rows["split"] == split]) or stable_from(rows)
     if found is None:
         raise ConfigError(
             f"the stable fraction of {method} ({mode}, {backbone}) is not known: '{file}' has no rows of "
@@ -36,25 +43,20 @@ def find_stable_fraction(file: Path, method: str, mode: Mode, backbone: str, spl
     return found
 
 
-def stable_from(rows: Sequence[Mapping[str, Any]]) -> float | None:
-    """The smallest fraction from which on every mean is near that of the largest fraction; None without rows.
+def stable_from(rows: "pd.DataFrame") -> float | None:
+    """Return the smallest fraction from which on every mean is near that of the largest fraction; None without rows.
 
     rows: of one method, mode, backbone and split. The rule holds for all parts and the three measures of the paper
     together, so that a method has one value, as in the paper.
     """
-    values: dict[tuple[str, str, str], dict[float, list[float]]] = {}
-    for row in rows:
-        for measure in COMPARED:
-            if row.get("fraction") is not None and row.get(measure) is not None:
-                curve = values.setdefault((row["part"], row["position"], measure), {})
-                curve.setdefault(row["fraction"], []).append(row[measure])
-    return max(
-        (_flat_from({f: fmean(v) for f, v in curve.items()}) for curve in values.values()), default=None
-    )
+    curves = rows.reindex(columns=["part", "position", "fraction", *COMPARED])
+    long = curves.melt(["part", "position", "fraction"], var_name="measure").dropna()
+    means = long.groupby(["part", "position", "measure", "fraction"])["value"].mean()
+    flat = [_flat_from(curve.droplevel([0, 1, 2])) for _, curve in means.groupby(level=[0, 1, 2])]
+    return max(flat, default=None)
 
 
-def _flat_from(curve: Mapping[float, float]) -> float:
-    """The first fraction of the flat end of one curve: all means there are near the last one."""
-    last = curve[max(curve)]
-    far = [fraction for fraction, mean in curve.items() if abs(mean - last) > STABLE_WITHIN]
-    return min(fraction for fraction in curve if not far or fraction > max(far))
+def _flat_from(curve: "pd.Series[float]") -> float:
+    """Return the first fraction of the flat end of one curve: all means there are near the last one."""
+    far = curve.index[(curve - curve.iloc[-1]).abs() > STABLE_WITHIN]
+    return float(min(curve.index if far.empty else curve.index[curve.index > far.max()]))

@@ -4,24 +4,15 @@ Half of the defective presses may be mixed into the nominal ones, the other half
 so that shares can be compared. The number of presses does not change; damaged ones take the place of nominal ones.
 """
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.experiments.harness.cells import Cell
-from calibration.experiments.harness.effects import COMPARED, effects, medians
+from calibration.experiments.harness.evidence import effects
 from calibration.experiments.harness.material import Drawn, fit_cell, material
-from calibration.experiments.harness.page import (
-    Page,
-    fractions_of,
-    make_page,
-    medians_table,
-    percent,
-    seeds_of,
-    table,
-)
+from calibration.experiments.harness.page import Page, make_page, percent, share_of, tabulate_medians
 from calibration.experiments.harness.presses import TEST_SEED, hold_out, open_presses, subset
 from calibration.experiments.harness.rows import Rows
 from calibration.experiments.harness.study import (
@@ -102,20 +93,15 @@ def study_bad_presses(options: Options) -> Rows:
 
 def page(rows: "pd.DataFrame") -> Page:
     """Make the page. rows: of this study."""
-    head = (
-        "# What do damaged presses among the nominal ones cost?\n\n"
-        f"Parts {', '.join(sorted(rows['part'].unique()))}. Each bank is of a share of the nominal presses; damaged "
-        f"presses take the place of some. Medians over {seeds_of(rows, 'bad')} seeds.\n"
-    )
-    return make_page(rows, "bad", head, _setup, name=percent)
+    return make_page(STUDY, rows, "bad", _describe, name=percent)
 
 
-def _setup(rows: "pd.DataFrame") -> Iterator[str]:
+def _describe(rows: "pd.DataFrame") -> dict[str, Any]:
     shares = sorted(rows["bad"].unique())
-    conditions = [(f"{share:g}", "", percent(share)) for share in shares]
-    yield f"Share of the nominal presses: {fractions_of(rows)}.\n"
-    yield from (medians_table(medians(rows, "bad"), {}, measure, conditions) for measure in COMPARED)
-    yield f"Change of AU-PRO@0.01 from {percent(shares[0])} to {percent(shares[-1])}.\n"
-    found = effects(rows, "bad", shares[0], shares[-1], {}, ("", ""), ("aupro_001",))
-    lines = [[e.method, e.part, f"{e.difference:+.4f}", e.ours] for e in found]
-    yield table(["method", "part", "mean difference", "direction"], lines)
+    return {
+        "shares": share_of(rows),
+        "medians": tabulate_medians(rows, "bad", {share: percent(share) for share in shares}),
+        "first": shares[0],
+        "last": shares[-1],
+        "effects": effects(rows, "bad", shares[0], shares[-1], measures=("aupro_001",)),
+    }

@@ -5,7 +5,7 @@ position: none, 5, 10 or 15 %. Nominal test presses, held out of both positions,
 scored. The measures are of both positions together, as in the paper, and of each alone.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,22 +13,19 @@ import numpy as np
 
 from calibration.dataset import Dataset
 from calibration.experiments.harness.cells import Cell
-from calibration.experiments.harness.effects import COMPARED, effects, medians
-from calibration.experiments.harness.figures import shares_figure
+from calibration.experiments.harness.evidence import effects
+from calibration.experiments.harness.figures import draw_curves
 from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell, material
 from calibration.experiments.harness.page import (
+    Figures,
     Page,
-    effects_table,
-    fractions_of,
+    figure_file,
     make_page,
-    medians_table,
-    paper_note,
     percent,
-    seeds_of,
-    table,
+    share_of,
+    tabulate_medians,
 )
 from calibration.experiments.harness.presses import HeldOut, hold_out, open_presses, subset
-from calibration.experiments.harness.published import paper_medians
 from calibration.experiments.harness.rows import Rows
 from calibration.experiments.harness.scoring import Scored, TestPresses, measures
 from calibration.experiments.harness.study import (
@@ -57,8 +54,6 @@ STUDY = "cross-position"
 
 TARGET_FRACTIONS = (0.0, 0.05, 0.10, 0.15)
 """Shares of the target position's pool, as in the paper."""
-
-_ALONE = ("aupro_001_source", "aupro_001_target")
 
 
 class CrossPosition(Evaluation):
@@ -182,51 +177,40 @@ def find_pairs(dataset: Dataset, options: Options, target: str | None) -> list[t
 
 def page(rows: "pd.DataFrame") -> Page:
     """Make the page. rows: of this study."""
-    column = "target_fraction"
     pairs = sorted(set(zip(rows["part"], rows["position"], rows["target"], strict=True)))
     where = "; ".join(f"{part}: {source} to {target}" for part, source, target in pairs)
-    head = (
-        "# Does a bank of one position serve another?\n\n"
-        f"{where}. Each bank has a method's stable fraction of the first position's nominal presses and a share of the "
-        f"second's; {int(rows['held_out'].max())} nominal presses of each position and all defective ones are scored. "
-        f"Medians over {seeds_of(rows, column)} seeds.\n\n{paper_note()}"
-    )
+    return make_page(STUDY, rows, "target_fraction", _describe, _draw, percent, where=where)
+
+
+def _draw(rows: "pd.DataFrame") -> Figures:
     label = "share of the second position's nominal presses, %"
-    draw = partial(shares_figure, x=column, label=label)
-    return make_page(rows, column, head, _setup, draw, percent)
+    return {figure_file(rows): partial(draw_curves, rows, "target_fraction", label)}
 
 
-def _setup(rows: "pd.DataFrame") -> Iterator[str]:
-    paper, ours = paper_medians(STUDY), medians(rows, "target_fraction")
+def _describe(rows: "pd.DataFrame") -> dict[str, Any]:
     shares = sorted(rows["target_fraction"].unique())
-    conditions = [(f"{share:g}", f"{share:g}", percent(share)) for share in shares]
-    yield f"Share of the first position: {fractions_of(rows)}.\n"
-    yield from (medians_table(ours, paper, measure, conditions) for measure in COMPARED)
-    for before, after in _steps(shares):
-        names = f"{before:g}", f"{after:g}"
-        found = effects(rows, "target_fraction", before, after, paper, names)
-        yield effects_table(found, f"From {percent(before)} to {percent(after)} of the second position")
-    yield _each_alone(rows, shares)
+    # From none to the first share, and from there to the last.
+    steps = zip(shares, [*shares[1:2], *shares[-1:]], strict=False)
+    names = {share: percent(share) for share in shares}
+    return {
+        "shares": share_of(rows),
+        "medians": tabulate_medians(
+            rows, "target_fraction", names, published={share: f"{share:g}" for share in shares}
+        ),
+        "effects": [
+            (before, after, effects(rows, "target_fraction", before, after))
+            for before, after in steps
+            if before < after
+        ],
+        "alone": _tabulate_each(rows, names),
+    }
 
 
-def _steps(shares: list[float]) -> list[tuple[float, float]]:
-    """Return pairs: from none to the first share, and from there to the last."""
-    pairs = list(zip(shares, [*shares[1:2], *shares[-1:]], strict=False))
-    return [(before, after) for before, after in pairs if before < after]
-
-
-def _each_alone(rows: "pd.DataFrame", shares: list[float]) -> str:
-    """AU-PRO of each position alone: whether the second gains, and whether the first loses."""
-    found = medians(rows, "target_fraction", _ALONE)
-    lines = [
-        [
-            method,
-            part,
-            measure.rpartition("_")[2],
-            *(f"{by[f'{s:g}']:.4f}" if f"{s:g}" in by else "-" for s in shares),
-        ]
-        for (method, part, measure), by in sorted(found.items())
-    ]
-    return "AU-PRO@0.01 of each position alone.\n\n" + table(
-        ["method", "part", "position", *map(percent, shares)], lines
-    )
+def _tabulate_each(rows: "pd.DataFrame", names: dict[float, str]) -> "pd.DataFrame":
+    """Return AU-PRO of each position alone: whether the second gains, and whether the first loses."""
+    ends = {f"aupro_001_{name}": name for name in ("source", "target")}
+    long = rows.melt(["method", "part", "target_fraction"], list(ends), "position").dropna(subset=["value"])
+    long["position"] = long["position"].map(ends)
+    medians = long.pivot_table("value", ["method", "part", "position"], "target_fraction", aggfunc="median")
+    shown = medians.map(lambda value: "-" if np.isnan(value) else f"{value:.4f}")
+    return shown.rename(columns=names).reset_index()

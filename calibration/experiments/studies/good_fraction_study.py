@@ -6,34 +6,31 @@ shots), which each seed draws.
 """
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from calibration.experiments.harness.cells import Cell
+from calibration.experiments.harness.evidence import MIN_DRAWS
 from calibration.experiments.harness.figures import (
-    Curve,
-    curves,
-    fraction_figure,
+    draw_fractions,
+    draw_overview,
+    draw_shots,
+    find_curves,
     gel_share,
-    overview_figure,
-    shots_figure,
 )
-from calibration.experiments.harness.intervals import MIN_DRAWS
 from calibration.experiments.harness.material import Drawn, fit_cell, material
 from calibration.experiments.harness.page import (
+    SETUP,
+    Figures,
     Page,
-    by_setup,
-    cells_table,
-    cost_table,
+    list_cells,
+    list_costs,
+    make_page,
     only_scored,
     percent,
-    refusals,
-    section,
-    split_table,
-    table,
 )
 from calibration.experiments.harness.presses import hold_out, open_presses, subset
 from calibration.experiments.harness.published import stable_fraction
@@ -52,7 +49,6 @@ from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
 __all__ = [
     "FRACTIONS",
@@ -128,185 +124,136 @@ def study_good_fraction(
 
 def page(rows: "pd.DataFrame") -> Page:
     """Make the page. rows: of this study."""
-    scored = only_scored(rows)
-    figures: dict[str, Callable[[], Figure]] = {}
-    sections = [
-        _head(rows),
-        *(cells_table(rows[rows[size].notna()], size) for size in ("fraction", "shots") if size in rows),
-    ]
-    for title, group in by_setup(scored):
-        drawn = dict(_figures(group))
-        figures |= drawn
-        sections += [_setup(title, group), *(f"![{name}]({name})\n" for name in drawn)]
-    sections += [_splits(scored), refusals(rows)]
-    if "fraction" in scored:
-        sections += [cost_table(_quarters(scored), "fraction", percent), _complete(scored)]
-    return Page("\n".join(section for section in sections if section), figures)
-
-
-def _head(rows: "pd.DataFrame") -> str:
-    where = ", ".join(sorted({f"{a} {b}" for a, b in zip(rows["part"], rows["position"], strict=True)}))
-    held = int(rows["held_out"].max())
-    return (
-        "# How many nominal presses a part needs\n\n"
-        f"{where}; {len(rows)} cells. Of each part {held} nominal presses are held "
-        "out, the same in every cell, and scored with the defective presses of the same position. Banks are fitted on "
-        "a share of the other nominal presses, the pool, which each seed draws. Intervals are of the mean over seeds, "
-        "95 %, Student's t: they show how much the choice of training presses matters, and not what other test "
-        f"presses would give. With fewer than {MIN_DRAWS} seeds, and with all presses, there is none. A gel is rated "
-        f"for {DEFAULT_LIMIT_PRESSES} presses.\n"
+    where = ", ".join(sorted(set(rows["part"] + " " + rows["position"])))
+    sizes = [name for name in ("fraction", "shots") if name in rows]
+    known = rows if "fraction" in rows else rows.assign(fraction=np.nan)
+    # Shots are as many presses in both splits, of other specimens: fractions alone are compared, and cost.
+    quarters = only_scored(known).dropna(subset=["fraction"])
+    quarters = quarters[quarters["fraction"].isin(_spread(sorted(quarters["fraction"].unique())))]
+    return make_page(
+        STUDY,
+        known,
+        "fraction",
+        _describe,
+        _draw,
+        where=where,
+        cells=[list_cells(rows[rows[size].notna()], size) for size in sizes],
+        costs=list_costs(quarters, "fraction", percent) if "fraction" in rows else None,
+        minutes=round(quarters[list(TIMES)].sum().sum() / 60),
+        timed=len(quarters),
+        complete=_estimate_complete(only_scored(known)),
+        fractions=FRACTIONS,
+        all_seeds=SEEDS,
+        min_draws=MIN_DRAWS,
+        gel_presses=DEFAULT_LIMIT_PRESSES,
+        stable_within=STABLE_WITHIN,
     )
 
 
-def _setup(title: str, rows: "pd.DataFrame") -> str:
-    parts = [
-        f"## {title}\n",
-        _name_changes(rows),
-        _plateaus(rows),
-        _levels(rows),
-        _shots(rows),
-        _repeated(rows),
-    ]
-    return "\n".join(part for part in parts if part)
+def _describe(rows: "pd.DataFrame") -> dict[str, Any]:
+    changed = rows.reindex(columns=["method", "changed"]).dropna().drop_duplicates()
+    return {
+        "changed": list(changed.itertuples(index=False)),
+        "plateaus": _tabulate_plateaus(rows.dropna(subset=["fraction"])),
+        "levels": _tabulate_levels(rows, "fraction"),
+        "shots": _tabulate_levels(rows, "shots"),
+        "repeated": _tabulate_repeated(rows),
+    }
 
 
-def _name_changes(rows: "pd.DataFrame") -> str:
-    if "changed" not in rows:
-        return ""
-    pairs = rows.dropna(subset=["changed"])[["method", "changed"]].drop_duplicates()
-    return "".join(
-        f"{method} runs with {changed}, because the backbone lacks the taps that it reads in this mode.\n"
-        for method, changed in pairs.itertuples(index=False)
-    )
+def _tabulate_plateaus(rows: "pd.DataFrame") -> "pd.DataFrame | None":
+    """Return the plateau of each method by the stated rule, in presses and gel."""
+    import pandas as pd
 
-
-def _plateaus(rows: "pd.DataFrame") -> str:
-    """The plateau of each method by the stated rule, in presses and gel."""
-    if "fraction" not in rows:
-        return ""
     lines = []
-    for method, group in rows.dropna(subset=["fraction"]).groupby("method"):
-        found = stable_from(group.astype(object).where(group.notna(), None).to_dict("records"))
+    for method, group in rows.groupby("method"):
+        found = stable_from(group)
         if found is None:
             continue
-        paper, last = stable_fraction(method), group["fraction"].max()
-        pools = group.groupby("part")["pool"].max()
-        at = {part: max(1, round(found * pool)) for part, pool in pools.items()}
+        paper, is_last = stable_fraction(method), found == group["fraction"].max()
+        at = (found * group.groupby("part")["pool"].max()).round().clip(lower=1).astype(int)
         lines.append(
-            [
-                method,
-                percent(found) + (" (the largest: no plateau)" if found == last else ""),
-                "-" if paper is None else percent(paper),
-                ", ".join(f"{part} {count}" for part, count in at.items()),
-                f"{100 * gel_share(max(at.values())):.0f} %",
-            ]
+            {
+                "method": method,
+                "plateau from": percent(found) + (" (the largest: no plateau)" if is_last else ""),
+                "the paper's": "-" if paper is None else percent(paper),
+                "presses": ", ".join(f"{part} {count}" for part, count in at.items()),
+                "of a gel's life, at most": f"{100 * gel_share(at.max()):.0f} %",
+            }
         )
-    heading = ["method", "plateau from", "the paper's", "presses", "of a gel's life, at most"]
-    return (
-        "**Plateau.** The smallest fraction from which on the mean over seeds is within "
-        f"{STABLE_WITHIN:g} of that of the largest fraction, for every larger fraction, every part, and AU-PRO@0.01, "
-        f"AUPRC and pixel AUROC together: one value for a method, as in the paper.\n\n{table(heading, lines)}"
-    )
+    return pd.DataFrame(lines) if lines else None
 
 
-def _levels(rows: "pd.DataFrame") -> str:
-    """AU-PRO at a few fractions."""
-    found = sorted(curves(rows, "fraction", "aupro_001"), key=lambda c: (c.part, c.method))
-    shown = _spread(sorted({x for curve in found for x in curve.x}))
-    lines = [
-        [curve.part, curve.method, int(curve.presses[-1]), *(_at(curve, x) for x in shown)] for curve in found
-    ]
-    heading = ["part", "method", "all presses", *map(percent, shown)]
-    return section("**AU-PRO@0.01** at shares of the nominal presses, mean [interval]:", heading, lines)
+def _tabulate_levels(rows: "pd.DataFrame", size: str) -> "pd.DataFrame | None":
+    """Return AU-PRO with its interval at a few fractions, or at all shots."""
+    found = find_curves(rows, size, "aupro_001")
+    if found.empty:
+        return None
+    every = sorted(found.index.get_level_values(size).unique())
+    shown = _spread(every) if size == "fraction" else every
+    texts = found.apply(_write_level, axis=1).unstack().reindex(columns=shown).fillna("-")
+    if size == "shots":
+        return texts.rename(columns="{:g}".format).reset_index()
+    texts.insert(0, "all presses", found.groupby(["part", "method"])["presses"].last().astype(int))
+    return texts.rename(columns=dict(zip(shown, map(percent, shown), strict=True))).reset_index()
 
 
-def _shots(rows: "pd.DataFrame") -> str:
-    """The field's few-shot curve."""
-    found = sorted(curves(rows, "shots", "aupro_001"), key=lambda c: (c.part, c.method))
-    shown = sorted({x for curve in found for x in curve.x})
-    lines = [[curve.part, curve.method, *(_at(curve, x) for x in shown)] for curve in found]
-    heading = ["part", "method", *(f"{x:g}" for x in shown)]
-    return section("**AU-PRO@0.01** with few presses, mean [interval]:", heading, lines)
+def _write_level(at: "pd.Series[float]") -> str:
+    interval = f" [{at['low']:.3f}, {at['high']:.3f}]" if np.isfinite(at["low"]) else ""
+    return f"{at['mean']:.3f}{interval}"
 
 
-def _repeated(rows: "pd.DataFrame") -> str:
-    """Name the cells of which all seeds are one computation."""
+def _tabulate_repeated(rows: "pd.DataFrame") -> "pd.DataFrame":
+    """Return the cells of which all seeds are one computation."""
     same = same_in_every_seed(rows)
-    lines = [
-        [method, ", ".join(sorted(set(group["part"]))), ", ".join(_sizes(group)), int(group["seeds"].max())]
-        for method, group in same.groupby("method")
+    same["at"] = [
+        f"{shots:g} presses" if np.isnan(share) else percent(share)
+        for share, shots in same.reindex(columns=["fraction", "shots"]).to_numpy()
     ]
-    return section(
-        "**One computation, not several.** Here all seeds give identical scores, because nothing random is left; that "
-        "they do not scatter says nothing about robustness.",
-        ["method", "parts", "at", "seeds"],
-        lines,
-    )
+    by_method = same.sort_values([name for name in ("fraction", "shots") if name in same]).groupby("method")
+    return by_method.agg(
+        parts=("part", lambda own: ", ".join(sorted(set(own)))),
+        at=("at", lambda own: ", ".join(dict.fromkeys(own))),
+        seeds=("seeds", "max"),
+    ).reset_index()
 
 
-def _sizes(group: "pd.DataFrame") -> list[str]:
-    fractions = group["fraction"].dropna().unique() if "fraction" in group else []
-    shots = group["shots"].dropna().unique() if "shots" in group else []
-    return [percent(f) for f in sorted(fractions)] + [f"{k:g} presses" for k in sorted(shots)]
-
-
-def _splits(rows: "pd.DataFrame") -> str:
-    """Compare the splits at fractions alone: shots are as many presses in both, of other specimens."""
-    return split_table(rows.dropna(subset=["fraction"]), "fraction") if "fraction" in rows else ""
-
-
-def _figures(rows: "pd.DataFrame") -> Iterator[tuple[str, Callable[[], "Figure"]]]:
-    """File name of every figure of one setup, and what draws it."""
+def _draw(rows: "pd.DataFrame") -> Figures:
     setup = "-".join(str(rows[name].iloc[0]) for name in ("mode", "backbone", "split"))
-    base = "good-fraction-" + re.sub(r"[^A-Za-z0-9_-]+", "-", setup)
-    if "fraction" in rows and rows["fraction"].notna().any():
+    base, found = f"{STUDY}-" + re.sub(r"[^A-Za-z0-9_-]+", "-", setup), {}
+    if rows["fraction"].notna().any():
         for measure in _FIGURE_MEASURES:
-            yield f"{base}-{measure}.svg", partial(overview_figure, rows, measure)
+            found[f"{base}-{measure}.svg"] = partial(draw_overview, rows, measure)
         for part in sorted(set(rows["part"])):
-            yield f"{base}-{part}.svg", partial(fraction_figure, rows, part)
+            found[f"{base}-{part}.svg"] = partial(draw_fractions, rows, part)
     if "shots" in rows and rows["shots"].notna().any():
-        yield f"{base}-shots.svg", partial(shots_figure, rows)
+        found[f"{base}-shots.svg"] = partial(draw_shots, rows)
+    return found
 
 
-def _complete(rows: "pd.DataFrame") -> str:
+def _estimate_complete(rows: "pd.DataFrame") -> "pd.DataFrame | None":
     """Estimate the time of a part's complete study, from the mean processor seconds of a cell at every fraction."""
-    lines, stages = [], list(TIMES)
-    cells = rows.dropna(subset=["fraction", *stages])
-    cells = cells.assign(seconds=cells[stages].sum(axis=1))
-    for (part, backbone, mode, split), group in cells.groupby(["part", "backbone", "mode", "split"]):
-        means = group.groupby(["method", "fraction"])["seconds"].mean()
-        each = {method: means[method] for method in sorted(set(group["method"]))}
-        if min(map(len, each.values())) > 1:
-            spent = sum(SEEDS * np.interp(FRACTIONS, at.index, at).sum() for at in each.values()) / 60
-            pool = int(group["pool"].max()) if "pool" in group else int(group["presses"].max())
-            lines.append([part, backbone, mode, split, pool, len(each), f"{spent:.0f}", f"{spent / 2:.0f}"])
-    heading = ["part", "backbone", "mode", "split", "pool", "methods", "minutes of one core", "on two cores"]
-    return section(
-        f"**A complete part**, {len(FRACTIONS)} fractions with {SEEDS} seeds, takes by these cells (fractions between "
-        f"them are interpolated; a busy machine takes longer):",
-        heading,
-        lines,
+    import pandas as pd
+
+    lines = []
+    cells = rows.assign(seconds=rows[list(TIMES)].sum(axis=1, skipna=False)).dropna(
+        subset=["fraction", "seconds"]
     )
-
-
-def _at(curve: Curve, x: float) -> str:
-    (where,) = (curve.x == x).nonzero()
-    if not len(where):
-        return "-"
-    k = int(where[0])
-    if not np.isfinite(curve.low[k]):
-        return f"{curve.mean[k]:.3f}"
-    return f"{curve.mean[k]:.3f} [{curve.low[k]:.3f}, {curve.high[k]:.3f}]"
+    for setup, group in cells.groupby(["part", *SETUP]):
+        means = group.groupby(["method", "fraction"])["seconds"].mean()
+        each = [means[method] for method in means.index.unique("method")]
+        if min(map(len, each)) > 1:
+            spent = sum(SEEDS * np.interp(FRACTIONS, at.index, at).sum() for at in each) / 60
+            pool = int(group["pool" if "pool" in group else "presses"].max())
+            lines.append([*setup, pool, len(each), f"{spent:.0f}", f"{spent / 2:.0f}"])
+    heading = ["part", *SETUP, "pool", "methods", "minutes of one core", "on two cores"]
+    return pd.DataFrame(lines, columns=heading) if lines else None
 
 
 def _spread(values: list[float]) -> list[float]:
     """Choose at most six of them, the first and the last included."""
     count = min(6, len(values))
     return [values[round(k * (len(values) - 1) / max(1, count - 1))] for k in range(count)]
-
-
-def _quarters(rows: "pd.DataFrame") -> "pd.DataFrame":
-    return rows[rows["fraction"].isin(_spread(sorted(rows["fraction"].dropna().unique())))]
 
 
 def same_in_every_seed(rows: "pd.DataFrame") -> "pd.DataFrame":

@@ -79,7 +79,7 @@ def figure(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
 
     rows: of one backbone, mode and split. Errors: ConfigError for several of them, or no row with this measure.
     """
-    from calibration.experiments.harness.figures import fraction_figure, overview_figure, shots_figure
+    from calibration.experiments.harness.figures import draw_fractions, draw_overview, draw_shots
 
     setups = rows[["backbone", "mode", "split"]].drop_duplicates()
     if len(setups) != 1:
@@ -91,6 +91,6 @@ def figure(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
     if measure not in scored or scored[measure].isna().all():
         raise ConfigError(f"no row has the measure '{measure}'; see the columns of the rows")
     if "fraction" not in scored or scored["fraction"].isna().all():
-        return shots_figure(scored, measure)
+        return draw_shots(scored, measure)
     parts = sorted(set(scored["part"]))
-    return fraction_figure(scored, parts[0], measure) if len(parts) == 1 else overview_figure(scored, measure)
+    return draw_fractions(scored, parts[0], measure) if len(parts) == 1 else draw_overview(scored, measure)

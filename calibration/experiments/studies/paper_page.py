@@ -1,35 +1,24 @@
 """Ours and the paper's results next to each other: order of the methods, direction of effects, level of the parts."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.experiments.harness.effects import (
+from calibration.experiments.harness.evidence import (
     COMPARED,
-    Agreement,
-    Effect,
-    agreement,
+    compare_directions,
     count_agreements,
     direction,
-    direction_of_paper,
     effects,
-    medians,
+    sample,
+    subtract,
     write_condition,
 )
-from calibration.experiments.harness.intervals import is_drawn
-from calibration.experiments.harness.page import (
-    Page,
-    by_setup,
-    directions_table,
-    only_scored,
-    percent,
-    section,
-    table,
-)
-from calibration.experiments.harness.published import paper_medians, source, stable_fraction
+from calibration.experiments.harness.page import SETUP, Page, by_setup, only_scored, percent, render
+from calibration.experiments.harness.published import paper_medians, stable_fraction
 from calibration.experiments.harness.stable import stable_from
 from calibration.experiments.studies import cross_position_study, good_fraction_study, resolution_study
 
@@ -48,30 +37,30 @@ class _Study:
     name: str
     column: str
     """What it varies."""
-    names: dict[str, str]
-    """Its conditions, ours to the paper's (empty: the same)."""
     shown: tuple[str | float, ...]
     """The conditions of ours at which orders and levels are compared."""
     steps: tuple[tuple[str | float, str | float, str], ...]
     """The effects that are compared, as pairs of our conditions."""
+    names: Mapping[str, str] = field(default_factory=dict)
+    """What the paper calls conditions of ours, where it is another word."""
 
-    def paper_name(self, ours: str | float) -> str:
-        """Return what the paper's data call a condition of ours."""
-        return self.names.get(write_condition(ours), write_condition(ours))
+    def paper(self, measure: str, condition: str | float) -> dict[tuple[str, str], float]:
+        """Return the paper's median of each method and part at a condition of ours."""
+        name = self.names.get(text := write_condition(condition), text)
+        medians = paper_medians(self.name).items()
+        return {key[:2]: values[name] for key, values in medians if key[2] == measure and name in values}
 
 
 _STUDIES = (
     _Study(
         good_fraction_study.STUDY,
         "fraction",
-        {},
         (0.05, 0.2, 1.0),
         ((0.05, 1.0, "all presses of the pool instead of a twentieth"),),
     ),
     _Study(
         cross_position_study.STUDY,
         "target_fraction",
-        {},
         (0.0, 0.05),
         (
             (0.0, 0.05, "the first presses of a second position"),
@@ -81,170 +70,147 @@ _STUDIES = (
     _Study(
         resolution_study.STUDY,
         "view",
-        {"hr_tiled": "hr"},
         ("lr", "hr_tiled"),
         (("lr", "hr_tiled", "high resolution in tiles instead of low resolution"),),
+        {"hr_tiled": "hr"},
     ),
 )
 
 
 def page(rows: "pd.DataFrame") -> Page:
-    """The page. rows: of all studies."""
-    introduction = [
-        "# The paper's results and ours\n",
-        f"{source()}: it pressed real parts and had Wide-ResNet-50-2 with ImageNet weights. So orders and directions "
-        "can be compared, and levels say how hard the parts are. Nothing is tuned to agree. An order or a direction of "
-        "ours is *undecided* where the 95 % interval of the mean difference over seeds includes zero, where there are "
-        "fewer than three seeds, or where every seed learns the same presses.\n",
-    ]
-    scored, sections, counts = only_scored(rows), [], []
-    every: tuple[list[Agreement], list[Agreement]] = [], []
+    """Make the page. rows: of all studies."""
+    import pandas as pd
+
+    scored, setups = only_scored(rows), []
     for title, group in by_setup(scored):
-        orders: list[Agreement] = []
-        directions: list[Agreement] = []
-        found = [part for part in _setup(group, orders, directions) if part]
-        if found:
-            sections += [f"## {title}\n", *found]
-            counts.append([_short(group), count_agreements(orders), count_agreements(directions)])
-            every[0].extend(orders)
-            every[1].extend(directions)
-    counts.append(["**all**", *(f"**{count_agreements(group)}**" for group in every)])
+        studies = [
+            _compare(own, study) for study in _STUDIES if len(own := group[group["study"] == study.name])
+        ]
+        plateaus = _list_plateaus(group[group["study"] == good_fraction_study.STUDY])
+        if len(plateaus) or any(found["is_known"] for found in studies):
+            setups.append({"title": title, "name": _name(group), "plateaus": plateaus, "studies": studies})
+    counts = [[setup["name"], *_count([setup])] for setup in setups]
+    counts.append(["**all**", *(f"**{text}**" for text in _count(setups))])
     heading = ["setup", "orders of two methods", "directions of an effect"]
-    summary = f"## Summary\n\n{table(heading, counts)}"
-    return Page("\n".join([*introduction, summary, *_summary_of_levels(scored), *sections]))
+    summary, levels = pd.DataFrame(counts, columns=heading), _span_levels(scored)
+    return Page(render("paper", summary=summary, levels=levels, setups=setups))
 
 
-def _short(rows: "pd.DataFrame") -> str:
-    """The name of a setup without its weights."""
-    return ", ".join(str(rows[name].iloc[0]) for name in ("backbone", "mode", "split"))
+def _count(setups: list[dict[str, Any]]) -> list[str]:
+    studies = [found for setup in setups for found in setup["studies"]]
+    return [
+        count_agreements(each for found in studies for each in found[name])
+        for name in ("pairs", "directions")
+    ]
 
 
-def _summary_of_levels(rows: "pd.DataFrame") -> Iterator[str]:
-    """AU-PRO@0.01 of each part with all presses, in the setups that find least and most, next to the paper's."""
-    lines, name = [], good_fraction_study.STUDY
-    paper, full = paper_medians(name), rows[rows["study"] == name]
+def _name(rows: "pd.DataFrame") -> str:
+    """Return the name of a setup without its weights."""
+    return ", ".join(str(rows[name].iloc[0]) for name in SETUP)
+
+
+def _compare(rows: "pd.DataFrame", study: _Study) -> dict[str, Any]:
+    """Compare the rows of one study and setup with the paper: orders of methods, levels of parts, directions."""
+    orders, pairs = _list_orders(rows, study)
+    steps = []
+    for before, after, title in study.steps:
+        found = effects(rows, study.column, before, after, study.names)
+        if len(known := found[found["paper"] != "-"]):
+            steps.append({"title": title, "known": known, "differing": known[known["direction"] == "differ"]})
+    levels = _list_levels(rows, study)
+    return {
+        "name": study.name,
+        "orders": orders,
+        "pairs": pairs,
+        "levels": levels,
+        "steps": steps,
+        "directions": [word for step in steps for word in step["known"]["direction"]],
+        "is_known": bool(len(orders) or len(levels) or steps),
+    }
+
+
+def _span_levels(rows: "pd.DataFrame") -> "pd.DataFrame":
+    """Return AU-PRO of each part with all presses, in the setups that find least and most, and the paper's."""
+    import pandas as pd
+
+    study, lines = _STUDIES[0], []
+    theirs = pd.Series(study.paper(_MEASURE, 1.0)).groupby(level=1).mean()
+    full = rows[rows["study"] == study.name]
     full = full[full["fraction"] == 1.0] if "fraction" in full else full
     for part, group in full.groupby("part"):
-        theirs = [
-            values["1"] for key, values in paper.items() if key[1:] == (part, _MEASURE) and "1" in values
-        ]
-        ours = sorted(
-            (float(own.groupby("method")[_MEASURE].median().mean()), _short(own))
-            for _, own in by_setup(group)
-        )
-        if theirs:
+        levels = group.groupby([*SETUP, "method"])[_MEASURE].median().groupby(level=SETUP).mean()
+        ours = sorted((float(level), ", ".join(setup)) for setup, level in levels.items())
+        if part in theirs:
             ends = [f"{level:.3f}, {setup}" for level, setup in (ours[0], ours[-1])]
-            lines.append([part, *ends, f"{np.mean(theirs):.3f}"])
-    if lines:
-        yield (
-            f"The level is {COMPARED[_MEASURE]} with all presses, the mean over the methods. Where the parts are "
-            "simulated, masks are exact and a gel has few faults, while people drew the paper's masks on real presses. "
-            "So all setups are compared: where even random weights are above the paper, the presses are easier, and "
-            f"the trunk is not the reason.\n\n{table(['part', 'least here', 'most here', 'paper'], lines)}"
-        )
+            lines.append([part, *ends, f"{theirs[part]:.3f}"])
+    return pd.DataFrame(lines, columns=["part", "least here", "most here", "paper"])
 
 
-def _setup(rows: "pd.DataFrame", orders: list[Agreement], directions: list[Agreement]) -> Iterator[str]:
-    """The sections of one setup. orders, directions: every comparison is appended."""
-    yield _plateaus(rows[rows["study"] == good_fraction_study.STUDY])
-    for study in _STUDIES:
-        group = rows[rows["study"] == study.name]
-        if len(group):
-            yield _orders(group, study, orders)
-            yield _levels(group, study)
-            yield from _effects(group, study, directions)
+def _list_plateaus(rows: "pd.DataFrame") -> "pd.DataFrame":
+    """Return the plateau of each method next to the paper's."""
+    import pandas as pd
 
-
-def _plateaus(rows: "pd.DataFrame") -> str:
-    """The plateau of each method next to the paper's."""
     lines = []
     for method, group in rows.groupby("method"):
-        ours = stable_from(group.astype(object).where(group.notna(), None).to_dict("records"))
-        paper = stable_fraction(str(method))
+        ours, paper = stable_from(group), stable_fraction(str(method))
         if ours is not None and paper is not None:
             word = "equal" if ours == paper else "earlier here" if ours < paper else "later here"
             lines.append([method, percent(ours), percent(paper), word])
-    text = "### Plateau\n\nThe share of the nominal presses from which on accuracy stays the same."
-    return section(text, ["method", "here", "paper", ""], lines)
+    return pd.DataFrame(lines, columns=["method", "here", "paper", ""])
 
 
-def _orders(rows: "pd.DataFrame", study: _Study, orders: list[Agreement]) -> str:
-    """The order of the methods at each part and condition, with the pairs that have the same order."""
-    paper, lines = paper_medians(study.name), []
-    every: list[Agreement] = []
-    rows = rows[rows[study.column].isin(study.shown)]
-    for (part, condition), group in rows.groupby(["part", study.column]):
-        name = study.paper_name(condition)
-        theirs = {
-            method: paper[method, part, _MEASURE][name]
-            for method in sorted(set(group["method"]))
-            if name in paper.get((method, part, _MEASURE), {})
-        }
+def _list_orders(rows: "pd.DataFrame", study: _Study) -> tuple["pd.DataFrame", list[str]]:
+    """Return the order of the methods at each part and condition, and whether each pair of methods has the paper's."""
+    import pandas as pd
+
+    lines, every = [], list[str]()
+    for (part, condition), group in rows[rows[study.column].isin(study.shown)].groupby(
+        ["part", study.column]
+    ):
+        by_method = dict(list(group.groupby("method")))
+        paper = study.paper(_MEASURE, condition)
+        theirs = {method: paper[method, part] for method in by_method if (method, part) in paper}
         if len(theirs) < 2:
             continue
-        pairs = list(_pairs(group, theirs))
+        values = {method: sample(by_method[method], _MEASURE) for method in theirs}
+        pairs = [
+            compare_directions(direction(subtract(values[b], values[a])), theirs[a], theirs[b])[1]
+            for a, b in combinations(theirs, 2)
+        ]
+        ours = {method: float(by_method[method][_MEASURE].median()) for method in theirs}
+        orders = [_write_order(one) for one in (ours, theirs)]
+        lines.append([part, f"`{write_condition(condition)}`", *orders, count_agreements(pairs)])
         every += pairs
-        ours = {m: float(group[group["method"] == m][_MEASURE].median()) for m in theirs}
-        lines.append(
-            [part, f"`{write_condition(condition)}`", _order(ours), _order(theirs), count_agreements(pairs)]
-        )
-    orders += every
-    title = f"### {study.name}: order of the methods by {COMPARED[_MEASURE]}"
-    heading = ["part", study.column.replace("_", " "), "here", "paper", "pairs"]
-    return section(f"{title}\n\nOf all pairs of methods: {count_agreements(every)}.", heading, lines)
+    return pd.DataFrame(lines, columns=["part", _heading(study), "here", "paper", "pairs"]), every
 
 
-def _pairs(rows: "pd.DataFrame", theirs: dict[str, float]) -> Iterator[Agreement]:
-    """Say whether each pair of methods has the paper's order."""
-    seeds = {m: dict(zip(g["seed"], g[_MEASURE], strict=True)) for m, g in rows.groupby("method")}
-    drawn = {row["method"] for row in rows.to_dict("records") if is_drawn(row)}
-    for first, second in combinations(theirs, 2):
-        ours, _ = direction(seeds[first], seeds[second], are_drawn=bool(drawn & {first, second}))
-        yield agreement(ours, direction_of_paper(theirs[first], theirs[second]))
-
-
-def _order(values: dict[str, float]) -> str:
+def _write_order(values: Mapping[str, float]) -> str:
     ranked = sorted(values, key=lambda method: -values[method])
     return ", ".join(f"{method} {values[method]:.3f}" for method in ranked)
 
 
-def _levels(rows: "pd.DataFrame", study: _Study) -> str:
-    """Say whether the simulated parts are easier or harder than the paper's, over the methods of both."""
-    paper, ours, lines = paper_medians(study.name), medians(rows, study.column), []
-    for part in sorted(set(rows["part"])):
+def _list_levels(rows: "pd.DataFrame", study: _Study) -> "pd.DataFrame":
+    """Return whether parts are easier or harder than the paper's: means over the methods of both of the medians."""
+    import pandas as pd
+
+    lines = []
+    for part, own in rows.groupby("part"):
         for condition in study.shown:
-            for measure in COMPARED:
+            at = own[own[study.column] == condition].groupby("method")[list(COMPARED)].median()
+            for measure, name in COMPARED.items():
+                paper = study.paper(measure, condition)
+                known = at[measure].dropna()
                 pairs = [
-                    (own[write_condition(condition)], paper[key][study.paper_name(condition)])
-                    for key, own in ours.items()
-                    if key[1:] == (part, measure)
-                    and write_condition(condition) in own
-                    and study.paper_name(condition) in paper.get(key, {})
+                    (level, paper[method, part]) for method, level in known.items() if (method, part) in paper
                 ]
                 if pairs:
                     here, theirs = np.mean(pairs, axis=0)
-                    word = "easier" if here > theirs else "harder"
                     shown = [f"{here:.3f}", f"{theirs:.3f}", f"{here - theirs:+.3f}"]
-                    lines.append([part, f"`{write_condition(condition)}`", COMPARED[measure], *shown, word])
-    heading = ["part", study.column.replace("_", " "), "measure", "here", "paper", "difference", "ours is"]
-    text = f"### {study.name}: level of the parts\n\nMeans over the methods of the medians."
-    return section(text, heading, lines)
+                    word = "easier" if here > theirs else "harder"
+                    lines.append([part, f"`{write_condition(condition)}`", name, *shown, word])
+    heading = ["part", _heading(study), "measure", "here", "paper", "difference", "ours is"]
+    return pd.DataFrame(lines, columns=heading)
 
 
-def _effects(rows: "pd.DataFrame", study: _Study, directions: list[Agreement]) -> Iterator[str]:
-    for before, after, title in study.steps:
-        names = study.paper_name(before), study.paper_name(after)
-        found = effects(rows, study.column, before, after, paper_medians(study.name), names)
-        known = [effect for effect in found if effect.paper is not None]
-        directions += [effect.agreement for effect in known if effect.agreement is not None]
-        if known:
-            yield f"### {study.name}: {title}\n\n{_differing(known)}"
-
-
-def _differing(found: Sequence[Effect]) -> str:
-    """The counts, and those of the effects that have another direction here."""
-    counts = count_agreements(effect.agreement for effect in found)
-    differ = [effect for effect in found if effect.agreement == "differ"]
-    if differ:
-        return f"Of all directions: {counts}. Those that differ:\n\n{directions_table(differ)}"
-    return f"Of all directions: {counts}.\n"
+def _heading(study: _Study) -> str:
+    return study.column.replace("_", " ")

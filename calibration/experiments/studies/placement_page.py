@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.experiments.harness.intervals import mean_interval
-from calibration.experiments.harness.page import table
+from calibration.experiments.harness.evidence import mean_interval
+from calibration.experiments.harness.page import render
 from calibration.experiments.harness.rows import frame
 
 if TYPE_CHECKING:
@@ -19,34 +19,19 @@ if TYPE_CHECKING:
 
 __all__ = ["page", "write"]
 
-_MEASURE = "aupro_001"
-
 
 def page(fixture: "pd.DataFrame", by_hand: "pd.DataFrame") -> str:
-    """The page, from the rows of both."""
-    presses, seeds = int(by_hand["presses"].max()), by_hand["seed"].nunique()
-    part = ", ".join(sorted(set(by_hand["part"])))
-    return (
-        "# What the place of the part costs\n\n"
-        "A reference, printed from rows by `python -m calibration.experiments.studies.placement_page`.\n\n"
-        f"{part}, {presses} nominal presses, {seeds} seeds, AU-PRO@0.01: mean [95 % interval over seeds]. Both columns "
-        "have the same kinds of damage and every other effect; *by hand* is the scene as it is, *fixture* is without "
-        f"`pose_jitter`.\n\n{_table(fixture, by_hand)}"
-    )
+    """Make the page, from the rows of both."""
+    keys = ["backbone", "method"]
+    held, placed = (rows.groupby(keys)["aupro_001"] for rows in (fixture, by_hand))
+    found = held.agg(_write_span).to_frame("fixture")
+    found["by hand"] = placed.agg(_write_span)
+    found["difference"] = (placed.mean() - held.mean()).map("{:+.3f}".format)
+    return render("placement", rows=by_hand, lines=found.reset_index())
 
 
-def _table(fixture: "pd.DataFrame", by_hand: "pd.DataFrame") -> str:
-    lines = []
-    for (backbone, method), group in by_hand.groupby(["backbone", "method"]):
-        same = fixture[(fixture["backbone"] == backbone) & (fixture["method"] == method)]
-        held, placed = same[_MEASURE].to_numpy(np.float64), group[_MEASURE].to_numpy(np.float64)
-        lost = f"{placed.mean() - held.mean():+.3f}"
-        lines.append([backbone, method, _spanned(held), _spanned(placed), lost])
-    return table(["backbone", "method", "fixture", "by hand", "difference"], lines)
-
-
-def _spanned(values: np.ndarray) -> str:
-    low, high = mean_interval(values)
+def _write_span(values: "pd.Series[float]") -> str:
+    low, high = mean_interval(values.to_numpy(np.float64))
     return f"{values.mean():.3f} [{low:.3f}, {high:.3f}]"
 
 

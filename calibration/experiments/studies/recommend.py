@@ -8,21 +8,20 @@ the command that gives them.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from calibration.experiments.harness.evidence import Mean, Sample, Samples, Standing, ranking
-from calibration.experiments.harness.intervals import is_drawn
-from calibration.experiments.harness.page import Page, by_setup, only_scored, table
-from calibration.experiments.harness.published import judgements, no_fixture, source
+from calibration.experiments.harness.evidence import Sample, Standing, rank, sample, subtract
+from calibration.experiments.harness.page import Page, by_setup, only_scored, render
+from calibration.experiments.harness.published import judgements, no_fixture
 from calibration.fitting.candidates import DEFAULT_METHOD
 from edge.core.errors import ConfigError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["NEEDS", "Answer", "Question", "answer_question", "page", "recommended"]
+__all__ = ["NEEDS", "Answer", "Question", "page", "recommend"]
 
-Row = Mapping[str, Any]
+Samples = Mapping[str, Sample]
 
 FEW = 8
 """The number of presses that counts as few."""
@@ -44,7 +43,7 @@ class Question:
     """As it is printed, with the measure."""
     study: str
     """Whose rows answer it."""
-    values: Callable[[Sequence[Row]], Samples]
+    values: Callable[["pd.DataFrame"], Samples]
     """The values of one row set by method, empty where the rows do not cover the question."""
     column: str | None = None
     """The column of the paper's Table 4."""
@@ -79,19 +78,24 @@ class Answer:
     refusal: str = ""
 
     def lines(self) -> list[str]:
-        """The answer as text."""
+        """Return the answer as text."""
         if self.standing is None:
             return [self.question.title, f"  {self.verdict}"]
-        found, unit = self.standing, self.question.unit
-        any_mean = next(iter(found.means.values()))
-        counted = f"  parts: {any_mean.parts}; draws of presses on each: {any_mean.draws} or more"
         said = {name: f"  the paper: {what}" for name, what in self.question.judgements.items()}
         listed = [
-            f"  {name:<10} {mean.value:8.4f}{unit}{_span(mean)}{said.get(name, '')}"
-            for name, mean in found.means.items()
+            f"  {name:<10} {mean.value:8.4f}{self.question.unit}"
+            f"{f'  [{mean.low:.4f}, {mean.high:.4f}]' if mean.has_interval else ''}{said.get(name, '')}"
+            for name, mean in self.standing.means.items()
         ]
         then = [f"     {self.then}"] if self.then else []
-        return [self.question.title, counted, *listed, f"  -> {self.verdict}", *then]
+        return [self.question.title, f"  {self.counts}", *listed, f"  -> {self.verdict}", *then]
+
+    @property
+    def counts(self) -> str:
+        """What the means are of."""
+        assert self.standing is not None
+        mean = next(iter(self.standing.means.values()))
+        return f"parts: {mean.parts}; draws of presses on each: {mean.draws} or more"
 
     @property
     def verdict(self) -> str:
@@ -128,80 +132,61 @@ class Answer:
         return f"Take {first} then: it {also}has the {best} mean."
 
 
-def _span(mean: Mean) -> str:
-    """The interval; nothing where too few draws give none."""
-    return f"  [{mean.low:.4f}, {mean.high:.4f}]" if mean.has_interval else ""
-
-
-def by_method(rows: Sequence[Row], measure: str) -> dict[str, Sample]:
-    """The sample of each method; rows without the measure are left out.
+def by_method(rows: "pd.DataFrame", measure: str) -> Samples:
+    """Return the sample of each method; rows without the measure are left out.
 
     Errors: ConfigError for two rows of the same method, part and seed with different settings and results: a fraction
     above the cap of a pool learns the same presses as another.
     """
-    found: dict[str, dict[tuple[str, int], float]] = {}
-    drawn: dict[str, set[str]] = {}
-    results: dict[tuple[str, str, int], str | None] = {}
-    for row in rows:
-        values, pair = found.setdefault(row["method"], {}), (row["part"], row["seed"])
-        result = row.get("scores_sha256")
-        if pair in values and (result is None or result != results[row["method"], *pair]):
-            raise ConfigError(
-                f"two rows of {row['study']} have {row['method']} on {row['part']} with seed {row['seed']} and other "
-                "settings, so they cannot be compared; give rows that one command made"
-            )
-        if row.get(measure) is not None:
-            values[pair] = float(row[measure])
-            results[row["method"], *pair] = result
-        if is_drawn(row):
-            drawn.setdefault(row["method"], set()).add(row["part"])
-    return {
-        method: Sample(values, frozenset(part for part, _ in values) - drawn.get(method, set()))
-        for method, values in found.items()
-    }
+    if measure not in rows:
+        return {}
+    known, pair = rows.dropna(subset=[measure]), ["method", "part", "seed"]
+    if "scores_sha256" in known:
+        known = known[known["scores_sha256"].isna() | ~known.duplicated([*pair, "scores_sha256"])]
+    if (twice := known[known.duplicated(pair)]).size:
+        row = twice.iloc[0]
+        raise ConfigError(
+            f"two rows of {row['study']} have {row['method']} on {row['part']} with seed {row['seed']} and other "
+            "settings, so they cannot be compared; give rows that one command made"
+        )
+    return {str(method): sample(own, measure) for method, own in known.groupby("method", sort=False)}
 
 
-def gains(rows: Sequence[Row], measure: str, column: str, before: object, after: object) -> Samples:
-    """Compute how much a measure rises from one condition to another, on the same part and seed."""
-    old, new = (by_method([r for r in rows if r.get(column) == value], measure) for value in (before, after))
-    return {method: new[method].minus(old[method]) for method in old.keys() & new.keys()}
+def _gain(measure: str, column: str, before: object, after: object) -> Callable[["pd.DataFrame"], Samples]:
+    """Return what computes how much a measure rises between two conditions, on the same part and seed."""
+
+    def gains(rows: "pd.DataFrame") -> Samples:
+        old, new = (by_method(rows[rows[column] == value], measure) for value in (before, after))
+        return {method: subtract(new[method], old[method]) for method in new if method in old}
+
+    return gains
 
 
-def _at_few(rows: Sequence[Row]) -> Samples:
-    shots = {int(row["shots"]) for row in rows if row.get("shots") is not None and row["shots"] <= FEW}
-    return by_method([r for r in rows if r.get("shots") == max(shots)], "aupro_001") if shots else {}
+def _at_few(rows: "pd.DataFrame") -> Samples:
+    """Choose the largest number of presses that counts as few."""
+    shots = rows.reindex(columns=["shots"])["shots"]
+    return by_method(rows[shots == shots[shots <= FEW].max()], "aupro_001")
 
 
-def _at_all(rows: Sequence[Row], measure: str = "aupro_001") -> Samples:
-    shares = {row["fraction"] for row in rows if row.get("fraction") is not None}
-    return by_method([r for r in rows if r.get("fraction") == max(shares)], measure) if shares else {}
+def _at_all(rows: "pd.DataFrame", measure: str = "aupro_001") -> Samples:
+    """Choose the largest share of presses."""
+    share = rows.reindex(columns=["fraction"])["fraction"]
+    return by_method(rows[share == share.max()], measure)
 
 
-def _at_most_bad(rows: Sequence[Row]) -> Samples:
+def _at_most_bad(rows: "pd.DataFrame") -> Samples:
     """Choose the largest share that all methods have: with few damaged presses a large bank has no row of it."""
-    of_share = {share: [r for r in rows if r["bad"] == share] for share in {r["bad"] for r in rows}}
-    methods = [{r["method"] for r in of_share[share]} for share in of_share]
-    complete = [
-        share for share, found in zip(of_share, methods, strict=True) if found == set().union(*methods)
-    ]
-    return by_method(of_share[max(complete or of_share)], "aupro_001")
+    methods = rows.groupby("bad")["method"].nunique()
+    return by_method(rows[rows["bad"] == methods.index[methods == methods.max()].max()], "aupro_001")
 
 
-def _head_time(rows: Sequence[Row]) -> Samples:
+def _head_time(rows: "pd.DataFrame") -> Samples:
     """Processor time and not the clock: cells of one study run while the machine does other work as well."""
-    timed = [
-        {**row, _HEAD_MS: 1e3 * row["cpu_score_s"] / (row["test_nominal"] + row["test_defective"])}
-        for row in rows
-        if row.get("cpu_score_s") is not None and row.get("test_nominal") is not None
-    ]
-    return _at_all(timed, _HEAD_MS)
-
-
-_HEAD_MS = "head_ms"
-
-
-def _gain(measure: str, column: str, before: object, after: object) -> Callable[[Sequence[Row]], Samples]:
-    return lambda rows: gains(rows, measure, column, before, after)
+    known = rows.reindex(columns=["cpu_score_s", "test_nominal", "test_defective"]).astype(float)
+    tested = known["test_nominal"] + known["test_defective"]
+    return _at_all(
+        rows.assign(head_ms=1e3 * known["cpu_score_s"] / tested).dropna(subset=["head_ms"]), "head_ms"
+    )
 
 
 _GAIN = (-1.0, 1.0)
@@ -221,7 +206,7 @@ QUESTIONS = (
         "cross-position",
         "another position, none of its presses: AU-PRO@0.01 of both positions",
         "cross-position",
-        lambda rows: by_method([r for r in rows if r["target_fraction"] == 0], "aupro_001"),
+        lambda rows: by_method(rows[rows["target_fraction"] == 0], "aupro_001"),
         "zero-shot cross-pos.",
     ),
     Question(
@@ -233,7 +218,7 @@ QUESTIONS = (
         "high-resolution",
         "high resolution: AU-PRO@0.01 in tiles, in the field of view of both resolutions",
         "resolution",
-        lambda rows: by_method([r for r in rows if r["view"] == "hr_tiled"], "aupro_001_common"),
+        lambda rows: by_method(rows[rows["view"] == "hr_tiled"], "aupro_001_common"),
     ),
     Question(
         "high-resolution",
@@ -266,61 +251,28 @@ NEEDS = tuple(dict.fromkeys(question.need for question in QUESTIONS))
 """What `--need` takes."""
 
 
-def answer_question(question: Question, rows: Sequence[Row]) -> Answer:
-    """The answer of rows of one mode, backbone and split; rows with an error count as missing."""
-    own = [row for row in rows if row["study"] == question.study and row.get("error") is None]
-    own = [row for row in own if not question.parts or row["part"] in question.parts]
+def recommend(rows: "pd.DataFrame", needs: Sequence[str] = ()) -> list[Answer]:
+    """Return the answers to some needs, or to all. rows: of one mode, backbone and split."""
+    asked = [question for need in needs or NEEDS for question in QUESTIONS if question.need == need]
+    return [_answer(question, only_scored(rows)) for question in asked]
+
+
+def _answer(question: Question, rows: "pd.DataFrame") -> Answer:
+    own = rows[(rows["study"] == question.study) & (rows["part"].isin(question.parts) | (not question.parts))]
     try:
-        samples = question.values(own) if own else {}
+        samples = question.values(own) if len(own) else {}
     except ConfigError as error:
         return Answer(question, None, str(error))
-    samples = {method: sample for method, sample in samples.items() if sample.values}
+    samples = {method: values for method, values in samples.items() if values}
     if not samples:
         return Answer(question, None)
-    return Answer(question, ranking(samples, higher_is_better=question.higher_is_better, span=question.span))
-
-
-def recommended(rows: Sequence[Row], needs: Sequence[str] = ()) -> list[Answer]:
-    """The answers to some needs, or to all."""
-    asked = [question for need in needs or NEEDS for question in QUESTIONS if question.need == need]
-    return [answer_question(question, rows) for question in asked]
+    return Answer(question, rank(samples, higher_is_better=question.higher_is_better, span=question.span))
 
 
 def page(rows: "pd.DataFrame") -> Page:
     """Make the page. rows: of all studies."""
-    sections = [
-        "# Which method to take\n",
-        "The answers of `gelgate lab recommend` from these rows. Each method has its mean with a 95 % interval: "
-        "over the "
-        "parts, or over the draws of presses where there is one part. A method is the answer if the interval of its "
-        "advantage over each other one is above zero. Where none is, a sentence says what to take then. The last "
-        f"column is the judgement of Table 4 of: {source()}.\n",
-    ]
-    for title, group in by_setup(only_scored(rows)):
-        records = group.astype(object).where(group.notna(), None).to_dict("records")
-        answers = [answer for answer in recommended(records) if answer.standing is not None or answer.refusal]
-        sections += [f"## {title}\n", *map(_section, answers)]
-    return Page("\n".join(sections))
-
-
-def _section(answer: Answer) -> str:
-    question = answer.question
-    then = f" {answer.then}" if answer.then else ""
-    title = f"### {question.title[0].upper() + question.title[1:]}\n\n**{answer.verdict}**{then}\n"
-    if answer.standing is None:
-        return title
-    means = answer.standing.means
-    any_mean = next(iter(means.values()))
-    lines = [
-        [
-            name,
-            f"{mean.value:.4f}{question.unit}",
-            f"{mean.low:.4f} to {mean.high:.4f}" if mean.has_interval else "-",
-            question.judgements.get(name, "-"),
-        ]
-        for name, mean in means.items()
-    ]
-    return (
-        f"{title}\nParts: {any_mean.parts}; draws of presses on each: {any_mean.draws} or more.\n\n"
-        f"{table(['method', 'mean', '95 % interval', 'the paper'], lines)}"
-    )
+    setups = {
+        title: [answer for answer in recommend(group) if answer.standing is not None or answer.refusal]
+        for title, group in by_setup(only_scored(rows))
+    }
+    return Page(render("recommend", setups=setups))

@@ -1,11 +1,13 @@
 """The verb `recommend`: which method to take, from the rows of studies."""
 
-from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["recommend"]
 
@@ -36,27 +38,32 @@ def recommend(
     Where the rows do not decide, it says so, and which command would."""
     from calibration.experiments.harness.rows import rows_of_studies
     from calibration.experiments.harness.study import require_known
-    from calibration.experiments.studies.recommend import NEEDS, recommended
+    from calibration.experiments.studies.recommend import NEEDS
+    from calibration.experiments.studies.recommend import recommend as recommend_methods
+    from edge.extras import needs
+
+    needs("studies", "recommend")
+    import pandas as pd
 
     require_known("need", need or (), NEEDS)
-    chosen: Sequence[Mapping[str, Any]] = rows_of_studies(rows, partial(typer.echo, err=True))
+    chosen = pd.DataFrame(rows_of_studies(rows, partial(typer.echo, err=True)))
     for column, wanted in (("mode", mode), ("backbone", backbone), ("split", split)):
-        chosen = _of_one(chosen, column, wanted)
-    first = chosen[0]
+        chosen = _choose(chosen, column, wanted)
+    first = chosen.iloc[0]
     typer.echo(f"rows of {first['backbone']}, {first['mode']} mode, split by {first['split']}")
-    for answer in recommended(chosen, need or ()):
+    for answer in recommend_methods(chosen, need or ()):
         typer.echo("\n" + "\n".join(answer.lines()))
 
 
-def _of_one(rows: Sequence[Mapping[str, Any]], column: str, wanted: str | None) -> list[Mapping[str, Any]]:
-    """The rows with one value in a column. Errors: ConfigError where several are possible, or none has it."""
+def _choose(rows: "pd.DataFrame", column: str, wanted: str | None) -> "pd.DataFrame":
+    """Return the rows with one value in a column. Errors: ConfigError where several are possible, or none has it."""
     from edge.core.errors import ConfigError
 
-    found = sorted({str(row[column]) for row in rows})
+    found = sorted(set(rows[column].astype(str)))
     if wanted is None and len(found) > 1:
         raise ConfigError(
             f"the rows have several values of {column}: {', '.join(found)}; choose one with --{column}"
         )
     if wanted is not None and wanted not in found:
         raise ConfigError(f"no row has the {column} '{wanted}'; the rows have {', '.join(found)}")
-    return [row for row in rows if wanted in (None, str(row[column]))]
+    return rows[rows[column].astype(str) == (wanted or found[0])]

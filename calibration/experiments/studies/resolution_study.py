@@ -6,9 +6,9 @@ the pool of nominal presses is capped; every view has the same capped pool.
 
 import math
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,18 +16,10 @@ from numpy.typing import NDArray
 
 from calibration.dataset import LabelledPress
 from calibration.experiments.harness.cells import Cell, Split
-from calibration.experiments.harness.effects import COMPARED, effects, medians
-from calibration.experiments.harness.figures import conditions_figure
+from calibration.experiments.harness.evidence import COMPARED, effects
+from calibration.experiments.harness.figures import draw_conditions
 from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell, material
-from calibration.experiments.harness.page import (
-    Page,
-    effects_table,
-    make_page,
-    medians_table,
-    paper_note,
-    seeds_of,
-    table,
-)
+from calibration.experiments.harness.page import Figures, Page, figure_file, make_page, tabulate_medians
 from calibration.experiments.harness.pictures import PressPictures
 from calibration.experiments.harness.presses import (
     TEST_SEED,
@@ -38,7 +30,6 @@ from calibration.experiments.harness.presses import (
     presses_of,
     subset,
 )
-from calibration.experiments.harness.published import paper_medians
 from calibration.experiments.harness.rows import Rows
 from calibration.experiments.harness.scoring import Scored, TestPresses, measures
 from calibration.experiments.harness.study import (
@@ -59,7 +50,6 @@ from edge.model.session import open_session
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
 __all__ = [
     "MOST_PRESSES",
@@ -75,8 +65,6 @@ STUDY = "resolution"
 
 MOST_PRESSES = 40
 """Nominal presses of the pool, by default."""
-
-_COMMON = tuple(f"{measure}_common" for measure in COMPARED)
 
 _CONTROLS = (
     ("lr", "lr_tiled", "the tiles and the denser features, without more detail"),
@@ -262,29 +250,22 @@ def fine_places(options: Options) -> list[tuple[str, str]]:
 
 def page(rows: "pd.DataFrame") -> Page:
     """Make the page. rows: of this study."""
-    head = (
-        "# Does high resolution pay?\n\n"
-        f"Parts {', '.join(sorted(rows['part'].unique()))}; at most {int(rows['most_presses'].max())} nominal presses "
-        f"in the pool, the same for every view; {int(rows['held_out'].max())} nominal presses and all defective ones "
-        f"are scored. Medians over {seeds_of(rows, 'view')} seeds.\n\n{paper_note()}\n"
-        f"{table(['view', 'picture', 'inspected', 'in tiles'], map(_describe, VIEWS))}\n"
-        "Every view has the same normalisation of pixels: it is part of the trunk. The paper's low and high resolution "
-        "differ in field of view, masks and share of damaged pixels; the common measures are computed in the field of "
-        "view of `lr`, on the pixels and masks of 1280x720, for every view.\n"
+    import pandas as pd
+
+    views = pd.DataFrame(
+        [_describe_view(name) for name in VIEWS], columns=["view", "picture", "inspected", "in tiles"]
     )
-    return make_page(rows, "view", head, _setup, _draw)
+    return make_page(STUDY, rows, "view", _describe, _draw, views=views)
 
 
-def _draw(rows: "pd.DataFrame") -> "Figure":
+def _draw(rows: "pd.DataFrame") -> Figures:
+    views = [view for view in VIEWS if view in set(rows["view"])]
     title = "AU-PRO@0.01, common field of view"
-    return conditions_figure(rows, "view", _views_of(rows), "aupro_001_common", title)
+    draw = partial(draw_conditions, rows, "view", views, "aupro_001_common", title)
+    return {figure_file(rows): draw}
 
 
-def _views_of(rows: "pd.DataFrame") -> list[str]:
-    return [view for view in VIEWS if view in set(rows["view"])]
-
-
-def _describe(name: str) -> tuple[str, str, str, str]:
+def _describe_view(name: str) -> tuple[str, str, str, str]:
     view = VIEWS[name]
     scaled = view.view.scaled_to
     picture = "{}x{}".format(*view.view.size) + ("" if scaled is None else " scaled to {}x{}".format(*scaled))
@@ -296,20 +277,16 @@ def _describe(name: str) -> tuple[str, str, str, str]:
     )
 
 
-def _setup(rows: "pd.DataFrame") -> Iterator[str]:
-    paper, ours = paper_medians(STUDY), medians(rows, "view")
-    views, names = _views_of(rows), {"lr": "lr", "hr_tiled": "hr"}
-    conditions = [(view, names.get(view, ""), f"`{view}`") for view in views]
-    yield from (medians_table(ours, paper, measure, conditions) for measure in COMPARED)
-    if {"lr", "hr_tiled"} <= set(views):
-        found = effects(rows, "view", "lr", "hr_tiled", paper, ("lr", "hr"))
-        yield effects_table(found, "From low resolution to high resolution in tiles, each on its own masks")
-    yield "### Common field of view and masks\n"
-    common = medians(rows, "view", _COMMON)
-    yield from (medians_table(common, {}, measure, conditions) for measure in _COMMON)
-    for before, after, what in _CONTROLS:
-        measured = effects(rows, "view", before, after, {}, ("", ""), ("aupro_001_common",))
-        lines = [[e.method, e.part, f"{e.difference:+.4f}", e.ours] for e in measured]
-        if lines:
-            heading = ["method", "part", "mean difference of AU-PRO@0.01", "direction"]
-            yield f"From `{before}` to `{after}`: {what}.\n\n{table(heading, lines)}"
+def _describe(rows: "pd.DataFrame") -> dict[str, Any]:
+    names = {view: f"`{view}`" for view in VIEWS if view in set(rows["view"])}
+    is_compared = {"lr", "hr_tiled"} <= set(names)
+    controls = [
+        (before, after, what, effects(rows, "view", before, after, measures=("aupro_001_common",)))
+        for before, after, what in _CONTROLS
+    ]
+    return {
+        "medians": tabulate_medians(rows, "view", names, published={"lr": "lr", "hr_tiled": "hr"}),
+        "effects": effects(rows, "view", "lr", "hr_tiled", {"hr_tiled": "hr"}) if is_compared else None,
+        "common": tabulate_medians(rows, "view", names, [f"{measure}_common" for measure in COMPARED]),
+        "controls": [control for control in controls if len(control[-1])],
+    }

@@ -7,30 +7,33 @@ import pytest
 
 pd = pytest.importorskip("pandas", reason="SKIPPED, NOT TESTED: the extra `studies` brings pandas")
 
-from calibration.experiments.harness.effects import agreement, direction, direction_of_paper, effects  # noqa: E402
+from calibration.experiments.harness.evidence import Sample, compare_directions, direction, effects  # noqa: E402
 from calibration.experiments.harness.published import paper_medians  # noqa: E402
 from calibration.experiments.studies import cross_position_study, resolution_study  # noqa: E402
 from calibration.experiments.studies.views import VIEWS  # noqa: E402
 
 
-def test_a_direction_is_sure_or_undecided() -> None:
-    """The interval of the paired difference decides, not the dispersion of the two conditions."""
-    before = {seed: 0.1 * seed for seed in range(10)}
-    up = {seed: value + 0.01 + 0.001 * seed for seed, value in before.items()}
-    mixed = {seed: value + (0.01 if seed % 2 else -0.01) for seed, value in before.items()}
+def changes(values: list[float], *, are_drawn: bool = True) -> Sample:
+    return {("PZ1", seed): (value, are_drawn) for seed, value in enumerate(values)}
 
-    assert direction(before, up)[0] == "up"
-    assert direction(up, before)[0] == "down"
-    assert direction(before, mixed)[0] == "undecided"
-    assert direction({0: 0.1, 1: 0.1}, {0: 0.9, 1: 0.9})[0] == "undecided"
-    assert direction(before, up, are_drawn=False)[0] == "undecided"
+
+def test_a_direction_is_sure_or_undecided() -> None:
+    """The interval of the paired difference decides."""
+    rising = [0.01 + 0.001 * seed for seed in range(10)]
+
+    assert direction(changes(rising)) == "up"
+    assert direction(changes([-value for value in rising])) == "down"
+    assert direction(changes([0.01, -0.01] * 5)) == "undecided"
+    assert direction(changes([0.8, 0.8])) == "undecided"
+    assert direction(changes(rising, are_drawn=False)) == "undecided"
 
 
 def test_directions_agree_or_differ() -> None:
     """An undecided one does neither."""
-    assert agreement("up", "up") == agreement("down", "down") == "agree"
-    assert agreement("up", "down") == "differ"
-    assert agreement("undecided", "up") == agreement("up", direction_of_paper(0.5, 0.5)) == "undecided"
+    assert compare_directions("up", 0.1, 0.2) == ("up", "agree")
+    assert compare_directions("up", 0.2, 0.1) == ("down", "differ")
+    assert compare_directions("undecided", 0.1, 0.2) == ("up", "undecided")
+    assert compare_directions("up", 0.5, 0.5) == ("undecided", "undecided")
 
 
 def rows(study: str, condition: str, levels: dict[Any, float], **more: Any) -> "pd.DataFrame":
@@ -55,12 +58,13 @@ FINE = rows("resolution", "view", dict(zip(VIEWS, (0.3, 0.5, 0.4, 0.5, 0.3), str
 
 def test_effects_are_set_next_to_the_papers() -> None:
     """Ours rises everywhere; the paper's AU-PRO of SPADE and InReaCh on PZ3 falls."""
-    found = effects(CROSSED, "target_fraction", 0.0, 0.05, paper_medians("cross-position"), ("0", "0.05"))
+    found = effects(CROSSED, "target_fraction", 0.0, 0.05)
+    differing = found[found["direction"] == "differ"]
 
-    assert {effect.ours for effect in found} == {"up"}
-    assert {(e.method, e.measure) for e in found if e.agreement == "differ"} == {
-        ("spade", "aupro_001"),
-        ("inreach", "aupro_001"),
+    assert set(found["here"]) == {"up"}
+    assert set(zip(differing["method"], differing["measure"], strict=True)) == {
+        ("spade", "AU-PRO@0.01"),
+        ("inreach", "AU-PRO@0.01"),
     }
 
 
@@ -68,7 +72,7 @@ def test_effects_are_set_next_to_the_papers() -> None:
 def test_every_number_in_brackets_is_the_papers(page: Any, table: "pd.DataFrame") -> None:
     """No number is typed into a page."""
     study = table["study"][0]
-    printed = {float(number) for number in re.findall(r"\((\d\.\d{4})\)", page.page(table).markdown)}
+    printed = {float(number) for number in re.findall(r"\((\d\.\d{4})\)", page.page(table).text)}
     known = {
         round(v, 4)
         for key, values in paper_medians(study).items()
@@ -82,7 +86,7 @@ def test_every_number_in_brackets_is_the_papers(page: Any, table: "pd.DataFrame"
 
 def test_the_cross_position_page_counts_what_agrees() -> None:
     """From none to 5 %: ten of twelve directions agree; beyond, nothing changes here."""
-    text = cross_position_study.page(CROSSED).markdown
+    text = cross_position_study.page(CROSSED).text
 
     assert "From 0 % to 5 % of the second position: 10 agree, 2 differ, 0 undecided." in text
     assert "From 5 % to 15 % of the second position: 0 agree, 0 differ, 12 undecided." in text
@@ -91,7 +95,7 @@ def test_the_cross_position_page_counts_what_agrees() -> None:
 
 def test_the_page_says_what_the_study_cost() -> None:
     """120 cells of 6 processor seconds are 12 minutes."""
-    text = cross_position_study.page(CROSSED).markdown
+    text = cross_position_study.page(CROSSED).text
 
     assert "the 120 cells of this table took 12 minutes of one core" in text
     assert "| 5 % | padim | 10 | 9 | 1.00 | 2.00 | 3.00 | 1.0 |" in text
@@ -99,7 +103,7 @@ def test_the_page_says_what_the_study_cost() -> None:
 
 def test_seeds_that_learn_the_same_presses_give_no_direction() -> None:
     """With the cap of the pool as many as are learnt, ten seeds are one bank."""
-    text = resolution_study.page(FINE.assign(presses=40)).markdown
+    text = resolution_study.page(FINE.assign(presses=40)).text
 
     assert "0 agree, 0 differ, 12 undecided" in text
     assert "| +0.1000 | undecided |" in text
@@ -107,7 +111,7 @@ def test_seeds_that_learn_the_same_presses_give_no_direction() -> None:
 
 def test_the_resolution_page_separates_detail_from_tiles() -> None:
     """The gain of 0.2 is 0.1 by tiles and 0.1 by detail in these rows."""
-    text = resolution_study.page(FINE).markdown
+    text = resolution_study.page(FINE).text
 
     assert re.search(r"From `lr` to `lr_tiled`: .*\n\n.*\n.*\n\| fapm \| PZ3 \| \+0\.1000 \| up", text)
     assert re.search(r"From `lr_tiled` to `hr_tiled`: .*\n\n.*\n.*\n\| fapm \| PZ3 \| \+0\.1000 \| up", text)
@@ -120,7 +124,7 @@ def test_both_splits_are_compared_and_refusals_are_listed() -> None:
     """How much a split by press flatters, and what could not be scored."""
     harder = CROSSED.assign(split="specimen", aupro_001=CROSSED["aupro_001"] - 0.1)
     refused = CROSSED[:1].assign(error="the trunk lacks a tap", aupro_001=None)
-    text = cross_position_study.page(pd.concat([CROSSED, harder, refused], ignore_index=True)).markdown
+    text = cross_position_study.page(pd.concat([CROSSED, harder, refused], ignore_index=True)).text
 
     assert re.search(
         r"\| tiny \| corrected \| padim \| PZ3 \| 30 \| 0\.\d{4} \| 0\.\d{4} \| \+0\.1000 \|", text

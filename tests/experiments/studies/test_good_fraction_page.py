@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from command_line import gelgate
 
-from calibration.experiments.harness.figures import curves, svg
+from calibration.experiments.harness.figures import find_curves, svg
 from calibration.experiments.studies.good_fraction_study import page, same_in_every_seed
 from calibration.experiments.studies.report import write_report
 from edge.core.errors import ConfigError, StoreError
@@ -49,37 +49,37 @@ def test_the_plateau_follows_its_rule() -> None:
     """`steep` at one half is within 0.01 of its level, at a quarter it is not; presses and gel are of each part,
     also of one that has no row at that fraction. A method that still rises has none."""
     some, rising = rows(), rows()
-    found = page(some).markdown
+    found = page(some).text
     assert line_of(found, "flat") == "| flat | 25 % | - | PZ1 95, PZ3 28 | 10 % |"
     assert line_of(found, "steep") == "| steep | 50 % | - | PZ1 190, PZ3 55 | 19 % |"
 
     some.loc[some["part"] == "PZ1", ["aupro_001", "auprc", "pixel_auroc"]] = 0.7
-    fewer = page(some[(some["part"] == "PZ3") | (some["fraction"] != 0.5)]).markdown
+    fewer = page(some[(some["part"] == "PZ3") | (some["fraction"] != 0.5)]).text
     assert line_of(fewer, "steep") == "| steep | 50 % | - | PZ1 190, PZ3 55 | 19 % |"
 
     rising["aupro_001"] += 0.1 * rising["fraction"]
-    assert "| 100 % (the largest: no plateau) |" in line_of(page(rising).markdown, "steep")
+    assert "| 100 % (the largest: no plateau) |" in line_of(page(rising).text, "steep")
 
 
 def test_means_have_intervals() -> None:
     """Of four seeds 0.001 apart, around their mean; with all presses there is none, because all learn the same."""
     line = "| PZ1 | flat | 380 | 0.700 [0.698, 0.702] | 0.700 [0.698, 0.702] | 0.700 |"
-    assert line in page(rows()).markdown
+    assert line in page(rows()).text
 
 
 def test_seeds_that_are_one_computation_are_named() -> None:
     """`flat` with all presses gives the same scores in every seed: its lack of scatter is no robustness. One seed is no
     repetition."""
-    assert "| flat | PZ1, PZ3 | 100 % | 4 |" in page(rows()).markdown
+    assert "| flat | PZ1, PZ3 | 100 % | 4 |" in page(rows()).text
     assert set(same_in_every_seed(rows())["method"]) == {"flat"}
-    assert "One computation" not in page(rows()[lambda r: r["seed"] == 0]).markdown
+    assert "One computation" not in page(rows()[lambda r: r["seed"] == 0]).text
 
 
 def test_the_splits_are_compared_where_both_have_cells() -> None:
     """Means by press and by specimen. At 100 % `steep` has 0.7 by press; its lower fractions have no counterpart."""
     other = rows(split="specimen", aupro_001=0.65)
-    both = page(pd.concat([rows(), other])).markdown
-    largest = page(pd.concat([rows(), other[other["fraction"] == 1.0]])).markdown
+    both = page(pd.concat([rows(), other])).text
+    largest = page(pd.concat([rows(), other[other["fraction"] == 1.0]])).text
 
     assert "| tiny | corrected | flat | PZ1 | 12 | 0.7000 | 0.6500 | +0.0500 |" in both
     assert "| tiny | corrected | steep | PZ1 | 4 | 0.7000 | 0.6500 | +0.0500 |" in largest
@@ -93,7 +93,7 @@ def test_refused_cells_are_counted_with_their_reason() -> None:
         "too few",
         *[None] * 5,
     ]
-    found = page(some).markdown
+    found = page(some).text
 
     assert "| flat | corrected | tiny | 1 | too few |" in found
 
@@ -102,22 +102,21 @@ def test_the_page_is_the_same_in_every_run() -> None:
     """Figures too: no date, no identifier of a process; and each is named on the page."""
     first, second = page(rows()), page(rows())
 
-    assert first.markdown == second.markdown
-    assert all(f"]({name})" in first.markdown for name in first.figures)
+    assert first.text == second.text
+    assert all(f"]({name})" in first.text for name in first.figures)
     drawn = {name: svg(draw()) for name, draw in first.figures.items()}
     assert drawn == {name: svg(draw()) for name, draw in second.figures.items()}
     assert not any(re.search(r"<dc:date>|20\d\d-\d\d-\d\dT", text) for text in drawn.values())
 
 
-def test_a_curve_has_every_seed() -> None:
-    """In rising order of the fraction, with the presses behind each."""
-    found = next(curves(rows(), "fraction", "aupro_001"))
+def test_a_curve_has_the_presses_behind_each_mean() -> None:
+    """In rising order of the fraction; with all presses there is no interval."""
+    found = find_curves(rows(), "fraction", "aupro_001").loc["PZ1", "flat"]
 
-    assert (found.part, found.method) == ("PZ1", "flat")
-    assert found.x.tolist() == [0.25, 0.5, 1.0]
-    assert found.presses.tolist() == [95, 190, 380]
-    assert [len(values) for values in found.values] == [4, 4, 4]
-    assert list(curves(rows(), "shots", "aupro_001")) == []
+    assert found.index.tolist() == [0.25, 0.5, 1.0]
+    assert found["presses"].tolist() == [95, 190, 380]
+    assert found["low"].isna().tolist() == [False, False, True]
+    assert find_curves(rows(), "shots", "aupro_001").empty
 
 
 def test_a_report_is_written_from_a_folder_of_rows(tmp_path: Path) -> None:

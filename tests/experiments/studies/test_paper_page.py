@@ -38,7 +38,7 @@ def rows(*, sign: int = 1, seeds: int = 3, parts: tuple[str, ...] = ("PZ3",)) ->
 
 def test_the_same_results_agree() -> None:
     """Every pair of methods has the paper's order, every direction is the paper's, and parts 0.1 higher are easier."""
-    text = page(rows()).markdown
+    text = page(rows()).text
 
     assert "Of all pairs of methods: 12 agree, 0 differ, 0 undecided." in text
     assert "Of all directions: 12 agree, 0 differ, 0 undecided." in text
@@ -49,7 +49,7 @@ def test_the_summary_counts_every_setup() -> None:
     """One setup agrees, another differs; the least and the most found with all presses are next to the paper's."""
     full = rows()[lambda frame: frame["view"] == "lr"].assign(study="good-fraction", fraction=1.0, pool=110)
     alike, other = pd.concat([rows(), full]), pd.concat([rows(sign=-1), full.assign(aupro_001=0.05)])
-    text = page(pd.concat([alike, other.assign(backbone="other")])).markdown
+    text = page(pd.concat([alike, other.assign(backbone="other")])).text
 
     assert (
         "| tiny, corrected, press | 18 agree, 0 differ, 0 undecided | 12 agree, 0 differ, 0 undecided |"
@@ -61,7 +61,7 @@ def test_the_summary_counts_every_setup() -> None:
 
 def test_opposite_results_differ_and_are_listed() -> None:
     """Orders and directions turned around differ; each direction that differs has a line, and parts are harder."""
-    text = page(rows(sign=-1)).markdown
+    text = page(rows(sign=-1)).text
 
     assert "Of all pairs of methods: 0 agree, 12 differ, 0 undecided." in text
     assert "Of all directions: 0 agree, 12 differ, 0 undecided." in text
@@ -72,7 +72,7 @@ def test_opposite_results_differ_and_are_listed() -> None:
 
 def test_few_seeds_decide_nothing() -> None:
     """With two seeds every order and direction is undecided."""
-    text = page(rows(seeds=2)).markdown
+    text = page(rows(seeds=2)).text
 
     assert "Of all pairs of methods: 0 agree, 0 differ, 12 undecided." in text
     assert "Of all directions: 0 agree, 0 differ, 12 undecided." in text
@@ -80,7 +80,7 @@ def test_few_seeds_decide_nothing() -> None:
 
 def test_seeds_that_learn_the_same_presses_decide_nothing() -> None:
     """However many they are: with a pool of 22 presses each learns all of them."""
-    text = page(rows(seeds=10).assign(most_presses=22)).markdown
+    text = page(rows(seeds=10).assign(most_presses=22)).text
 
     assert "Of all pairs of methods: 0 agree, 0 differ, 12 undecided." in text
     assert "Of all directions: 0 agree, 0 differ, 12 undecided." in text
@@ -89,7 +89,7 @@ def test_seeds_that_learn_the_same_presses_decide_nothing() -> None:
 def test_parts_that_the_paper_does_not_have_are_left_out(tmp_path: Path) -> None:
     """Rows of a part of one's own have no line; the page is still written, next to the study's."""
     own = rows().assign(part="valve", most_presses=40.0)
-    assert "valve" not in page(own).markdown
+    assert "valve" not in page(own).text
     path = tmp_path / "rows.jsonl"
     path.write_text(own.assign(format=1).to_json(orient="records", lines=True))
 

@@ -10,9 +10,13 @@ import pytest
 from command_line import gelgate
 
 from calibration.experiments.harness.rows import Rows
-from calibration.experiments.studies.recommend import NEEDS, page, recommended
+from calibration.experiments.studies.recommend import NEEDS, Answer, page, recommend
 
 METHODS = ("spade", "padim", "fapm")
+
+
+def recommended(rows: list[dict[str, Any]], needs: list[str]) -> list[Answer]:
+    return recommend(pd.DataFrame(rows), needs)
 
 
 def rows_of(
@@ -117,11 +121,10 @@ def test_a_part_that_one_method_loses_leaves_the_default() -> None:
 
 @pytest.mark.parametrize("need", NEEDS)
 def test_a_need_that_the_rows_do_not_cover_names_its_command(need: str) -> None:
-    """Rows of another study, or none at all, answer nothing."""
-    for rows in ([], rows_of("other", {"spade": 0.5})):
-        for answer in recommended(rows, [need]):
-            assert answer.standing is None
-            assert "the rows do not cover this; `gelgate lab study" in answer.lines()[-1]
+    """Rows of another study answer nothing."""
+    for answer in recommended(rows_of("other", {"spade": 0.5}), [need]):
+        assert answer.standing is None
+        assert "the rows do not cover this; `gelgate lab study" in answer.lines()[-1]
 
 
 def test_a_gain_is_the_difference_of_two_conditions() -> None:
@@ -234,7 +237,7 @@ def test_rows_of_other_settings_are_not_mixed(tmp_path: Path) -> None:
     said = gelgate("lab", "recommend", written(tmp_path, rows)).out
     assert "undecided: two rows of cross-position have spade on PZ3 with seed 0 and other settings" in said
     assert "-> spade" in said
-    assert "**undecided: two rows of cross-position" in page(pd.DataFrame(rows)).markdown
+    assert "**undecided: two rows of cross-position" in page(pd.DataFrame(rows)).text
 
 
 def test_two_rows_with_the_same_result_are_one() -> None:
@@ -268,7 +271,7 @@ def test_the_page_has_every_answer_of_every_setup() -> None:
         *covering("few-presses", {"spade": 0.6, "padim": 0.6}),
     ]
     frame = pd.DataFrame([*rows, *(row | {"mode": "paper"} for row in rows[:30])])
-    text = page(frame).markdown
+    text = page(frame).text
 
     assert "## tactile_resnet18, corrected mode, split by press" in text
     assert "## tactile_resnet18, paper mode, split by press" in text

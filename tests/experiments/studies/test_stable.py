@@ -4,6 +4,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from calibration.experiments.harness.published import paper_medians, stable_fraction
@@ -34,22 +35,26 @@ def curve(means: dict[float, float], part: str = "PZ1", measure: str = "aupro_00
     ]
 
 
+def stable(rows: list[dict[str, Any]]) -> float | None:
+    return stable_from(pd.DataFrame(rows))
+
+
 def test_the_curve_is_flat_from_the_stable_fraction_on() -> None:
     """Every larger fraction is near the last mean; a lucky small one does not count."""
     near = STABLE_WITHIN / 2
     means = {0.1: 0.5, 0.2: 0.8, 0.3: 0.7, 0.4: 0.8 - near, 0.5: 0.8 + near, 1.0: 0.8}
 
-    assert stable_from(curve(means)) == 0.4
-    assert stable_from(curve({0.5: 0.1, 1.0: 0.8})) == 1.0
+    assert stable(curve(means)) == 0.4
+    assert stable(curve({0.5: 0.1, 1.0: 0.8})) == 1.0
 
 
 def test_the_rule_holds_for_all_parts_and_measures_together() -> None:
     """The slowest curve decides."""
     fast, slow = {0.1: 0.8, 0.5: 0.8, 1.0: 0.8}, {0.1: 0.2, 0.5: 0.8, 1.0: 0.8}
 
-    assert stable_from(curve(fast)) == 0.1
-    assert stable_from([*curve(fast), *curve(slow, part="PZ2")]) == 0.5
-    assert stable_from([*curve(fast), *curve(slow, measure="pixel_auroc")]) == 0.5
+    assert stable(curve(fast)) == 0.1
+    assert stable([*curve(fast), *curve(slow, part="PZ2")]) == 0.5
+    assert stable([*curve(fast), *curve(slow, measure="pixel_auroc")]) == 0.5
 
 
 def test_rows_of_the_folder_give_it(tmp_path: Path) -> None:

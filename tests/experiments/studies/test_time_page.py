@@ -16,7 +16,7 @@ def row(**changed: Any) -> dict[str, Any]:
 
 
 def lines(*rows: dict[str, Any]) -> list[str]:
-    return [line for line in page(pd.DataFrame(rows)).markdown.splitlines() if line.startswith("|")]
+    return [line for line in page(pd.DataFrame(rows)).text.splitlines() if line.startswith("|")]
 
 
 def test_cells_are_summed_and_ten_seeds_are_ten_times_the_mean() -> None:
