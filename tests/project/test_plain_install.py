@@ -83,7 +83,7 @@ VERBS: list[tuple[str, int, str]] = [
     ("lab study good-fraction dataset -o studies --dask tcp://127.0.0.1:1", 3, "gelgate[cluster]"),
     ("lab report studies -o report", 3, "gelgate[studies]"),
     ("lab msa report", 3, "gelgate[studies]"),
-    ("lab recommend studies", 3, "gelgate lab study"),
+    ("lab recommend studies", 3, "gelgate[studies]"),
     ("lab tradeoff dataset -o tradeoff", 3, "gelgate[studies]"),
     ("lab detectability pz0 nominal -o found", 3, "gelgate[studies]"),
 ]

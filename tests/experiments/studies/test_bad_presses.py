@@ -59,7 +59,7 @@ def test_the_study_has_rows_and_a_page(tmp_path: Path) -> None:
         show=quiet,
     )
     rows = study_bad_presses(asked).read()
-    text = page(pd.DataFrame(rows)).markdown
+    text = page(pd.DataFrame(rows)).text
 
     assert [(row["bad"], row["bad_presses"], row["presses"]) for row in rows] == [
         (share, min(1, share * 100), 6) for share in BAD_SHARES
