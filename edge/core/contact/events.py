@@ -41,51 +41,44 @@ class NotSettledReason(StrEnum):
 
 
 @dataclass(frozen=True)
-class ReferenceReady:
+class _Moment:
+    timestamp_ns: int
+
+
+class ReferenceReady(_Moment):
     """A reference was learnt; presses are seen from now on."""
 
-    timestamp_ns: int
+
+class ReferenceDoubted(_Moment):
+    """The reference was most likely learnt while something pressed; nothing is scored until it is corrected."""
+
+
+class ReferenceCorrected(_Moment):
+    """The free gel was seen, and is the reference now; `ReferenceReady` follows."""
 
 
 @dataclass(frozen=True)
-class ReferenceRefreshed:
+class ReferenceRefreshed(_Moment):
     """The reference followed the free gel."""
 
-    timestamp_ns: int
     change: float
     """Mean absolute difference, levels."""
 
 
 @dataclass(frozen=True)
-class ReferenceDoubted:
-    """The reference was most likely learnt while something pressed; nothing is scored until it is corrected."""
-
-    timestamp_ns: int
-
-
-@dataclass(frozen=True)
-class ReferenceCorrected:
-    """The free gel was seen, and is the reference now; `ReferenceReady` follows."""
-
-    timestamp_ns: int
-
-
-@dataclass(frozen=True)
-class StartedTouched:
+class StartedTouched(_Moment):
     """At the start the view differs from the stored reference as if pressed; nothing counts until it is free.
 
     If nothing presses, the gel was changed without a record: record the change and learn a new reference.
     """
 
-    timestamp_ns: int
     area: float
 
 
 @dataclass(frozen=True)
-class PressBegan:
+class PressBegan(_Moment):
     """A contact was confirmed."""
 
-    timestamp_ns: int
     sequence: int
     """The frame that confirmed it."""
 
@@ -132,22 +125,20 @@ class PressSettled:
 
 
 @dataclass(frozen=True)
-class PressNotSettled:
-    """The press gives no frame to score; it counts for the gel and is rejected. Once per press."""
+class PressEnded(_Moment):
+    """The gel is free again, after a press that gave one of the two verdict events."""
 
-    timestamp_ns: int
     sequence: int
     began_ns: int
-    reason: NotSettledReason
 
 
 @dataclass(frozen=True)
-class PressEnded:
-    """The gel is free again, after a press that gave one of the two verdict events."""
+class PressNotSettled(_Moment):
+    """The press gives no frame to score; it counts for the gel and is rejected. Once per press."""
 
-    timestamp_ns: int
     sequence: int
     began_ns: int
+    reason: NotSettledReason
 
 
 @dataclass(frozen=True)

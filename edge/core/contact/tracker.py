@@ -137,7 +137,8 @@ class ContactTracker:
             for event in stepped
         ]
         if any(isinstance(event, ReferenceCorrected) for event in events):
-            self._correct(timestamp_ns)
+            views = [self._recent[number].level for number in self.candidates if number in self._recent]
+            self._refer_to(Reference(np.mean(views, axis=0, dtype=np.float32), len(views), timestamp_ns))
         self.level = level
         if self._track.still_ns == timestamp_ns:
             self._rest = level
@@ -184,7 +185,9 @@ class ContactTracker:
         self.touch = touched(self.mask)
         self.relief = self._structure.of(difference, self.settings.light_levels)
         imprint = self._imprint(view)
-        is_foreign = self._is_lent and self.state in LEARNING and not _is_pressed(self.touch, imprint)
+        # The difference to a lent picture is a part's where it adds structure, and not all over.
+        is_pressed = self.touch.area < _LENT_AREA and imprint >= ADDS_STRUCTURE
+        is_foreign = self._is_lent and self.state in LEARNING and not is_pressed
         level = difference + self.reference.view
         return Observation(
             timestamp_ns=timestamp_ns,
@@ -255,11 +258,6 @@ class ContactTracker:
             return False
         return touched(touched_mask(self._witness.difference(view))).area < self.settings.off_area
 
-    def _correct(self, timestamp_ns: int) -> None:
-        """The views at rest are the free gel."""
-        views = [self._recent[number].level for number in self.candidates if number in self._recent]
-        self._refer_to(Reference(np.mean(views, axis=0, dtype=np.float32), len(views), timestamp_ns))
-
     def _refer_to(self, reference: Reference | None) -> None:
         self.reference = reference
         self._structure = None if reference is None else ReliefOfReference(reference.view)
@@ -297,8 +295,3 @@ class ContactTracker:
         self._refer_to(new)
         self._free.clear()
         return [ReferenceRefreshed(timestamp_ns, float(np.abs(new.view - old.view).mean()))]
-
-
-def _is_pressed(touch: Touch, imprint: float) -> bool:
-    """Tell whether the difference to a lent picture is a part's: it adds structure, and not all over."""
-    return touch.area < _LENT_AREA and imprint >= ADDS_STRUCTURE

@@ -78,7 +78,8 @@ def wear(first: View, now: View) -> Wear:
     shading = _blurred(residual, _MARK_SIGMA * scale)
     specks, length = _marks(_blurred(residual - shading, _NOISE_SIGMA * scale), scale)
     shading_levels = float(np.abs(shading).mean())
-    level_change = _level_change(first, now)
+    before, after = (view.mean(axis=(0, 1), dtype=np.float64) for view in (first, now))
+    level_change = float(np.max(np.abs(after - before) / np.maximum(before, 1.0)))
     worst = max(
         specks / _WORN_SPECKS,
         length / _WORN_SCRATCH_LENGTH,
@@ -108,12 +109,6 @@ def _scratch_px(contour: NDArray[np.int32], scale: float) -> float:
     (_, sides, _) = cv2.minAreaRect(contour)
     long, short = max(sides) + 1, min(sides) + 1
     return float(long) if long >= _SCRATCH_PX * scale and long >= _SCRATCH_ASPECT * short else 0.0
-
-
-def _level_change(first: View, now: View) -> float:
-    """The largest relative change of a channel's mean."""
-    before, after = (view.mean(axis=(0, 1), dtype=np.float64) for view in (first, now))
-    return float(np.max(np.abs(after - before) / np.maximum(before, 1.0)))
 
 
 def _blurred(view: View, sigma: float) -> View:

@@ -105,13 +105,8 @@ def tiling(frame: tuple[int, int], size: int = 224, overlap: int = 56) -> Tiles:
         )
     if not 0 <= overlap < size:
         raise ValueError(f"an overlap is in 0..{size - 1} for tiles of {size}, found {overlap}")
-    rows, columns = (_starts(pixels, size, size - overlap) for pixels in frame)
+    rows, columns = ((*range(0, pixels - size, size - overlap), pixels - size) for pixels in frame)
     return Tiles(frame, size, rows, columns)
-
-
-def _starts(pixels: int, size: int, step: int) -> tuple[int, ...]:
-    last = pixels - size
-    return (*range(0, last, step), last)
 
 
 def _edges(starts: tuple[int, ...], size: int, cells: int) -> NDArray[np.float64]:

@@ -112,7 +112,10 @@ def judge(presses: Sequence[ReferencePress], learn: int) -> Judgement:
             Outcome.NOT_MEASURED, (f"{newest.reason or newest.verdict}; press the piece again",), drawn
         )
     concerned = [chart for chart in drawn if chart.presses[-1] is newest]
-    beyond = [*_wrong_verdict(newest), *_sentences(concerned, beyond=True)]
+    beyond = _sentences(concerned, beyond=True)
+    if not newest.is_as_expected:
+        wrong = f"its verdict is {newest.verdict}, this master piece must give {newest.expected}"
+        beyond.insert(0, f"{wrong}; check the piece, the gel and the selected part")
     runs = _sentences(concerned, beyond=False)
     change = _changes(presses)
     if beyond:
@@ -171,14 +174,6 @@ def _in_scope(measure: Measure, presses: Sequence[ReferencePress]) -> list[Refer
     return (
         kept if measure.scope == "gel" else [press for press in kept if press.bundle_id == newest.bundle_id]
     )
-
-
-def _wrong_verdict(newest: ReferencePress) -> Iterable[str]:
-    if not newest.is_as_expected:
-        yield (
-            f"its verdict is {newest.verdict}, this master piece must give {newest.expected}; check the piece, the gel "
-            "and the selected part"
-        )
 
 
 _RUNS: Final = {

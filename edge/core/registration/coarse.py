@@ -57,7 +57,10 @@ class CoarseSearch:
             match = float(matches[at])
             if best and match < _NEARLY * best[0].match:
                 break
-            best.append(Candidate(self._between(matches, at), match))
+            # Between the turns and the cells, by a parabola along each axis.
+            turn, row, column = (float(k) + _vertex(matches, at, axis) for axis, k in enumerate(at))
+            pose = Pose(self._to_shift(column), self._to_shift(row), turn * self._step_rad)
+            best.append(Candidate(pose, match))
             turns, rows, columns = (
                 np.arange(k - away, k + away + 1) % n
                 for k, away, n in zip(at, _APART, matches.shape, strict=True)
@@ -77,11 +80,6 @@ class CoarseSearch:
         norm = math.sqrt(float((slopes.astype(np.float64) ** 2).sum()))
         product *= np.float32(1 / max(norm, float(np.finfo(np.float32).tiny)))
         return np.asarray(np.fft.irfft2(product, (self._grid, self._grid)), np.float32)
-
-    def _between(self, matches: F32, at: tuple[np.intp, ...]) -> Pose:
-        """Find the pose of a peak, between the turns and the cells, by a parabola along each axis."""
-        turn, row, column = (float(k) + _vertex(matches, at, axis) for axis, k in enumerate(at))
-        return Pose(self._to_shift(column), self._to_shift(row), turn * self._step_rad)
 
     def _to_shift(self, shift: float) -> float:
         """Convert a place in the correlation, whose upper half are shifts to the left and up."""

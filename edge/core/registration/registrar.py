@@ -54,16 +54,16 @@ class PoseSearch:
         small = shrunk(slopes, SIDE_PX // 2)
         first = self._coarse.candidates(shrunk(slopes, _COARSE_CELLS), _CANDIDATES)
         tried = self._middle.refine(small, [found.pose.scale(self._cell) for found in first], _FIRST_ROUNDS)
-        best = max(tried, key=lambda pose: _worth(*self._middle.agreement(small, pose)))
+        best = max(tried, key=lambda pose: self._worth(small, pose))
         return self._fine.align(slopes, best.scale(self._factor), _FINE_ROUNDS)
 
+    def _worth(self, slopes: F32, pose: Pose) -> float:
+        """Weigh a pose: a regular part agrees with itself a pitch further on, where less of it lies in the field.
 
-def _worth(match: float, inside: float) -> float:
-    """Weigh a pose: a regular part agrees with itself a pitch further on, where less of it lies in the field.
-
-    The small power lets a clearly better match win all the same.
-    """
-    return match * float(inside**_INSIDE_POWER)
+        The small power lets a clearly better match win all the same.
+        """
+        match, inside = self._middle.agreement(slopes, pose)
+        return match * float(inside**_INSIDE_POWER)
 
 
 U8 = NDArray[np.uint8]
@@ -196,19 +196,16 @@ class Registrar:
         seen_share = int(np.count_nonzero((away >= 1) & self._shown)) / self._shown_px
         np.minimum(away, self._away, out=away)
         moved -= self._template
+        x, y, turn = np.sqrt(np.maximum(np.diag(alignment.covariance), 0)).tolist()
         return Registered(
             self.light.apply_change(self._ground, moved, fade(away)),
             away >= self._least_depth,
             pose,
-            self._uncertainty(alignment),
+            PoseUncertainty(self._factor * x, self._factor * y, turn if self.part.is_turning else None),
             alignment.match,
             seen_share,
             self._refusal(alignment.match, seen_share),
         )
-
-    def _uncertainty(self, alignment: Alignment) -> PoseUncertainty:
-        x, y, turn = np.sqrt(np.maximum(np.diag(alignment.covariance), 0)).tolist()
-        return PoseUncertainty(self._factor * x, self._factor * y, turn if self.part.is_turning else None)
 
     def _refusal(self, match: float, seen_share: float) -> str | None:
         if not match >= self.part.least_match:
