@@ -129,7 +129,7 @@ def _spread(maps: NDArray[np.float32], cells: NDArray[np.bool_]) -> tuple[float,
 
 def _of_tiles(runner: TileRunner, frame: NDArray[np.uint8], grid: Grid) -> list[NDArray[np.float32]]:
     """The mosaics (1, c, h, w) of one frame, every tile run."""
-    mosaics = TiledMaps(runner, grid.taps, 1, None)
+    mosaics = TiledMaps(runner, 1)
     try:
         mosaics.show(frame[None])
     except RUNTIME_ERRORS as error:

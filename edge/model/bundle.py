@@ -25,6 +25,7 @@ from edge.core.contact.reference import Reference
 from edge.core.detector import Grid
 from edge.core.errors import BundleCorrupt, BundleMismatch, GelgateError
 from edge.core.imaging.decode import VIEW_SIZE
+from edge.core.imaging.image_bytes import kind, picture_size
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.registration.colours import SlopeColours
@@ -36,7 +37,6 @@ from edge.model.manifest import (
     ArrayEntry,
     BackboneEntry,
     FileEntry,
-    GoldenEntry,
     Manifest,
 )
 from edge.model.manifest_files import RegistrationEntry
@@ -52,44 +52,32 @@ __all__ = [
     "read_picture",
     "read_trunk",
     "read_verified",
-    "verify",
 ]
 
 
 def read_verified(archive: Archive, entry: FileEntry) -> bytes:
     """The bytes of that file. Errors: BundleCorrupt: missing, too large, or not the bytes that the manifest names."""
-    return verify(archive.read(entry.file, min(entry.size_bytes, MAX_FILE_BYTES)), entry, archive.where)
-
-
-def verify(data: bytes, entry: FileEntry, where: str) -> bytes:
-    """Return the bytes when they are those that the manifest names. Errors: BundleCorrupt."""
+    data = archive.read(entry.file, min(entry.size_bytes, MAX_FILE_BYTES))
     digest = hashlib.sha256(data).hexdigest()
     if digest != entry.sha256:
         raise BundleCorrupt(
-            f"bundle {where}: {entry.file} has SHA-256 {digest[:12]} ({len(data)} bytes), the manifest expects "
+            f"bundle {archive.where}: {entry.file} has SHA-256 {digest[:12]} ({len(data)} bytes), the manifest expects "
             f"{entry.sha256[:12]} ({entry.size_bytes} bytes); copy the complete bundle again"
         )
     return data
 
 
 def read_picture(archive: Archive, entry: FileEntry, frame: tuple[int, int]) -> NDArray[np.uint8]:
-    """A picture of the region, uint8 (h, w, 3) RGB."""
-    data = np.frombuffer(read_verified(archive, entry), np.uint8)
-    h, w = _png_size(data.tobytes()[:24])
-    bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if (h, w) == frame else None
+    """A picture of the region, uint8 (h, w, 3) RGB. A small file can hold a gigantic one: its size is read first."""
+    data = read_verified(archive, entry)
+    w, h = (kind(data) == "png" and picture_size(data)) or (0, 0)
+    bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if (h, w) == frame else None
     if bgr is None or bgr.dtype != np.uint8 or bgr.shape != (*frame, 3):
         raise BundleCorrupt(
             f"bundle {archive.where}: the picture {entry.file} is {h}x{w}, expected a PNG of {frame[0]}x{frame[1]} (h, "
             "w) in colour; export the bundle again"
         )
     return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
-
-
-def _png_size(head: bytes) -> tuple[int, int]:
-    """(h, w) from the first 24 bytes of a PNG, (0, 0) of something else: a small file can hold a gigantic picture."""
-    if not head.startswith(b"\x89PNG\r\n\x1a\n") or len(head) < 24:
-        return 0, 0
-    return int.from_bytes(head[20:24], "big"), int.from_bytes(head[16:20], "big")
 
 
 def read_trunk(
@@ -107,8 +95,7 @@ def read_trunk(
     for store in stores:
         file = store / f"{entry.sha256}.onnx"
         if file.is_file():
-            stored = entry.model_copy(update={"file": file.name})
-            return verify(open_archive(store).read(file.name, entry.size_bytes), stored, archive.where)
+            return read_verified(open_archive(store), entry.model_copy(update={"file": file.name}))
     installed = _installed_trunk(manifest.backbone, tuple(manifest.grid.taps) if manifest.grid else ())
     if installed is not None:
         return installed
@@ -227,7 +214,10 @@ class Bundle:
             detector=read_verified(archive, manifest.detector) if manifest.detector else None,
         )
         bank = {name: _read_array(archive, name, entry) for name, entry in manifest.bank.items()}
-        golden = tuple(_read_golden(archive, entry, manifest.frame) for entry in manifest.golden)
+        golden = tuple(
+            GoldenFrame(read_picture(archive, one.image, manifest.frame), one.what, one.score, one.map_peaks)
+            for one in manifest.golden
+        )
         return cls(
             manifest=manifest,
             graphs=graphs,
@@ -333,11 +323,6 @@ def _parse_npy(data: bytes, file: str, dtype: str, shape: tuple[int, ...], where
             "copy the complete bundle again"
         )
     return np.frombuffer(data, found_dtype, offset=stream.tell()).reshape(shape)
-
-
-def _read_golden(archive: Archive, entry: GoldenEntry, frame: tuple[int, int]) -> GoldenFrame:
-    rgb = read_picture(archive, entry.image, frame)
-    return GoldenFrame(rgb, entry.what, entry.score, entry.map_peaks)
 
 
 def _read_registration(

@@ -11,7 +11,7 @@ Ref: onnx/onnx.proto3 (field numbers), protobuf encoding guide (wire types).
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = ["GraphRefused", "check_graph", "fields", "metadata", "output_names"]
+__all__ = ["GraphRefused", "check_graph", "metadata", "output_names"]
 
 STANDARD_DOMAINS = frozenset({b"", b"ai.onnx"})
 MAX_NODES = 20_000
@@ -29,7 +29,7 @@ CHILDREN: dict[str, dict[int, str]] = {
     "tensor": {},
 }
 DOMAIN_FIELD = {"opset": 1, "node": 7}
-NODE_OPERATOR_FIELD = 4
+NODE_OPERATOR = ("node", 4)
 # A loop may run for ever on one frame, and a random score is none; no detector needs them.
 REFUSED_OPERATORS = frozenset(
     {
@@ -86,26 +86,22 @@ def metadata(data: bytes) -> dict[str, str]:
     return properties
 
 
-def fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
-    """(field number, value) of one protobuf message of ONNX: an int for a varint, a view for a length-delimited field.
-
-    Errors: GraphRefused.
-    """
-    return _fields(message, _Budget())
-
-
 def _check(kind: str, message: memoryview, budget: _Budget, depth: int) -> None:
     if depth > MAX_DEPTH:
         raise GraphRefused(f"its graphs are nested more than {MAX_DEPTH} deep")
     for number, value in _fields(message, budget):
         if kind == "tensor" and (number == EXTERNAL_DATA_FIELD or (number == DATA_LOCATION_FIELD and value)):
             raise GraphRefused("it keeps tensors in an external file")
-        if number == DOMAIN_FIELD.get(kind) and isinstance(value, memoryview):
-            _check_domain(bytes(value))
-        if kind == "node" and number == NODE_OPERATOR_FIELD and isinstance(value, memoryview):
-            _check_operator(bytes(value))
+        if not isinstance(value, memoryview):
+            continue
+        if number == DOMAIN_FIELD.get(kind) and (domain := bytes(value)) not in STANDARD_DOMAINS:
+            raise GraphRefused(f"it uses the operator domain '{domain.decode('utf-8', 'replace')}'")
+        if (kind, number) == NODE_OPERATOR and (operator := bytes(value)) in REFUSED_OPERATORS:
+            raise GraphRefused(
+                f"it uses the operator {operator.decode()}, which has no bounded time or no fixed result"
+            )
         child = CHILDREN[kind].get(number)
-        if child is None or not isinstance(value, memoryview):
+        if child is None:
             continue
         if child == "function":
             raise GraphRefused("it defines its own functions; inline them")
@@ -114,18 +110,6 @@ def _check(kind: str, message: memoryview, budget: _Budget, depth: int) -> None:
             if budget.nodes < 0:
                 raise GraphRefused(f"it has more than {MAX_NODES} nodes")
         _check(child, value, budget, depth + 1)
-
-
-def _check_operator(operator: bytes) -> None:
-    if operator in REFUSED_OPERATORS:
-        raise GraphRefused(
-            f"it uses the operator {operator.decode()}, which has no bounded time or no fixed result"
-        )
-
-
-def _check_domain(domain: bytes) -> None:
-    if domain not in STANDARD_DOMAINS:
-        raise GraphRefused(f"it uses the operator domain '{domain.decode('utf-8', 'replace')}'")
 
 
 def _fields(message: memoryview, budget: _Budget) -> Iterator[tuple[int, int | memoryview]]:

@@ -86,14 +86,16 @@ class Scorer:
             name: ort.OrtValue.ortvalue_from_numpy(np.ascontiguousarray(bundle.bank[name]).reshape(shape))
             for name, shape in self._check_bank().items()
         }
-        self._tiled = self._open_tiles(is_skipping)
+        self._runner: TileRunner | None = None
+        self._free: FreeGel | None = None
+        self._open_tiles(is_skipping)
         self._pipe = self._open_pipe()
         self._registrar = None if bundle.registration is None else Registrar(bundle.registration)
 
     @property
     def tiles_run(self) -> int:
         """The number of runs of the trunk on a tile; 0 for a trunk without tiles."""
-        return 0 if self._tiled is None else self._tiled.runner.runs
+        return 0 if self._runner is None else self._runner.runs
 
     def score(self, rgb: NDArray[np.uint8]) -> Scored:
         """Score one press of the inspected region. rgb: uint8 (h, w, 3).
@@ -243,17 +245,15 @@ class Scorer:
                 )
         return {name: self.bundle.bank[name].shape for name in wanted}
 
-    def _open_tiles(self, is_skipping: bool) -> "_Tiled | None":
-        """Bind the trunk to one tile; None for a trunk without tiles."""
+    def _open_tiles(self, is_skipping: bool) -> None:
+        """Bind a tiled trunk to one tile, and compute the features for tiles without contact."""
         grid, entry = self.bundle.grid, self.bundle.manifest.grid
         if self._trunk is None or grid is None or grid.tiles is None or entry is None or entry.tiles is None:
-            return None
+            return
         try:
-            runner = TileRunner(self._trunk, grid.tiles, self._taps)
-            free = None
+            self._runner = TileRunner(self._trunk, grid.tiles, self._taps)
             if is_skipping and entry.tiles.untouched and self.bundle.free_gel is not None:
-                free = FreeGel(runner, self._taps, self.bundle.free_gel, entry.tiles.untouched)
-            return _Tiled(runner, free)
+                self._free = FreeGel(self._runner, self.bundle.free_gel, entry.tiles.untouched)
         except RUNTIME_ERRORS as error:
             raise BundleCorrupt(
                 f"bundle {self._where}: trunk.onnx does not run on tiles of {grid.tiles.size}: {error!s:.300}"
@@ -284,18 +284,8 @@ class Scorer:
         return pipe
 
     def _new_pipe(self, size: int) -> "_Pipe":
-        mosaics = None
-        if self._tiled is not None:
-            mosaics = TiledMaps(self._tiled.runner, self._taps, size, self._tiled.free)
+        mosaics = None if self._runner is None else TiledMaps(self._runner, size, self._free)
         return _Pipe(self._trunk, self._head, self._taps, self._bank, (size, *self.frame, 3), mosaics)
-
-
-@dataclass(frozen=True)
-class _Tiled:
-    """A trunk that is run tile by tile, and the features for tiles without contact."""
-
-    runner: TileRunner
-    free: FreeGel | None
 
 
 class _Pipe:

@@ -33,7 +33,7 @@ class TileRunner:
     def __init__(
         self, session: ort.InferenceSession, tiles: Tiles, maps: Mapping[str, tuple[int, int, int]]
     ) -> None:
-        self.tiles = tiles
+        self.tiles, self.maps = tiles, maps
         self.runs = 0
         down, across = len(tiles.rows), len(tiles.columns)
         self._cells = {tap: (h // down, w // across) for tap, (_, h, w) in maps.items()}
@@ -69,16 +69,10 @@ class FreeGel:
     rgb: uint8 (h, w, 3) of the region. untouched: the tiles that may be skipped, row by row.
     """
 
-    def __init__(
-        self,
-        runner: TileRunner,
-        maps: Mapping[str, tuple[int, int, int]],
-        rgb: NDArray[np.uint8],
-        untouched: Sequence[int],
-    ) -> None:
+    def __init__(self, runner: TileRunner, rgb: NDArray[np.uint8], untouched: Sequence[int]) -> None:
         self.untouched = frozenset(untouched)
         self._runner, self._blocks = runner, _blocks(rgb)
-        self._maps = {tap: np.zeros(shape, np.float32) for tap, shape in maps.items()}
+        self._maps = {tap: np.zeros(shape, np.float32) for tap, shape in runner.maps.items()}
         for index in sorted(self.untouched):
             runner.run(rgb, index, self._maps)
 
@@ -102,14 +96,8 @@ class TiledMaps:
     arrays: tap to float32 (n, channels, h, w), which a head may read in place.
     """
 
-    def __init__(
-        self,
-        runner: TileRunner,
-        maps: Mapping[str, tuple[int, int, int]],
-        frames: int,
-        free: FreeGel | None = None,
-    ) -> None:
-        self.arrays = {tap: np.zeros((frames, *shape), np.float32) for tap, shape in maps.items()}
+    def __init__(self, runner: TileRunner, frames: int, free: FreeGel | None = None) -> None:
+        self.arrays = {tap: np.zeros((frames, *shape), np.float32) for tap, shape in runner.maps.items()}
         self._runner, self._free = runner, free
         # The tiles of each frame's mosaic that hold the free gel's features already.
         self._pasted: list[frozenset[int]] = [frozenset()] * frames

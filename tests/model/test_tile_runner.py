@@ -172,8 +172,8 @@ def test_any_set_of_tiles_may_be_skipped(untouched: set[int], marks: list[tuple[
     frame = frame.copy()
     for row, column in marks:
         frame[max(0, row - 5) : row + 5, max(0, column - 5) : column + 5] = 250
-    free = FreeGel(runner, MAPS, gel, sorted(untouched))
-    whole, of_gel, skipping = (TiledMaps(runner, MAPS, 1, each) for each in (None, None, free))
+    free = FreeGel(runner, gel, sorted(untouched))
+    whole, of_gel, skipping = (TiledMaps(runner, 1, each) for each in (None, None, free))
     whole.show(frame[None])
     of_gel.show(gel[None])
     before = runner.runs
@@ -195,7 +195,7 @@ def test_a_frame_of_odd_size_is_compared_completely() -> None:
     tiles = tiling((100, 161), 64, 32)
     maps = {"layer1": (64, 16 * len(tiles.rows), 16 * len(tiles.columns))}
     gel = np.full((100, 161, 3), 100, np.uint8)
-    free = FreeGel(TileRunner(SESSION, tiles, maps), maps, gel, range(len(tiles)))
+    free = FreeGel(TileRunner(SESSION, tiles, maps), gel, range(len(tiles)))
     marked = gel.copy()
     marked[97:, 158:] = 255
     assert free.matching(gel) == frozenset(range(len(tiles)))
