@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from edge.clock import local_time
 from edge.core.errors import ConfigError, SinkUnavailable
@@ -90,15 +90,19 @@ def watch(
     save: heatmaps become `<press id>.png` there. tell: called with problems that do not end the watch.
     Errors: SinkUnavailable if there is no broker at the start, or the subscription is refused.
     """
-    end = _End(None if timeout_s is None else time.monotonic() + timeout_s)
+    end = _End.after(timeout_s)
     known: OrderedDict[str, None] = OrderedDict()
     wanted, awaited = count, None
     for message in _receive(broker, topic_filter, end, tell):
         seen = _interpret(message, save, tell)
-        if seen is None or (seen.kind == "result" and not _is_news(known, seen.content["press_id"])):
+        if seen is None:
             continue
-        if seen.kind == "result" and awaited is not None:
-            continue  # all results have come; only the last one's picture is missing
+        if seen.kind == "result":
+            if seen.content["press_id"] in known or awaited is not None:
+                continue  # a repetition; or all results have come, and only the last one's picture is missing
+            known[seen.content["press_id"]] = None
+            if len(known) > REMEMBERED:
+                known.popitem(last=False)
         yield seen
         if seen.kind == "heatmap" and seen.content["press_id"] == awaited:
             return
@@ -118,9 +122,7 @@ def receive(
     tell: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Received]:
     """Every message, for `timeout_s` seconds, else for ever. tell, errors: as `watch`."""
-    return _receive(
-        broker, topic_filter, _End(None if timeout_s is None else time.monotonic() + timeout_s), tell
-    )
+    return _receive(broker, topic_filter, _End.after(timeout_s), tell)
 
 
 def describe(result: Mapping[str, Any], station: str) -> str:
@@ -151,20 +153,15 @@ class _End:
 
     at: float | None
 
+    @classmethod
+    def after(cls, timeout_s: float | None) -> Self:
+        return cls(None if timeout_s is None else time.monotonic() + timeout_s)
+
     def not_after(self, moment: float) -> None:
         self.at = moment if self.at is None else min(self.at, moment)
 
     def seconds_left(self) -> float | None:
         return None if self.at is None else max(0.0, self.at - time.monotonic())
-
-
-def _is_news(known: "OrderedDict[str, None]", press_id: str) -> bool:
-    if press_id in known:
-        return False
-    known[press_id] = None
-    if len(known) > REMEMBERED:
-        known.popitem(last=False)
-    return True
 
 
 def _receive(broker: Broker, topic_filter: str, end: _End, tell: Callable[[str], None]) -> Iterator[Received]:
@@ -214,9 +211,7 @@ def next_message(inbox: Inbox, timeout_s: float | None) -> Received | None:
 def _interpret(message: Received, save: Path | None, tell: Callable[[str], None]) -> Seen | None:
     station, _, topic = message.topic.partition(f"/gel/{TOPIC_VERSION}/")
     kind, _, name = topic.partition("/")
-    if (
-        kind == "heatmap" and save is not None and is_ulid(name)
-    ):  # the name becomes a file's: nothing else may pass
+    if kind == "heatmap" and save is not None and is_ulid(name):  # nothing else may become the name of a file
         save.mkdir(parents=True, exist_ok=True)
         path = save / f"{name}.png"
         path.write_bytes(message.payload)

@@ -56,7 +56,7 @@ def reference(commands: Iterable[DocumentedCommand]) -> str:
         secret=_EXAMPLE_SECRET,
         text=text.decode(),
         request=json.dumps(request),
-        alarms="\n".join(_alarms()),
+        alarms="\n".join(f"| `{alarm}` | {meaning} |" for alarm, meaning in ALARMS.items()),
         payloads="\n".join(_payloads()),
     )
 
@@ -79,11 +79,6 @@ def _arguments(model: type[BaseModel]) -> str:
     fields = model.model_fields.items()
     names = [f"`{name}`" + ("" if field.is_required() else " (optional)") for name, field in fields]
     return ", ".join(names) or "none"
-
-
-def _alarms() -> Iterator[str]:
-    yield "\n## Alarms\n\n| alarm | meaning |\n| --- | --- |"
-    yield from (f"| `{alarm}` | {meaning} |" for alarm, meaning in ALARMS.items())
 
 
 def _payloads() -> Iterator[str]:

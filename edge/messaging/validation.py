@@ -6,8 +6,8 @@ It knows the document alone, not the payload models: what passes here can be rea
 import json
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from edge.core.sink_context import TOPIC_VERSION
@@ -24,6 +24,8 @@ MOST_WAITING: Final = 10_000
 # A reference to a reference is followed this often.
 MOST_REFERENCES: Final = 8
 
+_Check = Callable[[bytes], str | None]
+
 _IMAGES: Final = {"image/png": b"\x89PNG\r\n\x1a\n", "image/jpeg": b"\xff\xd8\xff"}
 
 
@@ -34,15 +36,13 @@ class DocumentCheck:
         from jsonschema import SchemaError
 
         self._document = document
+        self._channels: list[tuple[re.Pattern[str], list[_Check]]] = []
         try:
-            channels = [self._resolve(reference) for reference in self._sending_channels()]
-            self._channels = [
-                (
-                    _pattern(channel["address"]),
-                    [self._make_check(self._resolve(m)) for m in channel["messages"].values()],
-                )
-                for channel in channels
-            ]
+            for channel in map(self._resolve, self._sending_channels()):
+                parts = re.split(r"({.*?})", channel["address"])
+                address = "".join("[^/]+" if part.startswith("{") else re.escape(part) for part in parts)
+                messages = map(self._resolve, channel["messages"].values())
+                self._channels.append((re.compile(address), list(map(self._make_check, messages))))
         except (KeyError, TypeError, AttributeError, ValueError, SchemaError) as error:
             raise ValueError(
                 f"not an AsyncAPI 3 document with channels and operations: {error!r:.300}"
@@ -52,7 +52,7 @@ class DocumentCheck:
         """Say in one sentence what is wrong with a message; None if the document describes it."""
         for pattern, messages in self._channels:
             if pattern.fullmatch(topic):
-                faults = [message.fault(payload) for message in messages]
+                faults = [check(payload) for check in messages]
                 return None if None in faults else faults[0]
         return "no channel of the document has this topic"
 
@@ -73,32 +73,29 @@ class DocumentCheck:
                 resolved = resolved[level]
         raise ValueError("a reference leads to itself")
 
-    def _make_check(self, message: Mapping[str, Any]) -> "_MessageCheck":
+    def _make_check(self, message: Mapping[str, Any]) -> _Check:
+        """Make what tells the fault of a payload, None for a sound one."""
         from jsonschema import Draft7Validator
 
         schema = {"allOf": [message["payload"]], "components": self._document.get("components", {})}
         Draft7Validator.check_schema(schema)
-        return _MessageCheck(message.get("contentType"), Draft7Validator(schema))
+        return partial(_fault, message.get("contentType"), Draft7Validator(schema))
 
 
-@dataclass(frozen=True)
-class _MessageCheck:
-    content_type: str | None
-    validator: "Draft7Validator"
+def _fault(content_type: str | None, validator: "Draft7Validator", payload: bytes) -> str | None:
+    from jsonschema.exceptions import best_match
+    from referencing.exceptions import Unresolvable
 
-    def fault(self, payload: bytes) -> str | None:
-        from jsonschema.exceptions import best_match
-        from referencing.exceptions import Unresolvable
-
-        if self.content_type in _IMAGES:
-            return None if payload.startswith(_IMAGES[self.content_type]) else f"it is no {self.content_type}"
-        try:
-            text = payload.decode()
-            content = json.loads(text) if self.content_type == "application/json" else text
-            fault = best_match(self.validator.iter_errors(content))
-        except (ValueError, RecursionError, Unresolvable) as error:
-            return f"it cannot be read as {self.content_type} ({error})"
-        return None if fault is None else f"{fault.json_path}: {fault.message:.300}"
+    if content_type in _IMAGES:
+        return None if payload.startswith(_IMAGES[content_type]) else f"it is no {content_type}"
+    try:
+        text = payload.decode()
+        fault = best_match(
+            validator.iter_errors(json.loads(text) if content_type == "application/json" else text)
+        )
+    except (ValueError, RecursionError, Unresolvable) as error:
+        return f"it cannot be read as {content_type} ({error})"
+    return None if fault is None else f"{fault.json_path}: {fault.message:.300}"
 
 
 class StationsCheck:
@@ -119,30 +116,18 @@ class StationsCheck:
         root, marker, topic = message.topic.partition(f"/gel/{TOPIC_VERSION}/")
         if not marker or re.fullmatch(r"cmd/[^/]+", topic):
             return []
-        faults = [] if topic != "asyncapi" else self._learn(root, message)
+        faults = []
+        if topic == "asyncapi":
+            try:
+                self._documents[root] = DocumentCheck(json.loads(message.payload))
+            except (ValueError, RecursionError) as error:
+                faults.append(f"{message.topic}: {error}")
         if root not in self._documents:
             if len(self._waiting[root]) < MOST_WAITING:
                 self._waiting[root].append(message)
             return faults
-        waiting = [*self._waiting.pop(root, []), message]
-        return [
-            *faults,
-            *(fault for waiting_message in waiting for fault in self._check(root, waiting_message)),
-        ]
-
-    def _learn(self, root: str, message: Received) -> list[str]:
-        try:
-            self._documents[root] = DocumentCheck(json.loads(message.payload))
-        except (ValueError, RecursionError) as error:
-            return [f"{message.topic}: {error}"]
-        return []
-
-    def _check(self, root: str, message: Received) -> list[str]:
-        self.checked += 1
-        fault = self._documents[root].fault(message.topic, message.payload)
-        return [] if fault is None else [f"{message.topic}: {fault}"]
-
-
-def _pattern(address: str) -> re.Pattern[str]:
-    parts = re.split(r"({.*?})", address)
-    return re.compile("".join("[^/]+" if part.startswith("{") else re.escape(part) for part in parts))
+        for waiting in (*self._waiting.pop(root, []), message):
+            self.checked += 1
+            fault = self._documents[root].fault(waiting.topic, waiting.payload)
+            faults += [] if fault is None else [f"{waiting.topic}: {fault}"]
+        return faults

@@ -66,7 +66,12 @@ def document(station: DescribedStation) -> dict[str, Any]:
         "channels": {
             **{_key(topic): _channel(station, topic) for topic in published},
             **{f"cmd_{command.verb}": _request_channel(station, command) for command in station.commands},
-            "cmd_response": _response_channel(station),
+            "cmd_response": {
+                "address": f"{station.root}/cmd/{{verb}}/response",
+                "description": "the answer, with the request's transaction",
+                "parameters": {"verb": {"description": "that of the request, served or not"}},
+                "messages": {"CommandResponse": {"$ref": "#/components/messages/CommandResponse"}},
+            },
         },
         "operations": {
             **{f"send_{_key(topic)}": _sends(topic) for topic in published},
@@ -144,15 +149,6 @@ def _request_channel(station: DescribedStation, command: ServedCommand) -> dict[
         "address": f"{station.root}/cmd/{command.verb}",
         "description": f"{command.help}.{signed}",
         "messages": {"request": {"contentType": "application/json", "payload": payload}},
-    }
-
-
-def _response_channel(station: DescribedStation) -> dict[str, Any]:
-    return {
-        "address": f"{station.root}/cmd/{{verb}}/response",
-        "description": "the answer, with the request's transaction",
-        "parameters": {"verb": {"description": "that of the request, served or not"}},
-        "messages": {"CommandResponse": {"$ref": "#/components/messages/CommandResponse"}},
     }
 
 
