@@ -94,14 +94,18 @@ class CountsStale(Protocol):
 
 @dataclass(frozen=True)
 class Message:
-    """One message to publish. `topic` is relative to the station's root, such as `result`."""
+    """One message to publish."""
 
     topic: str
+    """Relative to the station's root, such as `result`; the full one for a connection to a broker."""
     payload: bytes
     qos: int = 1
     retain: bool = False
     content_type: str = "application/json"
+    """Empty for a payload whose kind is not told."""
     expiry_s: int | None = None
+    correlation: bytes | None = None
+    """Of the request that it answers."""
 
 
 @runtime_checkable

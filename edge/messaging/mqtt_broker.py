@@ -7,7 +7,7 @@ from typing import Literal
 
 from edge.core.errors import ConfigError, SinkUnavailable
 
-__all__ = ["Broker", "Level", "LevelRefused", "LoginRefused", "NoAnswer", "Outgoing", "Received", "Tls"]
+__all__ = ["Broker", "Level", "LevelRefused", "LoginRefused", "NoAnswer", "Received", "Tls"]
 
 Level = Literal["5", "3.1.1"]
 
@@ -56,19 +56,6 @@ class Broker:
 
     def __repr__(self) -> str:
         return f"Broker({self}, client_id={self.client_id!r})"  # never the password
-
-
-@dataclass(frozen=True)
-class Outgoing:
-    """What `publish` sends; also the form of a last will. `topic` is the full one."""
-
-    topic: str
-    payload: bytes
-    qos: int = 1
-    retain: bool = False
-    content_type: str | None = None
-    expiry_s: int | None = None
-    correlation: bytes | None = None
 
 
 @dataclass(frozen=True)

@@ -25,13 +25,13 @@ from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from edge.core.errors import SinkError, SinkRejected, SinkUnavailable
+from edge.core.ports import Message
 from edge.messaging.mqtt_broker import (
     Broker,
     Level,
     LevelRefused,
     LoginRefused,
     NoAnswer,
-    Outgoing,
     Received,
 )
 
@@ -76,7 +76,7 @@ class Connection:
     def open(
         cls,
         broker: Broker,
-        will: Outgoing | None = None,
+        will: Message | None = None,
         on_received: OnReceived | None = None,
         on_lost: Callable[[], None] = lambda: None,
     ) -> Self:
@@ -120,7 +120,7 @@ class Connection:
         self,
         broker: Broker,
         level: Level,
-        will: Outgoing | None,
+        will: Message | None,
         on_received: OnReceived | None,
         on_lost: Callable[[], None],
     ) -> None:
@@ -149,7 +149,7 @@ class Connection:
     def is_up(self) -> bool:
         return self._is_established and not self._is_lost
 
-    def publish(self, message: Outgoing) -> None:
+    def publish(self, message: Message) -> None:
         """Send and wait for the acknowledgement; QoS 0 waits until it is written.
 
         Errors: SinkRejected for this message; SinkUnavailable when the connection is lost meanwhile, or when the
@@ -171,7 +171,7 @@ class Connection:
             raise SinkRejected(f"a message on {message.topic!r} cannot be sent: {error}") from error
         self._check(message, self._answer(info.mid, f"the message on {message.topic}"))
 
-    def publish_soon(self, message: Outgoing) -> None:
+    def publish_soon(self, message: Message) -> None:
         """Send at QoS 0 without waiting; lost when the connection is. Only this may be used in `on_received`."""
         if self.is_up:
             properties = self._properties(message)
@@ -209,7 +209,7 @@ class Connection:
                 sock.shutdown(socket.SHUT_RDWR)  # the library's thread sees the end and leaves
         self._lose(why)
 
-    def _make_client(self, will: Outgoing | None) -> paho.Client:
+    def _make_client(self, will: Message | None) -> paho.Client:
         is_5 = self.level == "5"
         client = paho.Client(
             CallbackAPIVersion.VERSION2,
@@ -278,11 +278,11 @@ class Connection:
         properties.MaximumPacketSize = self.broker.largest_packet
         return properties
 
-    def _properties(self, message: Outgoing, packet: int = PacketTypes.PUBLISH) -> Properties | None:
+    def _properties(self, message: Message, packet: int = PacketTypes.PUBLISH) -> Properties | None:
         if self.level != "5":
             return None
         properties = Properties(packet)  # type: ignore[no-untyped-call]
-        if message.content_type is not None:
+        if message.content_type:
             properties.ContentType = message.content_type
             properties.PayloadFormatIndicator = int(message.content_type == "application/json")
         if message.expiry_s is not None:
@@ -303,7 +303,7 @@ class Connection:
         self.abandon(why)
         raise SinkUnavailable(f"broker {self.broker}: {why}; the connection is given up")
 
-    def _check(self, message: Outgoing, reason: ReasonCode | None) -> None:
+    def _check(self, message: Message, reason: ReasonCode | None) -> None:
         if reason is None or not reason.is_failure:
             return
         sentence = f"broker {self.broker} refuses the message on {message.topic}: {reason}"

@@ -11,7 +11,7 @@ from edge.core.errors import GelgateError, SinkError
 from edge.core.ports import Clock, Message
 from edge.core.sink_context import TOPIC_VERSION, PageRequests
 from edge.messaging.command_payloads import CommandRequest, CommandResponse, signature_of, signed_text
-from edge.messaging.mqtt_broker import Broker, Outgoing, Received
+from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.messaging.subscriber import RETURN_S, Inbox, listening, next_message
 from edge.page.shown import Shown
@@ -70,9 +70,7 @@ class BrokerStation:
         with self._changed:
             self._answers[transaction] = None
         try:
-            connection.publish(
-                Outgoing(f"{root}/cmd/{verb}", payload, expiry_s=max(1, round(self._answer_s)))
-            )
+            connection.publish(Message(f"{root}/cmd/{verb}", payload, expiry_s=max(1, round(self._answer_s))))
             with self._changed:
                 self._changed.wait_for(lambda: self._answers[transaction] is not None, self._answer_s)
                 answer = self._answers[transaction]

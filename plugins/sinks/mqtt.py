@@ -29,7 +29,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.descriptions.home_assistant import discovery, discovery_topic
 from edge.messaging.descriptions.station import DescribedStation
-from edge.messaging.mqtt_broker import Broker, Level, LevelRefused, Outgoing, Received
+from edge.messaging.mqtt_broker import Broker, Level, LevelRefused, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt_availability import Availability
 from plugins.sinks.mqtt_options import MqttOptions
@@ -59,7 +59,7 @@ class MqttSink:
         backoff: Backoff,
         *,
         has_availability: bool = True,
-        announcements: Sequence[Outgoing] = (),
+        announcements: Sequence[Message] = (),
     ) -> None:
         self._broker = broker
         self._station = station
@@ -313,18 +313,11 @@ class MqttSink:
             log.warning("%s", why)
         self._why_down = why
 
-    def _outgoing(self, message: Message) -> Outgoing:
+    def _outgoing(self, message: Message) -> Message:
         return self._availability.outgoing(self._full(message))
 
-    def _full(self, message: Message) -> Outgoing:
-        return Outgoing(
-            self._station.topic(message),
-            message.payload,
-            message.qos,
-            message.retain,
-            message.content_type,
-            message.expiry_s,
-        )
+    def _full(self, message: Message) -> Message:
+        return replace(message, topic=self._station.topic(message))
 
     def _received(self, request: Received) -> None:
         self._requests.receive(request, self._connection)  # none while its birth is published
@@ -348,16 +341,12 @@ class Mqtt(SinkPlugin[MqttOptions]):
         ).start()
 
 
-def _announcements(options: MqttOptions, root: str) -> list[Outgoing]:
+def _announcements(options: MqttOptions, root: str) -> list[Message]:
     if options.home_assistant is None:
         return []
     described = DescribedStation.of_root(root)
     topic = discovery_topic(described, options.home_assistant)
-    return [
-        Outgoing(
-            topic, json.dumps(discovery(described)).encode(), retain=True, content_type="application/json"
-        )
-    ]
+    return [Message(topic, json.dumps(discovery(described)).encode(), retain=True)]
 
 
 plugin = Mqtt()

@@ -11,7 +11,8 @@ from dataclasses import replace
 from typing import Final
 
 from edge.core.errors import SinkError
-from edge.messaging.mqtt_broker import Broker, Level, Outgoing
+from edge.core.ports import Message
+from edge.messaging.mqtt_broker import Broker, Level
 from edge.messaging.mqtt_connection import Connection
 
 __all__ = ["Availability"]
@@ -26,7 +27,7 @@ SHORT_ONES: Final = 3
 class Availability:
     """offline: the will, with its full topic; None where the station has none. is_wanted: by the options."""
 
-    def __init__(self, broker: Broker, offline: Outgoing | None, *, is_wanted: bool = True) -> None:
+    def __init__(self, broker: Broker, offline: Message | None, *, is_wanted: bool = True) -> None:
         self._broker = replace(broker, client_id=f"{broker.client_id}-availability")
         self._offline = offline
         self._is_wanted = is_wanted
@@ -61,7 +62,7 @@ class Availability:
         else:
             self._note("the broker closes it soon after it accepts it")
 
-    def outgoing(self, message: Outgoing) -> Outgoing:
+    def outgoing(self, message: Message) -> Message:
         """Give what to publish for a message of the station: on this topic nothing while the will is not held."""
         if self._offline is None or message.topic != self._offline.topic or self.is_held:
             return message

@@ -10,10 +10,11 @@ from typing import Final
 
 from edge.clock import SystemClock
 from edge.core.errors import SinkError
+from edge.core.ports import Message
 from edge.core.rate import Rate
 from edge.core.sink_context import Station
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS
-from edge.messaging.mqtt_broker import Outgoing, Received
+from edge.messaging.mqtt_broker import Received
 from edge.messaging.mqtt_connection import Connection
 
 __all__ = ["Requests"]
@@ -93,9 +94,9 @@ def _may_answer_on(request: Received) -> bool:
     return wanted is None or wanted == own or wanted.startswith(f"{own}/")
 
 
-def _response(request: Received, payload: bytes) -> Outgoing:
+def _response(request: Received, payload: bytes) -> Message:
     topic = request.response_topic if _may_answer_on(request) else None
-    return Outgoing(
+    return Message(
         topic or f"{request.topic}/response",
         payload,
         content_type="application/json",

@@ -24,7 +24,7 @@ from edge.core.plugins import SinkPlugin
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.descriptions.station import SparkplugNode
-from edge.messaging.mqtt_broker import Broker, Outgoing, Received
+from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt_options import BrokerOptions, TopicLevel
 from plugins.sinks.sparkplug_metrics import DataType, Metric, decode, encode, initial_metrics, metrics_of
@@ -135,7 +135,7 @@ class SparkplugSink:
                 except SinkError as error:
                     log.warning("no rebirth: %s", error)
 
-    def _birth(self) -> Outgoing:
+    def _birth(self) -> Message:
         """The seq of a birth is 0, the bdSeq that of the connection's will."""
         self._seq = -1
         now = _now_ms()
@@ -145,14 +145,14 @@ class SparkplugSink:
         ]
         return self._outgoing("NBIRTH", [*own, *self._values.values()])
 
-    def _death(self) -> Outgoing:
+    def _death(self) -> Message:
         now = _now_ms()
         payload = encode([Metric("bdSeq", DataType.INT64, self._bd_seq, now)], now, None)
-        return Outgoing(self._node.topic("NDEATH"), payload, qos=1)
+        return Message(self._node.topic("NDEATH"), payload, qos=1, content_type="")
 
-    def _outgoing(self, verb: str, metrics: list[Metric]) -> Outgoing:
+    def _outgoing(self, verb: str, metrics: list[Metric]) -> Message:
         self._seq = (self._seq + 1) % 256
-        return Outgoing(self._node.topic(verb), encode(metrics, _now_ms(), self._seq), qos=0)
+        return Message(self._node.topic(verb), encode(metrics, _now_ms(), self._seq), qos=0, content_type="")
 
 
 def _now_ms() -> int:

@@ -9,10 +9,11 @@ import pytest
 from edge.cli.describe import Format, describe, describe_config
 from edge.config import load_config
 from edge.core.errors import ConfigError
+from edge.core.ports import Message
 from edge.gateway.description import describe_station
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_broker import Broker, Outgoing
+from edge.messaging.mqtt_broker import Broker
 from edge.messaging.mqtt_connection import Connection
 
 CONFIG = """
@@ -98,7 +99,7 @@ def broker() -> Iterator[LocalBroker]:
 def leaves(broker: LocalBroker, root: str, payload: bytes) -> None:
     """A client leaves this as the description of a station."""
     connection = Connection.open(Broker(broker.host, broker.port, "leaves", level="5", timeout_s=60.0))
-    connection.publish(Outgoing(f"{root}/asyncapi", payload, 1, retain=True))
+    connection.publish(Message(f"{root}/asyncapi", payload, 1, retain=True))
     connection.close()
 
 

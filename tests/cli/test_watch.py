@@ -10,11 +10,12 @@ import typer
 
 from edge.cli.watch import watch as watch_command
 from edge.core.errors import SinkUnavailable
+from edge.core.ports import Message
 from edge.core.printable import printable
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_broker import Broker, Outgoing
+from edge.messaging.mqtt_broker import Broker
 from edge.messaging.mqtt_connection import Connection
 from edge.messaging.subscriber import describe, station_filter, watch
 
@@ -63,11 +64,11 @@ def result(n: int, **changes: object) -> bytes:
 def speak(broker: LocalBroker, *messages: tuple[str, bytes]) -> Callable[[], None]:
     """Publishes the messages as soon as the watcher's subscription is there: its first retained message says so."""
     speaker = Connection.open(speaks(broker, "speaker"))
-    speaker.publish(Outgoing(f"{ROOT}/state", b'{"state":"ready"}', retain=True))
+    speaker.publish(Message(f"{ROOT}/state", b'{"state":"ready"}', retain=True))
 
     def run() -> None:
         for topic, payload in messages:
-            speaker.publish(Outgoing(f"{ROOT}/{topic}", payload))
+            speaker.publish(Message(f"{ROOT}/{topic}", payload))
         speaker.close()
 
     return run
@@ -159,7 +160,7 @@ def test_a_broker_that_goes_away_is_waited_for(broker: LocalBroker) -> None:
         elif heard == ["state", "state"]:  # of the second broker, or twice of the first
             # Retained: it may be said before the watcher listens again.
             speaker = Connection.open(speaks(broker, "speaker"))
-            speaker.publish(Outgoing(f"{ROOT}/result", result(0, heatmap_topic=None), retain=True))
+            speaker.publish(Message(f"{ROOT}/result", result(0, heatmap_topic=None), retain=True))
             speaker.close()
 
     assert heard[-1] == "result"
@@ -209,7 +210,7 @@ def test_a_line_is_complete_and_harmless(changes: dict[str, object], has: str, h
 def test_the_command_prints_json_and_counts(broker: LocalBroker, capsys: pytest.CaptureFixture[str]) -> None:
     """`--json` prints each result as it came, and nothing else on stdout."""
     retained = Connection.open(speaks(broker, "keeper"))
-    retained.publish(Outgoing(f"{ROOT}/result", result(0), retain=True))
+    retained.publish(Message(f"{ROOT}/result", result(0), retain=True))
     retained.close()
 
     watch_command(host=broker.host, port=broker.port, as_json=True, count=1, timeout=60)
@@ -232,7 +233,7 @@ def validated(broker: LocalBroker, count: int, *messages: tuple[str, bytes]) -> 
     """Run `gelgate watch --validate` on these retained messages."""
     speaker = Connection.open(speaks(broker, "speaker"))
     for topic, payload in messages:
-        speaker.publish(Outgoing(f"{ROOT}/{topic}", payload, retain=True))
+        speaker.publish(Message(f"{ROOT}/{topic}", payload, retain=True))
     speaker.close()
     watch_command(host=broker.host, port=broker.port, count=count, timeout=60, validate=True)
 
@@ -261,7 +262,7 @@ def test_a_station_without_a_description_is_named(
 ) -> None:
     """Nothing was checked, and the sentence says why."""
     speaker = Connection.open(speaks(broker, "speaker"))
-    speaker.publish(Outgoing(f"{ROOT}/availability", b"online", retain=True))
+    speaker.publish(Message(f"{ROOT}/availability", b"online", retain=True))
     speaker.close()
 
     said, timeout = "", 0.3

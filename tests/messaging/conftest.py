@@ -14,7 +14,7 @@ from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_broker import Broker, Level, Outgoing, Received
+from edge.messaging.mqtt_broker import Broker, Level, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt import MqttSink, plugin
 from plugins.sinks.mqtt_options import MqttOptions
@@ -76,7 +76,7 @@ class Listener:
             assert self._changed.wait_for(lambda: is_heard(self), timeout_s), f"heard only {self.heard}"
 
     def ask(self, verb: str, payload: bytes) -> None:
-        self._connection.publish(Outgoing(f"{ROOT}/cmd/{verb}", payload))
+        self._connection.publish(Message(f"{ROOT}/cmd/{verb}", payload))
 
     def close(self) -> None:
         self._connection.close()

@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 
 from edge.core.errors import SinkRejected
+from edge.core.ports import Message
 from edge.messaging.descriptions.access_rules import access_rules
 from edge.messaging.descriptions.home_assistant import discovery_topic
 from edge.messaging.descriptions.station import DescribedStation, SparkplugNode
 from edge.messaging.local_broker import LocalBroker
-from edge.messaging.mqtt_broker import Broker, Outgoing, Received
+from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.messaging.topics import TOPICS
 
@@ -61,10 +62,10 @@ def test_a_station_may_say_all_that_it_has_to_say(client: Callable[..., Connecti
     station = client("press2")
 
     for topic in SENT:
-        station.publish(Outgoing(f"{ROOT}/{filled(topic)}", b"{}"))
-    station.publish(Outgoing(discovery_topic(STATION), b"{}"))
+        station.publish(Message(f"{ROOT}/{filled(topic)}", b"{}"))
+    station.publish(Message(discovery_topic(STATION), b"{}"))
     for verb in ("NBIRTH", "NDATA", "NDEATH"):
-        station.publish(Outgoing(f"spBv1.0/plant/{verb}/line1-press2", b"{}"))
+        station.publish(Message(f"spBv1.0/plant/{verb}/line1-press2", b"{}"))
 
 
 FOREIGN = (
@@ -92,7 +93,7 @@ def test_only_the_station_publishes_and_only_on_its_topics(
     connection = client(name)
     for topic in topics:
         with pytest.raises(SinkRejected, match="Not authorized"):
-            connection.publish(Outgoing(topic, b"{}"))
+            connection.publish(Message(topic, b"{}"))
 
 
 @pytest.mark.parametrize(("name", "hears"), [("reader", {"result"}), ("stranger", set())])
@@ -106,8 +107,8 @@ def test_a_reader_hears_what_the_station_says_and_no_request(
     listener.subscribe(f"{ROOT}/#")
     station = client("press2")
 
-    station.publish(Outgoing(f"{ROOT}/result", b"{}"))
-    station.publish(Outgoing(f"{ROOT}/cmd/x/response", b"{}"))
+    station.publish(Message(f"{ROOT}/result", b"{}"))
+    station.publish(Message(f"{ROOT}/cmd/x/response", b"{}"))
     listener.subscribe(f"{ROOT}/state")  # its acknowledgement comes after what was sent before
 
     assert {message.topic.removeprefix(f"{ROOT}/") for message in heard} == hears

@@ -12,7 +12,7 @@ import pytest
 from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message, Sink
 from edge.messaging.local_broker import LocalBroker
-from edge.messaging.mqtt_broker import Broker, Outgoing
+from edge.messaging.mqtt_broker import Broker
 from edge.messaging.mqtt_connection import Connection
 
 from .conftest import PATIENCE_S, ROOT, Listen, SinkTo, require, sent
@@ -137,8 +137,8 @@ def test_a_retained_request_is_not_carried_out(mosquitto: LocalBroker, sink_to: 
     """It would be done again on every connection."""
     asked: list[str] = []
     other = Connection.open(Broker(mosquitto.host, mosquitto.port, "other"))
-    other.publish(Outgoing(f"{ROOT}/cmd/old", b"", retain=False))
-    other.publish(Outgoing(f"{ROOT}/cmd/kept", b"x", retain=True))
+    other.publish(Message(f"{ROOT}/cmd/old", b"", retain=False))
+    other.publish(Message(f"{ROOT}/cmd/kept", b"x", retain=True))
     arrived = threading.Event()
 
     def note(verb: str, payload: bytes) -> bytes:
@@ -150,7 +150,7 @@ def test_a_retained_request_is_not_carried_out(mosquitto: LocalBroker, sink_to: 
         arrived.clear()
         sink = sink_to(mosquitto, note, protocol=protocol)
         sink.send(Message("result", b""))
-        other.publish(Outgoing(f"{ROOT}/cmd/now", b"x"))
+        other.publish(Message(f"{ROOT}/cmd/now", b"x"))
         assert arrived.wait(PATIENCE_S)
         sink.close()
     other.close()

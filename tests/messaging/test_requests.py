@@ -12,7 +12,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS
 from edge.messaging.local_broker import LocalBroker
-from edge.messaging.mqtt_broker import Broker, Outgoing, Received
+from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from plugins.sinks.mqtt import MqttSink
 from plugins.sinks.mqtt_options import LARGEST_PACKET_BYTES
@@ -139,8 +139,8 @@ def test_a_real_broker_does_not_deliver_a_huge_request(mosquitto: LocalBroker, s
     sink = sink_to(mosquitto, command, protocol="5")
     sent(sink, Message("result", b""))
     asker = Connection.open(Broker(mosquitto.host, mosquitto.port, "asker", level="5", timeout_s=PATIENCE_S))
-    asker.publish(Outgoing(TRIGGER, bytes(1_000_000)))
-    asker.publish(Outgoing(TRIGGER, json.dumps({"transaction": "1"}).encode()))
+    asker.publish(Message(TRIGGER, bytes(1_000_000)))
+    asker.publish(Message(TRIGGER, json.dumps({"transaction": "1"}).encode()))
     assert is_served.wait(PATIENCE_S)
     asker.close()
 

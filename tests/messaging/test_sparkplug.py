@@ -15,7 +15,6 @@ from edge.core.sink_context import Station
 from edge.core.verdict import Kind
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.local_broker import LocalBroker
-from edge.messaging.mqtt_broker import Outgoing
 from edge.messaging.payload_base import as_replayed
 from edge.messaging.result_payload import press_messages
 from edge.messaging.status_payloads import (
@@ -166,7 +165,7 @@ def test_a_session_is_born_numbered_born_again_and_ended(
         encode([Metric("other", DataType.BOOLEAN, True, 1)], 1, None),
         encode([Metric("Node Control/Rebirth", DataType.BOOLEAN, True, 1)], 1, None),
     ):
-        listener._connection.publish(Outgoing(f"spBv1.0/plant/NCMD/{NODE}", payload))
+        listener._connection.publish(Message(f"spBv1.0/plant/NCMD/{NODE}", payload))
     listener.wait_for(lambda one: [verb for verb, _ in heard(one)].count("NBIRTH") == 2)
     births = [metrics for verb, metrics in heard(listener) if verb == "NBIRTH"]
     assert births[0]["bdSeq"] == births[1]["bdSeq"]

@@ -24,7 +24,7 @@ from edge.gateway.command_policy import CommandPolicy
 from edge.gateway.commands import Change, Commands
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_broker import Broker, Outgoing, Received
+from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.page.access import Access
 from edge.page.changes import Changes, TokenGate
@@ -58,7 +58,7 @@ def says(broker: LocalBroker, *messages: Message, root: str = ROOT) -> None:
     """A station publishes these."""
     connection = Connection.open(Broker(broker.host, broker.port, "says", level="5", timeout_s=60.0))
     for one in messages:
-        connection.publish(Outgoing(f"{root}/{one.topic}", one.payload, 1, one.retain))
+        connection.publish(Message(f"{root}/{one.topic}", one.payload, 1, one.retain))
     connection.close()
 
 
