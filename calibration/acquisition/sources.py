@@ -133,7 +133,7 @@ def from_frames(
             shown = found.frame if isinstance(found, FoundPress) else found
             where = f"{name}#{shown.sequence}"
             try:
-                rgb = decode(shown, profile).rgb
+                rgb = decode(shown, profile)
             except FrameCorrupt as error:
                 yield LeftOut(f"press {where} cannot be read: {error}")
                 continue

@@ -89,7 +89,7 @@ def read_rgb(path: Path, profile: SensorProfile | None = None, *, resize: bool =
             if size != profile.size and not resize:
                 raise ValueError(_other_size(size, profile))
             profile = _as_it_is(size, profile.size, cut_to_aspect(size, profile.size))
-        return decode(CameraFrame(payload, 0, 0), profile).rgb
+        return decode(CameraFrame(payload, 0, 0), profile)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be opened: {error.strerror}") from error
     except (FrameCorrupt, ValueError) as error:

@@ -14,7 +14,7 @@ from edge.core.imaging.known_profiles import PROFILES
 from edge.core.imaging.known_profiles import profile as named
 from edge.core.imaging.sensor_profile import cut_in_words
 from edge.recording.format import Recording, RecordingHeader, RecordingWriter
-from edge.recording.from_images import CopyNoise, PressLift, images_in, record_images
+from edge.recording.from_images import PressLift, images_in, record_images
 from edge.recording.from_video import film_of, record_video
 from edge.recording.presses_in import presses_in
 
@@ -118,10 +118,15 @@ def _from_images(given: RecordArguments, folder: Path) -> str:
     """Record press images. Errors: ConfigError."""
     free = given.reference
     images = [path for path in images_in(folder, given.pattern) if free is None or not path.samefile(free)]
-    noise = CopyNoise(given.noise, given.seed) if given.noise else None
     try:
         plan = PressLift(
-            given.fps, given.lead, given.repeat_free, given.repeat_press, given.number_copies, noise
+            given.fps,
+            given.lead,
+            given.repeat_free,
+            given.repeat_press,
+            given.number_copies,
+            given.noise or 0,
+            given.seed,
         )
     except ValueError as error:
         raise ConfigError(str(error)) from error

@@ -7,29 +7,24 @@ from typing import Literal
 
 from edge.core.errors import ConfigError, SinkUnavailable
 
-__all__ = ["Broker", "Level", "LevelRefused", "LoginRefused", "NoAnswer", "Received", "Tls"]
+__all__ = ["Broker", "Level", "LevelRefused", "LoginRefused", "NoAnswer", "Received", "tls_context"]
 
 Level = Literal["5", "3.1.1"]
 
 
-@dataclass(frozen=True)
-class Tls:
-    """ca: the authorities to trust, None for the system's. cert and key: this client's own, for mutual TLS."""
+def tls_context(ca: Path | None, cert: Path | None = None, key: Path | None = None) -> ssl.SSLContext:
+    """Make a verified context. ca: the authorities to trust, None for the system's. cert, key: for mutual TLS.
 
-    ca: Path | None = None
-    cert: Path | None = None
-    key: Path | None = None
-
-    def context(self) -> ssl.SSLContext:
-        """The verified context. Errors: ConfigError for a file that is missing or not a certificate."""
-        try:
-            context = ssl.create_default_context(cafile=self.ca)
-            if self.cert is not None:
-                context.load_cert_chain(self.cert, self.key)
-        except (OSError, ssl.SSLError) as error:
-            files = ", ".join(str(path) for path in (self.ca, self.cert, self.key) if path is not None)
-            raise ConfigError(f"TLS files {files} cannot be used: {error}; PEM files are expected") from error
-        return context
+    Errors: ConfigError for a file that is missing or not a certificate.
+    """
+    try:
+        context = ssl.create_default_context(cafile=ca)
+        if cert is not None:
+            context.load_cert_chain(cert, key)
+    except (OSError, ssl.SSLError) as error:
+        files = ", ".join(str(path) for path in (ca, cert, key) if path is not None)
+        raise ConfigError(f"TLS files {files} cannot be used: {error}; PEM files are expected") from error
+    return context
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from edge.clock import local_time
 from edge.core.errors import ConfigError, SinkUnavailable
 from edge.core.printable import score_texts
 from edge.core.sink_context import TOPIC_VERSION
-from edge.messaging.mqtt_broker import Broker, Received, Tls
+from edge.messaging.mqtt_broker import Broker, Received, tls_context
 from edge.messaging.mqtt_connection import Connection
 from edge.store.ulid import is_ulid
 
@@ -68,7 +68,7 @@ def broker_at(
         password = None if password_file is None else password_file.read_text(encoding="utf-8").rstrip("\r\n")
     except OSError as error:
         raise ConfigError(f"password file {password_file} cannot be read: {error.strerror}") from error
-    tls = None if ca is None else Tls(ca).context()
+    tls = None if ca is None else tls_context(ca)
     return Broker(host, port, f"gelgate-{client}-{os.getpid()}", username, password, tls)
 
 

@@ -71,7 +71,7 @@ class Inspector:
         except FrameCorrupt as error:
             return replace(press, error=str(error))
         latency = {"decode": (self._clock.monotonic_ns() - started_ns) / 1e6}
-        rgb = np.ascontiguousarray(self.bundle.region.crop(picture.rgb))
+        rgb = np.ascontiguousarray(self.bundle.region.crop(picture))
         press = replace(press, rgb=rgb, latency_ms=latency)
         rejection = check_light(picture, self._quality)
         if rejection is None and self._colours is not None:

@@ -18,22 +18,10 @@ from edge.core.imaging.quality import BLACK_LEVEL
 from edge.recording.format import DELIVERED_SHARE, RecordingHeader, RecordingWriter
 from edge.recording.from_video import VIDEO_SUFFIXES
 
-__all__ = ["CopyNoise", "PressLift", "images_in", "record_images"]
+__all__ = ["PressLift", "images_in", "record_images"]
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png"})
 _LISTED = 20
-
-
-@dataclass(frozen=True)
-class CopyNoise:
-    """Gaussian noise for copies: its standard deviation in grey levels, and the seed that makes it repeatable."""
-
-    sd: float
-    seed: int
-
-    def __post_init__(self) -> None:
-        if not 0 < self.sd < 64:
-            raise ValueError(f"noise has a standard deviation between 0 and 64 grey levels, found {self.sd}")
 
 
 @dataclass(frozen=True)
@@ -46,12 +34,19 @@ class PressLift:
     free_frames: int = 20
     press_frames: int = 12
     number_copies: bool = False
-    noise: CopyNoise | None = None
+    noise_levels: float = 0.0
+    """Standard deviation of Gaussian noise in copies, in grey levels."""
+    noise_seed: int = 0
+    """Makes it repeatable."""
 
     def __post_init__(self) -> None:
         if not 0 < self.fps < 1000 or min(self.free_frames, self.lead_frames) < 0 or self.press_frames < 1:
             raise ValueError(
                 f"fps is positive, lead_frames and free_frames at least 0, press_frames at least 1, found {self}"
+            )
+        if not 0 <= self.noise_levels < 64:
+            raise ValueError(
+                f"noise has a standard deviation from 0 to below 64 grey levels, found {self.noise_levels}"
             )
 
 
@@ -122,12 +117,12 @@ def _add_shot(writer: RecordingWriter, shot: _Shot, plan: PressLift) -> None:
 
 
 def _copy(original: bytes, position: int, plan: PressLift) -> bytes:
-    if plan.noise is not None:
-        return _with_noise(original, plan.noise, position)
+    if plan.noise_levels:
+        return _with_noise(original, plan, position)
     return with_comment(original, f"gelgate copy, frame {position}") if plan.number_copies else original
 
 
-def _with_noise(original: bytes, noise: CopyNoise, position: int) -> bytes:
+def _with_noise(original: bytes, plan: PressLift, position: int) -> bytes:
     """The picture with noise from seed and position, in the same file format, JPEG quality 95."""
     import cv2
     import numpy as np
@@ -135,7 +130,7 @@ def _with_noise(original: bytes, noise: CopyNoise, position: int) -> bytes:
     bgr = cv2.imdecode(np.frombuffer(original, np.uint8), cv2.IMREAD_COLOR)
     if bgr is None:
         raise DatasetError(f"an image of {len(original)} bytes cannot be decoded")
-    grain = np.random.default_rng([noise.seed, position]).normal(0.0, noise.sd, bgr.shape)
+    grain = np.random.default_rng([plan.noise_seed, position]).normal(0.0, plan.noise_levels, bgr.shape)
     noisy = np.clip(np.rint(bgr.astype(np.float64) + grain), 0, 255).astype(np.uint8)
     suffix, how = (".jpg", [cv2.IMWRITE_JPEG_QUALITY, 95]) if kind(original) == "jpg" else (".png", [])
     return cv2.imencode(suffix, noisy, how)[1].tobytes()

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstra
 from edge.core.errors import ConfigError
 from edge.core.sink_context import topic_level
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
-from edge.messaging.mqtt_broker import Broker, Tls
+from edge.messaging.mqtt_broker import Broker, tls_context
 
 __all__ = ["LARGEST_PACKET_BYTES", "BrokerOptions", "MqttOptions", "TlsOptions", "TopicLevel"]
 
@@ -116,7 +116,7 @@ class BrokerOptions(BaseModel):
             client_id=self.client_id or client_id,
             username=self.username,
             password=None if self.password_file is None else _password(self.password_file),
-            tls=None if self.tls is None else Tls(self.tls.ca, self.tls.cert, self.tls.key).context(),
+            tls=None if self.tls is None else tls_context(self.tls.ca, self.tls.cert, self.tls.key),
             keepalive_s=self.keepalive_s,
             timeout_s=self.acknowledge_s,
             level=None if self.protocol == "auto" else self.protocol,

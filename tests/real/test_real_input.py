@@ -25,7 +25,7 @@ from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.gateway.gateway import Gateway
 from edge.gateway.recorder import PressReport
-from edge.recording.from_images import CopyNoise, PressLift, record_images
+from edge.recording.from_images import PressLift, record_images
 from edge.store.press_store import Store
 
 PROFILE = profile("cropped_lr")
@@ -54,7 +54,7 @@ def station(unit: Path, real_tactile: Path, tmp_path_factory: pytest.TempPathFac
     config = FitConfig("ball", "any", PROFILE, REGION, detector, trunk, folds=2)
     bundle = fit_files(presses, config, created="test").write(folder / "ball")
     tested = [unit / "6.310mm" / str(k) / "gelsight.png" for k in TESTED]
-    plan = PressLift(lead_frames=20, free_frames=12, press_frames=10, noise=CopyNoise(1.5, seed=1))
+    plan = PressLift(lead_frames=20, free_frames=12, press_frames=10, noise_levels=1.5, noise_seed=1)
     record_images(
         folder / "presses",
         [*tested, _thread_on_this_unit(unit, real_tactile, folder / "thread.png")],

@@ -10,7 +10,7 @@ from small_recordings import PRODUCT, SERIAL, jpeg
 from edge.core.errors import DatasetError
 from edge.core.imaging.image_bytes import comment, damage
 from edge.recording.format import Recording
-from edge.recording.from_images import CopyNoise, PressLift, images_in, record_images
+from edge.recording.from_images import PressLift, images_in, record_images
 
 
 def make(folder: Path, plan: PressLift, *, suffix: str = ".jpg", presses: int = 2) -> Recording:
@@ -71,7 +71,7 @@ def test_noise_has_its_strength_and_its_seed(tmp_path: Path) -> None:
     cv2.imwrite(str(grey), np.full((96, 128, 3), 128, np.uint8))
     takes = []
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        plan = PressLift(press_frames=2, noise=CopyNoise(2.0, seed))
+        plan = PressLift(press_frames=2, noise_levels=2.0, noise_seed=seed)
         record_images(tmp_path / name, [grey], None, plan, product=PRODUCT, serial=SERIAL)
         takes.append(Recording.open(tmp_path / name)[1].frame.payload)
     assert takes[0] == takes[1] != takes[2]

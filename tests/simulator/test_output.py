@@ -85,7 +85,7 @@ def test_a_recordings_held_frames_show_the_press(tmp_path: Path) -> None:
     pictures: dict[str, list[np.ndarray]] = {}
     for frame in recording:
         assert frame.label is not None
-        rgb = decode(frame.frame, PROFILES["cropped_lr"]).rgb.astype(np.float32)
+        rgb = decode(frame.frame, PROFILES["cropped_lr"]).astype(np.float32)
         pictures.setdefault(str(frame.label["phase"]), []).append(rgb)
     free = pictures["idle"][0]
     assert np.abs(pictures["idle"][1] - free).max() < 40
@@ -104,7 +104,7 @@ def test_a_native_recording_decodes_to_the_low_resolution_picture(tmp_path: Path
             simulate_recording(load_scene(tmp_path / f"{name}.toml"), tmp_path / name, 1)
         )
         held = next(f for f in recording if f.label and f.label["phase"] == "hold")
-        views.append(decode(held.frame, PROFILES[profile]).rgb.astype(np.float32))
+        views.append(decode(held.frame, PROFILES[profile]).astype(np.float32))
     assert Recording.open(tmp_path / "native").header.mode == (3280, 2464)
     assert np.abs(views[0] - views[1]).mean() < 2.0
 

@@ -70,7 +70,7 @@ class Drawing:
     def decode(self, number: int) -> NDArray[np.uint8]:
         """The region of a camera frame, uint8 (h, w, 3)."""
         frame = self._frames[number % len(self._frames)]
-        return np.ascontiguousarray(self._region.crop(decode(frame, self._profile).rgb))
+        return np.ascontiguousarray(self._region.crop(decode(frame, self._profile)))
 
     def draw(self, rgb: NDArray[np.uint8], score_map: NDArray[np.float32], score: float) -> bytes:
         caption = PressCaption(

@@ -251,11 +251,11 @@ def _read_recording(folder: Path, gathered: _Gathered) -> None:
         specimens[recorded.frame.sequence] = (recorded.label or {}).get("specimen")
         for found in finder.feed(recorded.frame):
             if isinstance(found, FoundPress):
-                number, rgb = found.frame.sequence, decode(found.frame, gathered.profile).rgb
+                number, rgb = found.frame.sequence, decode(found.frame, gathered.profile)
                 piece = None if specimens[number] is None else str(specimens[number])
                 gathered.add(rgb, f"{folder.name}#{number}", piece, (found.mask, found.relief or 0.0))
             elif len(gathered.free) < MAX_NO_CONTACT:
-                gathered.free.append(decode(found, gathered.profile).rgb)
+                gathered.free.append(decode(found, gathered.profile))
     if finder.detector.newest is None:
         gathered.refused.append(why_unread(folder, recording, finder.detector))
     gathered.faults += _incomplete(recording, finder.settled, finder.detector)

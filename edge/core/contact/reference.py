@@ -6,7 +6,6 @@ does not touch.
 """
 
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +39,6 @@ class Levels:
 
     gain: NDArray[np.float32]
     offset: NDArray[np.float32]
-
-    @classmethod
-    def unchanged(cls) -> Self:
-        return cls(np.ones(3, np.float32), np.zeros(3, np.float32))
 
     def applied(self, view: View) -> View:
         """The view at the reference's level: float32 (h, w, 3), not clipped."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import FrameCorrupt
-from edge.core.imaging.frames import CameraFrame, Picture
+from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
 from edge.core.imaging.sensor_profile import SensorProfile
 
@@ -26,14 +26,13 @@ _FLAGS = {
 }
 
 
-def decode(frame: CameraFrame, profile: SensorProfile) -> Picture:
+def decode(frame: CameraFrame, profile: SensorProfile) -> NDArray[np.uint8]:
     """The picture of a frame in its profile's geometry: RGB uint8, (h, w, 3) of profile.size.
 
     The payload is a JPEG or a PNG; the JPEG is decoded at 1/decode_scale in the DCT domain. Errors: FrameCorrupt for
     bytes that are not a picture, end early, or have another native size.
     """
-    bgr = _resize(_crop(frame, profile, profile.decode_scale), profile.size)
-    return Picture(_to_rgb(bgr), frame.timestamp_ns, frame.sequence)
+    return _to_rgb(_resize(_crop(frame, profile, profile.decode_scale), profile.size))
 
 
 def decode_view(frame: CameraFrame, profile: SensorProfile) -> NDArray[np.float32]:

@@ -1,15 +1,12 @@
-"""The values that flow from the camera to the detector."""
+"""The frames of a camera."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
 from edge.core.imaging.image_bytes import damage, picture_size
 
-__all__ = ["CameraFrame", "Picture"]
+__all__ = ["CameraFrame"]
 
 
 @dataclass(frozen=True)
@@ -42,17 +39,3 @@ class CameraFrame:
             {name: self.__dict__[name] for name in ("damage", "size") if name in self.__dict__}
         )
         return frame
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A decoded frame in the geometry of a sensor profile."""
-
-    rgb: NDArray[np.uint8]
-    """uint8, (h, w, 3), channel order red, green, blue. The other fields are those of its camera frame."""
-    timestamp_ns: int
-    sequence: int
-
-    def __post_init__(self) -> None:
-        if self.rgb.ndim != 3 or self.rgb.shape[2] != 3 or self.rgb.dtype != np.uint8:
-            raise ValueError(f"a picture is uint8 (h, w, 3), found {self.rgb.dtype} {self.rgb.shape}")

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
-from edge.core.imaging.frames import Picture
 
 __all__ = [
     "BLACK_LEVEL",
@@ -91,18 +90,18 @@ class QualitySettings:
 
 
 def check_light(
-    picture: Picture, settings: QualitySettings | None = None, free_saturated: float = 0.0
+    rgb: NDArray[np.uint8], settings: QualitySettings | None = None, free_saturated: float = 0.0
 ) -> Rejection | None:
-    """Black or saturated, or None. free_saturated: the fraction that the untouched gel saturates already."""
+    """Black or saturated, or None. rgb: uint8 (h, w, 3). free_saturated: what the untouched gel saturates already."""
     limits = settings or QualitySettings()
-    mean = float(picture.rgb.mean(dtype=np.float64))
+    mean = float(rgb.mean(dtype=np.float64))
     if mean < limits.black_level:
         return Rejection(
             Reason.BLACK,
             f"the frame's mean level is {mean:.1f}, at least {limits.black_level:g} is expected; "
             "check the sensor's light and cable",
         )
-    excess = saturated_fraction(picture.rgb, limits) - free_saturated
+    excess = saturated_fraction(rgb, limits) - free_saturated
     if excess > limits.saturated_fraction:
         return Rejection(
             Reason.SATURATED,

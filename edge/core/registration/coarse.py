@@ -5,7 +5,6 @@ is found where most of it fits.
 """
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from edge.core.registration.pose import Pose, turn_slopes
 
-__all__ = ["Candidate", "CoarseSearch"]
+__all__ = ["CoarseSearch"]
 
 F32 = NDArray[np.float32]
 
@@ -24,14 +23,6 @@ _ROOM = 8 / 7
 _APART = (2, 2, 2)
 # A coarse match within this share of the best may become the best when it is refined.
 _NEARLY = 0.8
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """pose: in cells. match: correlation of the slopes, at most 1."""
-
-    pose: Pose
-    match: float
 
 
 class CoarseSearch:
@@ -45,22 +36,23 @@ class CoarseSearch:
         turned /= np.maximum(norms, np.finfo(np.float32).tiny).astype(np.float32)
         self._spectra = np.conj(self._spectra_of(turned)).transpose(1, 0, 2, 3)
 
-    def candidates(self, slopes: F32, count: int) -> list[Candidate]:
-        """The best poses, best first, none next to another: a regular part fits nearly as well a pitch further on.
+    def candidates(self, slopes: F32, count: int) -> list[tuple[Pose, float]]:
+        """The best poses in cells, each with the correlation of its slopes, at most 1; best first, none next to another.
 
-        Those that fit much worse than the best are left out. slopes: of a press, in cells.
+        A regular part fits nearly as well a pitch further on. Those that fit much worse than the best are left out.
+        slopes: of a press, in cells.
         """
         matches = self._matches(slopes)
-        best: list[Candidate] = []
+        best: list[tuple[Pose, float]] = []
         while len(best) < count:
             at = np.unravel_index(int(matches.argmax()), matches.shape)
             match = float(matches[at])
-            if best and match < _NEARLY * best[0].match:
+            if best and match < _NEARLY * best[0][1]:
                 break
             # Between the turns and the cells, by a parabola along each axis.
             turn, row, column = (float(k) + _vertex(matches, at, axis) for axis, k in enumerate(at))
             pose = Pose(self._to_shift(column), self._to_shift(row), turn * self._step_rad)
-            best.append(Candidate(pose, match))
+            best.append((pose, match))
             turns, rows, columns = (
                 np.arange(k - away, k + away + 1) % n
                 for k, away, n in zip(at, _APART, matches.shape, strict=True)

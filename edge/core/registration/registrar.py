@@ -53,7 +53,7 @@ class PoseSearch:
         """The best pose, in pixels of these slopes, float32 (h, w, 2) in the size of the part's."""
         small = shrunk(slopes, SIDE_PX // 2)
         first = self._coarse.candidates(shrunk(slopes, _COARSE_CELLS), _CANDIDATES)
-        tried = self._middle.refine(small, [found.pose.scale(self._cell) for found in first], _FIRST_ROUNDS)
+        tried = self._middle.refine(small, [pose.scale(self._cell) for pose, _ in first], _FIRST_ROUNDS)
         best = max(tried, key=lambda pose: self._worth(small, pose))
         return self._fine.align(slopes, best.scale(self._factor), _FINE_ROUNDS)
 

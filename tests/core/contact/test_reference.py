@@ -98,7 +98,8 @@ def test_known_levels_are_found() -> None:
     )
     assert levels.gain == pytest.approx([1.1, 0.9, 1.0], abs=0.01)
     assert levels.offset == pytest.approx([3, -4, 0], abs=0.5)
-    assert np.array_equal(Levels.unchanged().applied(view), view)
+    unchanged = Levels(np.ones(3, np.float32), np.zeros(3, np.float32))
+    assert np.array_equal(unchanged.applied(view), view)
 
 
 @pytest.mark.parametrize("value", [0.0, 128.0, 255.0])

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
-from edge.core.imaging.frames import Picture
 from edge.core.imaging.quality import (
     NominalContact,
     QualitySettings,
@@ -21,12 +21,12 @@ NOMINAL = NominalContact(x=(0.47, 0.53), y=(0.42, 0.58), area=(0.05, 0.10))
 LR = (320, 240)
 
 
-def flat(value: int) -> Picture:
-    return Picture(np.full((240, 320, 3), value, np.uint8), 0, 0)
+def flat(value: int) -> NDArray[np.uint8]:
+    return np.full((240, 320, 3), value, np.uint8)
 
 
 LIT = flat(100)
-LIT.rgb[:48, :, 2] = 255
+LIT[:48, :, 2] = 255
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ LIT.rgb[:48, :, 2] = 255
         (LIT, 0.15, None),  # what is saturated on the free gel does not count
     ],
 )
-def test_light(picture: Picture, free_saturated: float, reason: Reason | None) -> None:
+def test_light(picture: NDArray[np.uint8], free_saturated: float, reason: Reason | None) -> None:
     """A dark sensor, a dim picture and too much light are distinguished."""
     found = check_light(picture, free_saturated=free_saturated)
     assert (found and found.reason) is reason
@@ -47,7 +47,7 @@ def test_light(picture: Picture, free_saturated: float, reason: Reason | None) -
 
 def test_the_saturated_share_is_that_of_pixels() -> None:
     """A fifth of the rows, in one channel."""
-    assert saturated_fraction(LIT.rgb) == pytest.approx(0.2)
+    assert saturated_fraction(LIT) == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(("age_ns", "is_stale"), [(0, False), (10**9, False), (10**9 + 1, True), (-1, True)])

@@ -13,7 +13,7 @@ def test_no_candidate_lies_next_to_another() -> None:
     """A regular part fits nearly as well a pitch further on: each of the best is a pose of its own."""
     slopes = parts.slopes(parts.TEETH, Pose(), 64).astype(np.float32)
     found = CoarseSearch(slopes, 36).candidates(slopes, 6)
-    places = [(one.pose.x_px, one.pose.y_px, round(one.pose.turn_rad * 18 / np.pi)) for one in found]
+    places = [(pose.x_px, pose.y_px, round(pose.turn_rad * 18 / np.pi)) for pose, _ in found]
 
     assert len(found) > 1
     assert all(
@@ -21,8 +21,8 @@ def test_no_candidate_lies_next_to_another() -> None:
         for k, one in enumerate(places)
         for other in places[:k]
     )
-    assert round(found[0].match, 3) == 1.0
-    assert math.hypot(found[0].pose.x_px, found[0].pose.y_px) < 0.1
+    assert round(found[0][1], 3) == 1.0
+    assert math.hypot(found[0][0].x_px, found[0][0].y_px) < 0.1
 
 
 def test_what_fits_much_worse_than_the_best_is_no_candidate() -> None:
@@ -31,17 +31,17 @@ def test_what_fits_much_worse_than_the_best_is_no_candidate() -> None:
     found = CoarseSearch(slopes, 36).candidates(slopes, 40)
 
     assert len(found) < 40
-    assert min(one.match for one in found) >= 0.8 * found[0].match
+    assert min(match for _, match in found) >= 0.8 * found[0][1]
 
 
 def test_a_pose_between_the_turns_and_the_cells_is_found_there() -> None:
     """Within 0.4 cells and a quarter of a step, where the nearest of each is half of one away."""
     slopes = parts.slopes(parts.BLOCK, Pose(), 64).astype(np.float32)
     true = Pose(3.5, -2.5, math.radians(45))
-    (found, *_) = CoarseSearch(slopes, 36).candidates(
+    ((pose, _), *_) = CoarseSearch(slopes, 36).candidates(
         parts.slopes(parts.BLOCK, true, 64).astype(np.float32), 8
     )
-    rest = true.inverse().after(found.pose)
+    rest = true.inverse().after(pose)
 
     assert max(abs(rest.x_px), abs(rest.y_px)) < 0.4
     assert abs(math.degrees(rest.turn_rad)) < 2.5

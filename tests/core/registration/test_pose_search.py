@@ -29,8 +29,8 @@ def _apart(one: Pose, other: Pose) -> tuple[float, float]:
 def test_the_fast_search_finds_what_an_exhaustive_one_finds(true: Pose) -> None:
     """The coarse search at twice the turns and nearly twice the cells, then ten rounds: 0.01 px and 0.01 degrees."""
     part, press = _slopes(Pose()), _slopes(true)
-    (first, *_) = CoarseSearch(shrunk(part, SIDE // 2), 72).candidates(shrunk(press, SIDE // 2), 1)
-    (slow,) = FineSearch(part).refine(press, [first.pose.scale(2)], 10)
+    ((first, _), *_) = CoarseSearch(shrunk(part, SIDE // 2), 72).candidates(shrunk(press, SIDE // 2), 1)
+    (slow,) = FineSearch(part).refine(press, [first.scale(2)], 10)
 
     assert max(_apart(slow, PoseSearch(part).find(press).pose)) < 0.01
 
