@@ -37,7 +37,7 @@ class CoarseSearch:
         self._spectra = np.conj(self._spectra_of(turned)).transpose(1, 0, 2, 3)
 
     def candidates(self, slopes: F32, count: int) -> list[tuple[Pose, float]]:
-        """The best poses in cells, each with the correlation of its slopes, at most 1; best first, none next to another.
+        """The best poses in cells, each with the correlation of its slopes, at most 1; best first, none by another.
 
         A regular part fits nearly as well a pitch further on. Those that fit much worse than the best are left out.
         slopes: of a press, in cells.
