@@ -176,12 +176,12 @@ def _say_presses(out: Path, name: str) -> None:
         return
     typer.echo("counting its presses; Ctrl-C leaves that out", err=True)
     try:
-        presses = presses_in(recording, profile)
+        found, doubts = presses_in(recording, profile)
     except KeyboardInterrupt:
         typer.echo("presses in it are not counted")
         return
-    typer.echo(f"seen in it: {presses}")
-    for doubt in presses.doubts:
+    typer.echo(f"seen in it: {found}")
+    for doubt in doubts:
         typer.echo(f"warning: {doubt}", err=True)
 
 

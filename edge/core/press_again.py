@@ -21,7 +21,7 @@ piece are two draws from the scores of the same kind and size of rendered damage
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Final
 
@@ -138,13 +138,8 @@ def plan(known: KnownScores, threshold: float, rate: float, costs: Costs) -> Pla
     spent = [_cost(one, costs) for one in plans]
     best = int(np.argmin(spent))
     if best == 0:
-        return Plan(
-            "at these costs a second press costs more than the false alarms that it saves",
-            None,
-            1.0,
-            plans[0].false_alarms,
-            plans[0].misses,
-        )
+        why = "at these costs a second press costs more than the false alarms that it saves"
+        return replace(plans[0], why=why, bound=None)
     return plans[best]
 
 
@@ -179,7 +174,10 @@ def _at(bound: float, sound: _Tail, damaged: Sequence[Float], costs: Costs) -> P
     """Compute what is expected with this bound."""
     asked = sound.rate - sound.above(bound)
     false_alarms = sound.above(bound) + sound.both(bound)
-    shares = [_of_group(scores, sound.threshold, bound) for scores in damaged]
+    # Of pieces with one kind of damage: missed by the first press, pressed again, then missed.
+    first = [float(np.mean(scores <= sound.threshold)) for scores in damaged]
+    again = [float(np.mean((scores > sound.threshold) & (scores <= bound))) for scores in damaged]
+    shares = [(miss, more, more * miss) for miss, more in zip(first, again, strict=True)]
     missed, asked_again, missed_again = np.mean(shares, axis=0).tolist()
     rate = costs.defect_rate
     return Plan(
@@ -189,13 +187,6 @@ def _at(bound: float, sound: _Tail, damaged: Sequence[Float], costs: Costs) -> P
         (sound.rate, false_alarms),
         (missed, missed + missed_again),
     )
-
-
-def _of_group(scores: Float, threshold: float, bound: float) -> tuple[float, float, float]:
-    """Compute three shares of pieces with one kind of damage: missed by the first press, pressed again, then missed."""
-    missed = float(np.mean(scores <= threshold))
-    asked = float(np.mean((scores > threshold) & (scores <= bound)))
-    return missed, asked, asked * missed
 
 
 def _cost(one: Plan, costs: Costs) -> float:

@@ -6,7 +6,7 @@ from importlib.metadata import version
 from edge.config import Config
 from edge.core.sink_context import Place, topic_root
 from edge.gateway.command_table import station_commands
-from edge.messaging.descriptions.station import DescribedStation, ServedCommand, SparkplugNode
+from edge.messaging.descriptions.station import DescribedStation, SparkplugNode
 
 __all__ = ["DescribedBroker", "broker_of", "describe_station"]
 
@@ -19,11 +19,8 @@ def describe_station(config: Config) -> DescribedStation:
         root=topic_root(table.prefix, table.site, table.line, table.station),
         place=str(Place(table.site, table.line, table.station)),
         version=version("gelgate"),
-        commands=[
-            ServedCommand(one.verb, one.arguments, one.help, is_signed=one.verb in commands.signed)
-            for one in station_commands(config)
-            if one.verb in served
-        ],
+        commands=[one for one in station_commands(config) if one.verb in served],
+        signed=commands.signed,
     )
 
 

@@ -4,32 +4,20 @@ import json
 from collections.abc import Iterable, Iterator
 from importlib.resources import files
 from string import Template
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from pydantic import BaseModel
 
 from edge.core.sink_context import TOPIC_VERSION
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS, signature_of, signed_text
+from edge.messaging.descriptions.station import DescribedCommand
 from edge.messaging.payload_base import Payload
 from edge.messaging.topics import TOPICS
 from edge.pictures.heatmap import FULL_SCALE
 from edge.pictures.press_picture import LARGEST_BYTES, TEXT_KEYWORDS
 
-__all__ = ["DocumentedCommand", "reference"]
-
-
-class DocumentedCommand(Protocol):
-    """A command on the page: its verb, the model of its arguments, and its effect."""
-
-    @property
-    def verb(self) -> str: ...
-    @property
-    def arguments(self) -> type[BaseModel]: ...
-    @property
-    def help(self) -> str: ...
-    @property
-    def changes(self) -> str: ...
+__all__ = ["reference"]
 
 
 _EXAMPLE_ROOT: Final = "gelgate/plant/line1/station1/gel/v1"
@@ -37,7 +25,7 @@ _EXAMPLE_SECRET: Final = "0123456789abcdef0123456789abcdef"
 _EXAMPLE_NS: Final = 1_780_000_000_000_000_000
 
 
-def reference(commands: Iterable[DocumentedCommand]) -> str:
+def reference(commands: Iterable[DescribedCommand]) -> str:
     """Print the complete page, Markdown. commands: those of a station."""
     arguments = {"gel_id": "batch7-3", "note": "torn"}
     text = signed_text(_EXAMPLE_ROOT, "replace_gel", "17", _EXAMPLE_NS, "kim", arguments)
@@ -68,7 +56,7 @@ def _overview() -> Iterator[str]:
         yield f"| `{topic}` | {qos} | {'yes' if retained else 'no'} | {name} | {meaning} |"
 
 
-def _commands(commands: Iterable[DocumentedCommand]) -> Iterator[str]:
+def _commands(commands: Iterable[DescribedCommand]) -> Iterator[str]:
     yield "\n## Commands\n\n| verb | arguments | what it does | what it changes |\n| --- | --- | --- | --- |"
     for command in commands:
         arguments, changes = _arguments(command.arguments), command.changes or "nothing"

@@ -15,7 +15,7 @@ from edge.gateway.command_table import every_command
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.command_payloads import CommandResponse
 from edge.messaging.descriptions.asyncapi import asyncapi_message, document
-from edge.messaging.descriptions.station import DescribedStation, ServedCommand
+from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.result_payload import DefectPlace, press_messages
 from edge.messaging.status_payloads import (
     GelPayload,
@@ -35,10 +35,8 @@ STATION = DescribedStation(
     ROOT,
     "plant/line1/press2",
     "0.2.0",
-    [
-        ServedCommand(one.verb, one.arguments, one.help, is_signed=one.verb == "relearn")
-        for one in every_command()
-    ],
+    every_command(),
+    ["relearn"],
 )
 
 

@@ -16,7 +16,7 @@ from pydantic.json_schema import models_json_schema
 from edge.core.ports import Message
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
-from edge.messaging.descriptions.station import DescribedStation, ServedCommand
+from edge.messaging.descriptions.station import DescribedCommand, DescribedStation
 from edge.messaging.topics import TOPICS, Topic
 
 __all__ = ["asyncapi_message", "document"]
@@ -142,8 +142,8 @@ def _sends(topic: Topic) -> dict[str, Any]:
     }
 
 
-def _request_channel(station: DescribedStation, command: ServedCommand) -> dict[str, Any]:
-    signed = " Only with a signature." if command.is_signed else ""
+def _request_channel(station: DescribedStation, command: DescribedCommand) -> dict[str, Any]:
+    signed = " Only with a signature." if command.verb in station.signed else ""
     payload = {"$ref": REFERENCE.format(model=_request_name(command))}
     return {
         "address": f"{station.root}/cmd/{command.verb}",
@@ -152,11 +152,11 @@ def _request_channel(station: DescribedStation, command: ServedCommand) -> dict[
     }
 
 
-def _request_name(command: ServedCommand) -> str:
+def _request_name(command: DescribedCommand) -> str:
     return f"{command.verb}_request"
 
 
-def _receives(command: ServedCommand) -> dict[str, Any]:
+def _receives(command: DescribedCommand) -> dict[str, Any]:
     return {
         "action": "receive",
         "channel": {"$ref": f"#/channels/cmd_{command.verb}"},

@@ -1,15 +1,15 @@
 """What the descriptions of a station need to know of it, and the names of its Sparkplug B edge node."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from importlib.metadata import version
-from typing import Any, Final, Self
+from typing import Any, Final, Protocol, Self
 
-from edge.messaging.command_payloads import CommandArguments
+from pydantic import BaseModel
 
-__all__ = ["PUBLISHED", "REQUESTED", "DescribedStation", "ServedCommand", "SparkplugNode", "read_template"]
+__all__ = ["PUBLISHED", "REQUESTED", "DescribedCommand", "DescribedStation", "SparkplugNode", "read_template"]
 
 PUBLISHED: Final = ("NBIRTH", "NDATA", "NDEATH")
 """What a Sparkplug node without devices publishes. Ref: Eclipse Sparkplug 3.0.0, 4.1 (topic namespace)."""
@@ -18,15 +18,17 @@ REQUESTED: Final = "NCMD"
 """What it is asked with."""
 
 
-@dataclass(frozen=True)
-class ServedCommand:
-    """A verb that the station serves."""
+class DescribedCommand(Protocol):
+    """A request to a station: its verb, the model of its arguments, what it does, and what it changes for good."""
 
-    verb: str
-    arguments: type[CommandArguments]
-    help: str
-    is_signed: bool = False
-    """Only with a signature."""
+    @property
+    def verb(self) -> str: ...
+    @property
+    def arguments(self) -> type[BaseModel]: ...
+    @property
+    def help(self) -> str: ...
+    @property
+    def changes(self) -> str: ...
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,10 @@ class DescribedStation:
     root: str
     place: str
     version: str
-    commands: Sequence[ServedCommand] = ()
+    commands: Sequence[DescribedCommand] = ()
+    """The commands that it serves."""
+    signed: Collection[str] = ()
+    """Verbs that it serves only with a signature."""
 
     @classmethod
     def of_root(cls, root: str) -> Self:
