@@ -18,6 +18,8 @@ from pathlib import Path
 from statistics import median
 from typing import Self
 
+from pydantic import TypeAdapter, ValidationError
+
 from edge.core.errors import RecordingError, StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
@@ -65,10 +67,20 @@ class RecordedFrame:
 
 @dataclass(frozen=True)
 class _Entry:
+    """One line of the index."""
+
     sequence: int
     time_ns: int
     file: str
-    label: Mapping[str, object] | None
+    label: Mapping[str, object] | None = None
+
+    def __post_init__(self) -> None:
+        if Path(self.file).is_absolute() or ".." in Path(self.file).parts:
+            raise ValueError(f"file {self.file!r} leads out of the recording")
+
+
+_ENTRY = TypeAdapter(_Entry)
+_HEADER_TABLE = TypeAdapter(RecordingHeader)
 
 
 class Recording:
@@ -256,38 +268,17 @@ def _read_header(folder: Path) -> RecordingHeader:
         raise RecordingError(
             f"{path} is of format version {version}; this program reads up to {VERSION}, install a newer gelgate"
         )
-    return _header_of(path, table)
-
-
-_HEADER_KEYS: Mapping[str, type | tuple[type, ...]] = {
-    "product": str,
-    "serial": str,
-    "width": int,
-    "height": int,
-    "nominal_fps": (int, float),
-    "profile": str,
-}
-
-
-def _header_of(path: Path, table: Mapping[str, object]) -> RecordingHeader:
-    table = {"profile": "", **table}
-    wrong = [
-        f"{key} = {table.get(key)!r}"
-        for key, type_ in _HEADER_KEYS.items()
-        if not isinstance(table.get(key), type_)
-    ]
-    if wrong:
-        raise RecordingError(f"{path} lacks a field or has one of the wrong type: {', '.join(wrong)}")
     try:
-        return RecordingHeader(
-            product=str(table["product"]),
-            serial=str(table["serial"]),
-            mode=(int(str(table["width"])), int(str(table["height"]))),
-            nominal_fps=float(str(table["nominal_fps"])),
-            profile=str(table["profile"]),
-        )
-    except ValueError as error:
-        raise RecordingError(f"{path}: {error}") from error
+        mode = (table.get("width"), table.get("height"))
+        return _HEADER_TABLE.validate_json(json.dumps({**table, "mode": mode}, default=str), strict=True)
+    except ValidationError as error:
+        raise RecordingError(
+            f"{path} lacks a field or has a wrong one, where mode is width and height: {_faults(error)}"
+        ) from error
+
+
+def _faults(error: ValidationError) -> str:
+    return ", ".join(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors())
 
 
 def _end_of_kept(folder: Path, header: RecordingHeader, keep: int) -> int:
@@ -320,27 +311,13 @@ def _read_index(path: Path) -> tuple[tuple[_Entry, ...], bool]:
     faults: list[str] = []
     for number, line in enumerate(lines, start=1):
         try:
-            entries.append(_entry(line))
-        except (ValueError, TypeError, KeyError) as error:
-            faults.append(f"line {number} ({type(error).__name__}: {error})")
+            entries.append(_ENTRY.validate_json(line, strict=True))
+        except ValidationError as error:
+            faults.append(f"line {number} ({_faults(error)})")
     if faults:
         raise RecordingError(f"{path} has {len(faults)} lines that are not index entries: {_some(faults)}")
     _check_times(path, entries)
     return tuple(entries), bool(rest)
-
-
-def _entry(line: bytes) -> _Entry:
-    fields = json.loads(line)
-    sequence, time_ns, file = fields["sequence"], fields["time_ns"], fields["file"]
-    if not (isinstance(sequence, int) and isinstance(time_ns, int) and isinstance(file, str)):
-        raise TypeError("sequence and time_ns are integers, file is a string")
-    parts = Path(file).parts
-    if Path(file).is_absolute() or ".." in parts:
-        raise ValueError(f"file {file!r} leads out of the recording")
-    label = fields.get("label")
-    if not (label is None or isinstance(label, dict)):
-        raise TypeError("label is an object")
-    return _Entry(sequence, time_ns, file, label)
 
 
 def _check_times(path: Path, entries: list[_Entry]) -> None:

@@ -94,7 +94,7 @@ def piped(name: str) -> Callable[[Path], object]:
     ("damage", "says"),
     [
         (header("version = 1", "version = 7"), r"version 7.*up to 1"),
-        (header("width = 64", ""), "width = None"),
+        (header("width = 64", ""), r"width and height: mode\.0"),
         (header("width = 64", "width = 0"), "positive"),
         (header("nominal_fps = 25.0", "nominal_fps = 0.0"), "nominal_fps"),
         (header("version = 1", ""), "version None"),
