@@ -139,7 +139,7 @@ def plan(known: KnownScores, threshold: float, rate: float, costs: Costs) -> Pla
     best = int(np.argmin(spent))
     if best == 0:
         why = "at these costs a second press costs more than the false alarms that it saves"
-        return replace(plans[0], why=why, bound=None)
+        return replace(plans[0], why=why, bound=None, presses=1.0)
     return plans[best]
 
 
