@@ -91,8 +91,8 @@ def _simulated(folder: Path, seed: int) -> tuple[Path, Path]:
     import os
 
     from calibration.progress import progress
+    from calibration.simulator.record import simulate_recording
     from calibration.simulator.scene import load_scene
-    from calibration.simulator.simulate import simulate_recording
 
     scene = load_scene("demo")
     paths = []

@@ -1,56 +1,69 @@
 """One acquisition: each press is kept, its features are compared with those before, and the standing is known."""
 
-from collections.abc import Sequence
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.acquisition.coverage import Goal, PlaceDistances, Standing
-from calibration.acquisition.folder import AcquisitionFolder, KeptPress, Pieces
+from calibration.acquisition.folder import AcquisitionFolder, KeptPress, Keys, Pieces
 from calibration.acquisition.report import coverage_png
-from calibration.acquisition.sources import FreeGel, LeftOut, Press
+from calibration.acquisition.sources import Found
 from calibration.dataset.files import read_rgb
+from calibration.fitting.candidates import Candidates
 from calibration.fitting.presses.nominal_presses import gather_presses, require_light, touched_union
 from calibration.fitting.tap_reader import TapReader
-from calibration.fitting.trunks import Trunk
+from calibration.fitting.trunks import open_trunk
+from edge import registry
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
+
+if TYPE_CHECKING:
+    from calibration.acquisition.command import AcquireArguments
 
 __all__ = ["Acquiring"]
 
 
 class Acquiring:
-    """Takes presses into a folder. tap: whose cells are compared. Presses already in the folder count.
+    """Takes presses into a folder. Those already in the folder count.
 
-    left_out: why presses were not taken, a sentence each. Errors: FitError for a trunk without the tap, DatasetError
-    for a press in the folder that cannot be read.
+    plan: with part and position. left_out: why presses were not taken, a sentence each. Errors: ConfigError for the
+    folder of something else, DatasetError for a press in the folder that cannot be read.
     """
 
-    def __init__(
-        self,
-        folder: AcquisitionFolder,
-        trunk: Trunk,
-        tap: str,
-        profile: SensorProfile,
-        region: Region,
-        pieces: Pieces,
-        goal: Goal,
-        *,
-        resize: bool = False,
-        threads: int = 2,
-    ) -> None:
-        self.folder, self.pieces, self.goal = folder, pieces, goal
+    def __init__(self, plan: "AcquireArguments", profile: SensorProfile) -> None:
+        self.goal = Goal(plan.promise, plan.confidence)
         self.left_out: list[str] = []
-        self._profile, self._region, self._tap, self._resize = profile, region, tap, resize
-        frame = region.height, region.width
-        self._reader = TapReader(trunk.graph, (tap,), frame, profile.pixels_per_mm, threads)
+        self._profile, self._region = profile, Region.parse(plan.region, profile.size)
+        # Presses are compared by the usual ones; which ones are best is known when there are presses.
+        usual = Candidates.of(plan.method, plan.backbone)
+        detector = registry.detector(usual.methods[0])
+        self._tap = detector.taps(detector.parameters())[0]
+        graph, frame = (
+            open_trunk(usual.trunks[0], (self._tap,)).graph,
+            (self._region.height, self._region.width),
+        )
+        self._reader = TapReader(graph, (self._tap,), frame, profile.pixels_per_mm, plan.threads)
+        about = {
+            "part": plan.part,
+            "position": plan.position,
+            "profile": plan.profile,
+            "region": str(self._region),
+        }
+        self.folder = AcquisitionFolder(plan.output, {key: str(value) for key, value in about.items()})
+        self.pieces = Pieces(self.folder.presses, plan.per_piece, Keys(sys.stdin) if plan.enter else None)
         self._distances = PlaceDistances()
         self._shown: NDArray[np.uint8] | None = None
-        self._free = [require_light(path, read_rgb(path, profile, resize=resize)) for path in folder.free]
-        for kept in folder.presses:
-            rgb = require_light(kept.path, read_rgb(kept.path, profile, resize=resize))
+
+        def read(path: Path) -> NDArray[np.uint8]:
+            return require_light(path, read_rgb(path, profile, resize=plan.resize))
+
+        self._free = [read(path) for path in self.folder.free]
+        for kept in self.folder.presses:
+            rgb = read(kept.path)
             self._compare(self._features(rgb), rgb, None, kept)
 
     @property
@@ -61,14 +74,14 @@ class Acquiring:
         pieces = None if not known else len(known) + numbers.count(None)
         return Standing(len(numbers), pieces, self._distances.coverage(), self.goal)
 
-    def take(self, found: Press | FreeGel | LeftOut) -> KeptPress | None:
+    def take(self, found: Found) -> KeptPress | None:
         """Keep what was found; returns the press if it is a new one. Errors: StoreError."""
-        if isinstance(found, FreeGel):
+        if isinstance(found, str):
+            self.left_out.append(found)
+            return None
+        if found.is_free:
             self.folder.add_free(found.payload)
             self._free.append(found.rgb)
-            return None
-        if isinstance(found, LeftOut):
-            self.left_out.append(found.why)
             return None
         if (again := self.folder.find(found.payload)) is not None:
             self.pieces.see_again(found.piece, again.piece)
@@ -102,15 +115,10 @@ class Acquiring:
         kept: KeptPress,
     ) -> None:
         self._shown = rgb
-        piece = None if kept.piece is None else str(kept.piece)
-        self._distances.add(features, self._touched(rgb, [] if mask is None else [mask]), piece)
-
-    def _touched(
-        self, rgb: NDArray[np.uint8], masks: Sequence[NDArray[np.bool_]]
-    ) -> NDArray[np.bool_] | None:
-        """Find where the press touches in the region, bool (h, w); None where the free gel is not known."""
-        if masks:
-            return touched_union(masks, self._profile, self._region)
-        if not self._free:
-            return None
-        return gather_presses({"press": rgb}, self._profile, self._region, no_contact=self._free[:1]).touched
+        touched = None
+        if mask is not None:
+            touched = touched_union([mask], self._profile, self._region)
+        elif self._free:
+            free = self._free[:1]
+            touched = gather_presses({"press": rgb}, self._profile, self._region, no_contact=free).touched
+        self._distances.add(features, touched, None if kept.piece is None else str(kept.piece))

@@ -2,7 +2,6 @@
 
 import math
 import shlex
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calibration.fitting.candidates import DEFAULT_METHOD, Candidates
+from calibration.fitting.candidates import DEFAULT_METHOD
 from calibration.fitting.options import (
     ChosenBackbone,
     NoContact,
@@ -28,7 +27,7 @@ from edge.cli.arguments import flatten
 if TYPE_CHECKING:
     from calibration.acquisition.acquiring import Acquiring
     from calibration.acquisition.coverage import Standing
-    from calibration.acquisition.sources import FreeGel, LeftOut, Press
+    from calibration.acquisition.sources import Found
     from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = ["AcquireArguments", "acquire", "alpha", "fit_command", "fit_now"]
@@ -98,6 +97,7 @@ def acquire(given: AcquireArguments) -> None:
     After each press: what is new on it, and what its number promises. Every press is kept at once; after Ctrl-C the
     same command continues.
     """
+    from calibration.acquisition.acquiring import Acquiring
     from calibration.fitting.command import choose_profile, refuse_existing
 
     _check(given)
@@ -106,7 +106,9 @@ def acquire(given: AcquireArguments) -> None:
     sensor = choose_profile(given.profile, given.sources or [])
     stream, part, position, limit = _stream(given, sensor)
     plan = replace(given, part=part, position=position, profile=sensor.name)
-    acquiring = _acquiring(plan, part, position, sensor)
+    acquiring = Acquiring(plan, sensor)
+    if acquiring.folder.presses:
+        typer.echo(f"{plan.output} has {len(acquiring.folder.presses)} presses already; they count")
     try:
         _run(acquiring, stream, limit, given.most, given.go_on)
     except KeyboardInterrupt:
@@ -127,18 +129,12 @@ def _check(given: AcquireArguments) -> None:
         raise ConfigError("--per-piece and --enter are two ways to say when a piece is new; give one of them")
 
 
-Stream = Iterator["Press | FreeGel | LeftOut"]
+Stream = Iterator["Found"]
 
 
 def _stream(given: AcquireArguments, profile: "SensorProfile") -> tuple[Stream, str, str, int]:
     """The presses, their part and position, and how many presses the gel is rated for. Errors: as the sources'."""
-    from calibration.acquisition.sources import (
-        frames_of,
-        from_frames,
-        from_sources,
-        open_named,
-        station_device,
-    )
+    from calibration.acquisition.sources import find_sensor, frames_of, from_frames, from_sources
     from calibration.fitting.command import resolve_sources
     from calibration.fitting.presses.recorded_presses import PressFinder
     from edge.clock import SystemClock
@@ -158,40 +154,13 @@ def _stream(given: AcquireArguments, profile: "SensorProfile") -> tuple[Stream, 
     if given.part is None:
         raise typer.BadParameter("Missing option '--part': a sensor does not know what is pressed.")
     clock = SystemClock()
-    if given.config is not None:
-        sensor = station_device(given.config, profile, clock)
-    else:
-        sensor = open_named(given.device or "", given.option or [], clock)
+    sensor = find_sensor(given.config, given.device or "", given.option or (), profile, clock)
     frames = frames_of(sensor, clock, lambda text: typer.echo(text, err=True))
     finder = PressFinder(profile, sensor.contact)
     stream = from_frames(
         ((frame, None) for frame in frames), finder, profile, given.device or str(given.config)
     )
     return stream, given.part, given.position or "default", sensor.gel_limit
-
-
-def _acquiring(plan: AcquireArguments, part: str, position: str, profile: "SensorProfile") -> "Acquiring":
-    from calibration.acquisition.acquiring import Acquiring
-    from calibration.acquisition.coverage import Goal
-    from calibration.acquisition.folder import About, AcquisitionFolder, Keys, Pieces
-    from calibration.fitting.trunks import open_trunk
-    from edge import registry
-    from edge.core.imaging.region import Region
-
-    region = Region.parse(plan.region, profile.size)
-    # Presses are compared by the usual ones; which ones are best is known when there are presses.
-    usual = Candidates.of(plan.method, plan.backbone)
-    detector = registry.detector(usual.methods[0])
-    tap = detector.taps(detector.parameters())[0]
-    trunk = open_trunk(usual.trunks[0], (tap,))
-    folder = AcquisitionFolder(plan.output, About(part, position, plan.profile, str(region)))
-    if folder.presses:
-        typer.echo(f"{plan.output} has {len(folder.presses)} presses already; they count")
-    pieces = Pieces(folder.presses, plan.per_piece, Keys(sys.stdin) if plan.enter else None)
-    goal = Goal(plan.promise, plan.confidence)
-    return Acquiring(
-        folder, trunk, tap, profile, region, pieces, goal, resize=plan.resize, threads=plan.threads
-    )
 
 
 def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: bool) -> None:
@@ -212,7 +181,7 @@ def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: b
         if kept is None:
             continue
         standing = acquiring.standing
-        acquiring.folder.log(signals(standing, kept.path.name, getattr(found, "name", "")))
+        acquiring.folder.log(signals(standing, kept.path.name, "" if isinstance(found, str) else found.name))
         typer.echo(press_line(standing, kept.piece))
         if standing.presses % ROUND == 0:
             typer.echo("\n".join(forecast_lines(standing, limit)))
@@ -250,12 +219,16 @@ def alpha(standing: "Standing") -> float:
     return min(USUAL_ALPHA, math.ceil(1e4 / (pieces + 1)) / 1e4)
 
 
+# What the fit is told in the words of the acquisition.
+_PASSED_ON = ("part", "position", "profile", "region", "method", "backbone")
+
+
 def fit_command(folder: Path, plan: AcquireArguments, standing: "Standing") -> str:
     """Return the command line that fits the acquired presses."""
     words = ["gelgate", "fit", str(folder / "presses"), "-o", f"{plan.part}.bundle"]
     if any((folder / "free").iterdir()):
         words += ["--no-contact", str(folder / "free")]
-    for name in ("part", "position", "profile", "region", "method", "backbone"):
+    for name in _PASSED_ON:
         words += [f"--{name}", str(getattr(plan, name))]
     words += ["--alpha", f"{alpha(standing):g}"] + ["--resize"] * plan.resize
     return shlex.join(words)
@@ -265,11 +238,10 @@ def fit_now(folder: Path, plan: AcquireArguments, standing: "Standing", output: 
     """Fit the acquired presses and print the summary. Errors: as `gelgate fit`."""
     from calibration.fitting.command import fit
 
-    named = ("part", "position", "method", "backbone", "profile", "region", "resize", "threads")
     fit(
         sources=[folder / "presses"],
         output=output,
         alpha=alpha(standing),
         no_contact=[folder / "free"] if any((folder / "free").iterdir()) else None,
-        **{name: getattr(plan, name) for name in named},
+        **{name: getattr(plan, name) for name in (*_PASSED_ON, "resize", "threads")},
     )

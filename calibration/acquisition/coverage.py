@@ -108,9 +108,6 @@ class PlaceDistances:
         self._touched: NDArray[np.bool_] | None = None
         self._distances = np.zeros((0, 0, 0, 0), np.float32)
 
-    def __len__(self) -> int:
-        return len(self._maps)
-
     def add(
         self,
         maps: NDArray[np.float32],

@@ -15,31 +15,21 @@ import json
 import os
 import re
 import threading
+from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.dataset.press import numbered
 from edge.core.errors import ConfigError, StoreError
 from edge.core.imaging.image_bytes import kind
 
-__all__ = ["MOST_FREE", "About", "AcquisitionFolder", "KeptPress", "Keys", "Pieces"]
+__all__ = ["MOST_FREE", "AcquisitionFolder", "KeptPress", "Keys", "Pieces"]
 
 MOST_FREE = 16
 """Pictures of the free gel that are kept: the detectors need only its mean and its noise."""
 
 _ABOUT, _VERSION = "acquisition.json", 1
-
-
-@dataclass(frozen=True)
-class About:
-    """What an acquisition is of."""
-
-    part: str
-    position: str
-    profile: str
-    region: str
-    """The region as text."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +44,11 @@ class KeptPress:
 class AcquisitionFolder:
     """Opens or begins an acquisition. presses: in the order in which they were taken.
 
-    Errors: ConfigError for a folder that holds something else, or another acquisition; StoreError.
+    about: what it is of: part, position, profile and region. Errors: ConfigError for a folder that holds something
+    else, or another acquisition; StoreError.
     """
 
-    def __init__(self, root: Path, about: About) -> None:
+    def __init__(self, root: Path, about: Mapping[str, str]) -> None:
         self.root, self.about = root, about
         self._begin()
         self.presses: list[KeptPress] = []
@@ -109,12 +100,16 @@ class AcquisitionFolder:
         if piece is None:
             return f"press_{len(self.presses) + 1:04d}"
         of_piece = sum(kept.piece == piece for kept in self.presses)
-        where = re.sub(r"[^A-Za-z0-9-]+", "-", f"{self.about.part}_{self.about.position}".replace("_", "-"))
+        where = re.sub(
+            r"[^A-Za-z0-9-]+", "-", f"{self.about['part']}_{self.about['position']}".replace("_", "-")
+        )
         return f"{where}_s{piece:03d}_p{of_piece + 1:02d}"
 
     def _write(self, name: str, payload: bytes) -> Path:
         """A complete file or none; after a power cut, too."""
-        path = self.root / f"{name}.{kind(payload) or 'bmp'}"
+        return self._replace(self.root / f"{name}.{kind(payload) or 'bmp'}", payload)
+
+    def _replace(self, path: Path, payload: bytes) -> Path:
         part = path.with_suffix(".part")
         try:
             with part.open("wb") as file:
@@ -127,7 +122,7 @@ class AcquisitionFolder:
         return path
 
     def _begin(self) -> None:
-        about = {"version": _VERSION, **asdict(self.about)}
+        about = {"version": _VERSION, **self.about}
         if self.root.exists() and not self.root.is_dir():
             raise ConfigError(f"{self.root} is a file, a folder is expected; choose another name")
         if self.root.exists() and any(self.root.iterdir()):
@@ -135,11 +130,9 @@ class AcquisitionFolder:
         try:
             for name in ("presses", "free"):
                 (self.root / name).mkdir(parents=True, exist_ok=True)
-            part = self.root / f"{_ABOUT}.part"
-            part.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
-            os.replace(part, self.root / _ABOUT)
         except OSError as error:
             raise self._refusal(error) from error
+        self._replace(self.root / _ABOUT, (json.dumps(about, indent=1) + "\n").encode())
 
     def _check(self, about: Mapping[str, object]) -> None:
         try:
@@ -198,16 +191,13 @@ class Pieces:
     def __init__(self, kept: Iterable[KeptPress], each: int | None = None, keys: Keys | None = None) -> None:
         self._each, self._keys = each, keys
         self._numbers: dict[str, int] = {}
-        self._presses: dict[int, int] = {}
-        for press in kept:
-            if press.piece is not None:
-                self._presses[press.piece] = self._presses.get(press.piece, 0) + 1
+        self._presses = Counter(press.piece for press in kept if press.piece is not None)
         self._newest = max(self._presses, default=0)
 
     @property
     def is_waiting(self) -> bool:
         """True where the next press is of a new piece because this one has all its presses."""
-        return self._each is not None and self._presses.get(self._newest, 0) >= self._each
+        return self._each is not None and self._presses[self._newest] >= self._each
 
     @property
     def next(self) -> int:
@@ -218,12 +208,10 @@ class Pieces:
         """The piece of the press that was just made. name: the source's own, None where it has none."""
         if name is not None:
             return self._count(self._numbers.setdefault(name, self.next))
-        if self._keys is not None:
-            is_new = self._keys.take() > 0
-            return self._count(self.next if is_new or not self._newest else self._newest)
-        if self._each is not None:
-            return self._count(self.next if self.is_waiting or not self._newest else self._newest)
-        return None
+        if self._keys is None and self._each is None:
+            return None
+        is_new = self.is_waiting if self._keys is None else self._keys.take() > 0
+        return self._count(self.next if is_new or not self._newest else self._newest)
 
     def see_again(self, name: str | None, piece: int | None) -> None:
         """Take a press of an earlier run that came again: its name belongs to that number."""
@@ -231,6 +219,6 @@ class Pieces:
             self._numbers[name] = piece
 
     def _count(self, piece: int) -> int:
-        self._presses[piece] = self._presses.get(piece, 0) + 1
+        self._presses[piece] += 1
         self._newest = max(self._newest, piece)
         return piece

@@ -1,7 +1,6 @@
 """Presses one by one: from pictures, from recordings, and from the frames of a sensor that is running."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,53 +30,29 @@ from edge.core.ports import Clock, Device
 from edge.gateway.opening import device_opener
 from edge.recording.format import Recording
 
-__all__ = [
-    "FreeGel",
-    "LeftOut",
-    "Press",
-    "Sensor",
-    "frames_of",
-    "from_frames",
-    "from_sources",
-    "open_named",
-    "station_device",
-]
+__all__ = ["Found", "Sensor", "Shown", "find_sensor", "frames_of", "from_frames", "from_sources"]
 
 
 @dataclass(frozen=True, eq=False)
-class Press:
-    """One press."""
+class Shown:
+    """A picture of a press, or of the free gel."""
 
     name: str
     """Where it is from."""
     payload: bytes
     """The picture's file."""
-    piece: str | None
-    """The piece; None where unknown."""
     rgb: NDArray[np.uint8]
     """uint8 (h, w, 3) in the profile's size."""
+    piece: str | None = None
+    """The piece; None where unknown."""
     mask: NDArray[np.bool_] | None = None
     """Where it touches in the contact view, bool (120, 160), None where the free gel is not known."""
+    is_free: bool = False
+    """Whether it is the gel without contact."""
 
 
-@dataclass(frozen=True, eq=False)
-class FreeGel:
-    """The gel without contact."""
-
-    payload: bytes
-    """The picture's file."""
-    rgb: NDArray[np.uint8]
-    """The picture, in the form of a press's."""
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """A press that cannot be used, with the reason as a sentence."""
-
-    why: str
-
-
-Found = Press | FreeGel | LeftOut
+Found = Shown | str
+"""What a source gives next; a text says why a press cannot be used."""
 
 
 def from_sources(
@@ -96,7 +71,8 @@ def from_sources(
     """
     free = list_pictures(no_contact)
     for path in free:
-        yield FreeGel(path.read_bytes(), require_light(path, read_rgb(path, profile, resize=resize)))
+        rgb = require_light(path, read_rgb(path, profile, resize=resize))
+        yield Shown(path.name, path.read_bytes(), rgb, is_free=True)
     for source in sources:
         if is_recording(source):
             yield from _of_recording(source, profile)
@@ -110,8 +86,8 @@ def _of_picture(path: Path, piece: str | None, profile: SensorProfile, resize: b
     try:
         rgb = require_light(path, read_rgb(path, profile, resize=resize))
     except DatasetError as error:
-        return LeftOut(str(error))
-    return Press(f"{path.parent.name}/{path.name}", path.read_bytes(), piece, rgb)
+        return str(error)
+    return Shown(f"{path.parent.name}/{path.name}", path.read_bytes(), rgb, piece)
 
 
 def _of_recording(folder: Path, profile: SensorProfile) -> Iterator[Found]:
@@ -135,14 +111,14 @@ def from_frames(
             try:
                 rgb = decode(shown, profile)
             except FrameCorrupt as error:
-                yield LeftOut(f"press {where} cannot be read: {error}")
+                yield f"press {where} cannot be read: {error}"
                 continue
-            if isinstance(found, FoundPress):
-                known = pieces.get(shown.sequence)
-                yield Press(where, shown.payload, None if known is None else str(known), rgb, found.mask)
-                pieces = {key: kept for key, kept in pieces.items() if key > shown.sequence}
-            else:
-                yield FreeGel(shown.payload, rgb)
+            if not isinstance(found, FoundPress):
+                yield Shown(where, shown.payload, rgb, is_free=True)
+                continue
+            known = pieces.get(shown.sequence)
+            yield Shown(where, shown.payload, rgb, None if known is None else str(known), found.mask)
+            pieces = {key: kept for key, kept in pieces.items() if key > shown.sequence}
 
 
 WAIT_S = 0.2
@@ -158,21 +134,20 @@ class Sensor:
     """Presses that its gel is rated for."""
 
 
-def station_device(config: Path, profile: SensorProfile, clock: Clock) -> Sensor:
-    """The sensor of a station; its bundle is not needed. Errors: ConfigError."""
-    loaded = load_config(config)
-    return Sensor(
-        device_opener(loaded.device, profile.controls, clock),
-        loaded.contact.settings(is_external=False),
-        loaded.gel.limit_presses,
-    )
-
-
-def open_named(name: str, given: Sequence[str], clock: Clock) -> Sensor:
-    """Return a device plugin with its options. Errors: ConfigError."""
-    plugin = registry.device(name)
-    options = plugin_options("devices", name, plugin.Options, given)
-    return Sensor(lambda: plugin.open(options, clock), ContactSettings(), DEFAULT_LIMIT_PRESSES)
+def find_sensor(
+    config: Path | None, device: str, options: Sequence[str], profile: SensorProfile, clock: Clock
+) -> Sensor:
+    """Return the sensor of a station, whose bundle is not needed, or a device plugin. Errors: ConfigError."""
+    if config is not None:
+        loaded = load_config(config)
+        return Sensor(
+            device_opener(loaded.device, profile.controls, clock),
+            loaded.contact.settings(is_external=False),
+            loaded.gel.limit_presses,
+        )
+    plugin = registry.device(device)
+    checked = plugin_options("devices", device, plugin.Options, options)
+    return Sensor(lambda: plugin.open(checked, clock), ContactSettings(), DEFAULT_LIMIT_PRESSES)
 
 
 def frames_of(sensor: Sensor, clock: Clock, say: Callable[[str], None]) -> Iterator[CameraFrame]:
@@ -191,22 +166,14 @@ def frames_of(sensor: Sensor, clock: Clock, say: Callable[[str], None]) -> Itera
         elif status.state is AcquisitionState.STREAMING and status.reconnects:
             say("the sensor is back")
 
-    with closing(_Unused(first)), Acquisition(open_first, clock, say_change) as acquisition:
-        while True:
-            try:
+    try:
+        with Acquisition(open_first, clock, say_change) as acquisition:
+            while True:
                 frame = acquisition.next(WAIT_S)
-            except RecordingEnded:
-                return
-            if frame is not None:
-                yield frame
-
-
-class _Unused:
-    """Closes a device that was opened and never taken."""
-
-    def __init__(self, devices: list[Device]) -> None:
-        self._devices = devices
-
-    def close(self) -> None:
-        for device in self._devices:
+                if frame is not None:
+                    yield frame
+    except RecordingEnded:
+        return
+    finally:
+        for device in first:  # it was never taken
             device.close()

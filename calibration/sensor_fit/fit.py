@@ -67,8 +67,8 @@ class SensorFit:
 
     def rest(self, press: BallPress, seen: Prediction) -> F32:
         """Real less predicted, float32 (3, rows, cols), 0 where nothing is compared."""
-        error = press.change[:, *press.window.seen] - seen.change(self.response)
-        error[:, ~seen.changed | press.ignored[press.window.seen]] = 0
+        error = press.change[:, *press.window] - seen.change(self.response)
+        error[:, ~seen.changed | press.ignored[press.window]] = 0
         return np.asarray(error, np.float32)
 
 
@@ -99,9 +99,9 @@ def _turns(fit: SensorFit, presses: Sequence[BallPress], count: int) -> SensorFi
 def _equations(fit: SensorFit, press: BallPress) -> F64:
     """Return the normal equations of one press, (3, 21, 22): a matrix and, in the last column, a vector."""
     seen = fit.predicted(press)
-    compared = seen.changed & ~press.ignored[press.window.seen]
+    compared = seen.changed & ~press.ignored[press.window]
     columns = seen.columns[:, compared].astype(np.float64)
-    target = (press.change[:, *press.window.seen] - seen.offset)[:, compared].astype(np.float64)
+    target = (press.change[:, *press.window] - seen.offset)[:, compared].astype(np.float64)
     equations = []
     for kept, level in zip(seen.kept[:, compared].astype(np.float64), target, strict=True):
         weighted = columns * kept
@@ -124,44 +124,40 @@ def fit_poses(fit: SensorFit, presses: Sequence[BallPress], steps: int) -> None:
     """Move each press's ball to where the prediction fits best, by Gauss-Newton steps."""
     for press in presses:
         for _ in range(steps):
-            press.ball = _stepped(fit, press)
+            press.ball = _step(fit, press)
 
 
-def _stepped(fit: SensorFit, press: BallPress) -> Ball:
+def _step(fit: SensorFit, press: BallPress) -> Ball:
+    """Return the ball after one step."""
     at = fit.predicted(press)
     rest, before = fit.rest(press, at), at.change(fit.response)
-    compared = at.changed & ~press.ignored[press.window.seen]
+    compared = at.changed & ~press.ignored[press.window]
     slopes = [
-        ((fit.predicted(press, moved).change(fit.response) - before)[:, compared] / delta).ravel()
-        for moved, delta in zip(_moved(press.ball), _DELTA_MM, strict=True)
+        (fit.predicted(press, _move(press.ball, step)).change(fit.response) - before)[:, compared].ravel()
+        / np.abs(step).sum()
+        for step in np.diag(_DELTA_MM)
     ]
     jacobian = np.array(slopes, dtype=np.float64)
     square = jacobian @ jacobian.T
     square += np.diag(1e-3 * np.diag(square) + 1e-9)
     step = np.linalg.solve(square, jacobian @ rest[:, compared].ravel())
-    dx, dy, deeper = np.clip(step, -np.array(_MOST_MM), _MOST_MM).tolist()
+    moved = _move(press.ball, np.clip(step, -np.array(_MOST_MM), _MOST_MM))
     deepest = min(0.95 * fit.ball_radius_mm, 2.0)
-    return Ball(
-        press.ball.x_mm + dx, press.ball.y_mm + dy, min(max(press.ball.depth_mm + deeper, 0.02), deepest)
-    )
+    return replace(moved, depth_mm=min(max(moved.depth_mm, 0.02), deepest))
 
 
-def _moved(ball: Ball) -> tuple[Ball, Ball, Ball]:
-    across, down, deeper = _DELTA_MM
-    return (
-        replace(ball, x_mm=ball.x_mm + across),
-        replace(ball, y_mm=ball.y_mm + down),
-        replace(ball, depth_mm=ball.depth_mm + deeper),
-    )
+def _move(ball: Ball, by_mm: F64) -> Ball:
+    across, down, deeper = by_mm.tolist()
+    return Ball(ball.x_mm + across, ball.y_mm + down, ball.depth_mm + deeper)
 
 
 def _with_gel(fit: SensorFit, presses: Sequence[BallPress]) -> SensorFit:
     """The fit with the gel that leaves the least error, changed one number at a time while that helps."""
     best, least = fit, error_of(fit, presses)
     for change in _GEL_CHANGES:
-        while (tried := _scale_gel(best.gel, *change)) is not None:
+        while (gel := _scale_gel(best.gel, *change)) is not None:
             poses = [press.ball for press in presses]
-            candidate = _turns(replace(best, gel=tried), presses, _GEL_TURNS)
+            candidate = _turns(replace(best, gel=gel), presses, _GEL_TURNS)
             error = error_of(candidate, presses)
             if error > least - 0.01:
                 for press, ball in zip(presses, poses, strict=True):
@@ -192,7 +188,7 @@ def error_of(fit: SensorFit, presses: Sequence[BallPress]) -> float:
     for press in presses:
         seen = fit.predicted(press)
         squares += float((fit.rest(press, seen).astype(np.float64) ** 2).sum())
-        counted += 3 * int((seen.changed & ~press.ignored[press.window.seen]).sum())
+        counted += 3 * int((seen.changed & ~press.ignored[press.window]).sum())
     return float(np.sqrt(squares / max(counted, 1)))
 
 

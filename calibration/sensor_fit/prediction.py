@@ -6,7 +6,7 @@ predicts thousands of presses.
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,50 +30,26 @@ CONSTANT_COLUMNS = (0, 6, 12, 13, 14, 15)
 _LIFTED, _LIFTED_MM, _SPARE_MM = 1.5, 0.3, 0.9
 
 
-@dataclass(frozen=True)
-class Window:
-    """A square of pixels that may reach beyond the picture."""
-
-    x: int
-    y: int
-    """Its first column and row."""
-    side: int
-    """The side in pixels."""
-
-    @property
-    def field(self) -> Field:
-        return Field((self.side, self.side), LR.mm_per_px)
-
-    @cached_property
-    def seen(self) -> tuple[slice, slice]:
-        """Its part of the picture."""
-        width, height = LR.size
-        return slice(max(self.y, 0), min(self.y + self.side, height)), slice(
-            max(self.x, 0), min(self.x + self.side, width)
-        )
-
-    @property
-    def inner(self) -> tuple[slice, slice]:
-        """This part, counted in the window."""
-        rows, columns = self.seen
-        return slice(rows.start - self.y, rows.stop - self.y), slice(
-            columns.start - self.x, columns.stop - self.x
-        )
-
-    def places(self) -> tuple[F32, F32]:
-        """x and y of its pixels in mm from the picture's centre, float32 (side, side)."""
-        x, y = grids(self.field)
-        mm, (width, height) = LR.mm_per_px[0], LR.size
-        shift = (self.x + (self.side - width) / 2) * mm, (self.y + (self.side - height) / 2) * mm
-        return x + np.float32(shift[0]), y + np.float32(shift[1])
+Window = tuple[slice, slice]
+"""Rows and columns of the picture."""
 
 
 def window_around(ball: Ball, contact_mm: float) -> Window:
-    """A window that holds everything a press changes, and some free gel."""
-    mm = LR.mm_per_px[0]
+    """Return the part of the picture that holds everything a press changes, and some free gel."""
+    mm, (width, height) = LR.mm_per_px[0], LR.size
     half = math.ceil((_LIFTED * contact_mm + _LIFTED_MM + _SPARE_MM) / mm)
-    column, row = round(ball.x_mm / mm + LR.size[0] / 2), round(ball.y_mm / mm + LR.size[1] / 2)
-    return Window(column - half, row - half, 2 * half)
+    column, row = round(ball.x_mm / mm + width / 2), round(ball.y_mm / mm + height / 2)
+    return slice(max(row - half, 0), min(row + half, height)), slice(
+        max(column - half, 0), min(column + half, width)
+    )
+
+
+def _field(window: Window) -> Field:
+    """The view of a window: its pixels lie where the picture has them."""
+    (top, bottom), (left, right) = ((part.start, part.stop) for part in window)
+    mm, (width, height) = LR.mm_per_px[0], LR.size
+    centre = ((left + right - width) / 2 * mm, (top + bottom - height) / 2 * mm)
+    return Field((right - left, bottom - top), LR.mm_per_px, centre)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,30 +75,29 @@ class Prediction:
 
 def predict(ball: Ball, ball_radius_mm: float, gel: Gel, free: F32, window: Window) -> Prediction:
     """free: the free gel of the whole picture, float32 (3, 240, 320)."""
-    x, y = window.places()
+    field = _field(window)
+    x, y = grids(field)
     height = ball_height(ball, ball_radius_mm, x, y)
-    surface = deformation(height, window.field, gel)
-    nx, ny = (part[window.inner] for part in optics.normals(surface, window.field))
-    lens = camera.lens_falloff(LR)[window.seen]
-    planes = np.zeros((3, *lens.shape), np.float32)
-    gloss = optics.specular(planes, nx, ny) * lens
-    kept = optics.shadows(np.ones((3, *window.field.shape), np.float32), surface, window.field)
-    kept = camera.lens_blur(np.ascontiguousarray(kept[:, *window.inner]), LR)
-    here = np.ascontiguousarray(free[:, *window.seen])
+    surface = deformation(height, field, gel)
+    nx, ny = optics.normals(surface, field)
+    lens = camera.lens_falloff(LR)[window]
+    gloss = optics.specular(np.zeros((3, *lens.shape), np.float32), nx, ny) * lens
+    kept = optics.shadows(np.ones((3, *lens.shape), np.float32), surface, field)
+    kept = camera.lens_blur(kept, LR)
+    here = free[:, *window]
     reach = _LIFTED * ball.contact_radius_mm(ball_radius_mm) + _LIFTED_MM
-    inner = window.inner
     return Prediction(
-        _columns(nx, ny, surface[inner], lens, window.seen),
+        _columns(nx, ny, surface, lens, window),
         kept,
         (here + camera.lens_blur(gloss, LR)) * kept - here,
-        height[inner],
-        np.asarray(np.hypot(x - ball.x_mm, y - ball.y_mm)[inner] < reach),
+        height,
+        np.asarray(np.hypot(x - ball.x_mm, y - ball.y_mm) < reach),
     )
 
 
-def _columns(nx: F32, ny: F32, surface: F32, lens: F32, seen: tuple[slice, slice]) -> F32:
+def _columns(nx: F32, ny: F32, surface: F32, lens: F32, window: Window) -> F32:
     """Return the columns in the order of `slope_response` and `height_response`, through the lens."""
-    powers = _powers()[:, *seen]
+    powers = _powers()[:, *window]
     squares = np.stack([nx * nx, ny * ny, nx * ny]) * lens
     columns = np.concatenate([nx * powers, ny * powers, squares, surface * powers])
     return camera.lens_blur(np.ascontiguousarray(columns, dtype=np.float32), LR)

@@ -1,7 +1,6 @@
 """The presses that a fit can use, with a ball in view, on this gel, under this light; the others with the reason."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.gel import GEL
 from edge.core.errors import FitError
 
-__all__ = ["LEAST_PRESSES", "Found", "Untouched", "ball_presses", "check_ball", "untouched_gel"]
+__all__ = ["LEAST_PRESSES", "ball_presses", "check_ball", "untouched_gel"]
 
 Mask = NDArray[np.bool_]
 
@@ -32,34 +31,18 @@ _SMALLEST_MM = 0.4
 _NO_BALL = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class Untouched:
-    """The free gel: planes float32 (3, 240, 320), its marker dots bool (240, 320), whether it has any."""
+def untouched_gel(presses: NominalPresses) -> tuple[F32, Mask]:
+    """Return the free gel, planes float32 (3, 240, 320), and its marker dots, bool (240, 320).
 
-    planes: F32
-    dots: Mask
-    has_markers: bool
-
-
-@dataclass(frozen=True)
-class Found:
-    """The presses that a fit can use, and for each of the others why not, by its name."""
-
-    usable: tuple[BallPress, ...]
-    left_out: dict[str, str]
-
-
-def untouched_gel(presses: NominalPresses) -> Untouched:
-    """Return the free gel. Errors: FitError without a picture of the free gel."""
+    Errors: FitError without a picture of the free gel.
+    """
     if presses.no_contact is None:
         raise FitError(
             "there is no picture of the free gel; give one with --no-contact, or a recording that begins before contact"
         )
     mean = presses.no_contact.mean(axis=0, dtype=np.float64).transpose(2, 0, 1)
     planes = np.ascontiguousarray(mean, dtype=np.float32)
-    is_marked = has_markers(planes)
-    dots = marker_dots(planes) if is_marked else np.zeros(LR.shape, np.bool_)
-    return Untouched(planes, dots, is_marked)
+    return planes, marker_dots(planes) if has_markers(planes) else np.zeros(LR.shape, np.bool_)
 
 
 def check_ball(ball_radius_mm: float) -> None:
@@ -71,8 +54,12 @@ def check_ball(ball_radius_mm: float) -> None:
         )
 
 
-def ball_presses(presses: NominalPresses, gel: Untouched, ball_radius_mm: float) -> Found:
-    """Every press with its ball found. ball_radius_mm: in millimetres of a view that is 20.3 mm wide.
+def ball_presses(
+    presses: NominalPresses, free: F32, dots: Mask, ball_radius_mm: float
+) -> tuple[list[BallPress], dict[str, str]]:
+    """Return every press with its ball found, and for each of the others why not, by its name.
+
+    free, dots: as from `untouched_gel`. ball_radius_mm: in millimetres of a view that is 20.3 mm wide.
 
     Errors: FitError where the free gel is of another sensor, the ball is smaller than its contacts, or fewer than
     three presses can be used.
@@ -83,16 +70,18 @@ def ball_presses(presses: NominalPresses, gel: Untouched, ball_radius_mm: float)
     strangers = 0
     for name, frame in zip(presses.names, presses.frames, strict=True):
         planes = frame.transpose(2, 0, 1).astype(np.float32)
-        ignored = gel.dots | marker_dots(planes) if gel.has_markers else gel.dots
-        change = planes - gel.planes
+        ignored = dots | marker_dots(planes) if dots.any() else dots
+        change = planes - free
         circle = find_circle(change, ignored)
         away = _outside_levels(change, circle, ignored)
         strangers += away > _OTHER_GEL_LEVELS
         reason = next(_reasons(planes, circle, away), "")
         if circle is not None and not reason:
             circles.append(circle)
-            press = _press(name, change, ignored, circle, ball_radius_mm)
-            reason = _why_no_ball(press, gel.planes, ball_radius_mm)
+            ball = circle.ball(ball_radius_mm)
+            window = window_around(ball, ball.contact_radius_mm(ball_radius_mm))
+            press = BallPress(name, change, ignored, ball, window)
+            reason = _why_no_ball(press, free, ball_radius_mm)
         if reason:
             left_out[name] = reason
         else:
@@ -100,7 +89,7 @@ def ball_presses(presses: NominalPresses, gel: Untouched, ball_radius_mm: float)
     _require_own_gel(strangers, len(presses))
     _require_radius(circles, ball_radius_mm)
     _require_enough(len(usable), left_out)
-    return Found(tuple(usable), left_out)
+    return usable, left_out
 
 
 def _reasons(planes: F32, circle: Circle | None, away: float) -> Iterator[str]:
@@ -119,17 +108,11 @@ def _reasons(planes: F32, circle: Circle | None, away: float) -> Iterator[str]:
         yield f"{saturated:.0%} of its contact is saturated; lower the exposure"
 
 
-def _press(name: str, change: F32, ignored: Mask, circle: Circle, ball_radius_mm: float) -> BallPress:
-    ball = circle.ball(ball_radius_mm)
-    window = window_around(ball, ball.contact_radius_mm(ball_radius_mm))
-    return BallPress(name, change, ignored, ball, window)
-
-
 def _why_no_ball(press: BallPress, free: F32, ball_radius_mm: float) -> str:
     """Say why a press is no ball's, empty for a ball: under any light a ball's change follows its own slopes."""
     seen = predict(press.ball, ball_radius_mm, GEL, free, press.window)
-    compared = seen.changed & ~press.ignored[press.window.seen]
-    change = press.change[:, *press.window.seen][:, compared].T
+    compared = seen.changed & ~press.ignored[press.window]
+    change = press.change[:, *press.window][:, compared].T
     columns = seen.columns[list(CONSTANT_COLUMNS)][:, compared].T
     rest = change - columns @ np.linalg.lstsq(columns, change, rcond=None)[0]
     share = float(np.linalg.norm(rest) / np.linalg.norm(change))

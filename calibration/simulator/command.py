@@ -80,9 +80,8 @@ def simulate(
 
     The same command continues an interrupted one; complete files are kept.
     """
-    from calibration.simulator.scene import load_scene
+    from calibration.simulator.scene import load_scene, paper_scenes
     from calibration.simulator.sensor_file import find_sensor
-    from calibration.simulator.simulate import paper_scenes
 
     scenes = paper_scenes() if scene == "paper" else [load_scene(scene)]
     output = output or Path("simulated", Path(scene).stem)
@@ -102,7 +101,7 @@ def _dataset(
     scenes: "list[Scene]", output: Path, seed: int, presses: int | None, run: str, workers: int
 ) -> None:
     from calibration.progress import progress
-    from calibration.simulator.simulate import simulate_dataset
+    from calibration.simulator.dataset_writer import simulate_dataset
     from edge.core.errors import ConfigError
 
     if run:
@@ -118,7 +117,7 @@ def _recordings(
     scene: "Scene", output: Path, seed: int, presses: int | None, only: str, workers: int
 ) -> None:
     from calibration.progress import progress
-    from calibration.simulator.simulate import simulate_recording
+    from calibration.simulator.record import simulate_recording
 
     for name in [only] if only else [run.name for run in scene.runs]:
         folder = output if only else output / name

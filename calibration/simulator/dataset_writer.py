@@ -29,13 +29,13 @@ from calibration.simulator.plan import PressPlan, damage, dataset_plan, piece
 from calibration.simulator.pose import Pose
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
-from calibration.simulator.scene import Scene
+from calibration.simulator.scene import Scene, change_counts
 from calibration.simulator.streams import Streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
-from edge.core.errors import DatasetError, StoreError
+from edge.core.errors import ConfigError, DatasetError, StoreError
 
-__all__ = ["outputs", "press_pictures", "write_dataset"]
+__all__ = ["outputs", "press_pictures", "simulate_dataset"]
 
 # Noise does not compress: the fastest setting gives files 3 % larger than the slowest.
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
@@ -51,14 +51,22 @@ class _Task:
     presses: tuple[PressPlan, ...]
 
 
-def write_dataset(
-    scenes: Sequence[Scene], folder: Path, seed: int, *, workers: int = 1, progress: Progress | None = None
+def simulate_dataset(
+    scenes: Scene | Sequence[Scene],
+    folder: Path,
+    seed: int = 0,
+    *,
+    presses: int | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
 ) -> Path:
-    """Write the scenes' presses under `folder` and return it. Complete files are kept.
+    """Write one or more scenes as one dataset, and return its folder.
 
-    Errors: DatasetError when the folder holds anything but this dataset, StoreError when the disk refuses.
+    presses: of each sound piece and position, in place of the scene's own. Complete files are kept. Errors: ConfigError
+    for a scene of recordings, DatasetError when the folder holds anything but this dataset, StoreError for the disk.
     """
-    plans = {scene: dataset_plan(scene, seed) for scene in scenes}
+    several = [scenes] if isinstance(scenes, Scene) else scenes
+    plans = {scene: dataset_plan(scene, seed) for scene in (_set_presses(each, presses) for each in several)}
     summary = _summary(plans, seed)
     _begin(folder, summary)
     tasks = [
@@ -80,6 +88,16 @@ def write_dataset(
             "they are kept; free some space and run the same command again"
         ) from error
     return folder
+
+
+def _set_presses(scene: Scene, presses: int | None) -> Scene:
+    if scene.nominal is None:
+        raise ConfigError(
+            f"scene '{scene.name}' describes recordings; it has no [nominal] to make a dataset of"
+        )
+    if presses is None:
+        return scene
+    return scene.model_copy(update={"nominal": change_counts(scene.nominal, presses=presses)})
 
 
 def _summary(plans: Mapping[Scene, list[PressPlan]], seed: int) -> dict[str, object]:

@@ -1,12 +1,15 @@
 """How the gel deforms: membranes on an elastic bed, stretched over the part, and the residual imprint."""
 
 import math
-from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as checked
 
-from calibration.simulator.field_of_view import F32, Field
+from calibration.simulator.field_of_view import F32
+from calibration.simulator.field_of_view import Field as View
 
 __all__ = ["GEL", "Gel", "deformation", "residual_imprint"]
 
@@ -20,27 +23,27 @@ LONG_FINEST_MM = 0.06
 SWEEPS = (48, 20, 8, 3)
 
 
-@dataclass(frozen=True)
+@checked(frozen=True, config=ConfigDict(extra="forbid"))
 class Gel:
     """How a gel gives way: two relaxation lengths in mm, and the share of the long one."""
 
     # Near an edge the gel first drops steeply (the tension of its coat), then rises far out (the bulk of a pad 4.25 mm
     # thick). With these the slope around 51 real ball presses agrees within 2 grey levels from 0.7 mm inside the
     # contact to 2.3 mm outside it (docs/simulator.md).
-    short_mm: float = 0.25
-    long_mm: float = 1.1
-    long_share: float = 0.55
+    short_mm: Annotated[float, Field(gt=0, le=5)] = 0.25
+    long_mm: Annotated[float, Field(gt=0, le=10)] = 1.1
+    long_share: Annotated[float, Field(ge=0, le=1)] = 0.55
 
     def __post_init__(self) -> None:
-        if not (0 < self.short_mm <= self.long_mm and 0 <= self.long_share <= 1):
-            raise ValueError(f"a gel has 0 < short_mm <= long_mm and a share from 0 to 1, found {self}")
+        if self.short_mm > self.long_mm:
+            raise ValueError(f"short_mm {self.short_mm} is not above long_mm {self.long_mm}")
 
 
 GEL = Gel()
 """The gel of the shipped sensors."""
 
 
-def deformation(obstacle_mm: F32, field: Field, of: Gel = GEL) -> F32:
+def deformation(obstacle_mm: F32, field: View, of: Gel = GEL) -> F32:
     """The gel's surface over a rigid part, in mm towards the camera, float32 (h, w).
 
     The mean of two stretched membranes on a bed of springs: away from the part z - L^2 (laplacian of z) = 0, on the
@@ -57,7 +60,7 @@ def deformation(obstacle_mm: F32, field: Field, of: Gel = GEL) -> F32:
     return _blur(np.asarray(surface, dtype=np.float32), COAT_SIGMA_MM, field.mm_per_px)
 
 
-def _membrane(obstacle: F32, field: Field, relaxation_mm: float, finest_mm: float) -> F32:
+def _membrane(obstacle: F32, field: View, relaxation_mm: float, finest_mm: float) -> F32:
     """The membrane of one relaxation length, solved from coarse spacings down to `finest_mm`.
 
     One sweep is a Gaussian step whose fixed point decays as exp(-distance / L), then the obstacle is put back.

@@ -4,7 +4,6 @@ All of them stay in place from press to press, as on a real cartridge; dust and 
 """
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -14,8 +13,6 @@ from calibration.simulator import reproducible_math
 from calibration.simulator.field_of_view import CROP_MM, F32, LR, Field, grids
 
 __all__ = [
-    "Dust",
-    "GelWear",
     "dust",
     "dust_relief",
     "grain",
@@ -29,6 +26,8 @@ __all__ = [
     "wear_stains",
 ]
 
+F64 = NDArray[np.float64]
+
 # Specks settle anywhere on the pad, inside the crop and a little beyond.
 _SPREAD_MM = (1.25 * CROP_MM[0] / 2, 1.25 * CROP_MM[1] / 2)
 
@@ -38,41 +37,28 @@ _PRESSES_PER_SPECK = 60.0
 _MOST_SPECKS = 80
 
 
-@dataclass(frozen=True, eq=False)
-class Dust:
-    """Grains on one gel: x, y, radius, height in mm and the press at which each appeared, float64 (n, 5), oldest
-    first."""
+def new_dust(rng: np.random.Generator) -> F64:
+    """All grains that one gel collects in its life: 0.03 to 0.1 mm across the radius, 0.01 to 0.05 mm high.
 
-    grains: NDArray[np.float64]
-
-
-def new_dust(rng: np.random.Generator) -> Dust:
-    """All grains that one gel collects in its life: 0.03 to 0.1 mm across the radius, 0.01 to 0.05 mm high."""
+    float64 (n, 5), oldest first: x, y, radius, height in mm, and the press at which each appeared.
+    """
     n = _MOST_SPECKS
     first = int(np.clip(rng.poisson(_FIRST_SPECKS), 1, 10))
     came = np.concatenate([np.zeros(first), np.cumsum(rng.exponential(_PRESSES_PER_SPECK, n - first))])
-    grains = np.column_stack(
-        [
-            rng.uniform(-_SPREAD_MM[0], _SPREAD_MM[0], n),
-            rng.uniform(-_SPREAD_MM[1], _SPREAD_MM[1], n),
-            rng.uniform(0.03, 0.1, n),
-            rng.uniform(0.01, 0.05, n),
-            came,
-        ]
-    )
-    return Dust(grains)
+    x, y = (rng.uniform(-spread, spread, n) for spread in _SPREAD_MM)
+    return np.column_stack([x, y, rng.uniform(0.03, 0.1, n), rng.uniform(0.01, 0.05, n), came])
 
 
-def marks_at(marks: NDArray[np.float64], presses: int) -> int:
+def marks_at(marks: F64, presses: int) -> int:
     """Count the marks that exist after this many presses; the last column says when each appeared."""
     return int(np.searchsorted(marks[:, -1], presses, side="right"))
 
 
-def dust_relief(of: Dust, presses: int, field: Field) -> F32:
+def dust_relief(grains: F64, presses: int, field: Field) -> F32:
     """The grains after this many presses, as bumps in mm, float32 (h, w)."""
     relief = np.zeros(field.shape, dtype=np.float32)
     x, y = grids(field)
-    for gx, gy, radius, height, came in of.grains.tolist():
+    for gx, gy, radius, height, came in grains.tolist():
         if came > presses:
             break
         window = _window(field, gx, gy, 3 * radius)
@@ -102,50 +88,30 @@ _PRESSES_PER_STAIN = 150.0
 _MOST_MARKS = 60
 
 
-@dataclass(frozen=True, eq=False)
-class GelWear:
-    """The damage of presses to one gel, oldest first."""
+def new_wear(rng: np.random.Generator) -> tuple[F64, F64]:
+    """All marks that one gel gets in its life: scratches 1 to 5 mm long, 2 to 9 micrometres deep, and dull stains.
 
-    scratches: NDArray[np.float64]
-    """float64 (n, 6): x, y mm, direction rad, length mm, depth mm, press."""
-    stains: NDArray[np.float64]
-    """float64 (n, 5): x, y mm, radius mm, share of light lost, press."""
+    Scratches, float64 (n, 6), oldest first: x, y mm, direction rad, length mm, depth mm, press. Stains, float64 (n, 5):
+    x, y mm, radius mm, share of light lost, press.
+    """
 
+    def draw(each: float, *ends: tuple[float, float]) -> F64:
+        place = [rng.normal(0, 0.375 * spread, _MOST_MARKS) for spread in _SPREAD_MM]
+        form = [rng.uniform(*between, _MOST_MARKS) for between in ends]
+        return np.column_stack([*place, *form, np.cumsum(rng.exponential(each, _MOST_MARKS))])
 
-def new_wear(rng: np.random.Generator) -> GelWear:
-    """All marks that one gel gets in its life: scratches 1 to 5 mm long, 2 to 9 micrometres deep, and dull stains."""
-    n = _MOST_MARKS
-    place = np.array(_SPREAD_MM) * 0.75
-    scratches = np.column_stack(
-        [
-            rng.normal(0, place[0] / 2, n),
-            rng.normal(0, place[1] / 2, n),
-            rng.uniform(0, math.pi, n),
-            rng.uniform(1.0, 5.0, n),
-            rng.uniform(0.002, 0.009, n),
-            np.cumsum(rng.exponential(_PRESSES_PER_SCRATCH, n)),
-        ]
-    )
-    stains = np.column_stack(
-        [
-            rng.normal(0, place[0] / 2, n),
-            rng.normal(0, place[1] / 2, n),
-            rng.uniform(0.4, 1.8, n),
-            rng.uniform(0.02, 0.09, n),
-            np.cumsum(rng.exponential(_PRESSES_PER_STAIN, n)),
-        ]
-    )
-    return GelWear(scratches, stains)
+    scratches = draw(_PRESSES_PER_SCRATCH, (0, math.pi), (1.0, 5.0), (0.002, 0.009))
+    return scratches, draw(_PRESSES_PER_STAIN, (0.4, 1.8), (0.02, 0.09))
 
 
 _SCRATCH_HALF_WIDTH_MM = 0.05
 
 
-def wear_relief(of: GelWear, presses: int, field: Field) -> F32:
+def wear_relief(scratches: F64, presses: int, field: Field) -> F32:
     """The scratches after this many presses, as shallow furrows in mm (negative), float32 (h, w)."""
     relief = np.zeros(field.shape, dtype=np.float32)
     x, y = grids(field)
-    for sx, sy, turn, length, depth, came in of.scratches.tolist():
+    for sx, sy, turn, length, depth, came in scratches.tolist():
         if came > presses:
             break
         window = _window(field, sx, sy, length / 2 + 0.2)
@@ -162,11 +128,11 @@ def wear_relief(of: GelWear, presses: int, field: Field) -> F32:
     return relief
 
 
-def wear_stains(of: GelWear, presses: int, field: Field) -> F32:
+def wear_stains(stains: F64, presses: int, field: Field) -> F32:
     """The share of light that the coat still returns after this many presses, float32 (h, w), 1 where it is new."""
     keeps = np.ones(field.shape, dtype=np.float32)
     x, y = grids(field)
-    for sx, sy, radius, lost, came in of.stains.tolist():
+    for sx, sy, radius, lost, came in stains.tolist():
         if came > presses:
             break
         # A stain that appeared at press n is fully dark at press 2n.

@@ -1,10 +1,16 @@
 """The motion of one press in time: the depth of the part and the sliding speed of the gel at every frame."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
-__all__ = ["Moment", "Phase", "PressMotion"]
+from pydantic import BaseModel, ConfigDict, Field
+
+__all__ = ["Moment", "Motion", "Phase"]
+
+Seconds = Annotated[float, Field(ge=0, le=60)]
+MovingSeconds = Annotated[float, Field(gt=0, le=60)]
 
 Phase = Literal["idle", "approach", "press", "settle", "hold", "lift"]
 
@@ -30,26 +36,30 @@ class Moment:
     """Time since the previous press was released."""
 
 
-@dataclass(frozen=True)
-class PressMotion:
-    """Durations of the phases in seconds, and the frame rate."""
+class Motion(BaseModel):
+    """The phases of one press in seconds: no contact, approach, settling, hold, lift.
 
-    approach_s: float
-    press_s: float
-    settle_s: float
-    hold_s: float
-    lift_s: float
-    fps: float
+    `idle_s` of free gel precede the first press, `tail_s` follow the last.
+    """
 
-    @property
-    def frames(self) -> int:
-        """Frames of one press: the same for every press."""
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    idle_s: Seconds = 1.5
+    approach_s: Seconds = 0.3
+    press_s: MovingSeconds = 0.15
+    settle_s: Seconds = 0.15
+    hold_s: MovingSeconds = 0.35
+    lift_s: MovingSeconds = 0.1
+    tail_s: Seconds = 0.5
+
+    def count_frames(self, fps: float) -> int:
+        """Count the frames of one press: the same for every press."""
         total = self.approach_s + self.press_s + self.settle_s + self.hold_s + self.lift_s
-        return max(5, round(total * self.fps))
+        return max(5, round(total * fps))
 
-    def moments(self) -> tuple[Moment, ...]:
+    def moments(self, fps: float) -> Iterator[Moment]:
         """Every frame of one press, in order."""
-        return tuple(self._at(k / self.fps) for k in range(self.frames))
+        return (self._at(k / fps) for k in range(self.count_frames(fps)))
 
     def _at(self, time_s: float) -> Moment:
         t = time_s - self.approach_s

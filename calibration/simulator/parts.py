@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration.simulator import reproducible_math
 from calibration.simulator.field_of_view import F32
-from calibration.simulator.pose import HeightField, Jitter
+from calibration.simulator.pose import FIXTURE, HeightField, Jitter
 from calibration.simulator.shapes import FLOOR_MM, box, disc, f32, plateau, ramp, rotate
 
 __all__ = ["PARTS", "Part", "Specimen", "specimen"]
@@ -124,8 +124,7 @@ def _pinion(x_mm: F32, y_mm: F32) -> F32:
     return f32(np.where(bore < 0, np.minimum(height, -np.float32(1.5)), height))
 
 
-# A fixture repeats a part's place within about 0.1 mm; a hand within a few tenths of a millimetre.
-_FIXTURE = Jitter(0.12, 0.7, 0.3, 0.05)
+# A hand repeats a part's place within a few tenths of a millimetre.
 _BY_HAND = Jitter(0.35, 3.0, 0.6, 0.08)
 
 PARTS: Mapping[str, Part] = {
@@ -136,15 +135,15 @@ PARTS: Mapping[str, Part] = {
             "external thread, four positions around it",
             {f"pos{k + 1}": _thread(0.25 * k) for k in range(4)},
             0.55,
-            _FIXTURE,
+            FIXTURE,
         ),
-        Part("PZ2", "connector with a fitting interface", {"pos1": _connector}, 0.4, _FIXTURE),
+        Part("PZ2", "connector with a fitting interface", {"pos1": _connector}, 0.4, FIXTURE),
         Part(
             "PZ3",
             "grooves, slots and a tooth, two positions",
             {"pos1": _grooves((-1.8, 0.0), False), "pos2": _grooves((2.9, 0.6), True)},
             0.4,
-            _FIXTURE,
+            FIXTURE,
         ),
         Part("PZ4", "stepped bracket under a centimetre, placed by hand", {"pos1": _bracket}, 0.4, _BY_HAND),
         Part("PZ5", "pinion under a centimetre, placed by hand", {"pos1": _pinion}, 0.4, _BY_HAND),

@@ -4,7 +4,7 @@ A plan is a pure function of scene and seed. It does not depend on the number of
 interrupted and resumed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -75,26 +75,15 @@ def damage(plan: PressPlan, scene: Scene, streams: Streams) -> Defect | None:
     """
     if not plan.kind:
         return None
-    where = plan.part, plan.position, plan.specimen
-    return _damage(
-        *where, plan.kind, plan.severity, scene.press_depth_mm, scene.mask_depth_mm, scene.effects, streams
-    )
+    return _damage(scene, plan.part, plan.position, plan.specimen, plan.kind, plan.severity, streams)
 
 
 @lru_cache(maxsize=64)
 def _damage(
-    part: str,
-    position: str,
-    number: int,
-    kind: str,
-    severity: float,
-    depth_mm: float,
-    mask_depth_mm: float,
-    effects: tuple[str, ...],
-    streams: Streams,
+    scene: Scene, part: str, position: str, number: int, kind: str, severity: float, streams: Streams
 ) -> Defect:
     sound, rng = PARTS[part].positions[position], streams("defect", part, position, number)
-    return place_damage(sound, kind, severity, depth_mm, mask_depth_mm, rng, effects)
+    return place_damage(sound, kind, severity, scene.press_depth_mm, scene.mask_depth_mm, rng, scene.effects)
 
 
 def place_damage(
@@ -130,7 +119,10 @@ def dataset_plan(scene: Scene, seed: int) -> list[PressPlan]:
         pieces = _pieces(scene, place, position)
         order = streams("order", scene.part, position).permutation(len(pieces))
         presses = [press for k in order.tolist() for press in pieces[k]]
-        plans += [_schedule(press, len(plans) + k, k) for k, press in enumerate(presses)]
+        for since_power_on, press in enumerate(presses):
+            gel, worn = divmod(len(plans), _PRESSES_PER_GEL)
+            time_s = since_power_on * PRESS_CYCLE_S
+            plans.append(replace(press, gel=f"gel{1 + gel}", gel_presses=worn, time_s=time_s))
     return plans
 
 
@@ -162,20 +154,6 @@ def _graded(scene: Scene, piece: int, pieces: int) -> float:
     low, high = scene.defects.severity
     golden = (piece * 0.6180339887) % 1.0
     return round(low + (high - low) * (golden if pieces > 1 else 1.0), 4)
-
-
-def _schedule(press: PressPlan, index: int, since_power_on: int) -> PressPlan:
-    return PressPlan(
-        press.part,
-        press.position,
-        press.specimen,
-        press.press,
-        press.kind,
-        press.severity,
-        f"gel{1 + index // _PRESSES_PER_GEL}",
-        index % _PRESSES_PER_GEL,
-        since_power_on * PRESS_CYCLE_S,
-    )
 
 
 def recording_plan(scene: Scene, run: SceneRun, seed: int, press_s: float) -> list[PressPlan]:

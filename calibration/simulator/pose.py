@@ -2,13 +2,16 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as checked
 
-from calibration.simulator.field_of_view import F32, Field, grids
+from calibration.simulator.field_of_view import F32, grids
+from calibration.simulator.field_of_view import Field as View
 
-__all__ = ["HeightField", "Jitter", "Pose", "contact", "partial_contact", "pose_jitter", "sample"]
+__all__ = ["FIXTURE", "HeightField", "Jitter", "Pose", "contact", "partial_contact", "pose_jitter", "sample"]
 
 
 class HeightField(Protocol):
@@ -29,20 +32,19 @@ class Pose:
     """On the commanded depth."""
 
 
-@dataclass(frozen=True)
+@checked(frozen=True, config=ConfigDict(extra="forbid"))
 class Jitter:
     """Standard deviations of a press about its command."""
 
-    shift_mm: float = 0.12
-    turn_deg: float = 0.7
-    tilt_deg: float = 0.3
-    depth_fraction: float = 0.05
+    shift_mm: Annotated[float, Field(ge=0, le=3)]
+    turn_deg: Annotated[float, Field(ge=0, le=45)]
+    tilt_deg: Annotated[float, Field(ge=0, le=5)]
+    # More would lose contact.
+    depth_fraction: Annotated[float, Field(ge=0, le=0.3)]
 
-    def __post_init__(self) -> None:
-        if min(self.shift_mm, self.turn_deg, self.tilt_deg, self.depth_fraction) < 0:
-            raise ValueError(f"jitter is a standard deviation, 0 or more, found {self}")
-        if self.depth_fraction > 0.3:
-            raise ValueError(f"a depth jitter above 0.3 would lose contact, found {self.depth_fraction}")
+
+FIXTURE = Jitter(0.12, 0.7, 0.3, 0.05)
+"""A fixture repeats a part's place within about 0.1 mm."""
 
 
 def pose_jitter(pose: Pose, jitter: Jitter, rng: np.random.Generator) -> Pose:
@@ -70,7 +72,7 @@ def partial_contact(pose: Pose, rng: np.random.Generator) -> Pose:
     return replace(pose, tilt=(pose.tilt[0] + lean * math.cos(side), pose.tilt[1] + lean * math.sin(side)))
 
 
-def sample(part: HeightField, pose: Pose, field: Field) -> F32:
+def sample(part: HeightField, pose: Pose, field: View) -> F32:
     """The part's height over the field in mm, float32 (h, w), in this pose and before any press."""
     x, y = grids(field)
     x = x - np.float32(pose.shift_mm[0])

@@ -13,20 +13,20 @@ import numpy as np
 from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from calibration.simulator.defects import Damaged
 from calibration.simulator.field_of_view import F32, HR, LR, native_field
-from calibration.simulator.motion import Moment, PressMotion
+from calibration.simulator.motion import Moment
 from calibration.simulator.plan import PressPlan, damage, piece, recording_plan
 from calibration.simulator.pose import Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
-from calibration.simulator.scene import Scene, SceneRun
+from calibration.simulator.scene import Scene, SceneRun, change_counts
 from calibration.simulator.streams import Streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
-from edge.core.errors import RecordingError, StoreError
+from edge.core.errors import ConfigError, RecordingError, StoreError
 from edge.core.imaging.known_profiles import MINI_NATIVE
 from edge.recording.format import DELIVERED_SHARE, Recording, RecordingHeader, RecordingWriter
 
-__all__ = ["FrameOut", "press_frames", "record_run"]
+__all__ = ["FrameOut", "press_frames", "simulate_recording"]
 
 # Names of a sensor that does not exist, in the maker's pattern.
 _PRODUCT, _SERIAL = "GelSight Mini R0B SIM0-0001", "SIM00001"
@@ -53,21 +53,44 @@ class _Task:
     gel_presses: int = 0
 
 
-def record_run(
+def simulate_recording(
     scene: Scene,
-    run: SceneRun,
     folder: Path,
-    seed: int,
+    seed: int = 0,
     *,
+    run: str | None = None,
+    presses: int | None = None,
     workers: int = 1,
     progress: Progress | None = None,
 ) -> Path:
-    """Write one run of a scene as a recording in `folder`, and return the folder.
+    """Write one run of a scene as a recording, and return its folder.
 
-    It is rendered in `<folder>.part` and renamed when it is complete. An interrupted one continues after its last
-    complete press; a complete recording of the same scene, run and seed is kept. Errors: RecordingError when either
-    folder holds anything else, StoreError when the disk refuses.
+    run: the run's name, the first one if not given. presses: in place of the run's own number; damaged presses keep
+    their share. It is rendered in `<folder>.part` and renamed when it is complete. An interrupted one continues after
+    its last complete press; a complete recording of the same scene, run and seed is kept. Equal scene, run and seed
+    give equal bytes. Errors: ConfigError for a scene without runs or an unknown run, RecordingError when either folder
+    holds anything else, StoreError for the disk.
     """
+    return _record(scene, _find_run(scene, run, presses), folder, seed, workers, progress)
+
+
+def _find_run(scene: Scene, name: str | None, presses: int | None) -> SceneRun:
+    if not scene.runs:
+        raise ConfigError(f"scene '{scene.name}' describes a dataset; it has no [[runs]] to record")
+    chosen = scene.runs[0] if name is None else next((run for run in scene.runs if run.name == name), None)
+    if chosen is None:
+        raise ConfigError(
+            f"scene '{scene.name}' has no run '{name}'; it has {', '.join(run.name for run in scene.runs)}"
+        )
+    if presses is None:
+        return chosen
+    faulty = min(presses - 1, round(chosen.faulty * presses / chosen.presses))
+    return change_counts(chosen, presses=presses, faulty=faulty)
+
+
+def _record(
+    scene: Scene, run: SceneRun, folder: Path, seed: int, workers: int, progress: Progress | None
+) -> Path:
     stamp = _stamp(scene, run, seed)
     if _is_done(folder, stamp):
         return folder
@@ -165,20 +188,15 @@ def _header(scene: Scene) -> RecordingHeader:
     return RecordingHeader(_PRODUCT, _SERIAL, sizes[mode], scene.camera.fps / DELIVERED_SHARE, profile)
 
 
-def _motion(scene: Scene) -> PressMotion:
-    m = scene.motion
-    return PressMotion(m.approach_s, m.press_s, m.settle_s, m.hold_s, m.lift_s, scene.camera.fps)
-
-
 def _tasks(scene: Scene, run: SceneRun, seed: int) -> Iterator[_Task]:
-    motion = _motion(scene)
+    each = scene.motion.count_frames(scene.camera.fps)
     idle = round(scene.motion.idle_s * scene.camera.fps)
-    plans = recording_plan(scene, run, seed, motion.frames / scene.camera.fps)
+    plans = recording_plan(scene, run, seed, each / scene.camera.fps)
     yield _Task(scene, seed, -1, 0, None, idle_frames=idle, gel_presses=run.gel_presses)
     for index, plan in enumerate(plans):
         previous = plans[index - 1] if index else None
-        yield _Task(scene, seed, index, idle + index * motion.frames, plan, previous)
-    end, tail = idle + len(plans) * motion.frames, round(scene.motion.tail_s * scene.camera.fps)
+        yield _Task(scene, seed, index, idle + index * each, plan, previous)
+    end, tail = idle + len(plans) * each, round(scene.motion.tail_s * scene.camera.fps)
     yield _Task(scene, seed, -1, end, None, plans[-1], tail, run.gel_presses + run.presses)
 
 
@@ -235,7 +253,7 @@ def press_frames(
     )
     left = _residual_imprint(previous, scene, seed)
     light, shown = None, None
-    for k, moment in enumerate(_motion(scene).moments()):
+    for k, moment in enumerate(scene.motion.moments(fps)):
         state = (moment.depth, moment.since_release_s if left is not None and moment.depth == 0 else None)
         if light is None or state != shown:
             light, shown = _light(renderer, height, depth, moment, plan, left), state

@@ -19,7 +19,7 @@ from calibration.simulator import camera, gel, gel_surface, optics, pose, sensor
 from calibration.simulator.defects import Damaged, Defect
 from calibration.simulator.effects import DEFAULT_EFFECTS, check_effects
 from calibration.simulator.field_of_view import F32, LR, Field
-from calibration.simulator.pose import HeightField, Jitter, Pose
+from calibration.simulator.pose import FIXTURE, HeightField, Jitter, Pose
 from calibration.simulator.streams import Streams
 
 __all__ = ["MASK_DEPTH_MM", "Exposure", "Key", "Renderer"]
@@ -57,7 +57,7 @@ class Renderer:
         default_factory=lambda: sensor_appearance.SENSORS["unit_b"]
     )
     """Its colours."""
-    jitter: Jitter = dataclasses.field(default_factory=Jitter)
+    jitter: Jitter = FIXTURE
     """How presses differ (for `pose_jitter`)."""
     streams: Streams = dataclasses.field(default_factory=lambda: Streams(0))
     """Where random numbers come from; `gel_id` and `session` select the gel's dust and the lamps' drift. A renderer
@@ -158,31 +158,6 @@ class Renderer:
         imprint = self.imprint(pose.sample(part, placed, self.field), depth_mm * placed.depth_factor)
         return self._picture(imprint, key, presses, exposure)
 
-    def pair(
-        self,
-        part: HeightField,
-        defect: Defect,
-        depth_mm: float,
-        key: Key = (),
-        commanded: Pose | None = None,
-        presses: int = 0,
-        exposure: Exposure | None = None,
-        mask_depth_mm: float = MASK_DEPTH_MM,
-    ) -> tuple[U8, NDArray[np.bool_], U8]:
-        """Draw a press on the damaged and on the sound part: (damaged rgb, mask, sound rgb).
-
-        mask: bool (h, w), where the two imprints differ by more than `mask_depth_mm`. The two pictures share pose, gel
-        and noise, so only the defect differs.
-        """
-        placed = self.place(commanded or Pose(), key)
-        sound, damaged = self.imprints(part, defect, depth_mm, placed)
-        mask = self.mask(sound, damaged, mask_depth_mm)
-        return (
-            self._picture(damaged, key, presses, exposure),
-            mask,
-            self._picture(sound, key, presses, exposure),
-        )
-
     def damage(
         self,
         part: HeightField,
@@ -194,7 +169,11 @@ class Renderer:
         exposure: Exposure | None = None,
         mask_depth_mm: float = MASK_DEPTH_MM,
     ) -> tuple[U8, NDArray[np.bool_]]:
-        """Draw `pair` without the picture of the sound part: (damaged rgb, mask)."""
+        """Draw a press on the damaged part: (rgb, mask).
+
+        mask: bool (h, w), where its imprint differs from the sound part's by more than `mask_depth_mm`. A press on the
+        sound part with the same key shares pose, gel and noise, so only the defect differs.
+        """
         sound, damaged = self.imprints(part, defect, depth_mm, self.place(commanded or Pose(), key))
         return self._picture(damaged, key, presses, exposure), self.mask(sound, damaged, mask_depth_mm)
 
@@ -236,29 +215,26 @@ class Renderer:
         return gel_surface.grain_texture(self.streams("grain", self.gel_id), self.field)
 
     @cached_property
-    def _dust(self) -> gel_surface.Dust:
+    def _dust(self) -> NDArray[np.float64]:
         return gel_surface.new_dust(self.streams("dust", self.gel_id))
 
     @cached_property
-    def _wear(self) -> gel_surface.GelWear:
+    def _wear(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return gel_surface.new_wear(self.streams("wear", self.gel_id))
 
     def _dust_relief(self, presses: int) -> F32:
-        number = gel_surface.marks_at(self._dust.grains, presses)
+        number = gel_surface.marks_at(self._dust, presses)
         return self._cached("dust", number, lambda: gel_surface.dust_relief(self._dust, presses, self.field))
 
     def _wear_relief(self, presses: int) -> F32:
-        number = gel_surface.marks_at(self._wear.scratches, presses)
-        return self._cached(
-            "relief", number, lambda: gel_surface.wear_relief(self._wear, presses, self.field)
-        )
+        scratches, _ = self._wear
+        number = gel_surface.marks_at(scratches, presses)
+        return self._cached("relief", number, lambda: gel_surface.wear_relief(scratches, presses, self.field))
 
     def _wear_stains(self, presses: int) -> F32:
         # Stains darken slowly: every 20 presses is often enough.
-        step = presses // 20
-        return self._cached(
-            "stains", step, lambda: gel_surface.wear_stains(self._wear, 20 * step, self.field)
-        )
+        step, (_, stains) = presses // 20, self._wear
+        return self._cached("stains", step, lambda: gel_surface.wear_stains(stains, 20 * step, self.field))
 
     def _cached(self, what: str, state: int, make: Callable[[], F32]) -> F32:
         """A picture of the coat, made again only when its state has changed."""

@@ -5,7 +5,7 @@ elementary functions are evaluated in float64, whose last bit is lost in roundin
 switched off while files are made (measured: no slower at these sizes, because its baseline is also vectorised).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import cv2
@@ -17,43 +17,17 @@ __all__ = ["arcsin", "arctan2", "combine", "cos", "exp", "power", "reproducible_
 F32 = NDArray[np.float32]
 
 
-def _f64(values: ArrayLike) -> NDArray[np.float64]:
-    return np.asarray(values, dtype=np.float64)
+def _in_float64(function: np.ufunc) -> Callable[..., F32]:
+    """Evaluate a function in float64, and round its values to float32."""
+
+    def evaluate(*values: ArrayLike) -> F32:
+        return np.asarray(function(*(np.asarray(each, np.float64) for each in values)), np.float32)
+
+    return evaluate
 
 
-def exp(x: ArrayLike) -> F32:
-    """e to the power x, float32."""
-    return np.exp(_f64(x)).astype(np.float32)
-
-
-def sin(x: ArrayLike) -> F32:
-    """Sine of radians, float32."""
-    return np.sin(_f64(x)).astype(np.float32)
-
-
-def cos(x: ArrayLike) -> F32:
-    """Cosine of radians, float32."""
-    return np.cos(_f64(x)).astype(np.float32)
-
-
-def tanh(x: ArrayLike) -> F32:
-    """Hyperbolic tangent, float32."""
-    return np.tanh(_f64(x)).astype(np.float32)
-
-
-def arcsin(x: ArrayLike) -> F32:
-    """Radians whose sine is x in [-1, 1], float32."""
-    return np.arcsin(_f64(x)).astype(np.float32)
-
-
-def arctan2(y: ArrayLike, x: ArrayLike) -> F32:
-    """Angle of the point (x, y) in radians, float32."""
-    return np.arctan2(_f64(y), _f64(x)).astype(np.float32)
-
-
-def power(x: ArrayLike, exponent: float) -> F32:
-    """x, not negative, to a power, float32."""
-    return np.power(_f64(x), exponent).astype(np.float32)
+exp, tanh, power = _in_float64(np.exp), _in_float64(np.tanh), _in_float64(np.power)
+sin, cos, arcsin, arctan2 = (_in_float64(each) for each in (np.sin, np.cos, np.arcsin, np.arctan2))
 
 
 def combine(table: NDArray[np.float64], terms: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -7,12 +7,13 @@ nearest known one.
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import EFFECTS, check_effects
+from calibration.simulator.motion import Motion
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import Jitter
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
@@ -25,18 +26,19 @@ __all__ = [
     "SCENES",
     "Camera",
     "Defects",
-    "Motion",
     "NominalPieces",
     "Scene",
     "SceneRun",
+    "change_counts",
     "load_scene",
+    "paper_scenes",
     "scene_names",
 ]
 
 SCENES = Path(__file__).parent / "scenes"
 """The scenes that come with the product, known by their file names."""
 
-Seconds = Annotated[float, Field(ge=0, le=60)]
+Table = TypeVar("Table", "NominalPieces", "SceneRun")
 
 
 class _Table(BaseModel):
@@ -65,30 +67,6 @@ class Camera(_Table):
     def appearance(self) -> SensorAppearance:
         """The sensor's colours, gel and noise."""
         return SENSORS[self.sensor] if isinstance(self.sensor, str) else self.sensor.appearance
-
-
-class Motion(_Table):
-    """The phases of one press: no contact, approach, settling, hold, lift.
-
-    `idle_s` of free gel precede the first press, `tail_s` follow the last.
-    """
-
-    idle_s: Seconds = 1.5
-    approach_s: Seconds = 0.3
-    press_s: Annotated[float, Field(gt=0, le=60)] = 0.15
-    settle_s: Seconds = 0.15
-    hold_s: Annotated[float, Field(gt=0, le=60)] = 0.35
-    lift_s: Annotated[float, Field(gt=0, le=60)] = 0.1
-    tail_s: Seconds = 0.5
-
-
-class JitterTable(_Table):
-    """Standard deviations of a press about its command, in place of the part's own."""
-
-    shift_mm: Annotated[float, Field(ge=0, le=3)]
-    turn_deg: Annotated[float, Field(ge=0, le=45)]
-    tilt_deg: Annotated[float, Field(ge=0, le=5)]
-    depth_fraction: Annotated[float, Field(ge=0, le=0.3)]
 
 
 class NominalPieces(_Table):
@@ -146,7 +124,7 @@ class Scene(_Table):
     motion: Motion = Motion()
     depth_mm: Annotated[float, Field(gt=0, le=2)] | None = None
     mask_depth_mm: Annotated[float, Field(gt=0, le=1)] = 0.02
-    jitter: JitterTable | None = None
+    jitter: Jitter | None = None
     nominal: NominalPieces | None = None
     defects: Defects = Defects()
     runs: tuple[SceneRun, ...] = ()
@@ -202,13 +180,26 @@ class Scene(_Table):
     @property
     def press_jitter(self) -> Jitter:
         """The differences of presses: the scene's own, or the part's."""
-        return PARTS[self.part].jitter if self.jitter is None else Jitter(**self.jitter.model_dump())
+        return self.jitter or PARTS[self.part].jitter
 
 
 def _check_known(name: str, known: Mapping[str, object], what: str) -> str:
     if name in known:
         return name
     raise ValueError(f"no {what} is named '{name}'; {suggestion(name, known)}")
+
+
+def paper_scenes() -> list[Scene]:
+    """The scenes that together have the counts of the published dataset (its Table 1): PZ1 to PZ5."""
+    return [load_scene(path) for path in sorted((SCENES / "paper").glob("*.toml"))]
+
+
+def change_counts(table: Table, **counts: int) -> Table:
+    """A scene's table with other numbers, checked against the same limits. Errors: ConfigError."""
+    try:
+        return type(table).model_validate({**table.model_dump(), **counts})
+    except ValidationError as error:
+        raise ConfigError("; ".join(sentences(type(table), error))) from None
 
 
 def scene_names() -> list[str]:

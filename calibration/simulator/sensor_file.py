@@ -16,7 +16,7 @@ from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 from edge.validation_messages import numbered, sentences
 
-__all__ = ["Fitted", "GelTable", "SensorFile", "find_sensor", "read_sensor"]
+__all__ = ["Fitted", "SensorFile", "find_sensor", "read_sensor"]
 
 
 def _polynomial(row: tuple[float, ...]) -> tuple[float, ...]:
@@ -34,20 +34,6 @@ _Level = Annotated[float, Field(ge=0, le=30)]
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class GelTable(_Table):
-    """How the gel gives way: two relaxation lengths in mm, and the share of the long one."""
-
-    short_mm: Annotated[float, Field(gt=0, le=5)]
-    long_mm: Annotated[float, Field(gt=0, le=10)]
-    long_share: Annotated[float, Field(ge=0, le=1)]
-
-    @model_validator(mode="after")
-    def _check_order(self) -> Self:
-        if self.short_mm > self.long_mm:
-            raise ValueError(f"short_mm {self.short_mm} is not above long_mm {self.long_mm}")
-        return self
 
 
 class Fitted(_Table):
@@ -70,7 +56,7 @@ class SensorFile(_Table):
     slope_response: tuple[_Row15, _Row15, _Row15]
     height_response: tuple[_Row6, _Row6, _Row6]
     noise_sd: tuple[_Level, _Level, _Level]
-    gel: GelTable
+    gel: Gel
     fitted: Fitted | None = None
 
     @model_validator(mode="after")
@@ -78,6 +64,20 @@ class SensorFile(_Table):
         if len({len(row) for row in self.free_gel}) > 1:
             raise ValueError("the three rows of free_gel have equal lengths")
         return self
+
+    @classmethod
+    def of(cls, seen: SensorAppearance, fitted: Fitted) -> Self:
+        """Return the file of a fitted sensor, with as many digits as its fit is worth."""
+        assert seen.height_response is not None
+        gel = Gel(*(round(value, 3) for value in (seen.gel.short_mm, seen.gel.long_mm, seen.gel.long_share)))
+        tables = {
+            "free_gel": seen.free_gel.round(4),
+            "slope_response": seen.slope_response.round(2),
+            "height_response": seen.height_response.round(2),
+            "noise_sd": np.round(seen.noise_sd, 2),
+        }
+        rows = {name: table.tolist() for name, table in tables.items()}
+        return cls.model_validate({"version": 1, "name": seen.name, **rows, "gel": gel, "fitted": fitted})
 
     @property
     def appearance(self) -> SensorAppearance:
@@ -87,7 +87,7 @@ class SensorFile(_Table):
             np.array(self.free_gel, dtype=np.float64),
             np.array(self.slope_response, dtype=np.float64),
             np.array(self.height_response, dtype=np.float64),
-            Gel(**self.gel.model_dump()),
+            self.gel,
             self.noise_sd,
         )
 
@@ -98,10 +98,9 @@ class SensorFile(_Table):
             rows = "\n".join(f"  {list(row)}," for row in getattr(self, key))
             lines.append(f"{key} = [\n{rows}\n]")
         lines.append(f"noise_sd = {list(self.noise_sd)}")
-        for key, table in (("gel", self.gel), ("fitted", self.fitted)):
-            if table is not None:
-                lines.append(f"\n[{key}]")
-                lines += [f"{name} = {str(value).lower()}" for name, value in table.model_dump().items()]
+        for key, table in self.model_dump(include={"gel", "fitted"}, exclude_none=True).items():
+            lines.append(f"\n[{key}]")
+            lines += [f"{name} = {str(value).lower()}" for name, value in table.items()]
         return "\n".join(lines) + "\n"
 
 

@@ -1,7 +1,7 @@
 """The trunk for real touch: the first block of a tactile trunk, and EfficientNet-Lite0 with ImageNet weights.
 
 Small edges of real gels are seen better by few layers, and by features that were not learnt from simulated presses
-alone; docs/backbone.md compares. `calibration.training.joined_trunk` makes the graph from its two parts.
+alone; docs/backbone.md compares. Its facts name the two parts by their hashes.
 
 Refs: plugins/backbones/tactile.py, plugins/backbones/efficientnet_lite0.py.
 """

@@ -1,4 +1,4 @@
-"""The trunk for real touch: its bytes, its channels against the originals, and how it is made."""
+"""The trunk for real touch: its bytes, and its channels against the originals."""
 
 import hashlib
 import json
@@ -12,7 +12,6 @@ import pytest
 from command_line import gelgate
 
 from calibration.fitting.trunks import open_trunk
-from calibration.training.joined_trunk import TACTILE_SCALE, main
 from calibration.training.package import MOST_BYTES
 from edge import registry
 from edge.core.errors import ConfigError
@@ -67,7 +66,7 @@ def test_its_tactile_channels_are_those_of_a_residual_block() -> None:
     planes = (FRAMES / np.float32(255) - np.float32(IMAGENET_MEAN)) / np.float32(IMAGENET_STD)
     expected = _first_block(torch, torch.from_numpy(planes.transpose(0, 3, 1, 2).astype(np.float32))).numpy()
 
-    found = run(tactile_lite0.trunk())[0][:, :64] / TACTILE_SCALE
+    found = run(tactile_lite0.trunk())[0][:, :64] / FACTS["tactile_scale"]
 
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 
@@ -99,18 +98,6 @@ def test_its_other_channels_are_those_of_efficientnet_lite0(package: None) -> No
     assert np.array_equal(found[0][:, 64:], first)
     assert np.array_equal(found[1], second)
     assert np.array_equal(found[2], third)
-
-
-def test_it_is_made_again_from_its_parts(
-    package: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The command writes the trunk that ships, with the facts that ship; a folder that cannot be written is named."""
-    assert main([str(tmp_path / "made")]) == 0
-    assert json.loads((tmp_path / "made" / "tactile_lite0.json").read_text()) == FACTS
-    assert (tmp_path / "made" / "tactile_lite0.onnx").read_bytes() == tactile_lite0.trunk()
-    (tmp_path / "file").touch()
-    assert main([str(tmp_path / "file")]) == 3
-    assert "file" in capsys.readouterr().err
 
 
 def test_a_detector_is_fitted_on_it(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def test_the_prediction_is_the_renderers_picture() -> None:
     assert UNSEEN.height_response is not None
     response = np.concatenate([UNSEEN.slope_response, UNSEEN.height_response], axis=1)
     seen = predict(ball, RADIUS_MM, UNSEEN.gel, free, window)
-    error = np.abs(drawn[:, *window.seen] - seen.change(response))[:, seen.changed]
+    error = np.abs(drawn[:, *window] - seen.change(response))[:, seen.changed]
     assert error.mean() < 0.3
     assert error.max() < 2
 
@@ -57,7 +57,7 @@ def test_a_window_at_the_rim_shows_only_the_picture() -> None:
     """The part of the prediction that lies beyond the picture is cut off."""
     ball = Ball(9.0, 6.5, 0.3)
     window = window_around(ball, ball.contact_radius_mm(RADIUS_MM))
-    rows, columns = window.seen
+    rows, columns = window
     assert (rows.stop, columns.stop) == LR.shape
     seen = predict(ball, RADIUS_MM, UNSEEN.gel, planes(renderer().free_gel()), window)
     assert seen.height_mm.shape == (rows.stop - rows.start, columns.stop - columns.start)

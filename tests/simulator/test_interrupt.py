@@ -10,8 +10,8 @@ import cv2
 import pytest
 from digests import digests
 
+from calibration.simulator.dataset_writer import simulate_dataset
 from calibration.simulator.scene import load_scene
-from calibration.simulator.simulate import simulate_dataset
 
 COMMAND = Path(sys.executable).with_name("gelgate")
 PRESSES = 12

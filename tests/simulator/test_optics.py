@@ -161,16 +161,14 @@ def test_markers_are_dark_dots_that_spread_from_a_bulge() -> None:
 
 def test_dust_and_wear_only_grow() -> None:
     """Every speck, scratch and stain of a young gel is still there on an old one, and there are more."""
-    dust, wear = (
-        gel_surface.new_dust(np.random.default_rng(1)),
-        gel_surface.new_wear(np.random.default_rng(2)),
-    )
+    dust = gel_surface.new_dust(np.random.default_rng(1))
+    scratches, stains = gel_surface.new_wear(np.random.default_rng(2))
     young, old = (gel_surface.dust_relief(dust, n, LR) for n in (0, 900))
     assert (old >= young - 1e-6).all()
     assert 0 < (young > 0.005).sum() < (old > 0.005).sum()
-    assert not gel_surface.wear_relief(wear, 0, LR).any()
-    assert (gel_surface.wear_relief(wear, 900, LR) <= 0).all()
-    assert (gel_surface.wear_stains(wear, 900, LR) <= gel_surface.wear_stains(wear, 300, LR) + 1e-6).all()
+    assert not gel_surface.wear_relief(scratches, 0, LR).any()
+    assert (gel_surface.wear_relief(scratches, 900, LR) <= 0).all()
+    assert (gel_surface.wear_stains(stains, 900, LR) <= gel_surface.wear_stains(stains, 300, LR) + 1e-6).all()
 
 
 def test_the_native_frame_shows_the_rim_and_crops_to_the_low_resolution_frame() -> None:

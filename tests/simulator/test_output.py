@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 
 from calibration.dataset import open_dataset
 from calibration.simulator.command import simulate
-from calibration.simulator.dataset_writer import press_pictures
+from calibration.simulator.dataset_writer import press_pictures, simulate_dataset
 from calibration.simulator.plan import dataset_plan
+from calibration.simulator.record import simulate_recording
 from calibration.simulator.scene import Scene, load_scene
-from calibration.simulator.simulate import simulate_dataset, simulate_recording
 from edge.core.errors import ConfigError, DatasetError, RecordingError
 from edge.core.imaging.decode import decode
 from edge.core.imaging.known_profiles import PROFILES

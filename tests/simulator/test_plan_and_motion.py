@@ -4,10 +4,9 @@ from collections import Counter
 
 import pytest
 
-from calibration.simulator.motion import PressMotion
+from calibration.simulator.motion import Motion
 from calibration.simulator.plan import damage, dataset_plan, recording_plan
-from calibration.simulator.scene import load_scene
-from calibration.simulator.simulate import paper_scenes
+from calibration.simulator.scene import load_scene, paper_scenes
 from calibration.simulator.streams import Streams
 
 
@@ -70,7 +69,7 @@ def test_the_demos_damage_shows_for_many_seeds() -> None:
 
 def test_a_press_goes_down_rests_and_comes_up() -> None:
     """Phases come in order; depth is 0 before, within 3 % of full while settling, full while held, then falls."""
-    moments = PressMotion(0.3, 0.2, 0.2, 0.4, 0.2, 20).moments()
+    moments = list(Motion(press_s=0.2, settle_s=0.2, hold_s=0.4, lift_s=0.2).moments(20))
     assert len(moments) == 26
     order = ("approach", "press", "settle", "hold", "lift")
     assert [order.index(m.phase) for m in moments] == sorted(order.index(m.phase) for m in moments)

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from digests import digests
 
+from calibration.simulator.record import simulate_recording
 from calibration.simulator.scene import Scene, load_scene
-from calibration.simulator.simulate import simulate_recording
 from edge.core.errors import RecordingError
 from edge.recording.format import Recording
 

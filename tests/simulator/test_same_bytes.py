@@ -10,7 +10,8 @@ SCRIPT = """
 import hashlib, sys, tempfile
 from pathlib import Path
 from calibration.simulator.scene import load_scene
-from calibration.simulator.simulate import simulate_dataset, simulate_recording
+from calibration.simulator.dataset_writer import simulate_dataset
+from calibration.simulator.record import simulate_recording
 from calibration.simulator.effects import EFFECTS
 from calibration.simulator.field_of_view import LR, native_field
 from calibration.simulator.parts import PARTS

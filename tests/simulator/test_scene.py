@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.simulator.scene import SCENES, load_scene, scene_names
-from calibration.simulator.simulate import paper_scenes
+from calibration.simulator.scene import SCENES, load_scene, paper_scenes, scene_names
 from edge.core.errors import ConfigError
 
 GOOD = """version = 1

@@ -10,11 +10,11 @@ from calibration.simulator.defects import DEFECTS
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.parts import PARTS, specimen
 from calibration.simulator.plan import PRESS_CYCLE_S, place_damage
-from calibration.simulator.pose import Jitter, Pose, pose_jitter, sample
+from calibration.simulator.pose import FIXTURE, Jitter, Pose, pose_jitter, sample
 from calibration.simulator.random_parts import RandomPart, random_part
 from calibration.simulator.renderer import MASK_DEPTH_MM, Exposure, Renderer
+from calibration.simulator.scene import paper_scenes
 from calibration.simulator.sensor_appearance import SENSORS
-from calibration.simulator.simulate import paper_scenes
 from calibration.simulator.streams import Streams
 
 # As most of the analogues are pressed.
@@ -92,4 +92,4 @@ class RandomPartPresses:
     @cached_property
     def _gel(self) -> Renderer:
         effects = next(scene for scene in paper_scenes() if scene.part == "PZ3").effects
-        return Renderer(LR, effects, SENSORS["unit_b"], Jitter(), self._streams, "gel1", "pos1")
+        return Renderer(LR, effects, SENSORS["unit_b"], FIXTURE, self._streams, "gel1", "pos1")

@@ -15,13 +15,12 @@ from calibration.fitting.presses.nominal_presses import gather_presses
 from calibration.simulator import parts as analogues
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.plan import PressPlan, dataset_plan, place_damage
-from calibration.simulator.pose import HeightField, Pose, sample
+from calibration.simulator.pose import HeightField, Jitter, Pose, sample
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
-from calibration.simulator.scene import Defects, JitterTable, NominalPieces, Scene
+from calibration.simulator.scene import Defects, NominalPieces, Scene, paper_scenes
 from calibration.simulator.sensor_appearance import SENSORS
-from calibration.simulator.simulate import paper_scenes
 from calibration.simulator.streams import Streams
 
 __all__ = [
@@ -107,7 +106,7 @@ def development_trial(number: int, sizes: Sizes | None = None, condition: str = 
             "part": f"RP{number}",
             "positions": ("pos1",),
             "depth_mm": DEVELOPMENT_DEPTH_MM,
-            "jitter": JitterTable(
+            "jitter": Jitter(
                 shift_mm=jitter.shift_mm,
                 turn_deg=jitter.turn_deg,
                 tilt_deg=jitter.tilt_deg,
