@@ -2,11 +2,11 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.acquisition.arguments import AcquireArguments
 from calibration.acquisition.coverage import Goal, PlaceDistances, Standing
 from calibration.acquisition.folder import AcquisitionFolder, KeptPress, Keys, Pieces
 from calibration.acquisition.report import coverage_png
@@ -21,9 +21,6 @@ from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
-if TYPE_CHECKING:
-    from calibration.acquisition.command import AcquireArguments
-
 __all__ = ["Acquiring"]
 
 
@@ -34,7 +31,7 @@ class Acquiring:
     folder of something else, DatasetError for a press in the folder that cannot be read.
     """
 
-    def __init__(self, plan: "AcquireArguments", profile: SensorProfile) -> None:
+    def __init__(self, plan: AcquireArguments, profile: SensorProfile) -> None:
         self.goal = Goal(plan.promise, plan.confidence)
         self.left_out: list[str] = []
         self._profile, self._region = profile, Region.parse(plan.region, profile.size)
