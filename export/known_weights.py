@@ -100,7 +100,7 @@ ENCODERS: Mapping[str, Encoder] = {
             "sparsh",
             "CC-BY-NC-4.0",
             "huggingface.co/facebook/sparsh-dino-base",
-            InputSteps((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (224, 224), None, 0.5, 2),
+            InputSteps((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (224, 224), offset=0.5, copies=2),
             needs_background=True,
         ),
         # Levels in 0..1, resized by OpenCV's linear interpolation: tactile_representation_dataset.py and its config.

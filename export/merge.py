@@ -11,14 +11,16 @@ from pydantic import TypeAdapter
 
 from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.imaging.tiles import TILES_KEY, Tiles
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, facts_of, write_bundle, write_file
 from edge.model.manifest import Manifest
-from edge.model.scorer import Scorer, map_peaks
-from export.onnx_values import rename, same_versions
-from plugins.backbones.tiled import mosaic_trunk
+from edge.model.scorer import SCORE, SCORE_MAP, Scorer, map_peaks
+from export.onnx_values import join, rename
+from plugins.backbones.tiled import plain_trunk, read_model, tap_shapes
+from plugins.onnx_builder import Graph
 
-__all__ = ["merge_bundle", "merged_graph", "score_again", "single_graph_bundle"]
+__all__ = ["merge_bundle", "merged_graph", "mosaic_trunk", "score_again", "single_graph_bundle"]
 
 MERGED_RELATIVE = 1e-4
 """How far the merged graph may differ from the pair, relative to the largest map value: with a constant bank the
@@ -52,7 +54,7 @@ def merged_graph(bundle: Bundle) -> bytes:
     Errors: BundleMismatch for a bundle that no single graph can replace.
     """
     import onnx
-    from onnx import compose, numpy_helper
+    from onnx import numpy_helper
 
     if bundle.registration is not None:
         raise BundleMismatch(
@@ -73,14 +75,11 @@ def merged_graph(bundle: Bundle) -> bytes:
     kept = [i for i in head.graph.input if i.name in taps]
     del head.graph.input[:]
     head.graph.input.extend(kept)
-    trunk, head = same_versions(trunk, head)
+    outputs = [output for output in head.graph.output if output.name in (SCORE_MAP, SCORE)]
+    head.graph.ClearField("output")
+    head.graph.output.extend(outputs)
     # Prefixes keep the inner names of the two graphs distinct; the outer names are restored below.
-    merged = compose.merge_models(
-        compose.add_prefix(trunk, "trunk/"),
-        compose.add_prefix(head, "head/"),
-        io_map=[(f"trunk/{tap}", f"head/{tap}") for tap in taps],
-        outputs=["head/score_map", "head/score"],
-    )
+    merged = join(trunk, head, {tap: tap for tap in taps}, ("trunk/", "head/"))
     rename(merged, {"trunk/frames": "frames", "head/score_map": "score_map", "head/score": "score"})
     merged.graph.name = f"{bundle.manifest.method}_{bundle.manifest.part}_{bundle.manifest.position}"
     del merged.metadata_props[:]
@@ -88,6 +87,38 @@ def merged_graph(bundle: Bundle) -> bytes:
         merged.metadata_props.add(key=key, value=value)
     onnx.checker.check_model(merged)
     return bytes(merged.SerializeToString())
+
+
+def mosaic_trunk(trunk: bytes, tiles: Tiles) -> bytes:
+    """The trunk over all tiles in one graph. Input `frames` uint8 (n, *tiles.frame, 3), outputs the taps as mosaics.
+
+    trunk: a plain one, or one of `tile_trunk`. Errors: ConfigError as there.
+    """
+    import onnx
+
+    model = read_model(trunk)
+    facts = {entry.key: entry.value for entry in model.metadata_props if entry.key != TILES_KEY}
+    onnx.helper.set_model_props(model, facts)
+    model = plain_trunk(model.SerializeToString(), tiles)
+    shapes, front, end = tap_shapes(model, tiles), Graph("cut"), Graph("mosaic")
+    frames = front.input("frames", ("n", *tiles.frame, 3), "uint8")
+    size, down, across = tiles.size, len(tiles.rows), len(tiles.columns)
+    ends = [(front.ints(y, x), front.ints(y + size, x + size)) for y, x in tiles.places]
+    cut = [front.op("Slice", frames, *corners, front.ints(1, 2)) for corners in ends]
+    front.output("tiles", front.concat(cut, 0), ("m", size, size, 3), "uint8")
+    for tap, (c, h, w) in shapes.items():
+        x = end.reshape(end.input(tap, ("m", c, h, w)), down, across, -1, c, h, w)
+        mosaic = (c, down * h, across * w)
+        end.output(
+            f"{tap}_mosaic", end.reshape(end.transpose(x, 2, 3, 0, 4, 1, 5), -1, *mosaic), ("n", *mosaic)
+        )
+    first, last = (onnx.load_from_string(graph.serialise()) for graph in (front, end))
+    tiled = join(first, model, {"tiles": "frames"}, ("cut/", "tile/"))
+    tiled = join(tiled, last, {f"tile/{tap}": tap for tap in shapes}, ("", "mosaic/"))
+    rename(tiled, {"cut/frames": "frames", **{f"mosaic/{tap}_mosaic": tap for tap in shapes}})
+    onnx.helper.set_model_props(tiled, facts)
+    onnx.checker.check_model(tiled, full_check=True)
+    return bytes(tiled.SerializeToString())
 
 
 def _metadata(bundle: Bundle) -> dict[str, str]:

@@ -14,15 +14,10 @@ from numpy.typing import NDArray
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
 from edge.model.graph_cut import prune
-from export.onnx_values import (
-    PIXELS,
-    load_model,
-    picture_input,
-    read_frames,
-    run_each,
-)
+from export.onnx_values import PIXELS, append, load_model, picture_input, read_frames, run_each
 from export.parity import Stage
 from plugins.backbones.input_steps import InputSteps, apply_steps
+from plugins.onnx_builder import Graph
 
 __all__ = ["GraphTrunk", "graph_trunk", "name_taps"]
 
@@ -69,6 +64,8 @@ def graph_trunk(
     None: as many as leave a square grid, at most eight. Errors: ConfigError for a graph without this picture input or
     these values, or values that are no feature maps.
     """
+    from onnx.helper import set_model_props
+
     model = load_model(data, where)
     _check_values(model, taps, where)
     picture = picture_input(model, where)
@@ -81,8 +78,10 @@ def graph_trunk(
     pixels = np.rint(pixels).clip(0, 255).astype(np.uint8) if picture.is_bytes else pixels.astype(np.float32)
     expected = run_each(data, list(taps.values()), picture.name, pixels, picture.batch, where)
     grids = {tap: _grid(array, tap, prefixes) for tap, array in zip(taps, expected, strict=True)}
-    merged = read_frames(model, picture, steps, frame, high)
-    _end(merged, taps, grids, {tap: array.shape for tap, array in zip(taps, expected, strict=True)}, facts)
+    body = read_frames(model, picture, steps, frame, high)
+    merged = append(body, _end(taps, expected, grids), {v: f"value_{tap}" for tap, v in taps.items()})
+    prune(merged)
+    set_model_props(merged, dict(facts))
     trunk = bytes(merged.SerializeToString())
     front = f"front/{PIXELS}"
     arrays = run_each(trunk, [front, *taps], "frames", frames, picture.batch, where)
@@ -132,49 +131,19 @@ def _as_maps(array: NDArray[Any], rows: int, columns: int, dropped: int) -> NDAr
 
 
 def _end(
-    merged: Any,
-    taps: Mapping[str, str],
-    grids: Mapping[str, tuple[int, int, int]],
-    shapes: Mapping[str, tuple[int, ...]],
-    facts: Mapping[str, str],
-) -> None:
-    """Give every tap its name, as a map; the outputs are the taps alone."""
-    import onnx
-    from onnx import helper
-
-    del merged.graph.output[:]
-    for tap, value in taps.items():
+    taps: Mapping[str, str], expected: Sequence[NDArray[Any]], grids: Mapping[str, tuple[int, int, int]]
+) -> bytes:
+    """Make the graph from the values to the taps, as maps."""
+    graph = Graph("taps")
+    for tap, array in zip(taps, expected, strict=True):
         rows, columns, dropped = grids[tap]
-        at, shape = f"model/{value}", shapes[tap]
-        merged.graph.node.extend(_to_map(at, tap, rows, columns, dropped, shape, merged.graph.initializer))
-        size = [shape[1], shape[2], shape[3]] if rows == 0 else [shape[2], rows, columns]
-        merged.graph.output.append(helper.make_tensor_value_info(tap, onnx.TensorProto.FLOAT, ["n", *size]))
-    merged.graph.ClearField("value_info")
-    prune(merged)
-    helper.set_model_props(merged, dict(facts))
-    onnx.checker.check_model(merged)
-
-
-def _to_map(
-    value: str, tap: str, rows: int, columns: int, dropped: int, shape: tuple[int, ...], constants: Any
-) -> list[Any]:
-    from onnx import helper, numpy_helper
-
-    def vector(name: str, *numbers: int) -> str:
-        constants.append(numpy_helper.from_array(np.array(numbers, np.int64), f"tap/{tap}/{name}"))
-        return f"tap/{tap}/{name}"
-
-    def node(kind: str, inputs: list[str], output: str, **attributes: Any) -> Any:
-        return helper.make_node(kind, inputs, [output], name=output, **attributes)
-
-    if rows == 0:
-        return [node("Cast", [value], tap, to=1)]
-    ends = [vector("first", dropped), vector("last", shape[1]), vector("axis", 1)]
-    return [
-        node("Slice", [value, *ends], f"tap/{tap}/patches"),
-        node("Transpose", [f"tap/{tap}/patches"], f"tap/{tap}/channels", perm=[0, 2, 1]),
-        node(
-            "Reshape", [f"tap/{tap}/channels", vector("size", 0, shape[2], rows, columns)], f"tap/{tap}/map"
-        ),
-        node("Cast", [f"tap/{tap}/map"], tap, to=1),
-    ]
+        x = graph.input(
+            f"value_{tap}", ("n", *array.shape[1:]), "float32" if array.itemsize == 4 else "float16"
+        )
+        size = array.shape[1:]
+        if rows:
+            size = (array.shape[2], rows, columns)
+            patches = graph.slice(x, dropped, array.shape[1], 1)
+            x = graph.reshape(graph.transpose(patches, 0, 2, 1), 0, *size)
+        graph.output(tap, graph.op("Cast", x, to=1), ("n", *size))
+    return graph.serialise()

@@ -20,10 +20,11 @@ __all__ = [
     "PIXELS",
     "PictureInput",
     "add_outputs",
+    "append",
     "drop_traces",
     "first_conv_input",
+    "join",
     "load_model",
-    "name_opset_once",
     "picture_input",
     "read_frames",
     "rename",
@@ -105,7 +106,6 @@ def read_frames(
     `front/`, the model's own under `model/`.
     """
     import onnx
-    from onnx import compose
 
     graph = Graph("front")
     planes = input_planes(graph, steps, frame)
@@ -118,15 +118,41 @@ def read_frames(
             "Cast", graph.op("Clip", graph.op("Round", planes), graph.scalar(0), graph.scalar(255)), to=2
         )
     graph.output(PIXELS, planes, ("n", "a", "b", "c"), "uint8" if picture.is_bytes else "float32")
-    front, body = same_versions(onnx.load_from_string(graph.serialise()), model)
-    merged = compose.merge_models(
-        compose.add_prefix(front, "front/"),
-        compose.add_prefix(body, "model/"),
-        io_map=[(f"front/{PIXELS}", f"model/{picture.name}")],
-    )
+    front = onnx.load_from_string(graph.serialise())
+    merged = join(front, model, {PIXELS: picture.name}, ("front/", "model/"))
     rename(merged, {"front/frames": "frames"})
     drop_traces(merged)
+    return merged
+
+
+def join(first: Any, second: Any, reads: Mapping[str, str], prefixes: tuple[str, str] = ("", "")) -> Any:
+    """Join two models, whose outputs are then those of the second.
+
+    reads: value of the first to the input of the second that reads it. prefixes: of all names of each.
+    """
+    import onnx
+    from onnx import compose
+
+    first, second = (
+        compose.add_prefix(model, prefix) if prefix else model
+        for model, prefix in zip(same_versions(first, second), prefixes, strict=True)
+    )
+    pairs = [(prefixes[0] + value, prefixes[1] + name) for value, name in reads.items()]
+    del first.graph.output[:]
+    first.graph.output.extend(onnx.ValueInfoProto(name=value) for value, _ in pairs)
+    merged = compose.merge_models(first, second, io_map=pairs)
     name_opset_once(merged)
+    return merged
+
+
+def append(body: Any, ending: bytes, reads: Mapping[str, str]) -> Any:
+    """Join a graph behind a model of `read_frames`; it keeps the names of its outputs. reads: as for `join`."""
+    import onnx
+
+    end = onnx.load_from_string(ending)
+    merged = join(body, end, {f"model/{value}": name for value, name in reads.items()}, ("", "end/"))
+    rename(merged, {f"end/{output.name}": output.name for output in end.graph.output})
+    onnx.checker.check_model(merged)
     return merged
 
 

@@ -20,13 +20,11 @@ from export.normalised_scores import SUFFIX, Normalisation, constants, raw_score
 from export.onnx_values import (
     PIXELS,
     PictureInput,
+    append,
     load_model,
-    name_opset_once,
     picture_input,
     read_frames,
-    rename,
     run_each,
-    same_versions,
 )
 from export.parity import ParityReport, Stage, compare, order_stage
 from plugins.backbones.input_steps import IMAGENET, InputSteps, apply_steps, linear_matrix
@@ -95,7 +93,10 @@ def adapt(
     chosen = _Outputs.of(outputs, given, where)
     sign = -1.0 if given.is_negated else 1.0
     body = read_frames(model, picture, steps, frame, high)
-    graph = _join(body, chosen, _end(chosen, outputs, frame, sign))
+    kept = {name: name for name in (chosen.map, chosen.score) if name}
+    merged = append(body, _end(chosen, outputs, frame, sign), kept)
+    merged.graph.name = "adapted"
+    graph = bytes(merged.SerializeToString())
     found = {
         "input": f"{picture.name}, {picture.layout}, {'uint8' if picture.is_bytes else 'float32'}, {why}",
         "preprocessing": steps.words,
@@ -259,25 +260,6 @@ def _map_size(array: NDArray[Any]) -> tuple[int, int]:
 
 def _is_score(array: NDArray[Any]) -> bool:
     return array.dtype.kind == "f" and array.ndim >= 1 and array.size == array.shape[0]
-
-
-def _join(body: Any, chosen: _Outputs, ending: bytes) -> bytes:
-    """Join the graph behind its front with the end."""
-    import onnx
-    from onnx import compose
-
-    kept = [name for name in (chosen.map, chosen.score) if name]
-    for value in [v for v in body.graph.output if v.name not in {f"model/{name}" for name in kept}]:
-        body.graph.output.remove(value)
-    body, end = same_versions(body, onnx.load_from_string(ending))
-    merged = compose.merge_models(
-        body, compose.add_prefix(end, "end/"), io_map=[(f"model/{name}", f"end/{name}") for name in kept]
-    )
-    rename(merged, {f"end/{name}": name for name in (SCORE_MAP, SCORE)})
-    merged.graph.name = "adapted"
-    name_opset_once(merged)
-    onnx.checker.check_model(merged)
-    return bytes(merged.SerializeToString())
 
 
 def _end(chosen: _Outputs, outputs: Mapping[str, NDArray[Any]], frame: tuple[int, int], sign: float) -> bytes:

@@ -20,9 +20,10 @@ from edge.core.errors import ConfigError
 from edge.model.session import open_session
 from export.importers.anomalib_file import AnomalibFile, read_anomalib
 from export.importers.contract import Imported, Recognised, Settings
-from export.importers.framing import Framing, framed_trunk
+from export.importers.framing import Framing
 from export.importers.heads import MapSteps, dfkde_head, dfm_head, patchcore_head
 from export.importers.padim_parts import Gaussians, padim_parts
+from plugins.backbones.input_steps import InputSteps
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.topology import TOPOLOGIES, check_state
 from plugins.detectors.common.descriptor import Descriptor
@@ -79,8 +80,18 @@ class _Model:
 
     @cached_property
     def trunk(self) -> Trunk:
-        graph = framed_trunk(self._plain_trunk(), self.framing)
-        return Trunk(f"{self.backbone}_{self.path.stem}", graph, {"weights": self.path.name})
+        path, name, layers = self.path, self.backbone, self.found.layers
+        if name not in TOPOLOGIES:
+            raise ConfigError(
+                f"{path}: 'backbone' is {name or 'missing'}, one of {', '.join(TOPOLOGIES)} was expected"
+            )
+        state, framing = self.found.backbone_state, self.framing
+        check_state(state, TOPOLOGIES[name], f"{path}: the backbone's weights", layers)
+        mean, std = self.found.normalisation
+        steps = InputSteps(mean, std, framing.resize, framing.crop, is_antialiased=framing.is_antialiased)
+        facts = {"weights": path.name}
+        graph = build_trunk(state, name, layers, steps=steps, frame=framing.frame, facts=facts)
+        return Trunk(f"{name}_{path.stem}", graph, facts)
 
     @cached_property
     def grid(self) -> Grid:
@@ -95,25 +106,6 @@ class _Model:
     def backbone(self) -> str:
         """timm names a training recipe after a point."""
         return str(self.found.options.get("backbone", "")).partition(".")[0]
-
-    def _plain_trunk(self) -> bytes:
-        if self.backbone not in TOPOLOGIES:
-            raise ConfigError(
-                f"{self.path}: 'backbone' is {self.backbone or 'missing'}, one of {', '.join(TOPOLOGIES)} was expected"
-            )
-        mean, std = self.found.normalisation
-        state = self.found.backbone_state
-        check_state(
-            state, TOPOLOGIES[self.backbone], f"{self.path}: the backbone's weights", self.found.layers
-        )
-        return build_trunk(
-            state,
-            self.backbone,
-            self.found.layers,
-            mean=mean,
-            std=std,
-            facts={"weights": self.path.name},
-        )
 
     def steps(self, sigma_px: float = SIGMA_PX, **kinds: Any) -> MapSteps:
         return MapSteps(self.framing, sigma_px, border="reflect", **kinds)

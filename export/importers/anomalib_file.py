@@ -26,6 +26,8 @@ MARKS = {
 }
 MOST_MODULES = 5000
 
+Colour = tuple[float, float, float]
+
 
 @dataclass(frozen=True)
 class AnomalibFile:
@@ -103,7 +105,7 @@ class AnomalibFile:
         }
 
     @property
-    def normalisation(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def normalisation(self) -> tuple[Colour, Colour]:
         """mean and std of RGB in 0..1. Errors: ConfigError."""
         for kind, fields in self._steps():
             if kind == "Normalize":
@@ -167,13 +169,14 @@ class AnomalibFile:
             words = kind if isinstance(kind, str) else describe(kind)
             raise ConfigError(f"{self.path}: the pre-processor resizes by '{words}', bilinear was expected")
 
-    def _three(self, fields: Mapping[Any, Content], name: str) -> tuple[float, ...]:
+    def _three(self, fields: Mapping[Any, Content], name: str) -> Colour:
         values = check_array(self.path, f"pre-processor {name}", fields.get(name), 3).astype(np.float64)
         if name == "std" and not (values > 0).all():
             raise ConfigError(
                 f"{self.path}: 'std' of the pre-processor is {values.tolist()}, positive numbers were expected"
             )
-        return tuple(float(value) for value in values)
+        red, green, blue = values.tolist()
+        return red, green, blue
 
     def _number(self, name: str) -> float:
         value = self.state.get(f"post_processor.{name}")

@@ -1,6 +1,6 @@
 """The steps from a frame to a network's input, as data, as an ONNX graph, and in NumPy as their reference.
 
-    frame - background -> / 255 -> + offset -> resize -> (x - mean) / std -> copies
+    frame - background -> / 255 -> + offset -> resize -> crop -> (x - mean) / std -> copies
 
 Encoders that were trained on differences from the untouched gel have its picture inside the graph, so a bundle of such
 a trunk belongs to one sensor. Encoders that were trained on two frames of a film get the one settled frame twice: while
@@ -29,6 +29,8 @@ class InputSteps:
     """The deviation of RGB in 0..1, likewise."""
     size: tuple[int, int] | None = None
     """(h, w) to resize to, linear; None keeps the frame's."""
+    crop: tuple[int, int] | None = None
+    """(h, w) of the middle that remains after that; None keeps all."""
     background: NDArray[np.uint8] | None = None
     """uint8 (h, w, 3), the picture without contact, which is subtracted."""
     offset: float = 0.0
@@ -55,10 +57,27 @@ class InputSteps:
         if self.size is not None:
             plainly = "" if self.is_antialiased else " without antialiasing"
             steps.append(f"resize {self.size[0]}x{self.size[1]}{plainly}")
+        if self.crop is not None:
+            steps.append(f"crop {self.crop[0]}x{self.crop[1]}")
         steps.append(f"-{_write_tuple(self.mean)}, /{_write_tuple(self.std)}")
         if self.copies > 1:
             steps.append(f"the settled frame {self.copies} times")
         return "; ".join(steps)
+
+    def resampling(self, frame: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Give the matrices (h', h) and (w', w) of resize and crop; None where the frame stays as it is.
+
+        Fixed matrices: runtimes differ in how they resize with antialiasing at the border.
+        """
+        size = self.size or frame
+        crop = self.crop or size
+        if crop == size == frame:
+            return None
+        rows, columns = (
+            linear_matrix(source, target, self.is_antialiased)[round((target - kept) / 2) :][:kept]
+            for source, target, kept in zip(frame, size, crop, strict=True)
+        )
+        return rows, columns
 
 
 IMAGENET = InputSteps((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))
@@ -80,7 +99,6 @@ def input_planes(graph: Graph, steps: InputSteps, frame: tuple[int, int] | None 
             )
         x = graph.op("Sub", x, graph.constant(steps.background.astype(np.float32)))
     x = graph.transpose(x, 0, 3, 1, 2)
-    shift = np.zeros(3)
     if steps.background is not None and steps.offset:
         x = graph.op("Mul", x, graph.scalar(1 / 255))
         x = graph.op("Clip", graph.op("Add", x, graph.scalar(steps.offset)), graph.scalar(0), graph.scalar(1))
@@ -88,14 +106,10 @@ def input_planes(graph: Graph, steps: InputSteps, frame: tuple[int, int] | None 
     else:
         scale = 1 / (255 * np.asarray(steps.std, np.float64))
     shift = -np.asarray(steps.mean, np.float64) / np.asarray(steps.std, np.float64)
-    if steps.size is not None and steps.size != frame:
-        if frame is None:
-            raise ConfigError(f"frames are resized to {steps.size} from one fixed size; state the region")
-        # Fixed matrices: runtimes differ in how they resize with antialiasing at the border.
-        rows, columns = (
-            linear_matrix(a, b, steps.is_antialiased) for a, b in zip(frame, steps.size, strict=True)
-        )
-        x = graph.between(rows, x, columns)
+    if frame is None and (steps.size or steps.crop):
+        raise ConfigError(f"frames are resized to {steps.size} from one fixed size; state the region")
+    if frame is not None and (matrices := steps.resampling(frame)) is not None:
+        x = graph.between(matrices[0], x, matrices[1])
     x = graph.op("Mul", x, graph.constant(scale.reshape(1, 3, 1, 1).astype(np.float32)))
     x = graph.op("Add", x, graph.constant(shift.reshape(1, 3, 1, 1).astype(np.float32)))
     return x if steps.copies == 1 else graph.op("Concat", *[x] * steps.copies, axis=1)
@@ -109,12 +123,8 @@ def apply_steps(steps: InputSteps, frames: NDArray[np.uint8]) -> NDArray[np.floa
     x = x / 255
     if steps.background is not None and steps.offset:
         x = np.clip(x + steps.offset, 0, 1)
-    if steps.size is not None and steps.size != frames.shape[1:3]:
-        rows, columns = (
-            linear_matrix(a, b, steps.is_antialiased)
-            for a, b in zip(frames.shape[1:3], steps.size, strict=True)
-        )
-        x = np.einsum("yh,nhwc,xw->nyxc", rows, x, columns, optimize=True)
+    if (matrices := steps.resampling((frames.shape[1], frames.shape[2]))) is not None:
+        x = np.einsum("yh,nhwc,xw->nyxc", matrices[0], x, matrices[1], optimize=True)
     x = (x - np.asarray(steps.mean)) / np.asarray(steps.std)
     planes = np.ascontiguousarray(x.transpose(0, 3, 1, 2))
     return np.concatenate([planes] * steps.copies, axis=1)

@@ -4,17 +4,15 @@ Each tap is a mosaic of tiles, (c, tile rows * h, tile columns * w). For a head 
 locations for every tile, so its bank is per tile and location, and blending is a matrix (edge.core.imaging.tiles).
 
 The file holds the trunk for one tile, and the layout in its metadata. `tile_runner` cuts the tiles and places their
-features one at a time, so memory stays that of one tile and tiles can be skipped. `mosaic_trunk` does the same inside
-the graph, all tiles as one batch, for other runtimes.
+features one at a time, so memory stays that of one tile and tiles can be skipped.
 """
 
 from typing import Any
 
 from edge.core.errors import ConfigError
 from edge.core.imaging.tiles import TILES_KEY, Tiles
-from plugins.onnx_builder import IR_VERSION
 
-__all__ = ["mosaic_trunk", "tile_trunk"]
+__all__ = ["plain_trunk", "read_model", "tap_shapes", "tile_trunk"]
 
 # The coarsest stride of the family (layer4): tiles of other sizes would round their grids up.
 STRIDE = 32
@@ -29,57 +27,17 @@ def tile_trunk(trunk: bytes, tiles: Tiles) -> bytes:
     import onnx
     from onnx import helper
 
-    model = _plain(trunk, tiles)
+    model = plain_trunk(trunk, tiles)
     for place, size in enumerate((tiles.size, tiles.size, 3), start=1):
         model.graph.input[0].type.tensor_type.shape.dim[place].dim_value = size
-    _tap_shapes(model, tiles)
+    tap_shapes(model, tiles)
     facts = {entry.key: entry.value for entry in model.metadata_props}
     helper.set_model_props(model, {**facts, TILES_KEY: tiles.to_json()})
     onnx.checker.check_model(model)
     return bytes(model.SerializeToString())
 
 
-def mosaic_trunk(trunk: bytes, tiles: Tiles) -> bytes:
-    """The trunk over all tiles in one graph. Input `frames` uint8 (n, *tiles.frame, 3), outputs the taps as mosaics.
-
-    trunk: a plain one, or one of `tile_trunk`. Errors: ConfigError as there.
-    """
-    import onnx
-    from onnx import helper
-
-    model = _read(trunk)
-    facts = {entry.key: entry.value for entry in model.metadata_props if entry.key != TILES_KEY}
-    helper.set_model_props(model, facts)
-    model = _plain(model.SerializeToString(), tiles)
-    shapes = _tap_shapes(model, tiles)
-    for node in model.graph.node:
-        node.input[:] = ["tiles" if name == "frames" else name for name in node.input]
-        node.output[:] = [f"{name}_of_tiles" if name in shapes else name for name in node.output]
-        node.input[:] = [f"{name}_of_tiles" if name in shapes else name for name in node.input]
-    constants: list[Any] = []
-    before = _cut(tiles, constants)
-    after = [node for tap, shape in shapes.items() for node in _mosaic(tap, shape, tiles, constants)]
-    graph = helper.make_graph(
-        [*before, *model.graph.node, *after],
-        f"{model.graph.name}_tiled",
-        [helper.make_tensor_value_info("frames", onnx.TensorProto.UINT8, ["n", *tiles.frame, 3])],
-        [
-            helper.make_tensor_value_info(
-                tap, onnx.TensorProto.FLOAT, ["n", c, h * len(tiles.rows), w * len(tiles.columns)]
-            )
-            for tap, (c, h, w) in shapes.items()
-        ],
-        initializer=[*model.graph.initializer, *constants],
-    )
-    tiled = helper.make_model(
-        graph, opset_imports=model.opset_import, ir_version=IR_VERSION, producer_name="gelgate"
-    )
-    helper.set_model_props(tiled, facts)
-    onnx.checker.check_model(tiled, full_check=True)
-    return bytes(tiled.SerializeToString())
-
-
-def _plain(trunk: bytes, tiles: Tiles) -> Any:
+def plain_trunk(trunk: bytes, tiles: Tiles) -> Any:
     """A trunk that can be tiled. Errors: ConfigError."""
     import onnx
 
@@ -87,7 +45,7 @@ def _plain(trunk: bytes, tiles: Tiles) -> Any:
         raise ConfigError(
             f"a tile's side is a multiple of {STRIDE} pixels, found {tiles.size}; choose another size"
         )
-    model = _read(trunk)
+    model = read_model(trunk)
     inputs = model.graph.input
     is_tiled = any(entry.key == TILES_KEY for entry in model.metadata_props)
     if is_tiled or [(i.name, len(i.type.tensor_type.shape.dim)) for i in inputs] != [("frames", 4)]:
@@ -101,7 +59,7 @@ def _plain(trunk: bytes, tiles: Tiles) -> Any:
     return model
 
 
-def _read(trunk: bytes) -> Any:
+def read_model(trunk: bytes) -> Any:
     """Parse an ONNX model. Errors: ConfigError for another file."""
     import onnx
     from google.protobuf.message import DecodeError
@@ -114,7 +72,7 @@ def _read(trunk: bytes) -> Any:
         ) from error
 
 
-def _tap_shapes(model: Any, tiles: Tiles) -> dict[str, tuple[int, int, int]]:
+def tap_shapes(model: Any, tiles: Tiles) -> dict[str, tuple[int, int, int]]:
     """Each tap's (c, h, w) for one tile."""
     import onnx
 
@@ -138,39 +96,3 @@ def _tap_shapes(model: Any, tiles: Tiles) -> dict[str, tuple[int, int, int]]:
             )
         shapes[output.name] = (c, h, w)
     return shapes
-
-
-def _cut(tiles: Tiles, constants: list[Any]) -> list[Any]:
-    """frames (n, h, w, 3) to `tiles` (tiles * n, size, size, 3), tile after tile."""
-    from onnx import helper
-
-    axes = _ints("tile_axes", [1, 2], constants)
-    nodes = []
-    for index, (row, column) in enumerate(tiles.places):
-        first = _ints(f"tile_{index}_first", [row, column], constants)
-        last = _ints(f"tile_{index}_last", [row + tiles.size, column + tiles.size], constants)
-        nodes.append(helper.make_node("Slice", ["frames", first, last, axes], [f"tile_{index}"]))
-    return [*nodes, helper.make_node("Concat", [f"tile_{i}" for i in range(len(tiles))], ["tiles"], axis=0)]
-
-
-def _mosaic(tap: str, shape: tuple[int, int, int], tiles: Tiles, constants: list[Any]) -> list[Any]:
-    """A tap of (tiles * n, c, h, w) laid out as (n, c, tile rows * h, tile columns * w)."""
-    from onnx import helper
-
-    c, h, w = shape
-    rows, columns = len(tiles.rows), len(tiles.columns)
-    split = _ints(f"{tap}_split", [rows, columns, -1, c, h, w], constants)
-    mosaic = _ints(f"{tap}_mosaic", [-1, c, rows * h, columns * w], constants)
-    return [
-        helper.make_node("Reshape", [f"{tap}_of_tiles", split], [f"{tap}_tiles"]),
-        helper.make_node("Transpose", [f"{tap}_tiles"], [f"{tap}_ordered"], perm=[2, 3, 0, 4, 1, 5]),
-        helper.make_node("Reshape", [f"{tap}_ordered", mosaic], [tap]),
-    ]
-
-
-def _ints(name: str, values: list[int], constants: list[Any]) -> str:
-    import numpy as np
-    from onnx import numpy_helper
-
-    constants.append(numpy_helper.from_array(np.array(values, np.int64), name))
-    return name

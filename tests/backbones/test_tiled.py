@@ -15,9 +15,10 @@ from edge.cli import build
 from edge.core.detector import Nominal
 from edge.core.errors import ConfigError, FitError
 from edge.core.imaging.tiles import TILES_KEY, Tiles, tiling
+from export.merge import mosaic_trunk
 from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
-from plugins.backbones.tiled import mosaic_trunk, tile_trunk
+from plugins.backbones.tiled import tile_trunk
 from plugins.detectors.padim import padim
 
 TAPS = ("layer1", "layer2", "layer3", "avgpool")

@@ -1,6 +1,7 @@
 """Files that anomalib wrote become models that compute what anomalib computes."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +18,18 @@ from anomalib_files import (
 )
 from imported import scores_of
 from numpy.typing import NDArray
-from toy_trunk import features_of, toy_trunk
+from toy_trunk import features_of
 
 from edge.core.errors import ConfigError
 from export.graph_file import read_graph
 from export.importers.anomalib import anomalib
 from export.importers.contract import Imported, Settings
-from export.importers.framing import Framing, framed_trunk, resizing_matrix
+from export.importers.framing import Framing
 from export.onnx_values import run_values
 from export.parity import Stage, compare, order_stage
 from export.single_graph import adapt
+from plugins.backbones.input_steps import InputSteps, apply_steps, input_planes, linear_matrix
+from plugins.onnx_builder import Graph
 from plugins.reading.files import read_here
 from plugins.reading.foreign import Foreign
 
@@ -250,21 +253,23 @@ def test_a_resize_is_pytorchs(pixels: int, onto: int, is_antialiased: bool) -> N
     )
 
     np.testing.assert_allclose(
-        resizing_matrix(pixels, onto, is_antialiased) @ line, expected[0, 0, 0], atol=1e-5
+        linear_matrix(pixels, onto, is_antialiased) @ line, expected[0, 0, 0], atol=1e-5
     )
 
 
-def test_a_trunk_behind_a_resize_sees_the_resized_frame() -> None:
-    """The taps are those of the picture that was resized and cropped before."""
-    trunk = toy_trunk({"layer1": (4, 2)})
-    framing = Framing((48, 64), (32, 40), (24, 24))
-    flat = np.full((1, 48, 64, 3), 90, np.uint8)
+def test_a_crop_is_the_middle_of_the_resized_frame() -> None:
+    """The network's input, in NumPy and in the graph."""
+    frames = np.random.default_rng(0).integers(0, 256, (1, 48, 64, 3), dtype=np.uint8)
+    resized = InputSteps((0.4, 0.5, 0.6), (0.2, 0.2, 0.3), (32, 40))
+    graph, cropped = Graph("input"), replace(resized, crop=(24, 24))
+    graph.output("planes", input_planes(graph, cropped, (48, 64)), ("n", 3, 24, 24))
 
-    found = features_of(framed_trunk(trunk, framing), flat)["layer1"]
-    expected = features_of(trunk, flat[:, :24, :24])["layer1"]
+    (planes,) = run_values(graph.serialise(), ["planes"], {"frames": frames}, "the graph")
 
-    np.testing.assert_allclose(found[:, :, 1:-1, 1:-1], expected[:, :, 1:-1, 1:-1], rtol=1e-4)
-    assert framing.seen == pytest.approx(24 * 24 / (32 * 40))
+    expected = apply_steps(resized, frames)[:, :, 4:28, 8:32]
+    np.testing.assert_allclose(apply_steps(cropped, frames), expected, rtol=1e-6)
+    np.testing.assert_allclose(planes, expected, atol=1e-4)
+    assert Framing((48, 64), (32, 40), (24, 24)).seen == pytest.approx(24 * 24 / (32 * 40))
 
 
 @pytest.mark.importers
