@@ -1,6 +1,5 @@
 """SPADE's graph: the nearest presses, then each layer's search among them, then one map."""
 
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -11,7 +10,8 @@ from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, emit_group_n
 from plugins.detectors.common.free_gel import emit_gel_distances
 from plugins.detectors.common.pca import emit_rotation
 from plugins.detectors.common.smoothing import Smoothing, upsampling_matrix
-from plugins.detectors.common.tile_layout import emit_join, emit_split, layout
+from plugins.detectors.common.tile_layout import emit_join, emit_split
+from plugins.detectors.spade.layer import Arrays, Layer
 from plugins.detectors.spade.parameters import SpadeParameters
 from plugins.detectors.spade.window import Tables, emit_window_nearest
 from plugins.onnx_builder import Graph, Value
@@ -26,14 +26,14 @@ def spade_head(name: str, grid: Grid, bank: Bank, p: SpadeParameters) -> bytes:
     taps = {tap: graph.input(tap, ("n", *grid.taps[tap])) for tap in names}
     squared, order = _emit_press_order(graph, taps, grid, p)
     gallery = graph.slice(order, 0, p.pixel_neighbours, 1)
-    maps = [_emit_layer(graph, tap, taps[tap], gallery, grid, bank, p) for tap in p.layers]
+    layers = [Layer(p, grid, tap) for tap in p.layers]
+    maps = [_emit_layer(graph, layer, taps[layer.tap], gallery, bank) for layer in layers]
     score = None
     if p.image_score == "presses":
         best = graph.slice(squared, 0, p.image_neighbours, 1)
         best = best if p.is_squared else graph.op("Sqrt", best)
         score = graph.op("ReduceMean", best, graph.ints(1), keepdims=0)
-    smoothings = [p.smoothing(grid, tap) for tap in p.layers]
-    _emit_layered_scores(graph, maps, smoothings, score)
+    _emit_layered_scores(graph, maps, [layer.smoothing for layer in layers], score)
     return graph.serialise()
 
 
@@ -61,18 +61,15 @@ def _emit_press_order(
     return nearest_squared, order
 
 
-def _emit_layer(
-    graph: Graph, tap: str, layer: Value, gallery: Value, grid: Grid, bank: Bank, p: SpadeParameters
-) -> Value:
+def _emit_layer(graph: Graph, layer: Layer, maps: Value, gallery: Value, bank: Bank) -> Value:
     """Weighted distances (n, rows, columns) of one layer to the gallery's presses (n, k)."""
-    c, (h, w) = grid.taps[tap][0], p.cells(grid, tap)
-    tiles = math.prod(layout(grid))
-    layer = emit_split(graph, layer, grid.taps[tap], grid)
-    matrices = p.averaging(grid, tap)
-    if matrices is not None:
-        layer = graph.between(matrices[0], layer, matrices[1])
-    columns = graph.reshape(layer, 0, c, h * w)
-    if p.is_normalised:
+    tap, grid, (h, w) = layer.tap, layer.grid, layer.cells
+    c = grid.taps[tap][0]
+    maps = emit_split(graph, maps, grid.taps[tap], grid)
+    if layer.averaging is not None:
+        maps = graph.between(layer.averaging[0], maps, layer.averaging[1])
+    columns = graph.reshape(maps, 0, c, h * w)
+    if layer.p.is_normalised:
         length = graph.op("ReduceL2", columns, graph.ints(1), keepdims=1)
         columns = graph.op("Div", columns, graph.op("Add", length, graph.input(f"{tap}_floor", (1,))))
     mean = graph.input(f"{tap}_mean", (c,))
@@ -81,27 +78,19 @@ def _emit_layer(
     rows = emit_rotation(
         graph, columns, mean, None if basis is None else graph.input(f"{tap}_basis", basis.shape)
     )
-    rows = graph.reshape(rows, -1, tiles * h * w, width)
-    if p.window(grid, tap) is None:
-        presses = graph.input(f"{tap}_bank", ("presses", tiles * h * w, width))
-        distances = _emit_whole_search(graph, rows, presses, gallery, (tiles, h, w, width), p)
-    else:
-        distances = _emit_windows(graph, tap, rows, gallery, grid, bank, p)
+    rows = graph.reshape(rows, -1, layer.count, width)
+    search = _emit_whole_search if layer.window is None else _emit_windows
+    distances = search(graph, layer, rows, gallery, layer.of(bank.arrays))
     weight = graph.input(f"{tap}_weight", (1,))
     weighted = graph.op("Mul", graph.reshape(distances, -1, h, w), weight)
     return emit_join(graph, weighted, (h, w), grid)
 
 
-def _emit_windows(
-    graph: Graph, tap: str, rows: Value, gallery: Value, grid: Grid, bank: Bank, p: SpadeParameters
-) -> Value:
+def _emit_windows(graph: Graph, layer: Layer, rows: Value, gallery: Value, own: Arrays) -> Value:
     """Distances (n, tiles * cells) to the gallery within the windows, and to the free gel where no press touches."""
-    cells, width = (
-        p.count(grid, tap),
-        bank.arrays[f"{tap}_bank"].shape[2],
-    )
-    blocks, size = p.blocks(grid, tap), (width, p.pixel_neighbours)
-    if f"{tap}_gel" not in bank.arrays:
+    tap, cells, width = layer.tap, layer.count, own["bank"].shape[2]
+    blocks, size = layer.blocks, (width, layer.p.pixel_neighbours)
+    if "gel" not in own:
         tables = Tables.of(blocks, np.arange(cells))
         presses = graph.input(f"{tap}_bank", ("presses", cells, width))
         values = graph.constant(tables.queries), graph.constant(tables.reached)
@@ -109,7 +98,7 @@ def _emit_windows(
         return graph.op("Gather", distances, graph.constant(tables.back), axis=1)
     presses = graph.input(f"{tap}_bank", ("presses", f"{tap}_stored", width))
     queries, reached = (
-        graph.input(f"{tap}_{name}", (f"{tap}_blocks", bank.arrays[f"{tap}_{name}"].shape[1]), "int64")
+        graph.input(f"{tap}_{name}", (f"{tap}_blocks", own[name].shape[1]), "int64")
         for name in ("queries", "reached")
     )
     distances = emit_window_nearest(graph, rows, presses, gallery, blocks, (queries, reached), size)
@@ -120,32 +109,20 @@ def _emit_windows(
     return graph.op("Gather", both, graph.input(f"{tap}_order", (cells,), "int64"), axis=1)
 
 
-def _emit_whole_search(
-    graph: Graph,
-    rows: Value,
-    presses: Value,
-    gallery: Value,
-    size: tuple[int, int, int, int],
-    p: SpadeParameters,
-) -> Value:
-    """Distances (n * tiles, cells, 1) to any gallery cell of the same tile, in slices of rows that limit the memory.
-    size: tiles, rows and columns of one, width."""
-    tiles, h, w, width = size
+def _emit_whole_search(graph: Graph, layer: Layer, rows: Value, gallery: Value, own: Arrays) -> Value:
+    """Distances (n * tiles, cells, 1) to any gallery cell of the same tile, in slices of rows that limit the memory."""
+    (h, w), width = layer.cells, own["bank"].shape[2]
     cells = h * w
+    presses = graph.input(f"{layer.tap}_bank", ("presses", layer.count, width))
     count = graph.op("Mul", graph.op("Shape", gallery, start=1, end=2), graph.ints(cells))
-    gathered = graph.reshape(graph.op("Gather", presses, gallery, axis=0), 0, 0, tiles, cells, width)
+    gathered = graph.reshape(graph.op("Gather", presses, gallery, axis=0), 0, 0, layer.tiles, cells, width)
     shape = graph.op("Concat", graph.ints(-1), count, graph.ints(width), axis=0)
     bank = graph.op("Reshape", graph.transpose(gathered, 0, 2, 1, 3, 4), shape)
     rows = graph.reshape(rows, -1, cells, width)
-    bank = emit_ranked(graph, p.emit_gallery_rows(graph, bank, (h, w, width)))
-    step = max(1, PRODUCT_LIMIT // (p.pixel_neighbours * cells))
+    bank = emit_ranked(graph, layer.p.emit_gallery_rows(graph, bank, (h, w, width)))
+    step = max(1, PRODUCT_LIMIT // (layer.p.pixel_neighbours * cells))
     parts = [
-        emit_group_nearest(
-            graph,
-            graph.slice(rows, first, first + step, 1),
-            bank,
-            width,
-        )
+        emit_group_nearest(graph, graph.slice(rows, first, first + step, 1), bank, width)
         for first in range(0, cells, step)
     ]
     return graph.concat(parts, 1)

@@ -1,6 +1,5 @@
-"""The parameters of SPADE, and their values on a grid: cells, windows, averages and blurs."""
+"""The parameters of SPADE."""
 
-import math
 from typing import Literal, Self
 
 import numpy as np
@@ -9,11 +8,8 @@ from pydantic import Field, model_validator
 
 from edge.core.detector import Grid, Packing
 from plugins.detectors.common import parameters as shared
-from plugins.detectors.common.descriptor import resampling_matrix
 from plugins.detectors.common.parameters import Parameters
-from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, UPSAMPLING, Smoothing
-from plugins.detectors.common.tile_layout import layout, tile_grid
-from plugins.detectors.spade.window import Blocks
+from plugins.detectors.common.smoothing import PAPER_SIGMA_MM
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["LENGTH_FLOOR", "SpadeParameters"]
@@ -95,52 +91,6 @@ class SpadeParameters(Parameters):
             for parts in [np.array_split(np.arange(size), min(self.regions, size))]
         )
         return down, across
-
-    def cells(self, grid: Grid, tap: str) -> tuple[int, int]:
-        """Rows and columns on which a layer is compared, of one tile where there are tiles."""
-        tile = tile_grid(grid)
-        h, w = tile.taps[tap][1:]
-        if not self.cell_mm:
-            return h, w
-        own_mm = min(tile.frame[0] / h, tile.frame[1] / w) / grid.pixels_per_mm
-        # Slightly below a power of two is rounding.
-        side = 2 ** max(0, math.floor(math.log2(self.cell_mm / own_mm) + 0.01))
-        return -(-h // side), -(-w // side)
-
-    def count(self, grid: Grid, tap: str) -> int:
-        """Cells on which a layer is compared, of all tiles."""
-        return math.prod(layout(grid)) * math.prod(self.cells(grid, tap))
-
-    def averaging(self, grid: Grid, tap: str) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """The matrices that average a layer onto its compared cells, None where it stays as it is."""
-        own, cells = tile_grid(grid).taps[tap][1:], self.cells(grid, tap)
-        if own == cells:
-            return None
-        rows, columns = (resampling_matrix(n, to, self.is_sampled) for n, to in zip(own, cells, strict=True))
-        return rows, columns
-
-    def window(self, grid: Grid, tap: str) -> int | None:
-        """Count the cells of a tap that a match may be away; None for anywhere on the map."""
-        if self.window_mm is None:
-            return None
-        own = self.cells(grid, tap)
-        cell_px = min(size / cells for size, cells in zip(tile_grid(grid).frame, own, strict=True))
-        # Slightly more than an integer number of cells must not become one cell more.
-        cells = math.ceil(self.window_mm * grid.pixels_per_mm / cell_px - 1e-6)
-        return cells if cells < max(own) else None
-
-    def blocks(self, grid: Grid, tap: str) -> Blocks:
-        """The blocks in which a layer is searched. Errors: ValueError where it has no window."""
-        window = self.window(grid, tap)
-        if window is None:
-            raise ValueError(f"'{tap}' is searched without a window; blocks need a window")
-        return Blocks(self.cells(grid, tap), window, math.prod(layout(grid)))
-
-    def smoothing(self, grid: Grid, tap: str) -> Smoothing:
-        (h, w), (down, across) = self.cells(grid, tap), layout(grid)
-        return Smoothing.of(
-            grid, (down * h, across * w), self.sigma, UPSAMPLING[self.is_sampled], self.sigma_unit
-        )
 
     def length_floor(self, layer: NDArray[np.floating]) -> float:
         """Find the number to add to a length before the division by it, for a layer (n, c, h, w).
