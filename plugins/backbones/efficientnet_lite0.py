@@ -13,7 +13,7 @@ gelgate carries these weights up to stride 16, joined to others, as `tactile_lit
 
 import hashlib
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, files
@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
+from plugins.backbones.resnet import folded
+from plugins.backbones.tactile import FixedTrunk
 from plugins.onnx_builder import Graph, Value
 from plugins.reading.torch_files import read_stream
 
@@ -83,42 +85,23 @@ BLOCKS = (
 TAPS = {"layer1": 2, "layer2": 4, "layer3": 10}
 
 
-@dataclass(frozen=True)
-class EfficientNetLite0:
-    """A backbone under the entry points `gelgate.backbones`. The package with its weights is installed by the user."""
-
-    name: str = "efficientnet_lite0"
-
-    def facts(self) -> dict[str, object]:
-        """Give what a manifest records with the trunk's SHA-256."""
-        return {
-            "topology": self.name,
-            "weights": f"learnt from ImageNet photographs, {FILE} of the package {PACKAGE}",
-            "weights_sha256": SHA256,
-            "mean": [MEAN / 255] * 3,
-            "std": [STD / 255] * 3,
-        }
-
-    def trunk(self, taps: Sequence[str] = tuple(TAPS)) -> bytes:
-        """The serialised trunk; it always gives layer1, layer2 and layer3.
-
-        Errors: ConfigError for another tap, and where the package is missing or has another file.
-        """
-        missing = [tap for tap in taps if tap not in TAPS]
-        if missing or not taps:
-            raise ConfigError(
-                f"the backbone {self.name} gives {', '.join(TAPS)}, requested were {', '.join(missing) or 'nothing'}; "
-                "choose among them, or another backbone"
-            )
-        return _trunk()
-
-
-efficientnet_lite0 = EfficientNetLite0()
+def _facts() -> dict[str, object]:
+    return {
+        "topology": "efficientnet_lite0",
+        "weights": f"learnt from ImageNet photographs, {FILE} of the package {PACKAGE}",
+        "weights_sha256": SHA256,
+        "mean": [MEAN / 255] * 3,
+        "std": [STD / 255] * 3,
+    }
 
 
 @cache
 def _trunk() -> bytes:
     return build_lite0(installed_weights())
+
+
+# The package with its weights is installed by the user.
+efficientnet_lite0 = FixedTrunk("efficientnet_lite0", _facts, _trunk)
 
 
 def installed_weights(package: str = PACKAGE) -> State:
@@ -184,18 +167,13 @@ def _conv(
     graph: Graph, state: State, x: Value, conv: str, norm: str, *, stride: int = 1, group: int = 1
 ) -> Value:
     """A convolution with its batch norm folded in."""
-    gamma, beta, mean, var = (
-        np.asarray(state[f"{norm}.{part}"], np.float64)
-        for part in ("weight", "bias", "running_mean", "running_var")
-    )
-    scale = gamma / np.sqrt(var + NORM_EPS)
-    weight = np.asarray(state[f"{conv}.weight"], np.float64) * scale[:, None, None, None]
+    weight, bias = folded(state, conv, norm, NORM_EPS)
     kernel = weight.shape[2]
     return graph.op(
         "Conv",
         x,
         graph.constant(weight.astype(np.float32)),
-        graph.constant((beta - mean * scale).astype(np.float32)),
+        graph.constant(bias.astype(np.float32)),
         kernel_shape=[kernel] * 2,
         strides=[stride] * 2,
         pads=[kernel // 2] * 4,

@@ -6,7 +6,7 @@ graph ends at the last tap that is requested.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from plugins.backbones.input_steps import InputSteps, input_planes
 from plugins.backbones.topology import Conv, State, Topology, check_state, last_block, topology
 from plugins.onnx_builder import Graph, Value
 
-__all__ = ["IMAGENET_MEAN", "IMAGENET_STD", "NORM_EPS", "TAPS", "build_trunk", "folded"]
+__all__ = ["IMAGENET_MEAN", "IMAGENET_STD", "NORM_EPS", "TAPS", "build_trunk", "folded", "store_weights"]
 
 # The usual normalisation of ImageNet-trained networks, RGB in 0..1 (torchvision's published transforms).
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
@@ -71,16 +71,27 @@ def build_trunk(
     return builder.graph.serialise({"topology": topology_name, **colours, **(facts or {})})
 
 
-def folded(state: State, conv: Conv) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def folded(
+    state: State, conv: str, norm: str, eps: float = NORM_EPS
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Weights (out, in, k, k) and bias (out,) of a convolution with its batch norm folded in, float64."""
     gamma, beta, mean, var = (
-        np.asarray(state[f"{conv.norm}.{part}"], np.float64)
+        np.asarray(state[f"{norm}.{part}"], np.float64)
         for part in ("weight", "bias", "running_mean", "running_var")
     )
-    scale = gamma / np.sqrt(var + NORM_EPS)
-    return np.asarray(state[f"{conv.name}.weight"], np.float64) * scale[
-        :, None, None, None
-    ], beta - mean * scale
+    scale = gamma / np.sqrt(var + eps)
+    weight = np.asarray(state[f"{conv}.weight"], np.float64) * scale[:, None, None, None]
+    return weight, beta - mean * scale
+
+
+def store_weights(graph: Graph, weight: NDArray[np.floating], dtype: np.dtype[Any]) -> Value:
+    """Store weights in a graph; float16 is widened when it is loaded. Errors: ConfigError for too large ones."""
+    if dtype == np.float32:
+        return graph.constant(np.asarray(weight, np.float32))
+    most = float(np.abs(weight).max())
+    if most > float(np.finfo(np.float16).max):
+        raise ConfigError(f"a weight of {most:.3g} exceeds float16; store this trunk as float32")
+    return graph.op("Cast", graph.constant(np.asarray(weight, np.float16)), to=1)
 
 
 def _three(values: Sequence[float]) -> tuple[float, float, float]:
@@ -115,21 +126,13 @@ class _TrunkBuilder:
         return outputs
 
     def _conv(self, x: Value, conv: Conv) -> Value:
-        weight, bias = folded(self._state, conv)
+        weight, bias = folded(self._state, conv.name, conv.norm)
         return self.graph.op(
             "Conv",
             x,
-            self._store(weight),
+            store_weights(self.graph, weight, self._dtype),
             self.graph.constant(bias.astype(np.float32)),
             kernel_shape=[conv.kernel] * 2,
             strides=[conv.stride] * 2,
             pads=[conv.padding] * 4,
         )
-
-    def _store(self, weight: NDArray[np.float64]) -> Value:
-        if self._dtype == np.float32:
-            return self.graph.constant(weight.astype(np.float32))
-        most = float(np.abs(weight).max())
-        if most > float(np.finfo(np.float16).max):
-            raise ConfigError(f"a folded weight of {most:.3g} exceeds float16; store this trunk as float32")
-        return self.graph.op("Cast", self.graph.constant(weight.astype(np.float16)), to=1)

@@ -4,17 +4,15 @@ The graphs and their facts are in this folder; docs/backbone.md is the model car
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 
 from edge.core.errors import ConfigError
 from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD, TAPS
 
-__all__ = ["TactileBackbone", "read_file", "tactile_resnet18", "tactile_resnet18_int8"]
-
-_FACTS = "tactile_resnet18.json"
+__all__ = ["FixedTrunk", "read_file", "tactile_resnet18", "tactile_resnet18_int8"]
 
 
 @cache
@@ -29,38 +27,45 @@ def read_file(file: str) -> bytes:
 
 
 @dataclass(frozen=True)
-class TactileBackbone:
-    """A backbone under the entry points `gelgate.backbones`, with trained weights."""
+class FixedTrunk:
+    """A backbone under the entry points `gelgate.backbones`, whose trunk always gives layer1, layer2 and layer3."""
 
     name: str
     """The name of the variant, as in the facts."""
-    topology: str = "resnet18"
+    read_facts: Callable[[], dict[str, object]]
+    read_trunk: Callable[[], bytes]
 
     def facts(self) -> dict[str, object]:
         """Give what a manifest records with the trunk's SHA-256."""
-        known = json.loads(read_file(_FACTS))
-        recipe = known["recipe"]
-        return {
-            "topology": self.topology,
-            "weights": (
-                f"trained on simulated presses: {known['trained_steps']} steps, {known['pairs_seen']} pairs of "
-                f"{recipe['side']}x{recipe['side']} frames, seed {recipe['seed']}"
-            ),
-            "mean": list(IMAGENET_MEAN),
-            "std": list(IMAGENET_STD),
-            "licence": "Apache-2.0",
-        }
+        return self.read_facts()
 
     def trunk(self, taps: Sequence[str] = TAPS) -> bytes:
-        """The serialised trunk; it always gives layer1, layer2 and layer3. Errors: ConfigError for another tap."""
+        """The serialised trunk. Errors: ConfigError for another tap, or a trunk that cannot be read."""
         missing = [tap for tap in taps if tap not in TAPS]
         if missing or not taps:
             raise ConfigError(
                 f"the backbone {self.name} gives {', '.join(TAPS)}, requested were {', '.join(missing) or 'nothing'}; "
                 "choose among them, or another backbone"
             )
-        return read_file(f"{self.name}.onnx")
+        return self.read_trunk()
 
 
-tactile_resnet18 = TactileBackbone("tactile_resnet18")
-tactile_resnet18_int8 = TactileBackbone("tactile_resnet18_int8")
+def _facts() -> dict[str, object]:
+    known = json.loads(read_file("tactile_resnet18.json"))
+    recipe = known["recipe"]
+    return {
+        "topology": "resnet18",
+        "weights": (
+            f"trained on simulated presses: {known['trained_steps']} steps, {known['pairs_seen']} pairs of "
+            f"{recipe['side']}x{recipe['side']} frames, seed {recipe['seed']}"
+        ),
+        "mean": list(IMAGENET_MEAN),
+        "std": list(IMAGENET_STD),
+        "licence": "Apache-2.0",
+    }
+
+
+tactile_resnet18, tactile_resnet18_int8 = (
+    FixedTrunk(name, _facts, partial(read_file, f"{name}.onnx"))
+    for name in ("tactile_resnet18", "tactile_resnet18_int8")
+)

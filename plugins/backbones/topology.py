@@ -3,7 +3,7 @@
 Ref: torchvision.models.resnet (v1.5 bottleneck: the stride sits in the 3x3 convolution), re-stated from its state dict.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -23,6 +23,8 @@ __all__ = [
     "list_shapes",
     "list_taps",
     "recognised",
+    "refuse_faults",
+    "refuse_infinite",
     "topology",
 ]
 
@@ -168,23 +170,40 @@ def check_state(
     """
     shapes = list_shapes(net)
     extra = [key for key in state if key not in shapes and not _ignored(key)]
+    missing = [key for key in list_shapes(net, until) if key not in state]
+    refuse_faults(state, shapes, missing, extra, f"{name} are not a {net.name} in torchvision's naming: ")
+    refuse_infinite(state, shapes, name)
+
+
+def refuse_faults(
+    state: State,
+    shapes: Mapping[str, tuple[int, ...]],
+    missing: Sequence[str],
+    extra: Sequence[str],
+    start: str,
+    end: str = "",
+) -> None:
+    """Refuse missing, unexpected and wrongly shaped weights, a few of each by name. Errors: ConfigError."""
     wrong = [
         f"{key} {tuple(state[key].shape)} instead of {shape}"
         for key, shape in shapes.items()
         if key in state and tuple(state[key].shape) != shape
     ]
-    missing = [key for key in list_shapes(net, until) if key not in state]
     faults = [
         f"{len(names)} {what} ({', '.join(names[:4])}{', ...' if len(names) > 4 else ''})"
         for what, names in (("missing", missing), ("unexpected", extra), ("wrongly shaped", wrong))
         if names
     ]
     if faults:
-        raise ConfigError(f"{name} are not a {net.name} in torchvision's naming: {'; '.join(faults)}")
-    bad = [key for key in shapes if key in state and not np.isfinite(state[key]).all()]
+        raise ConfigError(f"{start}{'; '.join(faults)}{end}")
+
+
+def refuse_infinite(state: State, names: Iterable[str], where: str) -> None:
+    """Refuse weights that are not finite. Errors: ConfigError with a few of their names."""
+    bad = [key for key in names if key in state and not np.isfinite(state[key]).all()]
     if bad:
         raise ConfigError(
-            f"{name} hold values that are not finite, in {', '.join(bad[:4])}; export another checkpoint"
+            f"{where} hold values that are not finite, in {', '.join(bad[:4])}; export another checkpoint"
         )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from plugins.backbones.input_steps import cubic_matrix
-from plugins.backbones.topology import State
+from plugins.backbones.topology import State, refuse_faults, refuse_infinite
 
 __all__ = [
     "PREFIXES",
@@ -138,29 +138,13 @@ def _check(state: State, shape: VitShape, name: str) -> None:
     """Refuse missing, unknown and non-finite weights. Errors: ConfigError."""
     first = state.get("blocks.0.mlp.fc1.weight")
     known = _list_shapes(shape, 4 * shape.width if first is None else first.shape[0])
-    wrong = [
-        f"{key} {tuple(state[key].shape)} instead of {known[key]}"
-        for key in known
-        if key in state and tuple(state[key].shape) != known[key]
-    ]
     missing = [key for key in known if key not in state and not _OPTIONAL.match(key)]
     tokens = {"pos_embed", *PREFIXES, *REGISTERS}
     extra = [key for key in state if key not in known and key not in tokens and not IGNORED.match(key)]
-    faults = [
-        f"{len(names)} {what} ({', '.join(names[:4])}{', ...' if len(names) > 4 else ''})"
-        for what, names in (("missing", missing), ("unexpected", extra), ("wrongly shaped", wrong))
-        if names
-    ]
-    if faults:
-        raise ConfigError(
-            f"{name} are not a plain vision transformer in timm's naming: {'; '.join(faults)}; export other kinds to "
-            "ONNX with their own program"
-        )
-    bad = [key for key in (*known, *tokens) if key in state and not np.isfinite(state[key]).all()]
-    if bad:
-        raise ConfigError(
-            f"{name} hold values that are not finite, in {', '.join(bad[:4])}; export another checkpoint"
-        )
+    end = "; export other kinds to ONNX with their own program"
+    start = f"{name} are not a plain vision transformer in timm's naming: "
+    refuse_faults(state, known, missing, extra, start, end)
+    refuse_infinite(state, (*known, *tokens), name)
 
 
 def _list_shapes(shape: VitShape, hidden: int) -> dict[str, tuple[int, ...]]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from plugins.backbones.input_steps import InputSteps, input_planes
+from plugins.backbones.resnet import store_weights
 from plugins.backbones.topology import State
 from plugins.backbones.vit import VitShape, check_vit_taps, prefix_tokens
 from plugins.onnx_builder import Graph, Value
@@ -159,9 +160,4 @@ class _VitBuilder:
         return g.op("Mul", g.op("Mul", x, g.op("Add", erf, g.scalar(1))), g.scalar(0.5))
 
     def _store(self, weight: NDArray[np.floating]) -> Value:
-        if self._dtype == np.float32:
-            return self.graph.constant(np.asarray(weight, np.float32))
-        most = float(np.abs(weight).max())
-        if most > float(np.finfo(np.float16).max):
-            raise ConfigError(f"a weight of {most:.3g} exceeds float16; store this trunk as float32")
-        return self.graph.op("Cast", self.graph.constant(np.asarray(weight, np.float16)), to=1)
+        return store_weights(self.graph, weight, self._dtype)

@@ -15,7 +15,7 @@ from calibration.training.package import MOST_BYTES
 from calibration.training.train_config import TrainConfig
 from edge import registry
 from edge.core.errors import ConfigError
-from plugins.backbones.tactile import TactileBackbone, tactile_resnet18, tactile_resnet18_int8
+from plugins.backbones.tactile import FixedTrunk, read_file, tactile_resnet18, tactile_resnet18_int8
 
 ROOT = Path(__file__).parents[2]
 HOME = ROOT / "plugins" / "backbones"
@@ -35,7 +35,7 @@ def test_it_is_the_default_and_the_file_of_the_facts() -> None:
 
 
 @pytest.mark.parametrize("backbone", [tactile_resnet18, tactile_resnet18_int8])
-def test_it_answers_as_every_trunk_does(backbone: TactileBackbone) -> None:
+def test_it_answers_as_every_trunk_does(backbone: FixedTrunk) -> None:
     """Frames uint8 (n, h, w, 3) to layer1, layer2 and layer3 at strides 4, 8 and 16, positive and finite."""
     graph = backbone.trunk()
     assert hashlib.sha256(graph).hexdigest() == FACTS["variants"][backbone.name]["sha256"]
@@ -52,7 +52,7 @@ def test_what_is_not_there_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"gives layer1, layer2, layer3, requested were layer4"):
         tactile_resnet18.trunk(("layer2", "layer4"))
     with pytest.raises(ConfigError, match=r"'nowhere\.onnx' is missing from this installation"):
-        TactileBackbone("nowhere").trunk()
+        read_file("nowhere.onnx")
 
 
 def test_the_default_recipe_is_that_of_the_run_that_ships() -> None:
