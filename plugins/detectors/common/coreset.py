@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Coreset", "greedy_from_distances", "k_centre"]
+__all__ = ["Coreset", "k_centre"]
 
 # A squared distance below this part of the two squared lengths is rounding of the product form, not a distance.
 ROUNDING = 1e-13
@@ -117,21 +117,3 @@ class _Picks:
         squared[squared <= ROUNDING * (lengths[near] + picked[:, -1:])] = 0.0
         nearest[near] = squared.min(axis=0)
         return nearest
-
-
-def greedy_from_distances(squared: NDArray[np.floating], count: int, start: int) -> NDArray[np.int64]:
-    """Choose so in many small sets at once, from pairwise squared distances (g, n, n): int64 rows (g, count).
-
-    No row is picked twice; where all remaining rows equal a pick, the lowest of them follows.
-    """
-    groups, n = squared.shape[:2]
-    rows = np.empty((groups, min(count, n)), np.int64)
-    rows[:, 0] = start
-    every = np.arange(groups)
-    bound = squared[:, start].astype(np.float64)
-    bound[:, start] = -1.0
-    for size in range(1, rows.shape[1]):
-        rows[:, size] = bound.argmax(axis=1)
-        np.minimum(bound, squared[every, rows[:, size]], out=bound)
-        bound[every, rows[:, size]] = -1.0
-    return rows

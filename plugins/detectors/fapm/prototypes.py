@@ -1,6 +1,6 @@
 """A few prototypes for each group of places: which places share a bank, and which of their nominal rows it keeps.
 
-k-centre within each group, from pairwise distances of all its rows at once. Groups whose cell has the rows farthest
+k-centre within each group: each pick is the row farthest from those before it. Groups whose cell has the rows farthest
 from its prototypes keep more of them ("far").
 """
 
@@ -13,18 +13,24 @@ from numpy.typing import NDArray
 from plugins.detectors.common.batched_nearest import SHORTLIST, emit_closest, emit_group_nearest, emit_ranked
 from plugins.detectors.common.distances import nearest
 from plugins.detectors.common.free_gel import emit_gel_distances, gel_distances
-from plugins.detectors.fapm.picks import pick, together
 from plugins.onnx_builder import Graph, Value
 
 __all__ = [
+    "Chosen",
     "Layout",
     "Prototypes",
     "cell_layout",
     "cell_scales",
     "choose_prototypes",
     "emit_prototype_distances",
+    "pick",
     "prototype_distances",
 ]
+
+# Numbers of rows held at once during a fit (32 MB).
+HELD = 8 * 2**20
+# A squared distance below this part of the two squared lengths is rounding of the float32 product form.
+ROUNDING = 2e-6
 
 
 class Layout(NamedTuple):
@@ -109,17 +115,54 @@ def _learn(rows: NDArray[np.floating], groups: NDArray[np.int64], count: int, st
         np.empty((len(groups), s)),
         np.empty((len(groups), s * n)),
     )
-    at_once = together(n * s, c)
+    at_once = max(1, HELD // (n * s * c))
     for first in range(0, len(groups), at_once):
         part = slice(first, first + at_once)
         x = _rows_of(rows, groups[part])
         learnt.mean[part] = x.mean(axis=1, dtype=np.float64)
         x -= learnt.mean[part, None]
-        chosen = pick(x, count, int(start * n * s), s)
-        learnt.rows[part] = np.take_along_axis(x, chosen.picks[:, :, None], axis=1)
-        learnt.radius[part] = _root(chosen.nearest).reshape(-1, n, s).max(axis=1)
-        learnt.apart[part] = _root(chosen.apart)
+        for group, centred in enumerate(x, first):
+            chosen = pick(centred, count, int(start * n * s), s)
+            learnt.rows[group] = centred[chosen.picks]
+            learnt.radius[group] = np.sqrt(chosen.nearest, dtype=np.float64).reshape(n, s).max(axis=0)
+            learnt.apart[group] = np.sqrt(chosen.apart, dtype=np.float64)
     return learnt
+
+
+class Chosen(NamedTuple):
+    """Rows of a group, and how far every row is from them."""
+
+    picks: NDArray[np.int64]
+    """The rows in the order of picking, int64 (count,)."""
+    nearest: NDArray[np.float32]
+    """Squared distances to the nearest pick, float32 (n,)."""
+    apart: NDArray[np.float32]
+    """Squared distances to the nearest pick of another press, infinite where there is none, float32 (n,)."""
+
+
+def pick(rows: NDArray[np.float32], count: int, start: int, s: int) -> Chosen:
+    """Pick rows of a group's centred ones (n, c), of which each press has s: first `start`, then always the farthest.
+
+    Among equals the lowest is picked. No row is picked twice.
+    """
+    n, c = rows.shape
+    lengths = np.einsum("nc,nc->n", rows, rows)
+    # A product of (-2a, |a|^2, 1) with columns (b, 1, |b|^2) is the squared distance.
+    columns = np.ones((c + 2, n), np.float32)
+    columns[:c], columns[-1] = rows.T, lengths
+    asking = -2 * columns.T
+    asking[:, -2], asking[:, -1] = lengths, 1
+    picks, left = np.full(count, start), np.full(n, np.inf, np.float32)
+    for number in range(count):
+        if number:
+            picks[number] = left.argmax()
+        np.minimum(left, np.maximum(asking[picks[number]] @ columns, 0), out=left)
+        left[picks[number]] = -1
+    squared = asking[picks] @ columns
+    squared[squared <= ROUNDING * (lengths[picks, None] + lengths)] = 0
+    nearest = squared.min(axis=0)
+    squared[picks[:, None] // s == np.arange(n) // s] = np.inf
+    return Chosen(picks, nearest, squared.min(axis=0))
 
 
 def _rows_of(rows: NDArray[np.floating], groups: NDArray[np.int64]) -> NDArray[np.floating]:
@@ -130,10 +173,6 @@ def _rows_of(rows: NDArray[np.floating], groups: NDArray[np.int64]) -> NDArray[n
     for press, taken in zip(rows, columns, strict=True):
         taken[:] = press.T[:, groups.ravel()].T
     return columns.reshape(n, len(groups), -1).swapaxes(0, 1).reshape(len(groups), -1, c)
-
-
-def _root(squared: NDArray[np.float32]) -> NDArray[np.float64]:
-    return np.sqrt(squared, dtype=np.float64)
 
 
 def cell_scales(
