@@ -5,7 +5,7 @@ kept, the Mahalanobis distance is the same (Woodbury). Directions that are left 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from plugins.detectors.common.embedding import Embedding, split_channels
 from plugins.detectors.common.parameters import EmbeddingParameters
 from plugins.reading.foreign import float32
 
-__all__ = ["Gaussians", "PadimParts", "Reduced", "distances_both_ways", "padim_parts", "reduce_matrices"]
+__all__ = ["Gaussians", "PadimParts", "Reduced", "padim_parts", "reduce_matrices"]
 
 # A direction whose squared distance would change by less than this part counts as ridge: far below what a score shows.
 CUT = 1e-3
@@ -30,7 +30,27 @@ CUT = 1e-3
 ROUNDINGS = 4
 # Matrices decomposed at once, so that memory stays bounded.
 BLOCK = 64
-Dense = Callable[[slice], NDArray[Any]]
+# Cells on which the full form is compared with the reduced one.
+COMPARED_CELLS = 256
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """What a file holds of PaDiM."""
+
+    path: Path
+    name: str
+    """The matrices' field."""
+    layers: tuple[str, ...]
+    """Taps in the order of the channels."""
+    channels: NDArray[np.int64]
+    """(d,), counted through all taps, in the file's order."""
+    mean: NDArray[Any]
+    """(cells, d)."""
+    dense: Callable[[slice], NDArray[Any]]
+    """Matrices (m, d, d) of a slice of cells, ridge included."""
+    is_inverse: bool
+    """Whether these are inverse covariances."""
 
 
 @dataclass(frozen=True)
@@ -55,22 +75,16 @@ class Reduced:
         )
 
 
-def reduce_matrices(
-    dense: Dense, count: int, is_inverse: bool, rank: int | None, ridge: float | None, path: Path, name: str
-) -> Reduced:
-    """Find the thin form of `count` symmetric matrices (d, d), ridge included.
-
-    dense: gives the matrices of a slice. is_inverse: they are inverse covariances. ridge: what was added to the
-    diagonal; None finds it. Errors: ConfigError for matrices that are not covariances.
-    """
-    bottom = _ridge(dense, count, is_inverse) if ridge is None else ridge
+def reduce_matrices(given: Gaussians, rank: int | None) -> Reduced:
+    """Find the thin form of the matrices. Errors: ConfigError for matrices that are not covariances."""
+    bottom, count = _ridge(given), len(given.mean)
     values, rows, needed, loss = [], [], 0, 0.0
     for start in range(0, count, BLOCK):
-        spread, vectors = _spectrum(dense, slice(start, min(start + BLOCK, count)), is_inverse, path, name)
+        spread, vectors = _spectrum(given, slice(start, min(start + BLOCK, count)))
         apart = np.abs(spread / bottom - 1)
         order = np.argsort(-np.abs(np.log(spread / bottom)), axis=1, kind="stable")
         apart = np.take_along_axis(apart, order, axis=1)
-        most = int((apart > _cut(spread, bottom, dense(slice(0, 1)).dtype)).sum(axis=1).max())
+        most = int((apart > _cut(spread, bottom, given.dense(slice(0, 1)).dtype)).sum(axis=1).max())
         needed = max(needed, most)
         keep = max(1, most if rank is None else min(rank, most))
         loss = max(loss, float(apart[:, keep:].max(initial=0.0)))
@@ -80,22 +94,20 @@ def reduce_matrices(
     return Reduced(_pad(rows), _pad_weights(values, bottom), bottom, needed, loss)
 
 
-def _spectrum(
-    dense: Dense, part: slice, is_inverse: bool, path: Path, name: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _spectrum(given: Gaussians, part: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Eigenvalues (m, d) of the covariances with their ridge, and eigenvectors as columns. Errors: ConfigError."""
-    matrices = np.asarray(dense(part), np.float64)
+    matrices, where = np.asarray(given.dense(part), np.float64), f"{given.path}: '{given.name}' holds"
     if not np.isfinite(matrices).all():
         raise ConfigError(
-            f"{path}: '{name}' holds values that are not finite; fit the model again with two pictures or more"
+            f"{where} values that are not finite; fit the model again with two pictures or more"
         )
     values, vectors = np.linalg.eigh((matrices + matrices.swapaxes(1, 2)) / 2)
     if not (values > 0).all():
         raise ConfigError(
-            f"{path}: '{name}' holds a matrix with the eigenvalue {values.min():.3g}; covariances with a ridge have "
+            f"{where} a matrix with the eigenvalue {values.min():.3g}; covariances with a ridge have "
             "positive ones, fit the model again"
         )
-    return (1 / values if is_inverse else values), vectors
+    return (1 / values if given.is_inverse else values), vectors
 
 
 def _cut(spread: NDArray[np.float64], ridge: float, dtype: np.dtype[Any]) -> NDArray[np.float64]:
@@ -105,13 +117,18 @@ def _cut(spread: NDArray[np.float64], ridge: float, dtype: np.dtype[Any]) -> NDA
     return np.asarray(np.maximum(CUT, ROUNDINGS * digit * condition), np.float64)
 
 
-def _ridge(dense: Dense, count: int, is_inverse: bool) -> float:
+def _some(given: Gaussians, most: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
+    """Some cells, at most so many, and their matrices."""
+    cells = np.unique(np.linspace(0, len(given.mean) - 1, most).astype(np.int64))
+    return cells, np.concatenate([np.asarray(given.dense(slice(k, k + 1))) for k in cells])
+
+
+def _ridge(given: Gaussians) -> float:
     """The middle of the eigenvalues that are as small as the smallest, over some cells."""
-    chosen = np.unique(np.linspace(0, count - 1, min(count, BLOCK)).astype(np.int64))
-    stored = np.concatenate([np.asarray(dense(slice(k, k + 1))) for k in chosen])
+    _, stored = _some(given, min(len(given.mean), BLOCK))
     matrices = stored.astype(np.float64)
     values = np.maximum(np.linalg.eigvalsh(np.where(np.isfinite(matrices), matrices, 0)), 1e-12)
-    spread = 1 / values if is_inverse else values
+    spread = 1 / values if given.is_inverse else values
     least = spread.min(axis=1, keepdims=True)
     limits = least * (1 + _cut(spread, float(np.median(least)), stored.dtype))
     return float(np.nanmedian(np.where(spread <= limits, spread, np.nan)))
@@ -127,48 +144,6 @@ def _pad_weights(values: list[NDArray[np.float64]], ridge: float) -> NDArray[np.
     rank = max(block.shape[1] for block in values)
     padded = [np.pad(block, ((0, 0), (0, rank - block.shape[1])), constant_values=ridge) for block in values]
     return (1 / np.concatenate(padded)).astype(np.float32)
-
-
-def distances_both_ways(
-    delta: NDArray[np.float64],
-    matrices: NDArray[np.float64],
-    is_inverse: bool,
-    thin: Reduced,
-    cells: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Distances (n, cells) by the file's dense matrices and by the thin form. delta: (cells, n, d)."""
-    applied = (
-        delta @ matrices if is_inverse else np.linalg.solve(matrices, delta.swapaxes(1, 2)).swapaxes(1, 2)
-    )
-    full = np.sqrt(np.maximum((applied * delta).sum(axis=2), 0))
-    basis, weights = thin.basis[cells].astype(np.float64), thin.weights[cells].astype(np.float64)
-    along = delta @ basis.swapaxes(1, 2)
-    off = delta - along @ basis
-    short = np.sqrt((along**2 * weights[:, None]).sum(axis=2) + (off**2).sum(axis=2) / thin.ridge)
-    return full.T, short.T
-
-
-# Cells on which the full form is compared with the reduced one.
-COMPARED_CELLS = 256
-
-
-@dataclass(frozen=True)
-class Gaussians:
-    """What a file holds of PaDiM."""
-
-    path: Path
-    name: str
-    """The matrices' field."""
-    layers: tuple[str, ...]
-    """Taps in the order of the channels."""
-    channels: NDArray[np.int64]
-    """(d,), counted through all taps, in the file's order."""
-    mean: NDArray[Any]
-    """(cells, d)."""
-    dense: Callable[[slice], NDArray[Any]]
-    """Matrices (m, d, d) of a slice of cells."""
-    is_inverse: bool
-    ridge: float | None = None
 
 
 @dataclass(frozen=True)
@@ -189,30 +164,28 @@ class PadimParts:
 
 def padim_parts(given: Gaussians, grid: Grid, steps: MapSteps, settings: Settings) -> PadimParts:
     """Make the parts of a PaDiM bundle. Errors: ConfigError for channels, cells or matrices that do not fit."""
-    order, embedding = _embedding(given, grid)
-    if given.mean.shape[0] != embedding.count:
-        raise ConfigError(
-            f"{given.path}: 'mean' has {given.mean.shape[0]} places, the taps give {embedding.count} on a picture of "
-            f"{steps.framing.size} (h, w); give the picture size and trunk of the training"
-        )
+    order = np.argsort(given.channels, kind="stable")
+    file = given.dense
 
     def dense(part: slice) -> NDArray[Any]:
-        return np.asarray(given.dense(part))[:, order][:, :, order]
+        return np.asarray(file(part))[:, order][:, :, order]
 
-    thin = reduce_matrices(
-        dense, embedding.count, given.is_inverse, settings.rank, given.ridge, given.path, given.name
-    )
-    mean = float32(given.mean[:, order])
-    arrays = {**embedding.arrays, "mean": mean, "basis": thin.basis, "weights": thin.weights}
+    given = replace(given, channels=given.channels[order], mean=float32(given.mean[:, order]), dense=dense)
+    embedding = _embedding(given, grid)
+    if len(given.mean) != embedding.count:
+        raise ConfigError(
+            f"{given.path}: 'mean' has {len(given.mean)} places, the taps give {embedding.count} on a picture of "
+            f"{steps.framing.size} (h, w); give the picture size and trunk of the training"
+        )
+    thin = reduce_matrices(given, settings.rank)
+    arrays = {**embedding.arrays, "mean": given.mean, "basis": thin.basis, "weights": thin.weights}
     head, bank = padim_head(embedding, thin.ridge, steps), settings.bank(arrays, "basis")
-    return PadimParts(head, bank, thin, partial(_both, embedding, dense, given.is_inverse, thin, mean))
+    return PadimParts(head, bank, thin, partial(_both, embedding, given, thin))
 
 
-def _embedding(given: Gaussians, grid: Grid) -> tuple[NDArray[np.int64], Embedding]:
-    """The order that sorts the file's channels, and the embedding that takes them."""
-    total = sum(grid.taps[tap][0] for tap in given.layers)
-    order = np.argsort(given.channels, kind="stable")
-    chosen = given.channels[order]
+def _embedding(given: Gaussians, grid: Grid) -> Embedding:
+    """Make the embedding that takes the channels, which rise."""
+    total, chosen = sum(grid.taps[tap][0] for tap in given.layers), given.channels
     if chosen[0] < 0 or chosen[-1] >= total or len(np.unique(chosen)) != len(chosen):
         raise ConfigError(
             f"{given.path}: the selected channels go from {chosen[0]} to {chosen[-1]}, the taps "
@@ -226,19 +199,23 @@ def _embedding(given: Gaussians, grid: Grid) -> tuple[NDArray[np.int64], Embeddi
         is_balanced=False,
         is_sampled=False,
     )
-    return order, Embedding(choice, grid, split_channels(chosen, given.layers, grid))
+    return Embedding(choice, grid, split_channels(chosen, given.layers, grid))
 
 
 def _both(
-    embedding: Embedding,
-    dense: Callable[[slice], NDArray[Any]],
-    is_inverse: bool,
-    thin: Reduced,
-    mean: NDArray[np.float32],
-    features: Features,
+    embedding: Embedding, given: Gaussians, thin: Reduced, features: Features
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Distances (n, cells) of some cells by the file's matrices and by the bank."""
-    cells = np.unique(np.linspace(0, embedding.count - 1, COMPARED_CELLS).astype(np.int64))
-    delta = embedding.numpy(features).at(cells) - mean[cells, None]
-    matrices = np.concatenate([np.asarray(dense(slice(k, k + 1)), np.float64) for k in cells])
-    return distances_both_ways(delta, matrices, is_inverse, thin, cells)
+    cells, stored = _some(given, COMPARED_CELLS)
+    delta, matrices = embedding.numpy(features).at(cells) - given.mean[cells, None], stored.astype(np.float64)
+    applied = (
+        delta @ matrices
+        if given.is_inverse
+        else np.linalg.solve(matrices, delta.swapaxes(1, 2)).swapaxes(1, 2)
+    )
+    full = np.sqrt(np.maximum((applied * delta).sum(axis=2), 0))
+    basis, weights = thin.basis[cells].astype(np.float64), thin.weights[cells].astype(np.float64)
+    along = delta @ basis.swapaxes(1, 2)
+    off = delta - along @ basis
+    short = np.sqrt((along**2 * weights[:, None]).sum(axis=2) + (off**2).sum(axis=2) / thin.ridge)
+    return full.T, short.T

@@ -6,7 +6,7 @@ from typing import Final, Protocol
 
 from edge.core.digital_io import Actuator
 from edge.core.errors import DeviceError, DeviceLost, DeviceNotFound
-from plugins.conformance.running import raises, require, run_all
+from plugins.conformance.running import collect, raises, require, run_all
 
 __all__ = ["ACTUATOR_CHECKS", "ActuatorBench", "check_actuator"]
 
@@ -95,11 +95,4 @@ def check_closed_twice(bench: ActuatorBench) -> None:
     raises(DeviceLost, "writing to a closed one", lambda: actuator.write(1, True))
 
 
-ACTUATOR_CHECKS: Final[tuple[Callable[[ActuatorBench], None], ...]] = (
-    check_it_knows_its_channels,
-    check_each_channel_switches_alone,
-    check_opening_and_closing_switch_nothing,
-    check_a_channel_that_it_does_not_have,
-    check_unplugged,
-    check_closed_twice,
-)
+ACTUATOR_CHECKS: Final[tuple[Callable[[ActuatorBench], None], ...]] = collect(globals(), ActuatorBench)

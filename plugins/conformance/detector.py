@@ -14,7 +14,7 @@ from edge.core.detector import Bank, Detector, Features, Grid, HasReference, Nom
 from edge.core.errors import FitError
 from edge.model.onnx_validation import check_graph
 from edge.model.session import open_session
-from plugins.conformance.running import raises, require, run_all
+from plugins.conformance.running import collect, raises, require, run_all
 
 __all__ = ["DETECTOR_CHECKS", "DetectorCase", "check_detector"]
 
@@ -196,22 +196,7 @@ def check_a_press_that_is_not_finite_does_not_pass(case: DetectorCase) -> None:
     require(bool(is_seen or maps.score[0] > sound.score[0]), f"a press with a NaN scores {maps.score[0]}")
 
 
-DETECTOR_CHECKS: Final[tuple[Callable[[DetectorCase], None], ...]] = (
-    check_it_is_a_detector,
-    check_parameters,
-    check_fit_can_be_repeated,
-    check_bank,
-    check_head,
-    check_a_press_is_scored_by_itself,
-    check_damage_scores_higher,
-    check_it_compares_places_if_it_says_so,
-    check_reference,
-    check_no_presses,
-    check_one_press,
-    check_equal_presses,
-    check_features_that_are_not_finite,
-    check_a_press_that_is_not_finite_does_not_pass,
-)
+DETECTOR_CHECKS: Final[tuple[Callable[[DetectorCase], None], ...]] = collect(globals(), DetectorCase)
 
 
 def compare(maps: ScoreMaps, expected: ScoreMaps) -> None:

@@ -6,7 +6,7 @@ from typing import Final, Protocol
 
 from edge.core.errors import DeviceLost, DeviceStalled, FrameCorrupt, RecordingEnded
 from edge.core.ports import Clock, CountsStale, Device
-from plugins.conformance.running import raises, require, run_all
+from plugins.conformance.running import collect, raises, require, require_order, run_all
 
 __all__ = ["DEVICE_CHECKS", "PERIOD_S", "SIZE", "DeviceBench", "check_device", "picture"]
 
@@ -65,9 +65,7 @@ def check_frames_are_untouched(bench: DeviceBench) -> None:
     frames = [device.read(_soon(bench)) for _ in sent]
     device.close()
     require([frame.payload for frame in frames] == sent, "payloads differ from those played")
-    numbers, times = [frame.sequence for frame in frames], [frame.timestamp_ns for frame in frames]
-    require(numbers == sorted(set(numbers)), f"sequence numbers are {numbers}")
-    require(times == sorted(times), f"times are {times}")
+    require_order(frames)
 
 
 def check_the_deadline_is_kept(bench: DeviceBench) -> None:
@@ -132,16 +130,7 @@ def check_after_the_last_frame(bench: DeviceBench) -> None:
     device.close()
 
 
-DEVICE_CHECKS: Final[tuple[Callable[[DeviceBench], None], ...]] = (
-    check_it_knows_who_it_is,
-    check_frames_are_untouched,
-    check_the_deadline_is_kept,
-    check_a_frame_comes_once,
-    check_a_damaged_frame,
-    check_unplugged,
-    check_closed_twice,
-    check_after_the_last_frame,
-)
+DEVICE_CHECKS: Final[tuple[Callable[[DeviceBench], None], ...]] = collect(globals(), DeviceBench)
 
 
 def _soon(bench: DeviceBench) -> int:

@@ -5,7 +5,7 @@ from typing import Final, Protocol
 
 from edge.core.errors import DeviceError
 from edge.core.ports import Clock, Device
-from plugins.conformance.running import raises, require, run_all
+from plugins.conformance.running import collect, raises, require, require_order, run_all
 
 __all__ = ["OVERVIEW_CHECKS", "OverviewBench", "check_overview"]
 
@@ -54,9 +54,7 @@ def check_pictures_come_in_order(bench: OverviewBench) -> None:
     device = bench.open()
     frames = [device.read(_later(bench)) for _ in range(3)]
     device.close()
-    numbers, times = [frame.sequence for frame in frames], [frame.timestamp_ns for frame in frames]
-    require(numbers == sorted(set(numbers)), f"sequence numbers are {numbers}")
-    require(times == sorted(times), f"times are {times}")
+    require_order(frames)
 
 
 def check_closed_twice(bench: OverviewBench) -> None:
@@ -68,12 +66,7 @@ def check_closed_twice(bench: OverviewBench) -> None:
     raises(DeviceError, "read of a closed camera", lambda: device.read(_later(bench)))
 
 
-OVERVIEW_CHECKS: Final[tuple[Callable[[OverviewBench], None], ...]] = (
-    check_it_knows_who_it_is,
-    check_pictures_are_complete,
-    check_pictures_come_in_order,
-    check_closed_twice,
-)
+OVERVIEW_CHECKS: Final[tuple[Callable[[OverviewBench], None], ...]] = collect(globals(), OverviewBench)
 
 
 def _later(bench: OverviewBench) -> int:

@@ -1,9 +1,11 @@
 """Running checks, and their two questions: is this true, and is that refused with the right error."""
 
-from collections.abc import Callable, Iterable
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeVar
 
-__all__ = ["raises", "require", "run_all"]
+from edge.core.imaging.frames import CameraFrame
+
+__all__ = ["collect", "raises", "require", "require_order", "run_all"]
 
 CaseT = TypeVar("CaseT")
 
@@ -27,6 +29,19 @@ def raises(
     except Exception as error:
         raise AssertionError(f"{what}: {type(error).__name__} ({error}), expected {words}") from error
     raise AssertionError(f"{what}: it returned {result!r:.80}, expected {words}")
+
+
+def require_order(frames: Sequence[CameraFrame]) -> None:
+    """Refuse frames whose sequence numbers do not rise, or whose times decrease. Errors: AssertionError."""
+    numbers, times = [frame.sequence for frame in frames], [frame.timestamp_ns for frame in frames]
+    require(numbers == sorted(set(numbers)), f"sequence numbers are {numbers}")
+    require(times == sorted(times), f"times are {times}")
+
+
+def collect(names: Mapping[str, Any], case: Any) -> tuple[Any, ...]:
+    """Collect the checks among a module's names, in their order: functions `check_...` of one case of this kind."""
+    checks = (value for name, value in names.items() if name.startswith("check_"))
+    return tuple(check for check in checks if next(iter(check.__annotations__.values())) is case)
 
 
 def run_all(name: str, checks: Iterable[Callable[[CaseT], None]], make: Callable[[], CaseT]) -> None:

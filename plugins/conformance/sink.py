@@ -7,7 +7,7 @@ from typing import Final, Protocol
 from edge.core.errors import SinkError, SinkRejected, SinkUnavailable
 from edge.core.ports import Message, Sink
 from edge.core.sink_context import Station
-from plugins.conformance.running import raises, require, run_all
+from plugins.conformance.running import collect, raises, require, run_all
 
 __all__ = ["ROOT", "SINK_CHECKS", "SinkBench", "check_sink"]
 
@@ -135,15 +135,7 @@ def check_closed_twice(bench: SinkBench) -> None:
     require(len(bench.received(2)) == 2, "a message sent after `close` is lost")
 
 
-SINK_CHECKS: Final[tuple[Callable[[SinkBench], None], ...]] = (
-    check_messages_arrive,
-    check_any_payload,
-    check_threads,
-    check_a_receiver_that_is_away,
-    check_a_receiver_that_is_away_at_the_start,
-    check_a_message_that_is_refused,
-    check_closed_twice,
-)
+SINK_CHECKS: Final[tuple[Callable[[SinkBench], None], ...]] = collect(globals(), SinkBench)
 
 
 def _send_when_back(bench: SinkBench, sink: Sink) -> None:

@@ -7,7 +7,7 @@ from typing import Final, Protocol
 from edge.core.digital_io import Trigger
 from edge.core.errors import DeviceLost, DeviceNotFound
 from edge.core.ports import Clock
-from plugins.conformance.running import raises, require, run_all
+from plugins.conformance.running import collect, raises, require, run_all
 
 __all__ = ["TRIGGER_CHECKS", "TriggerBench", "check_trigger"]
 
@@ -95,13 +95,7 @@ def check_closed_twice(bench: TriggerBench) -> None:
     raises(DeviceLost, "read of a closed one", lambda: trigger.read(_soon(bench)))
 
 
-TRIGGER_CHECKS: Final[tuple[Callable[[TriggerBench], None], ...]] = (
-    check_it_has_a_name,
-    check_each_change_comes_once,
-    check_the_deadline_is_kept,
-    check_unplugged,
-    check_closed_twice,
-)
+TRIGGER_CHECKS: Final[tuple[Callable[[TriggerBench], None], ...]] = collect(globals(), TriggerBench)
 
 
 def _soon(bench: TriggerBench) -> int:

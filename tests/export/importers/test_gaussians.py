@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from export.importers.padim_parts import Reduced, reduce_matrices
+from export.importers.padim_parts import Gaussians, Reduced, reduce_matrices
 
 RIDGE = 0.01
 PLACES, CHANNELS, PRESSES = 6, 60, 5
@@ -21,9 +21,9 @@ def covariances(largest: float) -> NDArray[np.float64]:
 
 
 def thin(matrices: NDArray[np.float32] | NDArray[np.float64], is_inverse: bool) -> Reduced:
-    return reduce_matrices(
-        lambda part: matrices[part], PLACES, is_inverse, None, None, Path("padim.ckpt"), "inv_covariance"
-    )
+    path, mean = Path("padim.ckpt"), np.zeros((PLACES, 1))
+    given = Gaussians(path, "cov", (), np.zeros(0, np.int64), mean, lambda part: matrices[part], is_inverse)
+    return reduce_matrices(given, None)
 
 
 @pytest.mark.parametrize("largest", [0.1, 100.0, 3000.0])
