@@ -61,11 +61,6 @@ def test_conditions_are_combined(database: Path) -> None:
     assert [json.loads(line)["number"] for line in done.out.splitlines()] == [15, 20]
 
 
-def test_no_press_is_an_answer(database: Path) -> None:
-    """And no fault."""
-    assert gelgate("history", "--database", database, "--part", "nut").out == "no press fits\n"
-
-
 def test_a_mistyped_verdict_is_refused(database: Path) -> None:
     """An empty answer would look like a day without fails."""
     done = gelgate("history", "--database", database, "--verdict", "failed")

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from command_line import gelgate
 
-from calibration.simulator.effects import EFFECTS
 from edge.cli import install_service
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,17 +25,6 @@ def test_the_version_names_what_decides_a_score(option: str) -> None:
     assert lines[0] == f"gelgate {version('gelgate')}"
     assert lines[1].startswith(f"python {sys.version.split()[0]} ")
     assert lines[2:] == [f"{name} {version(name)}" for name in ("onnxruntime", "numpy")]
-
-
-def test_the_shell_completes_verbs() -> None:
-    """The shell's request for completions of `gelgate wa` gives `watch`."""
-    asked = {"_GELGATE_COMPLETE": "complete_bash", "COMP_WORDS": "gelgate wa", "COMP_CWORD": "1"}
-    done = subprocess.run(
-        [Path(sys.executable).parent / "gelgate"],
-        env=os.environ | asked, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-
-    assert done.stdout.split() == ["watch"]
 
 
 def test_the_manual_is_listed_and_printed() -> None:
@@ -138,15 +126,3 @@ def test_files_that_cannot_be_written_are_one_sentence() -> None:
 
     assert ended.code == 1
     assert "/proc/no" in ended.sentence()
-
-
-def test_what_can_be_simulated_is_listed() -> None:
-    """Scenes, those of the paper too, and every name that a scene's file may use."""
-    ended = gelgate("lab", "simulate", "--list")
-
-    assert ended.code == 0, ended.err
-    assert {"demo", "small", "paper", "paper/pz3"} <= {
-        line.split()[0] for line in ended.out.splitlines() if line
-    }
-    assert [name for name in EFFECTS if name not in ended.out] == []
-    assert gelgate("lab", "simulate", "pz3", "-o", "x").sentence().count("paper/pz3") == 1

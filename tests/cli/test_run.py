@@ -78,14 +78,6 @@ def test_a_person_at_a_terminal_ends_it(bench: Bench, number: signal.Signals) ->
     os.close(theirs)
 
 
-def test_the_installed_command_refuses_with_its_exit_code(bench: Bench) -> None:
-    """The console script, not only the function behind it."""
-    done = subprocess.run([GELGATE, "run", "--config", "absent.toml"], capture_output=True, text=True)
-
-    assert (done.returncode, done.stdout) == (3, "")
-    assert done.stderr.startswith("gelgate: configuration absent.toml does not exist")
-
-
 def closed_pipe() -> int:
     """Return the end of a pipe whose reader has left."""
     reading, writing = os.pipe()

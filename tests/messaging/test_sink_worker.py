@@ -210,12 +210,12 @@ def test_a_new_connection_hears_the_newest_retained_messages(
 
 
 def test_a_slower_sink_does_not_turn_the_retained_messages_back() -> None:
-    """An older row delivered later by another sink does not replace a newer one."""
+    """An older row delivered later by another sink does not replace a newer one; the first row of a database counts."""
     retained_state = RetainedState()
-    retained_state.remember(Message("gel", b"5", retain=True), 50)
-    retained_state.remember(Message("gel", b"3", retain=True), 30)
-
-    assert [m.payload for m in retained_state.all() if m.topic == "gel"] == [b"5"]
+    for row, payload in ((1, b"1"), (50, b"5"), (30, b"3")):
+        retained_state.remember(Message("gel", payload, retain=True), row)
+        newest = [m.payload for m in retained_state.all() if m.topic == "gel"]
+        assert newest == [b"1" if row == 1 else b"5"]
 
 
 def test_announcements_bypass_the_outbox_and_only_the_latest_counts(

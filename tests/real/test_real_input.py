@@ -25,6 +25,8 @@ from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.gateway.gateway import Gateway
 from edge.gateway.recorder import PressReport
+from edge.model.bundle import Bundle
+from edge.model.scorer import Scorer
 from edge.recording.from_images import PressLift, record_images
 from edge.store.press_store import Store
 
@@ -125,3 +127,16 @@ def test_the_thread_is_no_pass_and_scores_highest(reports: list[PressReport]) ->
     assert thread.verdict in ("fail", "rejected")
     if thread.score is not None:
         assert thread.score > max(ball.score or 0.0 for ball in balls)
+
+
+def test_a_mark_raises_the_map_where_it_is(station: Path, unit: Path) -> None:
+    """A dark stroke drawn into a real free gel: the map's peak is on it, within the blur of the features."""
+    scorer = Scorer(Bundle.load(station.parents[1] / "ball"))
+    clean = read_presses([unit / "background.png"], PROFILE, REGION, resize=True).frames[0]
+    marked = clean.copy()
+    cv2.line(marked, (60, 150), (100, 180), (40, 40, 40), 4)
+    risen = scorer.score(marked).score_map - scorer.score(clean).score_map
+    row, column = np.unravel_index(int(risen.argmax()), risen.shape)
+
+    assert 135 <= row <= 195
+    assert 45 <= column <= 115

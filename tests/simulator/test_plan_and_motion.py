@@ -2,8 +2,6 @@
 
 from collections import Counter
 
-import pytest
-
 from calibration.simulator.motion import Motion
 from calibration.simulator.plan import damage, dataset_plan, recording_plan
 from calibration.simulator.scene import load_scene, paper_scenes
@@ -79,22 +77,3 @@ def test_a_press_goes_down_rests_and_comes_up() -> None:
     assert all(m.depth == 1 and m.slide_mm_s == 0 for m in moments if m.phase == "hold")
     lift = [m.depth for m in moments if m.phase == "lift"]
     assert lift == sorted(lift, reverse=True)
-
-
-def test_a_plan_is_the_same_for_the_same_seed_only() -> None:
-    """Equal seeds give equal plans; another seed gives another order."""
-    scene = load_scene("small")
-    assert dataset_plan(scene, 5) == dataset_plan(scene, 5)
-    assert [p.name for p in dataset_plan(scene, 5)] != [p.name for p in dataset_plan(scene, 6)]
-
-
-def test_a_scene_of_recordings_is_no_dataset() -> None:
-    """A dataset plan of the demo scene is refused."""
-    with pytest.raises(ValueError, match="recordings"):
-        dataset_plan(load_scene("demo"), 0)
-
-
-def test_negative_seeds_are_refused() -> None:
-    """Negative seeds are refused."""
-    with pytest.raises(ValueError, match="from 0 up"):
-        Streams(-1)
