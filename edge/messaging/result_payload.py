@@ -40,13 +40,15 @@ MOST_DEFECTS: Final = 8
 _REASONS = " · ".join(f"`{reason}`" for reason in Reason)
 
 
-class DefectPlace(BaseModel):
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class DefectPlace(_Part):
     """A connected part of the score map above the threshold.
 
     Places are counted from the top left corner of the inspected region, which the picture shows.
     """
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
     box_px: tuple[int, int, int, int] = Field(description="left, top, width, height")
     box_mm: Box = Field(description="the same in millimetres")
@@ -75,10 +77,8 @@ class DefectPlace(BaseModel):
         )
 
 
-class PosePlace(BaseModel):
+class PosePlace(_Part):
     """Where the part lay, measured from the pose of the bundle's nominal presses, each with its standard deviation."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
     x_mm: float = Field(description="shift to the right")
     y_mm: float = Field(description="shift down")
@@ -109,10 +109,8 @@ class PosePlace(BaseModel):
         )
 
 
-class PressAgainPart(BaseModel):
+class PressAgainPart(_Part):
     """This press asks for a second one of the same piece, or is the second one."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
     is_asked: bool = Field(description="press the same piece again now, a little shifted")
     second_of: PressId | None = Field(default=None, description="`press_id` of the first press of this piece")
@@ -266,10 +264,8 @@ def press_messages(
 CHARTED: Final = 50
 
 
-class ChartEntry(BaseModel):
+class ChartEntry(_Part):
     """One control chart of individual values."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
     measure: str = Field(description="score, strength_levels, x_mm, y_mm, turn_deg or noise_levels")
     unit: str

@@ -6,7 +6,9 @@ cards reads the bundle all the same.
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
+
+from edge.model.manifest_files import Entry
 
 __all__ = ["CARD", "CheckedFacts", "DetectabilityCard", "JudgedBy", "KindCard", "detectability_lines"]
 
@@ -19,11 +21,7 @@ Size = Annotated[float, Field(gt=0)]
 State = Literal["fitted", "separated", "blind", "too few"]
 
 
-class _Entry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class KindCard(_Entry):
+class KindCard(Entry):
     """One kind of damage. Sizes in mm, None where they lie beyond `largest_mm`, the largest size tried.
 
     a90_mm, a90_95_mm: over all places, the size found in 90 % of cases, best estimate and 95 % sure. place_*: the same
@@ -41,7 +39,7 @@ class KindCard(_Entry):
     place_state: tuple[State, ...]
 
 
-class DetectabilityCard(_Entry):
+class DetectabilityCard(Entry):
     """The smallest damage that a bundle finds. places: the middle of each, (x, y) in mm from the middle of the region.
 
     presses: how many were edited. judged_by: `presses apart` from the fit, by the bundle itself; or `folds`, learnt

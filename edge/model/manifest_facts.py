@@ -7,12 +7,13 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from edge.core.errors import BundleMismatch
 from edge.core.gel_proof import MadeOn
 from edge.core.press_again import Costs, KnownScores, Plan, plan
 from edge.model.manifest import Facts, Manifest, ThresholdEntry
+from edge.model.manifest_files import Entry
 
 __all__ = [
     "AUGMENTATION",
@@ -189,11 +190,9 @@ DEFAULT_COSTS: Final = Costs(missed=1000, false_alarm=100, press=1, defect_rate=
 """In presses: a damaged piece that passes costs a thousand of them, a sound piece that fails a hundred."""
 
 
-class _Entry(BaseModel):
+class _Scores(Entry):
     """sound: scores of nominal presses by banks without them, piece by piece. damaged: kind and size of rendered damage
     to the scores of presses with it. All in units of the bundle's score."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     sound: tuple[tuple[float, ...], ...] = Field(min_length=1)
     damaged: dict[str, tuple[float, ...]]
@@ -202,7 +201,7 @@ class _Entry(BaseModel):
 def score_facts(known: KnownScores, names: tuple[str, ...]) -> dict[str, Any]:
     """Give the manifest's entry. names: the kinds of damage, in the order of the scores."""
     damaged = dict(zip(names, known.damaged, strict=True))
-    return _Entry(sound=known.sound, damaged=damaged).model_dump(mode="json")
+    return _Scores(sound=known.sound, damaged=damaged).model_dump(mode="json")
 
 
 def plan_for(manifest: Manifest, costs: Costs) -> Plan:
@@ -211,7 +210,7 @@ def plan_for(manifest: Manifest, costs: Costs) -> Plan:
     if not isinstance(scores, Mapping):
         return Plan("the bundle has no scores of damaged presses and of pieces pressed twice; fit it again")
     try:
-        entry = _Entry.model_validate(scores)
+        entry = _Scores.model_validate(scores)
     except ValidationError as error:
         return Plan(f"the bundle's scores cannot be read ({error.errors()[0]['msg']}); fit it again")
     limit = manifest.threshold

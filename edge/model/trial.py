@@ -10,45 +10,45 @@ import resource
 import signal
 import subprocess
 import sys
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
 from edge.core.errors import BundleCorrupt, GelgateError
 
-__all__ = ["TRIAL", "Limits", "try_bundle"]
+__all__ = ["try_bundle"]
 
 # Exit codes of the child.
 REFUSED: Final = 3
 
 
-@dataclass(frozen=True)
-class Limits:
-    """seconds: of wall clock. memory_bytes: of address space beyond that of the program itself, which takes 2 GB."""
-
-    seconds: float = 120.0
-    memory_bytes: int = 8 << 30
+SECONDS: Final = 120.0
+"""Of wall clock. The slowest shipped method needs 3 s and 1.5 GB on two cores."""
+MEMORY_BYTES: Final = 8 << 30
+"""Of address space beyond that of the program itself, which takes 2 GB."""
 
 
-TRIAL: Final = Limits()
-"""The slowest shipped method needs 3 s and 1.5 GB on two cores."""
-
-
-def try_bundle(path: Path, trunks: Path | None = None, threads: int = 2, limits: Limits = TRIAL) -> None:
+def try_bundle(
+    path: Path,
+    trunks: Path | None = None,
+    threads: int = 2,
+    *,
+    seconds: float = SECONDS,
+    memory_bytes: int = MEMORY_BYTES,
+) -> None:
     """Run the bundle once. Errors: BundleCorrupt when it does not end in time, needs more memory, or is refused."""
-    task = json.dumps([str(path), trunks and str(trunks), threads, asdict(limits)])
+    task = json.dumps([str(path), trunks and str(trunks), threads, seconds, memory_bytes])
     try:
         done = subprocess.run(
             [sys.executable, "-m", "edge.model.trial", task],
             stdin=subprocess.DEVNULL,
             capture_output=True,
-            timeout=limits.seconds,
+            timeout=seconds,
             text=True,
             errors="replace",
         )
     except subprocess.TimeoutExpired:
         raise BundleCorrupt(
-            f"bundle {path}: its first run did not end within {limits.seconds:g} s, so it cannot inspect; fit or "
+            f"bundle {path}: its first run did not end within {seconds:g} s, so it cannot inspect; fit or "
             "export it again"
         ) from None
     if done.returncode == 0:
@@ -60,21 +60,20 @@ def try_bundle(path: Path, trunks: Path | None = None, threads: int = 2, limits:
     if done.returncode == -signal.SIGKILL:
         last = "it was killed, as where the memory is full"
     raise BundleCorrupt(
-        f"bundle {path}: its first run ended without a score ({last}); {_most(limits)} are given to it; allow more, or "
-        "fit or export it again"
+        f"bundle {path}: its first run ended without a score ({last}); {_most(memory_bytes)} are given to it; allow "
+        "more, or fit or export it again"
     )
 
 
-def _most(limits: Limits) -> str:
+def _most(memory_bytes: int) -> str:
     allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
     if allowed == resource.RLIM_INFINITY:
-        return f"at most {limits.memory_bytes >> 20} MB"
+        return f"at most {memory_bytes >> 20} MB"
     return f"by `ulimit -v` or LimitAS= at most {allowed >> 20} MB"
 
 
 def _main(task: str) -> int:
-    path, trunks, threads, limits = json.loads(task)
-    memory, seconds = Limits(**limits).memory_bytes, Limits(**limits).seconds
+    path, trunks, threads, seconds, memory = json.loads(task)
     from edge.model.bundle import Bundle
     from edge.model.scorer import Scorer
 

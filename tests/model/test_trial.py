@@ -14,7 +14,7 @@ from edge.gateway import opening
 from edge.model.bundle import Graphs
 from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.signature import Trust
-from edge.model.trial import Limits, try_bundle
+from edge.model.trial import try_bundle
 
 
 def detector(folder: Path, body: str) -> Path:
@@ -44,7 +44,7 @@ def test_a_graph_that_computes_for_hours_is_ended(tmp_path: Path) -> None:
     )
 
     with pytest.raises(BundleCorrupt, match="its first run did not end within 3 s"):
-        try_bundle(path, limits=Limits(seconds=3))
+        try_bundle(path, seconds=3)
 
 
 def test_a_graph_that_fills_the_memory_is_refused(tmp_path: Path) -> None:
@@ -52,7 +52,7 @@ def test_a_graph_that_fills_the_memory_is_refused(tmp_path: Path) -> None:
     path = detector(tmp_path, "m = Expand (any, cube)\nk = Add (m, m)\nextra = ReduceMax <keepdims = 0> (k)")
 
     with pytest.raises(BundleCorrupt, match=r"bundle .*heavy"):
-        try_bundle(path, limits=Limits(memory_bytes=1 << 30))
+        try_bundle(path, memory_bytes=1 << 30)
 
 
 def test_a_sound_bundle_passes_and_a_damaged_one_is_refused_with_its_own_sentence(tmp_path: Path) -> None:

@@ -93,6 +93,11 @@ def test_it_may_be_checked_while_a_gateway_writes(used: Path) -> None:
         ("UPDATE outbox SET payload = x'ff7b' WHERE topic = 'last'", "1 rows hold a message that is no JSON"),
         ("UPDATE outbox SET payload = x'7b7d' WHERE topic = 'gel'", "rows have another size than they say"),
         ("DELETE FROM presses WHERE number = 4", "results of presses that the history does not have"),
+        (
+            "UPDATE presses SET time_ns = (SELECT max(time_ns) FROM presses), "
+            "press_id = CASE number WHEN 4 THEN '01ARZ3NDEKTSV4RRFFQ69G5FAV' ELSE press_id END",
+            "results of presses that the history does not have",
+        ),
     ],
 )
 def test_each_kind_of_damage_is_a_fault(used: Path, statement: str, found: str) -> None:
@@ -116,10 +121,13 @@ def test_presses_that_have_no_result_are_a_note(used: Path) -> None:
 
 def test_an_old_copy_is_found_by_the_second_record(used: Path) -> None:
     """The file with the counts knows of presses that the database does not have."""
-    PressCounts(used).write(SERIAL, Count(f"{SERIAL}-2", 7, 1000, 9))
+    for presses, number in ((7, 9), (7, 4), (2, 9)):
+        PressCounts(used).write(SERIAL, Count(f"{SERIAL}-2", presses, 1000, number))
 
-    (fault,) = faults(used)
-    assert f"has 7 presses of gel {SERIAL}-2 up to number 9, the database 2 up to 4" in fault
+        (fault,) = faults(used)
+        assert (
+            f"has {presses} presses of gel {SERIAL}-2 up to number {number}, the database 2 up to 4" in fault
+        )
 
 
 def test_a_damaged_page_is_found(used: Path) -> None:
