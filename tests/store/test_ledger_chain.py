@@ -7,6 +7,7 @@ import sqlite3
 import struct
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -40,7 +41,7 @@ def change(path: Path, *statements: str) -> None:
             connection.execute(statement)
 
 
-def rows(path: Path, query: str) -> list[tuple[object, ...]]:
+def rows(path: Path, query: str) -> list[tuple[Any, ...]]:
     with closing(sqlite3.connect(path)) as connection:
         return connection.execute(query).fetchall()
 
@@ -249,6 +250,11 @@ def test_the_chain_still_verifies_when_old_presses_go(path: Path, monkeypatch: p
     assert kept == [17, 18, 19, 20]
     assert len(rows(path, "SELECT link FROM ledger_chain")) < 20
     assert ledger(path) == []
+    ledger_id, link, anchor = rows(path, "SELECT ledger_id, link, hash FROM ledger_start")[0]
+    assert ledger(path, Head.parse(f"{ledger_id}.{link}.{anchor.hex()}")) == []
+    assert "is not in the chain" in ledger(path, Head.parse(f"{ledger_id}.{link}.{'0' * 64}"))[0]
+    older = check_database(path, Head.parse(f"{ledger_id}.{link - 1}.{'0' * 64}"))
+    assert [one.is_fault for one in older if "went with its old presses" in one.text] == [False]
     change(path, "UPDATE ledger_start SET hash = zeroblob(32)")
     assert "does not follow" in ledger(path)[0]
 
