@@ -3,7 +3,7 @@
 import os
 import signal
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from itertools import islice
 from multiprocessing import get_context, parent_process
@@ -13,23 +13,27 @@ from typing import TypeVar
 import cv2
 from threadpoolctl import threadpool_limits
 
-__all__ = ["in_order"]
+__all__ = ["in_order", "in_processes"]
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
 def in_order(work: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> Iterator[Result]:
-    """The results of the tasks, in their order. `work` is a module's function; with one worker no process is started.
+    """The results of the tasks, in their order, as from `in_processes`; with one worker no process is started."""
+    if workers < 1:
+        raise ValueError(f"at least one worker is needed, found {workers}")
+    return map(work, tasks) if workers == 1 else in_processes(work, tasks, workers)
+
+
+def in_processes(
+    work: Callable[[Task], Result], tasks: Iterable[Task], workers: int
+) -> Generator[Result, None, None]:
+    """The results of the tasks, in their order. `work` is a module's function.
 
     At most two results per worker wait, so memory does not grow with the number of tasks. An interrupt cancels waiting
     tasks and lets each worker finish its current one.
     """
-    if workers < 1:
-        raise ValueError(f"at least one worker is needed, found {workers}")
-    if workers == 1:
-        yield from map(work, tasks)
-        return
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_set_up_worker)
     queue = iter(tasks)
     waiting: deque[Future[Result]] = deque(pool.submit(work, task) for task in islice(queue, 2 * workers))

@@ -11,16 +11,17 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Generator, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import torch
 from torch import Tensor, nn
-from torch.utils.data import DataLoader, Dataset
 
+from calibration.simulator.workers import in_processes
 from calibration.training import checkpoint as checkpoints
 from calibration.training.checkpoint import Checkpoint
 from calibration.training.losses import (
@@ -194,7 +195,11 @@ def train(
     say(f"{device}, recipe {recipe.fingerprint}, step {learner.step} of {recipe.steps}")
     at = checkpoints.latest(run.folder) or run.folder
     workers = 1 if device.type == "cpu" else max(1, (os.cpu_count() or 1) - 1)
-    batches = _draw(recipe, learner.step, workers if run.is_drawn_ahead else 0)
+    batches = (
+        _draw_ahead(recipe, learner.step, workers)
+        if run.is_drawn_ahead
+        else (_draw_step(recipe, step) for step in range(learner.step, recipe.steps))
+    )
     with _stop_asked() as is_stopped, closing(batches):
         for batch in batches:
             found = learner.learn(batch.to(device))
@@ -219,56 +224,23 @@ def train(
     return at
 
 
-class _Steps(Dataset):  # type: ignore[misc]
-    """The batches of the steps from `first` on."""
-
-    def __init__(self, recipe: TrainConfig, first: int) -> None:
-        self.recipe, self.first = recipe, first
-
-    def __len__(self) -> int:
-        return self.recipe.steps - self.first
-
-    def __getitem__(self, number: int) -> Pairs:
-        recipe = self.recipe
-        return draw_pairs(
-            recipe.seed,
-            "train",
-            self.first + number,
-            pairs=recipe.pairs,
-            side=recipe.side,
-            high_resolution=recipe.high_resolution,
-        )
+def _draw_step(recipe: TrainConfig, step: int) -> Pairs:
+    side, fine = recipe.side, recipe.high_resolution
+    return draw_pairs(recipe.seed, "train", step, pairs=recipe.pairs, side=side, high_resolution=fine)
 
 
-def _draw(recipe: TrainConfig, first: int, workers: int) -> Generator[Pairs, None, None]:
+def _draw_ahead(recipe: TrainConfig, first: int, workers: int) -> Generator[Pairs, None, None]:
     """Draw in other processes while the network learns from the previous batch; the bytes are the same.
 
     Each process uses one thread: on shared cores, two threads of one process wait for each other by spinning, and a
     step takes four times as long (measured on two cores). Errors: GelgateError when such a process has died.
     """
-    # A forked copy of torch's thread pool would hang; a worker uses one thread, and Ctrl-C ends the step first.
-    loader = DataLoader(
-        _Steps(recipe, first),
-        batch_size=None,
-        num_workers=workers,
-        prefetch_factor=4 if workers else None,
-        multiprocessing_context="spawn" if workers else None,
-        worker_init_fn=_set_up_worker,
-        generator=torch.Generator(),
-    )
     try:
-        yield from loader
-    except RuntimeError as error:
-        if "DataLoader worker" not in str(error):
-            raise
+        yield from in_processes(partial(_draw_step, recipe), range(first, recipe.steps), workers)
+    except BrokenProcessPool as error:
         raise GelgateError(
             f"the drawing process ended: {error}; resume, with --no-ahead if it happens again"
         ) from error
-
-
-def _set_up_worker(worker: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(1)
 
 
 @contextmanager

@@ -74,7 +74,7 @@ def test_drawing_ahead_changes_nothing(whole: Path, tmp_path: Path) -> None:
 def test_a_dead_drawing_process_is_reported() -> None:
     """Killed after its first batch: a sentence with what to do."""
     others = set(multiprocessing.active_children())
-    batches = module._draw(SMALL.model_copy(update={"steps": 100}), 0, 1)
+    batches = module._draw_ahead(SMALL.model_copy(update={"steps": 100}), 0, 1)
     next(batches)
     (drawer,) = set(multiprocessing.active_children()) - others
     assert drawer.pid is not None
@@ -106,7 +106,7 @@ def test_the_loss_falls_on_a_repeated_batch() -> None:
     )
     torch.set_num_threads(1)
     learner = module._Learner(recipe, torch.device("cpu"))
-    batch = next(module._draw(recipe, 0, 0))
+    batch = module._draw_step(recipe, 0)
     found = [learner.learn(batch) for _ in range(12)]
     assert found[-1].geometry.item() < 0.5 * found[0].geometry.item()
     assert found[-1].total(recipe).item() < found[0].total(recipe).item()
