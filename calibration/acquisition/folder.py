@@ -12,7 +12,6 @@ read again after an interruption gives the same presses, and they are not taken 
 
 import hashlib
 import json
-import os
 import re
 import threading
 from collections import Counter
@@ -21,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.dataset.press import numbered
+from calibration.folders import claim, write_whole
 from edge.core.errors import ConfigError, StoreError
 from edge.core.imaging.image_bytes import kind
 
@@ -50,7 +50,12 @@ class AcquisitionFolder:
 
     def __init__(self, root: Path, about: Mapping[str, str]) -> None:
         self.root, self.about = root, about
-        self._begin()
+        claim(root, _ABOUT, {"version": _VERSION, **about}, "acquisition", ConfigError)
+        try:
+            for part in ("presses", "free"):
+                (root / part).mkdir(exist_ok=True)
+        except OSError as error:
+            raise self._refusal(error) from error
         self.presses: list[KeptPress] = []
         for path in sorted(
             (root / "presses").iterdir(), key=lambda path: (path.stat().st_mtime_ns, path.name)
@@ -107,49 +112,12 @@ class AcquisitionFolder:
 
     def _write(self, name: str, payload: bytes) -> Path:
         """A complete file or none; after a power cut, too."""
-        return self._replace(self.root / f"{name}.{kind(payload) or 'bmp'}", payload)
-
-    def _replace(self, path: Path, payload: bytes) -> Path:
-        part = path.with_suffix(".part")
+        path = self.root / f"{name}.{kind(payload) or 'bmp'}"
         try:
-            with part.open("wb") as file:
-                file.write(payload)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(part, path)
+            write_whole(path, payload)
         except OSError as error:
             raise self._refusal(error) from error
         return path
-
-    def _begin(self) -> None:
-        about = {"version": _VERSION, **self.about}
-        if self.root.exists() and not self.root.is_dir():
-            raise ConfigError(f"{self.root} is a file, a folder is expected; choose another name")
-        if self.root.exists() and any(self.root.iterdir()):
-            self._check(about)
-        try:
-            for name in ("presses", "free"):
-                (self.root / name).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise self._refusal(error) from error
-        self._replace(self.root / _ABOUT, (json.dumps(about, indent=1) + "\n").encode())
-
-    def _check(self, about: Mapping[str, object]) -> None:
-        try:
-            found = json.loads((self.root / _ABOUT).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise ConfigError(
-                f"{self.root} is not empty and holds no acquisition; choose another folder"
-            ) from error
-        other = [
-            f"{key} {found.get(key)!r}, not {value!r}"
-            for key, value in about.items()
-            if found.get(key) != value
-        ]
-        if other:
-            raise ConfigError(
-                f"{self.root} holds another acquisition: {', '.join(other)}; choose another folder, or the same options"
-            )
 
     def _refusal(self, error: OSError) -> StoreError:
         return StoreError(

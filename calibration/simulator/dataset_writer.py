@@ -11,7 +11,6 @@ under a temporary name and then renamed, so a file that exists is complete and i
 
 import hashlib
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 
 from calibration.dataset.files import pool_mask
 from calibration.dataset.opening import DATASET_VERSION, SUMMARY_FILE
+from calibration.folders import claim, write_whole
 from calibration.simulator.field_of_view import HR, LR, Field
 from calibration.simulator.plan import PressPlan, damage, dataset_plan, piece
 from calibration.simulator.pose import Pose
@@ -68,7 +68,7 @@ def simulate_dataset(
     several = [scenes] if isinstance(scenes, Scene) else scenes
     plans = {scene: dataset_plan(scene, seed) for scene in (_set_presses(each, presses) for each in several)}
     summary = _summary(plans, seed)
-    _begin(folder, summary)
+    claim(folder, SUMMARY_FILE, summary, "simulated dataset", DatasetError)
     tasks = [
         _Task(scene, seed, folder, tuple(group))
         for scene, presses in plans.items()
@@ -81,7 +81,8 @@ def simulate_dataset(
             done += count
             if progress is not None:
                 progress(done / total)
-        _write(folder / SUMMARY_FILE, _text({**summary, "complete": True}))
+        text = json.dumps({**summary, "complete": True}, indent=1) + "\n"
+        write_whole(folder / SUMMARY_FILE, text.encode())
     except OSError as error:
         raise StoreError(
             f"dataset {folder} stops after {done} of {total} presses: {error.strerror}; "
@@ -138,31 +139,6 @@ def _summary(plans: Mapping[Scene, list[PressPlan]], seed: int) -> dict[str, obj
     }
 
 
-def _text(summary: Mapping[str, object]) -> bytes:
-    return (json.dumps(summary, indent=1) + "\n").encode()
-
-
-def _begin(folder: Path, summary: Mapping[str, object]) -> None:
-    path = folder / SUMMARY_FILE
-    if folder.exists() and not folder.is_dir():
-        raise DatasetError(f"{folder} is a file, a folder is expected; choose another name")
-    if not folder.exists() or not any(folder.iterdir()):
-        folder.mkdir(parents=True, exist_ok=True)
-        _write(path, _text(summary))
-        return
-    try:
-        written = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise DatasetError(
-            f"{folder} is not empty and holds no simulated dataset; choose another folder"
-        ) from None
-    if {**written, "complete": False} != json.loads(_text(summary)):
-        raise DatasetError(
-            f"{folder} holds a dataset of other scenes, another seed or other counts (seed {written.get('seed')}); "
-            "give the same command to continue it, or choose another folder"
-        )
-
-
 def outputs(scene: Scene, plan: PressPlan) -> dict[str, Path]:
     """Name the files of a press, relative to the dataset's root; keys such as `rgb` and `mask_320x240`."""
     kinds = [name for mode, name in (("hr", "rgb"), ("lr", "rgb_320x240")) if mode in scene.camera.modes]
@@ -180,7 +156,7 @@ def _write_piece(task: _Task) -> int:
             if all(path.is_file() for path in paths.values()):
                 continue
             for kind, picture in press_pictures(task.scene, plan, task.seed):
-                _write(paths[kind], _png(picture))
+                write_whole(paths[kind], _png(picture))
     return len(task.presses)
 
 
@@ -227,15 +203,3 @@ def _png(picture: U8) -> bytes:
     if not done:
         raise ValueError(f"a picture of shape {picture.shape} cannot be encoded as PNG")
     return bytes(data)
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write the complete file or none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # A fixed name: the rest of a killed run is overwritten.
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -1,7 +1,6 @@
 """A scene's run as a recording: every frame of every press as camera bytes, with its ground truth as a label."""
 
 import hashlib
-import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.folders import claim, is_empty
 from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from calibration.simulator.defects import Damaged
 from calibration.simulator.field_of_view import F32, HR, LR, native_field
@@ -22,7 +22,7 @@ from calibration.simulator.scene import Scene, SceneRun, change_counts
 from calibration.simulator.streams import Streams
 from calibration.simulator.workers import in_order
 from edge.core.detector import Progress
-from edge.core.errors import ConfigError, RecordingError, StoreError
+from edge.core.errors import ConfigError, RecordingError
 from edge.core.imaging.known_profiles import MINI_NATIVE
 from edge.recording.format import DELIVERED_SHARE, Recording, RecordingHeader, RecordingWriter
 
@@ -92,10 +92,13 @@ def _record(
     scene: Scene, run: SceneRun, folder: Path, seed: int, workers: int, progress: Progress | None
 ) -> Path:
     stamp = _stamp(scene, run, seed)
-    if _is_done(folder, stamp):
+    if not is_empty(folder, "", RecordingError):
+        claim(folder, _STAMP, stamp, "recording", RecordingError)
+        Recording.open(folder)
         return folder
     unfinished = folder.with_name(folder.name + ".part")
-    _claim(unfinished, stamp)
+    way_on = "move it away, or finish it with the command that began it"
+    claim(unfinished, _STAMP, stamp, "unfinished recording", RecordingError, way_on)
     tasks = list(_tasks(scene, run, seed))
     complete = _complete_frames(unfinished)
     # A press is complete when the next one could begin; the free gel after the last press is cheap and is made again.
@@ -116,58 +119,6 @@ def _stamp(scene: Scene, run: SceneRun, seed: int) -> dict[str, object]:
     text = scene.model_dump_json() + run.model_dump_json()
     digest = hashlib.sha256(text.encode()).hexdigest()
     return {"version": 1, "scene": scene.name, "run": run.name, "seed": seed, "sha256": digest}
-
-
-def _read_stamp(folder: Path) -> Mapping[str, object] | None:
-    try:
-        stamp = json.loads((folder / _STAMP).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return stamp if isinstance(stamp, dict) else None
-
-
-def _is_done(folder: Path, stamp: Mapping[str, object]) -> bool:
-    if folder.exists() and not folder.is_dir():
-        raise RecordingError(f"{folder} is a file, a folder is expected; choose another name")
-    if not folder.exists() or not any(folder.iterdir()):
-        return False
-    if _read_stamp(folder) == stamp:
-        Recording.open(folder)
-        return True
-    raise RecordingError(
-        f"{folder} is not empty and holds no recording of scene '{stamp['scene']}', run '{stamp['run']}', "
-        f"seed {stamp['seed']}; choose another folder"
-    )
-
-
-def _claim(unfinished: Path, stamp: Mapping[str, object]) -> None:
-    """Check that the unfinished recording has this stamp, or begin one; the stamp is written first."""
-    earlier = _read_stamp(unfinished)
-    if earlier == stamp:
-        return
-    if earlier is not None:
-        raise RecordingError(
-            f"{unfinished} is an unfinished recording of scene '{earlier.get('scene')}', run '{earlier.get('run')}', "
-            f"seed {earlier.get('seed')}, not of (scene '{stamp['scene']}', run '{stamp['run']}', seed "
-            f"{stamp['seed']}, and the same settings); finish it with the command that started it, or delete it"
-        )
-    # A fixed name: the rest of a killed run is overwritten.
-    part = unfinished / f"{_STAMP}.part"
-    if unfinished.exists() and not (
-        unfinished.is_dir() and all(path == part for path in unfinished.iterdir())
-    ):
-        raise RecordingError(
-            f"{unfinished} is not an unfinished recording of `gelgate lab simulate`, which needs this name; "
-            "move it away"
-        )
-    try:
-        unfinished.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps(stamp, indent=1) + "\n", encoding="utf-8")
-        os.replace(part, unfinished / _STAMP)
-    except OSError as error:
-        raise StoreError(
-            f"recording {unfinished} cannot be started: {error.strerror}; choose another folder"
-        ) from error
 
 
 def _complete_frames(unfinished: Path) -> int:

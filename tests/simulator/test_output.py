@@ -173,7 +173,7 @@ def test_an_interrupted_dataset_continues_with_the_same_bytes(tmp_path: Path) ->
         path.unlink()
     assert whole == digests(simulate_dataset(scene, tmp_path / "a", 1, presses=1))
     assert times == [path.stat().st_mtime_ns for path in kept]
-    with pytest.raises(DatasetError, match="another seed"):
+    with pytest.raises(DatasetError, match="seed 1, not 2"):
         simulate_dataset(scene, tmp_path / "a", 2, presses=1)
 
 
@@ -258,7 +258,7 @@ def test_without_a_folder_the_output_is_named_after_the_scene(
     monkeypatch.chdir(tmp_path)
     simulate("tiny.toml", workers=1)
     before = digests(tmp_path / "simulated")
-    with pytest.raises(RecordingError, match=r"simulated/tiny/line is not empty and holds no recording of"):
+    with pytest.raises(RecordingError, match=r"simulated/tiny/line holds another recording: seed 0, not 1"):
         simulate("tiny.toml", seed=1, workers=1)
 
     assert len(Recording.open(Path("simulated/tiny/line"))) > 0
