@@ -2,6 +2,7 @@
 
 import pickle
 import zipfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +11,20 @@ import onnx
 import onnxruntime
 import pytest
 from command_line import gelgate, ran
+from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from export.backbone import BackboneOptions, export_backbone, read_checkpoint, weights_sha256
 from plugins.backbones.random import random_state
 from plugins.backbones.reference import forward, normalise
 
-STATE = random_state("resnet18", 1)
 RESNET18 = BackboneOptions("own", "resnet18")
-TENSORS = {name: np.array(value, np.float32) for name, value in STATE.items()}
 ANOMALIB = Path(__file__).parent / "importers" / "anomalib_2_7_0" / "padim.ckpt"
+
+
+@cache
+def tensors() -> dict[str, NDArray[np.float32]]:
+    return {name: np.array(value, np.float32) for name, value in random_state("resnet18", 1).items()}
 
 
 def saved(folder: Path, content: Any) -> Path:
@@ -39,16 +44,16 @@ def test_a_checkpoint_of_pytorch_lightning_becomes_a_trunk(tmp_path: Path) -> No
 def test_a_checkpoint_becomes_its_trunk(tmp_path: Path) -> None:
     """The trunk computes the network whose weights were saved, and names them in its metadata."""
     classifier = {"fc.weight": np.zeros((5, 512)), "bn1.num_batches_tracked": np.array(3)}
-    facts = export_backbone(saved(tmp_path, TENSORS | classifier), tmp_path / "trunk.onnx", RESNET18).facts
+    facts = export_backbone(saved(tmp_path, tensors() | classifier), tmp_path / "trunk.onnx", RESNET18).facts
     rgb = np.random.default_rng(0).integers(0, 256, (1, 40, 40, 3), dtype=np.uint8)
     session = onnxruntime.InferenceSession(tmp_path / "trunk.onnx", providers=["CPUExecutionProvider"])
-    expected = forward(STATE, "resnet18", normalise(rgb), ("layer3",))["layer3"]
+    expected = forward(tensors(), "resnet18", normalise(rgb), ("layer3",))["layer3"]
     np.testing.assert_allclose(
         session.run(["layer3"], {"frames": rgb})[0], expected, atol=1e-4 * expected.max()
     )
     metadata = session.get_modelmeta().custom_metadata_map
     assert metadata["topology"] == "resnet18"
-    assert metadata["weights_sha256"] == facts["weights_sha256"] == weights_sha256(STATE, "resnet18")
+    assert metadata["weights_sha256"] == facts["weights_sha256"] == weights_sha256(tensors(), "resnet18")
     assert metadata["mean"] == "0.485,0.456,0.406"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["trunk.onnx", "weights.pth"]
 
@@ -57,14 +62,14 @@ def test_a_checkpoint_becomes_its_trunk(tmp_path: Path) -> None:
 def test_wrapped_checkpoints_are_unwrapped(tmp_path: Path, wrap: str) -> None:
     """Weights inside a training checkpoint, behind a wrapper's prefix or in half precision are the same weights."""
     if wrap.endswith("."):
-        content: Any = {wrap + name: value for name, value in TENSORS.items()}
+        content: Any = {wrap + name: value for name, value in tensors().items()}
     elif wrap == "half":
-        content = {name: value.astype(np.float16) for name, value in TENSORS.items()}
+        content = {name: value.astype(np.float16) for name, value in tensors().items()}
     else:
-        content = {wrap: TENSORS, "epoch": 3}
+        content = {wrap: tensors(), "epoch": 3}
     found = read_checkpoint(saved(tmp_path, content))
-    assert found.keys() == STATE.keys()
-    np.testing.assert_allclose(found["conv1.weight"], STATE["conv1.weight"], rtol=1e-3, atol=1e-4)
+    assert found.keys() == tensors().keys()
+    np.testing.assert_allclose(found["conv1.weight"], tensors()["conv1.weight"], rtol=1e-3, atol=1e-4)
     assert found["conv1.weight"].dtype == np.float32
 
 
@@ -125,7 +130,7 @@ def test_the_wrong_topology_names_the_right_one(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"weights\.pth are of a resnet18, not a resnet50: --topology resnet18"
     ):
-        export_backbone(saved(tmp_path, TENSORS), tmp_path / "trunk.onnx", BackboneOptions("own", "resnet50"))
+        export_backbone(saved(tmp_path, tensors()), tmp_path / "trunk.onnx", BackboneOptions("own", "resnet50"))
     assert not (tmp_path / "trunk.onnx").exists()
 
 
@@ -143,7 +148,7 @@ def test_a_network_of_another_family_goes_through_onnx(tmp_path: Path) -> None:
 
 def test_the_command_writes_and_reports(tmp_path: Path) -> None:
     """The verb prints what it wrote with both hashes, and refuses to replace a file unasked."""
-    words = ("export", "backbone", saved(tmp_path, TENSORS), "-o", tmp_path / "t.onnx", "--licence", "own")
+    words = ("export", "backbone", saved(tmp_path, tensors()), "-o", tmp_path / "t.onnx", "--licence", "own")
     said = ran(*words, "--taps", "layer1,layer2", "--half")
     for part in ("layer1, layer2, 1.4 MB", "licence of the weights own", "weights sha256"):
         assert part in said

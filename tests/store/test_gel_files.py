@@ -40,6 +40,17 @@ def test_a_damaged_picture_or_one_of_another_size_is_none(
     assert GelFiles(tmp_path).load_picture("S1", "g", "last") is None
 
 
+def test_a_file_that_cannot_be_written_or_removed_is_in_the_log_and_ends_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A file is in the place of the folder."""
+    (tmp_path / "S1").write_text("")
+    GelFiles(tmp_path).save_picture("S1", "g", Reference(np.zeros((120, 160, 3), np.float32), 10, 0))
+    GelFiles(tmp_path).forget("S1", "g", "last")
+
+    assert [word in caplog.text for word in ("was not kept", "was not removed")] == [True, True]
+
+
 def test_pictures_of_gels_of_long_ago_are_removed(tmp_path: Path) -> None:
     """The newest are kept, with the first picture of each; another sensor's are not touched."""
     folder = GelFiles(tmp_path)

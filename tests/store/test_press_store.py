@@ -240,13 +240,17 @@ def test_a_file_that_is_no_database_of_ours_is_refused(
     assert path.read_bytes() == before
 
 
-def test_a_newer_database_or_a_missing_folder_is_refused(path: Path, tmp_path: Path) -> None:
+def test_a_database_of_no_known_version_or_a_missing_folder_is_refused(path: Path, tmp_path: Path) -> None:
     """By its version, and with the advice to create the folder."""
     Store(path).close()
-    write_tables("PRAGMA user_version = 99")(path)
-
-    with pytest.raises(StoreError, match=f"schema version 99, this program knows up to {SCHEMA_VERSION}"):
-        Store(path)
+    for version, says in (
+        (99, f"99, this program knows up to {SCHEMA_VERSION}"),
+        (0, "0, which no gelgate wrote"),
+        (-1, "-1, which no gelgate wrote"),
+    ):
+        write_tables(f"PRAGMA user_version = {version}")(path)
+        with pytest.raises(StoreError, match=f"schema version {says}"):
+            Store(path)
     with pytest.raises(StoreError, match=r"nowhere.*create its folder"):
         Store(tmp_path / "nowhere" / "gelgate.db")
 
