@@ -138,7 +138,12 @@ def test_half_precision_storage_halves_the_file() -> None:
     [
         ({"layer2.0.conv1.weight": None}, "resnet18", TAPS, "1 missing .layer2.0.conv1.weight."),
         ({"head.weight": np.zeros(3, np.float32)}, "resnet18", TAPS, "1 unexpected .head.weight."),
-        ({"conv1.weight": np.zeros((5, 3, 7, 7), np.float32)}, "resnet18", TAPS, "1 wrongly shaped .conv1.weight"),
+        (
+            {"conv1.weight": np.zeros((5, 3, 7, 7), np.float32)},
+            "resnet18",
+            TAPS,
+            "1 wrongly shaped .conv1.weight",
+        ),
         ({"bn1.bias": np.full(64, np.nan, np.float32)}, "resnet18", TAPS, "not finite, in bn1.bias"),
         ({"bn1.weight": np.full(64, 1e7, np.float32)}, "resnet18", ("relu",), "exceeds float16"),
         ({}, "resnet50", TAPS, r"not a resnet50 .* missing"),

@@ -130,7 +130,9 @@ def test_the_wrong_topology_names_the_right_one(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"weights\.pth are of a resnet18, not a resnet50: --topology resnet18"
     ):
-        export_backbone(saved(tmp_path, tensors()), tmp_path / "trunk.onnx", BackboneOptions("own", "resnet50"))
+        export_backbone(
+            saved(tmp_path, tensors()), tmp_path / "trunk.onnx", BackboneOptions("own", "resnet50")
+        )
     assert not (tmp_path / "trunk.onnx").exists()
 
 
