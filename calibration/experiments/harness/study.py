@@ -2,21 +2,23 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Self, get_args
+from typing import Any, get_args
 
 from calibration.dataset import Dataset
 from calibration.experiments.harness.cells import Cell, Setting, Split
 from calibration.experiments.harness.cluster import check_address
 from calibration.experiments.harness.detector_settings import taps_of
-from calibration.experiments.harness.material import Material, Place
+from calibration.experiments.harness.material import Material, Place, material
+from calibration.experiments.harness.presses import hold_out
 from calibration.experiments.harness.rows import ROWS_FILE, Rows
-from calibration.experiments.harness.runner import Evaluate, Show, run
+from calibration.experiments.harness.runner import Show, run
 from calibration.experiments.harness.stable import find_stable_fraction
 from calibration.fitting.trunks import DEFAULT_BACKBONE, every_cut
 from calibration.progress import progress
@@ -33,13 +35,9 @@ __all__ = [
     "check_same",
     "choose_places",
     "make_cells",
-    "prepare",
     "require_known",
-    "run_cells",
-    "say_once",
+    "run_study",
 ]
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -57,6 +55,16 @@ class Options:
     parts: tuple[str, ...] = ()
     position: str | None = None
     """The reference position, None is each part's first."""
+    target: str | None = None
+    """The second position of `cross-position`, None is each part's second."""
+    presses: int = 40
+    """Nominal presses of the pool of `resolution` at most."""
+    views: tuple[str, ...] = ()
+    """Those of `resolution`, all if empty."""
+    fractions: tuple[float, ...] = tuple(k / 20 for k in range(1, 21))
+    """Shares of the pool of `good-fraction`, in (0, 1]; 5 to 100 % in steps of 5, as in the paper."""
+    shots: tuple[int, ...] = (1, 2, 4, 8, 16, 32)
+    """Numbers of presses of `good-fraction`: those that few-shot studies of the field report."""
     methods: tuple[str, ...] = ()
     modes: tuple[Mode, ...] = ()
     backbones: tuple[str, ...] = ()
@@ -115,15 +123,26 @@ class Evaluation:
     taps: Mapping[str, tuple[str, ...]]
     """By backbone, those that are extracted for all cells."""
 
-    @classmethod
-    def of(cls, options: Options) -> Self:
-        """Return that of what a study is asked for."""
-        return cls(options.dataset.absolute(), options.features, options.taps())
-
     def place(self, cell: Cell, position: str | None = None) -> Place:
         """Return where the cell's features come from. position: another one than the cell's."""
         where = cell.part, position or cell.position, cell.backbone
         return Place(self.dataset, self.cache, *where, self.taps[cell.backbone])
+
+    def places(self, cell: Cell) -> tuple[Place, ...]:
+        """Return every place that the cell needs."""
+        return (self.place(cell),)
+
+    def check(self, cell: Cell, *materials: Material) -> None:
+        """Check that presses can be held out, before any cell runs. Errors: DatasetError."""
+        for found in materials:
+            hold_out(found.presses, int(cell.setting("held_out")), cell.split)
+
+    def measure(self, cell: Cell, *materials: Any) -> Mapping[str, Any]:
+        """Return the columns of the cell's row, from the materials of its places."""
+        raise NotImplementedError
+
+    def __call__(self, cell: Cell) -> Mapping[str, Any]:
+        return self.measure(cell, *map(material, self.places(cell)))
 
 
 def methods_to_compare() -> tuple[str, ...]:
@@ -178,39 +197,31 @@ def make_cells(
     ]
 
 
-def prepare(places: Iterable[Place], options: Options) -> list[Material]:
-    """Extract the features of each place, before any cell runs. Errors: DatasetError, FitError, StoreError."""
-    materials, remarks = list[Material](), list[str]()
-    for place in dict.fromkeys(places):
-        place.require_room()
-        materials.append(_extract(place, options))
-        remarks += materials[-1].remarks
-    say_once(remarks)
-    return materials
+def run_study(cells: Sequence[Cell], evaluation: type[Evaluation], options: Options) -> Rows:
+    """Extract features, check all, and run the cells that have no row in the output folder yet.
+
+    Errors: DatasetError, FitError, StoreError; ConfigError where rows of the same places are from other pictures;
+    else as `calibration.experiments.harness.runner.run`.
+    """
+    evaluate = evaluation(options.dataset.absolute(), options.features, options.taps())
+    materials = {
+        place: _extract(place, options) for place in dict.fromkeys(chain(*map(evaluate.places, cells)))
+    }
+    for remark in dict.fromkeys(chain(*(found.remarks for found in materials.values()))):
+        _say(remark)
+    for cell in {(evaluate.places(cell), cell.split): cell for cell in cells}.values():
+        evaluate.check(cell, *(materials[place] for place in evaluate.places(cell)))
+    rows = Rows(options.output / ROWS_FILE, _say)
+    studies = {cell.study for cell in cells}
+    check_same((row for row in rows.read() if row["study"] in studies), list(materials.values()), rows.path)
+    run(cells, evaluate, rows, jobs=options.jobs, dask=options.dask, progress=options.show)
+    return rows
 
 
 def _extract(place: Place, options: Options) -> Material:
+    place.require_room()
     with options.show(f"features of {place}", 100) as advance:
         return place.extract(lambda share: advance(int(100 * share)), min(options.jobs, os.cpu_count() or 1))
-
-
-def run_cells(
-    cells: Sequence[Cell],
-    evaluate: Evaluate,
-    options: Options,
-    materials: Sequence[Material] = (),
-    say: Say | None = None,
-) -> Rows:
-    """Run the cells that have no row in the output folder yet.
-
-    materials: what the cells are made from; rows of this study and the same places must be from the same. Errors:
-    ConfigError where they are not; else as `calibration.experiments.harness.runner.run`.
-    """
-    rows = Rows(options.output / ROWS_FILE, say or _say)
-    studies = {cell.study for cell in cells}
-    check_same((row for row in rows.read() if row["study"] in studies), materials, rows.path)
-    run(cells, evaluate, rows, jobs=options.jobs, dask=options.dask, progress=options.show)
-    return rows
 
 
 def check_same(rows: Iterable[Mapping[str, Any]], materials: Sequence[Material], path: Path) -> None:
@@ -249,12 +260,6 @@ _FACTS = {
     "trunk_sha256": "another trunk",
     "program": "another version of the program",
 }
-
-
-def say_once(sentences: Iterable[str]) -> None:
-    """Each sentence once, to the person at the command line."""
-    for sentence in dict.fromkeys(sentences):
-        _say(sentence)
 
 
 def _say(sentence: str) -> None:

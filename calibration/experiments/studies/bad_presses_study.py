@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.experiments.harness.cells import Cell
 from calibration.experiments.harness.evidence import effects
-from calibration.experiments.harness.material import Drawn, fit_cell, material
+from calibration.experiments.harness.material import Drawn, Material, fit_cell
 from calibration.experiments.harness.page import Page, make_page, percent, share_of, tabulate_medians
 from calibration.experiments.harness.presses import TEST_SEED, hold_out, open_presses, subset
 from calibration.experiments.harness.rows import Rows
@@ -20,8 +20,7 @@ from calibration.experiments.harness.study import (
     Options,
     choose_places,
     make_cells,
-    prepare,
-    run_cells,
+    run_study,
 )
 from calibration.experiments.studies.good_fraction_study import presses_in
 from edge.core.errors import DatasetError
@@ -40,8 +39,12 @@ BAD_SHARES = (0.0, 0.02, 0.05, 0.10)
 class BadPresses(Evaluation):
     """Evaluates a cell."""
 
-    def __call__(self, cell: Cell) -> dict[str, Any]:
-        found = material(self.place(cell))
+    def check(self, cell: Cell, *materials: Material) -> None:
+        super().check(cell, *materials)
+        halves(materials[0].presses.defective)
+
+    def measure(self, cell: Cell, *materials: Material) -> dict[str, Any]:
+        (found,) = materials
         held = hold_out(found.presses, int(cell.setting("held_out")), cell.split)
         nominal = subset(held.pool, presses_in(cell, len(held.pool)), cell.seed)
         bad, tested = halves(found.presses.defective)
@@ -82,13 +85,7 @@ def study_bad_presses(options: Options) -> Rows:
     places = choose_places(open_presses(options.dataset), options.parts, options.position)
     shares = [{"bad": share} for share in BAD_SHARES]
     cells = [cell for place in places for cell in make_cells(STUDY, options, place, shares)]
-    evaluate = BadPresses.of(options)
-    materials = prepare(map(evaluate.place, cells), options)
-    for found in materials:
-        halves(found.presses.defective)
-        for split in options.splits:
-            hold_out(found.presses, options.held_out, split)
-    return run_cells(cells, evaluate, options, materials)
+    return run_study(cells, BadPresses, options)
 
 
 def page(rows: "pd.DataFrame") -> Page:

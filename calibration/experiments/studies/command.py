@@ -1,28 +1,184 @@
 """The verb `study`: each study a command that can be interrupted and continued."""
 
-from functools import partial
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
-from calibration.experiments.studies.options import StudyArguments, parse_counts, parse_fractions
+from calibration.experiments.harness.study import Options
+from calibration.experiments.studies.every_study import STUDIES, study_all
 from edge.cli.arguments import flatten
-
-if TYPE_CHECKING:
-    from calibration.experiments.harness.rows import Rows
+from edge.core.errors import ConfigError
 
 __all__ = ["study"]
 
+
+def _hidden_default(*words: str) -> Any:
+    *option, text = words
+    return typer.Option(*option, help=text, show_default=False)
+
+
+@dataclass(frozen=True)
+class StudyArguments:
+    """What the command line says."""
+
+    dataset: Annotated[Path, typer.Argument(help="The folder of presses, nominal and defective.")]
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="Output folder: rows.jsonl and the report; new, or one to continue."
+        ),
+    ]
+    parts: Annotated[
+        list[str] | None,
+        _hidden_default("--part", "A part; may be given several times. Default: all of the dataset."),
+    ] = None
+    position: Annotated[
+        str | None, _hidden_default("The reference position; default: each part's first by name.")
+    ] = None
+    target: Annotated[str | None, _hidden_default("The other position; default: the second by name.")] = None
+    presses: Annotated[
+        int,
+        typer.Option(min=2, help="Nominal presses of the pool at most: 1280x720 takes memory and time."),
+    ] = 40
+    views: Annotated[
+        list[str] | None,
+        _hidden_default(
+            "--view", "lr, hr_tiled, lr_tiled, hr_full or lr_full; may be given several times. Default: all."
+        ),
+    ] = None
+    fraction: Annotated[
+        float | None,
+        _hidden_default(
+            "Share of the pool that every method learns from, in percent. Default: the stable fraction of each, "
+            "from the good-fraction rows in the output folder; in paper mode the paper's own."
+        ),
+    ] = None
+    methods: Annotated[
+        list[str] | None,
+        _hidden_default(
+            "--method", "A detector; may be given several times. Default: all but the baselines."
+        ),
+    ] = None
+    modes: Annotated[
+        list[str] | None,
+        _hidden_default("--mode", "corrected or paper; may be given twice. Default: corrected."),
+    ] = None
+    backbones: Annotated[
+        list[str] | None,
+        _hidden_default(
+            "--backbone",
+            "An installed backbone, or a trunk .onnx file; may be given several times. Default: tactile_resnet18.",
+        ),
+    ] = None
+    splits: Annotated[
+        list[str] | None,
+        _hidden_default(
+            "--split",
+            "How test presses are held out: press (one by one, as in the paper) or specimen (all presses of a piece "
+            "together); may be given twice. Default: press.",
+        ),
+    ] = None
+    seeds: Annotated[
+        int, typer.Option(min=1, max=1000, help="Repetitions, each with other training presses.")
+    ] = 10
+    fractions: Annotated[
+        str, typer.Option(help="Shares of the pool in percent: FIRST:LAST:STEP, a list, or 'none'.")
+    ] = "5:100:5"
+    shots: Annotated[str, typer.Option(help="Numbers of presses, or 'none'.")] = "1,2,4,8,16,32"
+    held_out: Annotated[int, typer.Option("--held-out", min=1, help="Nominal presses kept for the test.")] = (
+        20
+    )
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes on this machine.")] = 1
+    dask: Annotated[str | None, _hidden_default("Address of a Dask scheduler, such as tcp://host:8786.")] = (
+        None
+    )
+    cache: Annotated[
+        Path | None,
+        _hidden_default("Folder of extracted features; default: 'features' in the output folder."),
+    ] = None
+
+    def options(self) -> Options:
+        """Return what is asked of the study. Errors: ConfigError, as `Options`, and for an impossible fraction."""
+        if self.fraction is not None and not 0 < self.fraction <= 100:
+            raise ConfigError(
+                f"--fraction is a percentage above 0 up to 100, such as 40, found {self.fraction:g}"
+            )
+        given: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in vars(self).items()
+            if value is not None
+        }
+        share = None if self.fraction is None else self.fraction / 100
+        fractions, shots = parse_fractions(self.fractions), parse_counts(self.shots, "--shots")
+        given |= {"fraction": share, "fractions": fractions, "shots": shots}
+        return Options(**given)
+
+
+NONE = "none"
+
+
+def parse_fractions(text: str) -> tuple[float, ...]:
+    """Return shares in (0, 1] from percentages: `5:100:5`, `5,10,20`, or `none`. Errors: ConfigError."""
+    if text.strip() == NONE:
+        return ()
+    try:
+        percent = _range(text) if ":" in text else [float(word) for word in text.split(",")]
+    except ValueError:
+        percent = []
+    if not percent or not all(0 < value <= 100 for value in percent):
+        raise ConfigError(
+            f"--fractions are percentages above 0 up to 100, such as 5:100:5 or 5,10,20, found '{text}'"
+        )
+    return tuple(sorted({round(value / 100, 6) for value in percent}))
+
+
+def _range(text: str) -> list[float]:
+    first, last, step = (float(word) for word in text.split(":"))
+    if step <= 0 or first > last:
+        raise ValueError(text)
+    return [first + k * step for k in range(int((last - first) / step + 1e-9) + 1)]
+
+
+def parse_counts(text: str, option: str) -> tuple[int, ...]:
+    """Return whole numbers of at least 1: `1,2,4`, or `none`. Errors: ConfigError."""
+    if text.strip() == NONE:
+        return ()
+    try:
+        counts = sorted({int(word) for word in text.split(",")})
+    except ValueError:
+        counts = []
+    if not counts or counts[0] < 1:
+        raise ConfigError(f"{option} are whole numbers of at least 1, such as 1,2,4, found '{text}'")
+    return tuple(counts)
+
+
 study = typer.Typer(help="Study what accuracy costs, cell by cell.", no_args_is_help=True)
 
-
-def _end(rows: "Rows", name: str) -> None:
-    """Say where the rows are, and how many cells have no score and why: of this study, also from earlier runs."""
-    every = [row for row in rows.read() if row["study"] == name]
-    errors = [str(row["error"]) for row in every if row.get("error") is not None]
-    if errors:
-        typer.echo(f"{len(errors)} of {len(every)} cells have no score, such as: {errors[0]}", err=True)
-    typer.echo(f"rows: {rows.path}")
+_VERBS = {
+    "good-fraction": (
+        "Accuracy by the number of nominal presses.\n\n"
+        "The same command continues an interrupted study; finished cells are kept.",
+        ("target", "presses", "views", "fraction"),
+    ),
+    "cross-position": (
+        "Accuracy at a second position with few of its presses.\n\nDefault parts: those with two positions. "
+        "The same command continues an interrupted study.",
+        ("presses", "views", "fractions", "shots"),
+    ),
+    "resolution": (
+        "Accuracy at 320x240 and 1280x720, and why it differs.\n\nDefault parts: those with both resolutions. "
+        "The same command continues an interrupted study.",
+        ("target", "fractions", "shots"),
+    ),
+    "bad-presses": (
+        "Accuracy with damaged presses among the nominal ones.\n\n"
+        "The same command continues an interrupted study.",
+        ("target", "presses", "views", "fractions", "shots"),
+    ),
+}
+"""What a study's help says, and the options that it has no use for."""
 
 
 @study.callback()
@@ -30,62 +186,31 @@ def _group() -> None:
     """Study what accuracy costs, cell by cell."""
 
 
-@study.command("good-fraction")
-@partial(flatten, without=("target", "presses", "view", "fraction"))
-def good_fraction(given: StudyArguments) -> None:
-    """Accuracy by the number of nominal presses.
+def _add(name: str, text: str, without: tuple[str, ...]) -> None:
+    """Add the command of a study; it says where the rows are, and how many of its cells have no score and why."""
 
-    The same command continues an interrupted study; finished cells are kept."""
-    from calibration.experiments.studies.good_fraction_study import study_good_fraction
+    def verb(given: StudyArguments) -> None:
+        rows = STUDIES[name](given.options())
+        every = [row for row in rows.read() if row["study"] == name]
+        errors = [str(row["error"]) for row in every if row.get("error") is not None]
+        if errors:
+            typer.echo(f"{len(errors)} of {len(every)} cells have no score, such as: {errors[0]}", err=True)
+        typer.echo(f"rows: {rows.path}")
 
-    rows = study_good_fraction(
-        given.options(),
-        fractions=parse_fractions(given.fractions),
-        shots=parse_counts(given.shots, "--shots"),
-    )
-    _end(rows, "good-fraction")
-
-
-@study.command("cross-position")
-@partial(flatten, without=("presses", "view", "fractions", "shots"))
-def cross_position(given: StudyArguments) -> None:
-    """Accuracy at a second position with few of its presses.
-
-    Default parts: those with two positions. The same command continues an interrupted study."""
-    from calibration.experiments.studies.cross_position_study import study_cross_position
-
-    _end(study_cross_position(given.options(), given.target), "cross-position")
+    verb.__doc__ = text
+    study.command(name)(flatten(verb, without))
 
 
-@study.command("resolution")
-@partial(flatten, without=("target", "fractions", "shots"))
-def resolution(given: StudyArguments) -> None:
-    """Accuracy at 320x240 and 1280x720, and why it differs.
-
-    Default parts: those with both resolutions. The same command continues an interrupted study."""
-    from calibration.experiments.studies.resolution_study import study_resolution
-
-    _end(study_resolution(given.options(), given.view or (), given.presses), "resolution")
+for _name, (_text, _without) in _VERBS.items():
+    _add(_name, _text, _without)
 
 
-@study.command("bad-presses")
-@partial(flatten, without=("target", "presses", "view", "fractions", "shots"))
-def bad_presses(given: StudyArguments) -> None:
-    """Accuracy with damaged presses among the nominal ones.
-
-    The same command continues an interrupted study."""
-    from calibration.experiments.studies.bad_presses_study import study_bad_presses
-
-    _end(study_bad_presses(given.options()), "bad-presses")
-
-
-@study.command("all")
-@partial(flatten, without=("position", "target", "view", "fraction", "fractions", "shots"))
-def every_study(given: StudyArguments) -> None:
+def _study_all(given: StudyArguments) -> None:
     """Every study in one command, and their pages.
 
     What the dataset has no presses for is left out, with a sentence. The same command continues."""
-    from calibration.experiments.studies.every_study import study_all
-
-    for line in study_all(given.options(), given.presses):
+    for line in study_all(given.options()):
         typer.echo(line)
+
+
+study.command("all")(flatten(_study_all, ("position", "target", "views", "fraction", "fractions", "shots")))

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.dataset import Dataset
 from calibration.experiments.harness.cells import Cell
 from calibration.experiments.harness.evidence import effects
 from calibration.experiments.harness.figures import draw_curves
-from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell, material
+from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell
 from calibration.experiments.harness.page import (
     Figures,
     Page,
@@ -33,8 +32,7 @@ from calibration.experiments.harness.study import (
     Options,
     choose_places,
     make_cells,
-    prepare,
-    run_cells,
+    run_study,
 )
 from edge.core.errors import DatasetError
 
@@ -45,7 +43,6 @@ __all__ = [
     "STUDY",
     "TARGET_FRACTIONS",
     "CrossPosition",
-    "cross_position_cells",
     "page",
     "study_cross_position",
 ]
@@ -63,8 +60,12 @@ class CrossPosition(Evaluation):
         """Return where the features come from: the source position, then the target."""
         return self.place(cell), self.place(cell, str(cell.setting("target")))
 
-    def __call__(self, cell: Cell) -> dict[str, Any]:
-        source, target = (material(place) for place in self.places(cell))
+    def check(self, cell: Cell, *materials: Material) -> None:
+        source, target = materials
+        both_held_out(source, target, cell)
+
+    def measure(self, cell: Cell, *materials: Material) -> dict[str, Any]:
+        source, target = materials
         held = both_held_out(source, target, cell)
         shares = (float(cell.setting(name)) for name in ("fraction", "target_fraction"))
         counts = [round(share * len(one.pool)) for share, one in zip(shares, held, strict=True)]
@@ -117,11 +118,14 @@ def _of_each(scored: Scored, tests: Sequence[TestPresses]) -> dict[str, float | 
     }
 
 
-def cross_position_cells(places: Sequence[tuple[str, str, str]], options: Options) -> list[Cell]:
-    """Return all cells. places: (part, source, target). Errors: ConfigError for an unknown stable fraction."""
-    return [
+def study_cross_position(options: Options) -> Rows:
+    """Run the study; its rows are in the output folder. Parts with one position are left out.
+
+    Errors: DatasetError, ConfigError, FitError, StoreError.
+    """
+    cells = [
         cell
-        for part, source, target in places
+        for part, source, target in find_pairs(options)
         for cell in make_cells(
             STUDY,
             options,
@@ -129,29 +133,15 @@ def cross_position_cells(places: Sequence[tuple[str, str, str]], options: Option
             [{"target": target, "target_fraction": share} for share in TARGET_FRACTIONS],
         )
     ]
+    return run_study(cells, CrossPosition, options)
 
 
-def study_cross_position(options: Options, target: str | None = None) -> Rows:
-    """Run the study; its rows are in the output folder.
-
-    target: the target position, None is each part's second by name; parts with one position are left out. Errors:
-    DatasetError, ConfigError, FitError, StoreError.
-    """
-    places = find_pairs(open_presses(options.dataset), options, target)
-    cells = cross_position_cells(places, options)
-    evaluate = CrossPosition.of(options)
-    found = prepare((place for cell in cells for place in evaluate.places(cell)), options)
-    for cell in {(c.part, c.backbone, c.split): c for c in cells}.values():
-        source, other = (material(place) for place in evaluate.places(cell))
-        both_held_out(source, other, cell)
-    return run_cells(cells, evaluate, options, found)
-
-
-def find_pairs(dataset: Dataset, options: Options, target: str | None) -> list[tuple[str, str, str]]:
+def find_pairs(options: Options) -> list[tuple[str, str, str]]:
     """(part, source, target) of every part with two positions.
 
     Errors: DatasetError where none has two, or a part that was asked for lacks a position.
     """
+    dataset, target = open_presses(options.dataset), options.target
     known: dict[str, list[str]] = {}
     for part, position in dataset.positions:
         known.setdefault(part, []).append(position)

@@ -6,13 +6,12 @@ shots), which each seed draws.
 """
 
 import re
-from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.experiments.harness.cells import Cell
+from calibration.experiments.harness.cells import Cell, Setting
 from calibration.experiments.harness.evidence import MIN_DRAWS
 from calibration.experiments.harness.figures import (
     draw_fractions,
@@ -21,7 +20,7 @@ from calibration.experiments.harness.figures import (
     find_curves,
     gel_share,
 )
-from calibration.experiments.harness.material import Drawn, fit_cell, material
+from calibration.experiments.harness.material import Drawn, Material, fit_cell
 from calibration.experiments.harness.page import (
     SETUP,
     Figures,
@@ -41,8 +40,7 @@ from calibration.experiments.harness.study import (
     Options,
     choose_places,
     make_cells,
-    prepare,
-    run_cells,
+    run_study,
 )
 from edge.core.errors import ConfigError, DatasetError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
@@ -51,9 +49,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
-    "FRACTIONS",
-    "HELD_OUT",
-    "SHOTS",
     "STUDY",
     "GoodFraction",
     "page",
@@ -62,15 +57,6 @@ __all__ = [
 ]
 
 STUDY = "good-fraction"
-
-FRACTIONS = tuple(k / 20 for k in range(1, 21))
-"""5 to 100 % in steps of 5, as in the paper."""
-
-SHOTS = (1, 2, 4, 8, 16, 32)
-"""The numbers of presses that few-shot studies of the field report."""
-
-HELD_OUT = 20
-"""Nominal test presses, as in the paper."""
 
 SEEDS = 10
 """Of a complete study, as in the paper."""
@@ -81,8 +67,8 @@ _FIGURE_MEASURES = ("aupro_001", "auprc", "image_auroc")
 class GoodFraction(Evaluation):
     """Evaluates a cell: fits on its share of the pool, and scores the test presses."""
 
-    def __call__(self, cell: Cell) -> dict[str, Any]:
-        found = material(self.place(cell))
+    def measure(self, cell: Cell, *materials: Material) -> dict[str, Any]:
+        (found,) = materials
         held = hold_out(found.presses, int(cell.setting("held_out")), cell.split)
         rows = subset(held.pool, presses_in(cell, len(held.pool)), cell.seed)
         specimens = found.presses.specimens
@@ -105,21 +91,15 @@ def presses_in(cell: Cell, pool: int) -> int:
     return shots
 
 
-def study_good_fraction(
-    options: Options, *, fractions: Sequence[float] = FRACTIONS, shots: Sequence[int] = SHOTS
-) -> Rows:
+def study_good_fraction(options: Options) -> Rows:
     """Run the study; its rows are in the output folder. Errors: DatasetError, ConfigError, FitError, StoreError."""
-    sizes = [{"fraction": float(share)} for share in fractions], [{"shots": int(count)} for count in shots]
-    places = choose_places(open_presses(options.dataset), options.parts, options.position)
-    cells = [cell for place in places for cell in make_cells(STUDY, options, place, [*sizes[0], *sizes[1]])]
-    if not cells:
+    varied: list[dict[str, Setting]] = [{"fraction": share} for share in options.fractions]
+    varied += [{"shots": count} for count in options.shots]
+    if not varied:
         raise ConfigError("neither fractions nor shots are given, so there is nothing to study")
-    evaluate = GoodFraction.of(options)
-    materials = prepare(map(evaluate.place, cells), options)
-    for found in materials:
-        for split in options.splits:
-            hold_out(found.presses, options.held_out, split)
-    return run_cells(cells, evaluate, options, materials)
+    places = choose_places(open_presses(options.dataset), options.parts, options.position)
+    cells = [cell for place in places for cell in make_cells(STUDY, options, place, varied)]
+    return run_study(cells, GoodFraction, options)
 
 
 def page(rows: "pd.DataFrame") -> Page:
@@ -142,7 +122,7 @@ def page(rows: "pd.DataFrame") -> Page:
         minutes=round(quarters[list(TIMES)].sum().sum() / 60),
         timed=len(quarters),
         complete=_estimate_complete(only_scored(known)),
-        fractions=FRACTIONS,
+        fractions=Options.fractions,
         all_seeds=SEEDS,
         min_draws=MIN_DRAWS,
         gel_presses=DEFAULT_LIMIT_PRESSES,
@@ -243,7 +223,7 @@ def _estimate_complete(rows: "pd.DataFrame") -> "pd.DataFrame | None":
         means = group.groupby(["method", "fraction"])["seconds"].mean()
         each = [means[method] for method in means.index.unique("method")]
         if min(map(len, each)) > 1:
-            spent = sum(SEEDS * np.interp(FRACTIONS, at.index, at).sum() for at in each) / 60
+            spent = sum(SEEDS * np.interp(Options.fractions, at.index, at).sum() for at in each) / 60
             pool = int(group["pool" if "pool" in group else "presses"].max())
             lines.append([*setup, pool, len(each), f"{spent:.0f}", f"{spent / 2:.0f}"])
     heading = ["part", *SETUP, "pool", "methods", "minutes of one core", "on two cores"]

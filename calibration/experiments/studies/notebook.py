@@ -1,77 +1,30 @@
-"""The studies from Python: results as a pandas frame, plots as matplotlib figures.
+"""The studies from Python: results as a pandas frame, plots as matplotlib figures."""
 
-Every study takes the fields of `calibration.experiments.harness.study.Options`, such as parts or seeds; what is empty
-is the command's default. Errors: as the command; TypeError for another field.
-"""
-
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.experiments.harness.page import only_scored
-from calibration.experiments.harness.rows import Rows, frame
-from calibration.experiments.harness.study import Options
-from calibration.experiments.studies.bad_presses_study import study_bad_presses
-from calibration.experiments.studies.cross_position_study import study_cross_position
-from calibration.experiments.studies.good_fraction_study import FRACTIONS, SHOTS, study_good_fraction
-from calibration.experiments.studies.resolution_study import MOST_PRESSES, study_resolution
+from calibration.experiments.harness.rows import frame
+from calibration.experiments.harness.study import Options, require_known
+from calibration.experiments.studies.every_study import STUDIES
 from edge.core.errors import ConfigError
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-__all__ = ["bad_presses", "cross_position", "figure", "good_fraction", "resolution"]
+__all__ = ["figure", "study"]
 
 
-def good_fraction(
-    dataset: Path | str,
-    output: Path | str,
-    *,
-    fractions: Sequence[float] = FRACTIONS,
-    shots: Sequence[int] = SHOTS,
-    **asked: Any,
-) -> "pd.DataFrame":
-    """Run `gelgate lab study good-fraction`, or continue it, and give its rows; see docs/studies.md for the columns.
+def study(name: str, dataset: Path | str, output: Path | str, **asked: Any) -> "pd.DataFrame":
+    """Run `gelgate lab study NAME`, or continue it, and give its rows; see docs/studies.md for the columns.
 
-    fractions: in (0, 1].
+    asked: fields of `calibration.experiments.harness.study.Options`, such as parts or seeds; what is empty is the
+    command's default. Errors: as the command; TypeError for another field.
     """
-    options = Options(Path(dataset), Path(output), **asked)
-    return _frame(study_good_fraction(options, fractions=fractions, shots=shots), "good-fraction")
-
-
-def cross_position(
-    dataset: Path | str, output: Path | str, *, target: str | None = None, **asked: Any
-) -> "pd.DataFrame":
-    """Run `gelgate lab study cross-position`, or continue it, and give its rows."""
-    options = Options(Path(dataset), Path(output), **asked)
-    return _frame(study_cross_position(options, target), "cross-position")
-
-
-def bad_presses(dataset: Path | str, output: Path | str, **asked: Any) -> "pd.DataFrame":
-    """Run `gelgate lab study bad-presses`, or continue it, and give its rows."""
-    return _frame(study_bad_presses(Options(Path(dataset), Path(output), **asked)), "bad-presses")
-
-
-def resolution(
-    dataset: Path | str,
-    output: Path | str,
-    *,
-    views: Sequence[str] = (),
-    most_presses: int = MOST_PRESSES,
-    **asked: Any,
-) -> "pd.DataFrame":
-    """Run `gelgate lab study resolution`, or continue it, and give its rows.
-
-    views: some of `calibration.experiments.studies.views.VIEWS`, all if empty. most_presses: the cap of the pool.
-    """
-    options = Options(Path(dataset), Path(output), **asked)
-    return _frame(study_resolution(options, views, most_presses), "resolution")
-
-
-def _frame(rows: Rows, study: str) -> "pd.DataFrame":
-    every = frame(rows.path)
-    return every[every["study"] == study].dropna(axis=1, how="all").reset_index(drop=True)
+    require_known("study", [name], STUDIES)
+    every = frame(STUDIES[name](Options(Path(dataset), Path(output), **asked)).path)
+    return every[every["study"] == name].dropna(axis=1, how="all").reset_index(drop=True)
 
 
 def figure(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":

@@ -6,6 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calibration.experiments.harness.rows import rows_of_studies
+from calibration.experiments.harness.study import require_known
+from calibration.experiments.studies.recommend import NEEDS
+from calibration.experiments.studies.recommend import recommend as recommend_methods
+from edge.core.errors import ConfigError
+from edge.extras import needs
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -36,12 +43,6 @@ def recommend(
     """Say which method to take for a need, from rows alone.
 
     Where the rows do not decide, it says so, and which command would."""
-    from calibration.experiments.harness.rows import rows_of_studies
-    from calibration.experiments.harness.study import require_known
-    from calibration.experiments.studies.recommend import NEEDS
-    from calibration.experiments.studies.recommend import recommend as recommend_methods
-    from edge.extras import needs
-
     needs("studies", "recommend")
     import pandas as pd
 
@@ -57,8 +58,6 @@ def recommend(
 
 def _choose(rows: "pd.DataFrame", column: str, wanted: str | None) -> "pd.DataFrame":
     """Return the rows with one value in a column. Errors: ConfigError where several are possible, or none has it."""
-    from edge.core.errors import ConfigError
-
     found = sorted(set(rows[column].astype(str)))
     if wanted is None and len(found) > 1:
         raise ConfigError(

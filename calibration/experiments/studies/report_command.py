@@ -6,6 +6,9 @@ from typing import Annotated
 
 import typer
 
+from calibration.experiments.studies.report import write_report
+from edge.extras import needs
+
 __all__ = ["report"]
 
 
@@ -14,9 +17,6 @@ def report(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the pages and figures.")],
 ) -> None:
     """Make a study's page and figures from its rows."""
-    from calibration.experiments.studies.report import write_report
-    from edge.extras import needs
-
     needs("studies", "report")
     for page in write_report(rows, output, partial(typer.echo, err=True)):
         typer.echo(f"page: {page}")

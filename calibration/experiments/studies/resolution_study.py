@@ -18,7 +18,7 @@ from calibration.dataset import LabelledPress
 from calibration.experiments.harness.cells import Cell, Split
 from calibration.experiments.harness.evidence import COMPARED, effects
 from calibration.experiments.harness.figures import draw_conditions
-from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell, material
+from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell
 from calibration.experiments.harness.page import Figures, Page, figure_file, make_page, tabulate_medians
 from calibration.experiments.harness.pictures import PressPictures
 from calibration.experiments.harness.presses import (
@@ -37,9 +37,8 @@ from calibration.experiments.harness.study import (
     Options,
     choose_places,
     make_cells,
-    prepare,
     require_known,
-    run_cells,
+    run_study,
 )
 from calibration.experiments.studies.views import COMMON, VIEWS, common_map, tiled
 from calibration.fitting.features import trunk_grid
@@ -52,7 +51,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
-    "MOST_PRESSES",
     "STUDY",
     "ResolutionStudy",
     "ViewPlace",
@@ -62,9 +60,6 @@ __all__ = [
 ]
 
 STUDY = "resolution"
-
-MOST_PRESSES = 40
-"""Nominal presses of the pool, by default."""
 
 _CONTROLS = (
     ("lr", "lr_tiled", "the tiles and the denser features, without more detail"),
@@ -163,9 +158,11 @@ class ResolutionStudy(Evaluation):
             most=int(cell.setting("most_presses")),
         )
 
-    def __call__(self, cell: Cell) -> dict[str, Any]:
-        seen = material(self.place(cell))
-        assert isinstance(seen, Seen)
+    def check(self, cell: Cell, *materials: Material) -> None:
+        pass  # the presses are held out with their features
+
+    def measure(self, cell: Cell, *materials: "Seen") -> dict[str, Any]:
+        (seen,) = materials
         rows = subset(seen.held.pool, max(1, round(float(cell.setting("fraction")) * seen.pool)), cell.seed)
 
         def in_common(scored: Scored, tests: Sequence[TestPresses]) -> dict[str, float | None]:
@@ -203,23 +200,18 @@ def _fine_presses(place: Place) -> tuple[LabelledPress, ...]:
     return open_presses(place.dataset, "hr").select(place.part, place.position).presses
 
 
-def study_resolution(options: Options, views: Sequence[str] = (), most_presses: int = MOST_PRESSES) -> Rows:
-    """Run the study; its rows are in the output folder. views: all if empty.
-
-    Errors: DatasetError, ConfigError, FitError, StoreError.
-    """
-    views = tuple(dict.fromkeys(views or VIEWS))
+def study_resolution(options: Options) -> Rows:
+    """Run the study; its rows are in the output folder. Errors: DatasetError, ConfigError, FitError, StoreError."""
+    views = tuple(dict.fromkeys(options.views or VIEWS))
     require_known("view", views, VIEWS)
     # View by view: the features of few are in memory at once.
     cells = [
         cell
         for place in fine_places(options)
         for view in views
-        for cell in make_cells(STUDY, options, place, [{"view": view, "most_presses": most_presses}])
+        for cell in make_cells(STUDY, options, place, [{"view": view, "most_presses": options.presses}])
     ]
-    evaluate = ResolutionStudy.of(options)
-    materials = prepare(map(evaluate.place, cells), options)
-    return run_cells(cells, evaluate, options, materials)
+    return run_study(cells, ResolutionStudy, options)
 
 
 def fine_places(options: Options) -> list[tuple[str, str]]:

@@ -9,16 +9,15 @@ from command_line import gelgate
 from study_cells import quiet
 from study_dataset import study_dataset
 
-from calibration.experiments import studies
 from calibration.experiments.harness.material import Material, material
 from calibration.experiments.harness.rows import read_rows
-from calibration.experiments.harness.study import Options
+from calibration.experiments.harness.study import Options, make_cells
 from calibration.experiments.studies.cross_position_study import (
     CrossPosition,
     both_held_out,
-    cross_position_cells,
     study_cross_position,
 )
+from calibration.experiments.studies.notebook import study
 from edge.core.errors import DatasetError
 
 
@@ -56,15 +55,12 @@ def test_from_python_the_rows_are_a_frame(dataset: Path, folder: Path, rows: lis
     """The same study continued from Python: no cell is left, and the frame has its rows."""
     pytest.importorskip("pandas", reason="SKIPPED, NOT TESTED: the extra `studies` brings pandas")
     asked: dict[str, Any] = {"methods": ("subspace",), "seeds": 2, "held_out": 2, "show": quiet}
-    found = studies.cross_position(dataset, folder, fraction=1.0, splits=("press", "specimen"), **asked)
+    found = study("cross-position", dataset, folder, fraction=1.0, splits=("press", "specimen"), **asked)
 
     assert list(found["key"]) == [row["key"] for row in rows]
-    assert all(
-        callable(getattr(studies, name)) for name in studies.__all__
-    )  # none is hidden by a module of its name
     assert list(found["aupro_001"]) == [row["aupro_001"] for row in rows]
     with pytest.raises(TypeError, match="seed"):
-        studies.cross_position(dataset, folder, seed=2)
+        study("cross-position", dataset, folder, seed=2)
 
 
 def test_there_is_a_row_for_every_share_seed_and_split(rows: list[dict[str, Any]]) -> None:
@@ -102,8 +98,9 @@ def test_a_specimen_that_is_tested_at_one_position_is_learnt_at_none(tmp_path: P
     for picture in (root / "PZ3" / "pos2" / "rgb_320x240").glob("*_s004_*"):
         picture.unlink()
     asked = options(root, tmp_path / "rows", splits=("specimen",))
-    cell = cross_position_cells([("PZ3", "pos1", "pos2")], asked)[0]
-    evaluate = CrossPosition.of(asked)
+    settings = {"target": "pos2", "target_fraction": 0.1}
+    cell = make_cells("cross-position", asked, ("PZ3", "pos1"), [settings])[0]
+    evaluate = CrossPosition(root, asked.features, asked.taps())
     found = [material(place) for place in evaluate.places(cell)]
     held = both_held_out(found[0], found[1], cell)
     tested = [specimens(one, apart.test) for one, apart in zip(found, held, strict=True)]
@@ -128,7 +125,7 @@ def test_what_has_no_second_position_is_refused(dataset: Path, tmp_path: Path) -
     with pytest.raises(
         DatasetError, match="no position 'pos9' other than its source 'pos1'; it has pos1, pos2"
     ):
-        study_cross_position(options(dataset, tmp_path, parts=("PZ3",)), "pos9")
+        study_cross_position(options(dataset, tmp_path, parts=("PZ3",), target="pos9"))
 
 
 def test_the_command_needs_a_fraction(dataset: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """`gelgate lab study all` at a reduced size: every study into one file of rows, their pages, and an answer."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,8 @@ def test_all_studies_continue_and_write_their_pages(tmp_path: Path) -> None:
     asked = Options(
         dataset=dataset, output=output, methods=("subspace",), parts=("PZ3",), seeds=1, held_out=2, show=quiet
     )
-    size: dict[str, Any] = {"fractions": (1.0,), "shots": (1,), "views": ("lr", "lr_full")}
-    lines = [line for _ in range(2) for line in study_all(asked, 2, **size)]
+    size: dict[str, Any] = {"presses": 2, "fractions": (1.0,), "shots": (1,), "views": ("lr", "lr_full")}
+    lines = [line for _ in range(2) for line in study_all(replace(asked, **size))]
     rows = read_rows(output / "rows.jsonl")
 
     assert len({row["key"] for row in rows}) == len(rows)

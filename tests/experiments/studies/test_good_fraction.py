@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,8 +21,8 @@ from calibration.experiments.harness.pictures import LR_VIEW, PressPictures
 from calibration.experiments.harness.presses import StudyPresses
 from calibration.experiments.harness.rows import read_rows
 from calibration.experiments.harness.study import Options, check_same, make_cells
-from calibration.experiments.studies import figure, good_fraction
 from calibration.experiments.studies.good_fraction_study import study_good_fraction
+from calibration.experiments.studies.notebook import figure, study
 from calibration.experiments.studies.resolution_study import ViewPlace
 from calibration.fitting.trunks import open_trunk
 from calibration.progress import Advance
@@ -45,7 +46,7 @@ def rows(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dict[s
     asked = options(
         dataset, tmp_path_factory.mktemp("rows"), methods=METHODS, splits=("press", "specimen"), seeds=2
     )
-    return study_good_fraction(asked, fractions=(0.5, 1.0), shots=(1, 4, 32)).read()
+    return study_good_fraction(replace(asked, fractions=(0.5, 1.0), shots=(1, 4, 32))).read()
 
 
 def chosen(rows: list[dict[str, Any]], **wanted: object) -> list[dict[str, Any]]:
@@ -89,7 +90,7 @@ def test_rows_say_what_they_were_made_from(rows: list[dict[str, Any]]) -> None:
 def test_the_seed_does_not_matter_where_nothing_is_random(dataset: Path, tmp_path: Path) -> None:
     """With all presses the published PCA subspace is one computation; with half of them it is not."""
     rows = study_good_fraction(
-        options(dataset, tmp_path, modes=("paper",)), fractions=(0.5, 1.0), shots=()
+        options(dataset, tmp_path, modes=("paper",), fractions=(0.5, 1.0), shots=())
     ).read()
 
     assert len({row["scores_sha256"] for row in chosen(rows, fraction=1.0)}) == 1
@@ -98,9 +99,9 @@ def test_the_seed_does_not_matter_where_nothing_is_random(dataset: Path, tmp_pat
 
 def test_a_study_continues_with_more_seeds(dataset: Path, tmp_path: Path) -> None:
     """The rows of the first seed stay as they were; two processes do the rest."""
-    study_good_fraction(options(dataset, tmp_path, seeds=1), fractions=(1.0,), shots=())
+    study_good_fraction(options(dataset, tmp_path, seeds=1, fractions=(1.0,), shots=()))
     before = read_rows(tmp_path / "rows.jsonl")
-    study_good_fraction(options(dataset, tmp_path, seeds=3, jobs=2), fractions=(1.0,), shots=())
+    study_good_fraction(options(dataset, tmp_path, seeds=3, jobs=2, fractions=(1.0,), shots=()))
     after = read_rows(tmp_path / "rows.jsonl")
 
     assert after[: len(before)] == before
@@ -112,7 +113,7 @@ def test_one_and_two_processes_give_the_same_measures(dataset: Path, tmp_path: P
     found = []
     for jobs in (1, 2):
         asked = options(dataset, tmp_path / str(jobs), jobs=jobs, cache=tmp_path / "features")
-        done = study_good_fraction(asked, fractions=(0.5, 1.0), shots=()).read()
+        done = study_good_fraction(replace(asked, fractions=(0.5, 1.0), shots=())).read()
         found.append({row["key"]: (row["scores_sha256"], row["aupro_001"]) for row in done})
 
     assert found[0] == found[1]
@@ -128,7 +129,7 @@ def test_features_are_extracted_once(dataset: Path, tmp_path: Path) -> None:
 
     asked = options(dataset, tmp_path, seeds=1, show=show)
     for fraction in (0.5, 1.0):
-        study_good_fraction(asked, fractions=(fraction,), shots=())
+        study_good_fraction(replace(asked, fractions=(fraction,), shots=()))
 
     assert seen.count("features of PZ3/pos1 on tactile_resnet18 100") >= 2
     assert len(list((tmp_path / "features").glob("*/grid.json"))) == 1
@@ -137,19 +138,19 @@ def test_features_are_extracted_once(dataset: Path, tmp_path: Path) -> None:
 def test_rows_of_other_pictures_are_not_continued(dataset: Path, tmp_path: Path) -> None:
     """A changed dataset gives other results; mixed rows would hide it."""
     copy = Path(shutil.copytree(dataset, tmp_path / "data"))
-    study_good_fraction(options(copy, tmp_path / "out", seeds=1), fractions=(1.0,), shots=())
+    study_good_fraction(options(copy, tmp_path / "out", seeds=1, fractions=(1.0,), shots=()))
     picture = min((copy / "PZ3/pos1/rgb_320x240").iterdir())
     cv2.imwrite(str(picture), np.full((240, 320, 3), 99, np.uint8))
 
     with pytest.raises(ConfigError, match="has rows of PZ3/pos1 from other pictures"):
-        study_good_fraction(options(copy, tmp_path / "out", seeds=2), fractions=(1.0,), shots=())
+        study_good_fraction(options(copy, tmp_path / "out", seeds=2, fractions=(1.0,), shots=()))
 
 
 def test_rows_of_the_other_mode_are_added(dataset: Path, tmp_path: Path) -> None:
     """The published methods read deeper layers, so the trunk is cut after another one; its weights are the same."""
-    study_good_fraction(options(dataset, tmp_path, seeds=1), fractions=(1.0,), shots=())
+    study_good_fraction(options(dataset, tmp_path, seeds=1, fractions=(1.0,), shots=()))
     asked = options(dataset, tmp_path, methods=("padim",), modes=("paper",), seeds=1)
-    rows = study_good_fraction(asked, fractions=(1.0,), shots=()).read()
+    rows = study_good_fraction(replace(asked, fractions=(1.0,), shots=())).read()
 
     assert [row["mode"] for row in rows] == ["corrected", "paper"]
     assert len({row["trunk_sha256"] for row in rows}) == 2
@@ -180,7 +181,7 @@ def test_empty_masks_are_a_sentence(dataset: Path, tmp_path: Path) -> None:
         cv2.imwrite(str(path), np.zeros((240, 320), np.uint8))
 
     with pytest.raises(DatasetError, match="the masks of all 2 defective presses of PZ3/pos1 are empty"):
-        study_good_fraction(options(copy, tmp_path / "out"), fractions=(1.0,), shots=())
+        study_good_fraction(options(copy, tmp_path / "out", fractions=(1.0,), shots=()))
     assert not (tmp_path / "out/rows.jsonl").exists()
 
 
@@ -193,7 +194,7 @@ def test_what_may_be_a_mistake_is_said_once(
     cv2.imwrite(str(home / "fault/mask_320x240/PZ3_pos1_s005_p01.png"), np.zeros((240, 320), np.uint8))
     shutil.copy(home / "rgb_320x240/PZ3_pos1_s001_p01.png", home / "rgb_320x240/PZ3_pos1_s002_p02.png")
 
-    study_good_fraction(options(copy, tmp_path / "out", seeds=1), fractions=(1.0,), shots=())
+    study_good_fraction(options(copy, tmp_path / "out", seeds=1, fractions=(1.0,), shots=()))
 
     said = capsys.readouterr().err.splitlines()
     assert [line for line in said if "1 of the 2 defective presses of PZ3/pos1 has an empty mask" in line]
@@ -215,7 +216,7 @@ def test_an_unreadable_picture_is_named(dataset: Path, tmp_path: Path) -> None:
     picture.write_bytes(picture.read_bytes()[:1000])
 
     with pytest.raises(DatasetError, match="1 file at fault"):
-        study_good_fraction(options(copy, tmp_path / "out"), fractions=(1.0,), shots=())
+        study_good_fraction(options(copy, tmp_path / "out", fractions=(1.0,), shots=()))
 
 
 def test_no_damaged_picture_is_a_sentence(dataset: Path, tmp_path: Path) -> None:
@@ -224,7 +225,7 @@ def test_no_damaged_picture_is_a_sentence(dataset: Path, tmp_path: Path) -> None
     shutil.rmtree(copy / "PZ3/pos1/fault")
 
     with pytest.raises(DatasetError, match="has no defective press of PZ3/pos1"):
-        study_good_fraction(options(copy, tmp_path / "out"), fractions=(1.0,), shots=())
+        study_good_fraction(options(copy, tmp_path / "out", fractions=(1.0,), shots=()))
 
 
 @pytest.mark.parametrize(
@@ -309,7 +310,7 @@ def test_the_paper_mode_runs_with_the_shipped_backbone(dataset: Path, tmp_path: 
     asked = options(
         dataset, tmp_path, methods=("spade", "padim", "fapm", "inreach"), modes=("paper",), seeds=1
     )
-    found = study_good_fraction(asked, fractions=(1.0,), shots=()).read()
+    found = study_good_fraction(replace(asked, fractions=(1.0,), shots=())).read()
 
     assert {row["method"]: "error" in row for row in found} == dict.fromkeys(asked.methods, False)
     assert {row["method"]: row["changed"] for row in found if "changed" in row} == {
@@ -328,7 +329,8 @@ def test_cells_of_one_seed_come_before_those_of_the_next(tmp_path: Path) -> None
 
 def test_a_study_from_python_is_a_frame(dataset: Path, tmp_path: Path) -> None:
     """The same rows, and a figure of them; a position can be chosen."""
-    found = good_fraction(
+    found = study(
+        "good-fraction",
         dataset,
         tmp_path,
         methods=["subspace"],
@@ -348,7 +350,7 @@ def test_a_study_from_python_is_a_frame(dataset: Path, tmp_path: Path) -> None:
 
 def test_a_figure_of_several_setups_is_refused(dataset: Path, tmp_path: Path) -> None:
     """Or of a measure that no row has."""
-    found = good_fraction(
+    found = study("good-fraction",
         dataset, tmp_path, methods=["subspace"], splits=["press", "specimen"], seeds=1, fractions=[1.0], shots=[],
         held_out=2, show=quiet,
     )  # fmt: skip

@@ -1,6 +1,7 @@
 """Validation 3 on a small dataset: the views, the common field of view, the cap, and refusals."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,7 @@ def test_a_view_has_a_row_with_common_measures(dataset: Path, tmp_path: Path) ->
     """With the shipped trunk; the pool is capped, the same number of presses everywhere."""
     asked = options(dataset, tmp_path)
     views = ("lr", "hr_tiled", "lr_full")
-    rows = study_resolution(asked, views, most_presses=3).read()
+    rows = study_resolution(replace(asked, views=views, presses=3)).read()
 
     assert [row["view"] for row in rows] == list(views)
     assert {(row["presses"], row["pool"], row["test_nominal"]) for row in rows} == {(3, 6, 2)}
@@ -114,12 +115,12 @@ def test_an_unknown_view_is_refused(dataset: Path, tmp_path: Path) -> None:
 def test_rows_of_other_pictures_are_not_continued(tmp_path: Path) -> None:
     """A folder with rows of one dataset does not take rows of another, in any view."""
     asked = options(study_dataset(tmp_path / "one", positions=("pos1",)), tmp_path / "rows")
-    study_resolution(asked, ("lr",), most_presses=3)
+    study_resolution(replace(asked, views=("lr",), presses=3))
     file = sorted((tmp_path / "one").glob("PZ3/pos1/rgb_320x240/*.png"))
     for name in file:
         name.write_bytes(file[0].read_bytes())
     with pytest.raises(ConfigError, match="rows of PZ3/pos1 from other pictures"):
-        study_resolution(asked, ("lr",), most_presses=3)
+        study_resolution(replace(asked, views=("lr",), presses=3))
 
 
 def test_rows_of_the_other_mode_are_added_in_tiles(
@@ -130,9 +131,9 @@ def test_rows_of_the_other_mode_are_added_in_tiles(
     cv2.imwrite(
         str(copy / "PZ3/pos1/fault/mask_320x240/PZ3_pos1_s005_p01.png"), np.zeros((240, 320), np.uint8)
     )
-    study_resolution(options(copy, tmp_path, fraction=0.5), ("lr_tiled",), 2)
+    study_resolution(options(copy, tmp_path, fraction=0.5, views=("lr_tiled",), presses=2))
     asked = options(copy, tmp_path, methods=("padim",), modes=("paper",), fraction=0.5)
-    rows = study_resolution(asked, ("lr_tiled",), 2).read()
+    rows = study_resolution(replace(asked, views=("lr_tiled",), presses=2)).read()
 
     assert [row["mode"] for row in rows] == ["corrected", "paper"]
     assert capsys.readouterr().err.count("has an empty mask") == 2  # once in each run
