@@ -19,7 +19,7 @@ from edge.core.errors import ConfigError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["NEEDS", "Answer", "Question", "page", "recommend"]
+__all__ = ["NEEDS", "Answer", "Question", "page", "recommend", "write_answers"]
 
 Samples = Mapping[str, Sample]
 
@@ -76,26 +76,6 @@ class Answer:
     question: Question
     standing: Standing | None
     refusal: str = ""
-
-    def lines(self) -> list[str]:
-        """Return the answer as text."""
-        if self.standing is None:
-            return [self.question.title, f"  {self.verdict}"]
-        said = {name: f"  the paper: {what}" for name, what in self.question.judgements.items()}
-        listed = [
-            f"  {name:<10} {mean.value:8.4f}{self.question.unit}"
-            f"{f'  [{mean.low:.4f}, {mean.high:.4f}]' if mean.has_interval else ''}{said.get(name, '')}"
-            for name, mean in self.standing.means.items()
-        ]
-        then = [f"     {self.then}"] if self.then else []
-        return [self.question.title, f"  {self.counts}", *listed, f"  -> {self.verdict}", *then]
-
-    @property
-    def counts(self) -> str:
-        """What the means are of."""
-        assert self.standing is not None
-        mean = next(iter(self.standing.means.values()))
-        return f"parts: {mean.parts}; draws of presses on each: {mean.draws} or more"
 
     @property
     def verdict(self) -> str:
@@ -194,55 +174,55 @@ _GAIN = (-1.0, 1.0)
 QUESTIONS = (
     Question(
         "few-presses",
-        f"few presses: AU-PRO@0.01 with {FEW} presses or fewer",
+        f"Few presses: AU-PRO@0.01 with {FEW} presses or fewer",
         "good-fraction", _at_few, "few nominal contacts",
     ),
     Question(
         "localisation",
-        "localisation at low resolution: AU-PRO@0.01 with the largest share of presses",
+        "Localisation at low resolution: AU-PRO@0.01 with the largest share of presses",
         "good-fraction", _at_all, "LR localization",
     ),
     Question(
         "cross-position",
-        "another position, none of its presses: AU-PRO@0.01 of both positions",
+        "Another position, none of its presses: AU-PRO@0.01 of both positions",
         "cross-position",
         lambda rows: by_method(rows[rows["target_fraction"] == 0], "aupro_001"),
         "zero-shot cross-pos.",
     ),
     Question(
         "cross-position",
-        f"another position, gain in AU-PRO@0.01 by {FEW_SHOT:.0%} of its presses",
+        f"Another position, gain in AU-PRO@0.01 by {FEW_SHOT:.0%} of its presses",
         "cross-position", _gain("aupro_001", "target_fraction", 0.0, FEW_SHOT), "few-shot cross-pos. gain", _GAIN,
     ),
     Question(
         "high-resolution",
-        "high resolution: AU-PRO@0.01 in tiles, in the field of view of both resolutions",
+        "High resolution: AU-PRO@0.01 in tiles, in the field of view of both resolutions",
         "resolution",
         lambda rows: by_method(rows[rows["view"] == "hr_tiled"], "aupro_001_common"),
     ),
     Question(
         "high-resolution",
-        "high resolution: gain in AU-PRO@0.01 over low resolution, same field of view and masks",
+        "High resolution: gain in AU-PRO@0.01 over low resolution, same field of view and masks",
         "resolution", _gain("aupro_001_common", "view", "lr", "hr_tiled"), "HR benefit", _GAIN,
     ),
     Question(
         "high-resolution",
-        "high resolution: gain by its detail alone, over low resolution scaled up and tiled",
+        "High resolution: gain by its detail alone, over low resolution scaled up and tiled",
         "resolution", _gain("aupro_001_common", "view", "lr_tiled", "hr_tiled"), span=_GAIN,
     ),
     Question(
         "no-fixture",
-        f"no fixture: AU-PRO@0.01 on {', '.join(no_fixture())} with the largest share of presses",
+        f"No fixture: AU-PRO@0.01 on {', '.join(no_fixture())} with the largest share of presses",
         "good-fraction", _at_all, parts=no_fixture(),
     ),
     Question(
         "bad-presses",
-        "damaged presses among the nominal ones: AU-PRO@0.01 with the largest share of them that every method has",
+        "Damaged presses among the nominal ones: AU-PRO@0.01 with the largest share of them that every method has",
         "bad-presses", _at_most_bad,
     ),
     Question(
         "least-time",
-        "least time: processor milliseconds of the head per press, the largest share of presses in the bank",
+        "Least time: processor milliseconds of the head per press, the largest share of presses in the bank",
         "good-fraction", _head_time, span=(0.0, math.inf), higher_is_better=False, unit=" ms",
     ),
 )  # fmt: skip
@@ -267,6 +247,11 @@ def _answer(question: Question, rows: "pd.DataFrame") -> Answer:
     if not samples:
         return Answer(question, None)
     return Answer(question, rank(samples, higher_is_better=question.higher_is_better, span=question.span))
+
+
+def write_answers(answers: Sequence[Answer]) -> str:
+    """Return answers as text."""
+    return render("answers", answers=answers)
 
 
 def page(rows: "pd.DataFrame") -> Page:

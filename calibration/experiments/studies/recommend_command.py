@@ -8,7 +8,7 @@ import typer
 
 from calibration.experiments.harness.rows import rows_of_studies
 from calibration.experiments.harness.study import require_known
-from calibration.experiments.studies.recommend import NEEDS
+from calibration.experiments.studies.recommend import NEEDS, write_answers
 from calibration.experiments.studies.recommend import recommend as recommend_methods
 from edge.core.errors import ConfigError
 from edge.extras import needs
@@ -52,8 +52,7 @@ def recommend(
         chosen = _choose(chosen, column, wanted)
     first = chosen.iloc[0]
     typer.echo(f"rows of {first['backbone']}, {first['mode']} mode, split by {first['split']}")
-    for answer in recommend_methods(chosen, need or ()):
-        typer.echo("\n" + "\n".join(answer.lines()))
+    typer.echo(f"\n{write_answers(recommend_methods(chosen, need or ()))}", nl=False)
 
 
 def _choose(rows: "pd.DataFrame", column: str, wanted: str | None) -> "pd.DataFrame":

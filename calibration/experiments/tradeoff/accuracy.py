@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.metrics import interval, pixel_measures, specimen_weights
+from calibration.metrics import interval, pixel_measures
 from calibration.metrics.summary import image_auroc_of, recall_at
 
 __all__ = ["FALSE_ALARMS", "MEASURES", "Truth", "measure_accuracy"]
@@ -37,18 +37,6 @@ class Truth:
     """float64 (replicates + 1, presses), the first row ones, then how often each press counts in a replicate drawn by
     piece."""
 
-    @classmethod
-    def of(
-        cls,
-        label: NDArray[np.bool_],
-        masks: Sequence[NDArray[np.bool_]],
-        specimens: Sequence[str],
-        replicates: int,
-        seed: int,
-    ) -> "Truth":
-        drawn = specimen_weights(specimens, label, replicates, np.random.default_rng(seed))
-        return cls(label, masks, np.concatenate([np.ones((1, label.size)), drawn]))
-
 
 def measure_accuracy(
     maps: Sequence[NDArray[np.float32]], scores: NDArray[np.floating[Any]], truth: Truth
@@ -61,10 +49,9 @@ def measure_accuracy(
         "image_auroc": image_auroc_of(scores, truth.label, truth.weights),
         "recall_fpr01": recall_at(scores, truth.label, truth.weights, FALSE_ALARMS),
     }
-    return {name: _summary(columns[name]) for name in MEASURES}
-
-
-def _summary(column: Float) -> dict[str, float | None]:
-    low, high = interval(column[1:]) or (None, None)
-    value = float(column[0]) if np.isfinite(column[0]) else None
-    return {"value": value, "low": low, "high": high}
+    found = {}
+    for name in MEASURES:
+        value, *drawn = columns[name]
+        low, high = interval(np.array(drawn)) or (None, None)
+        found[name] = {"value": float(value) if np.isfinite(value) else None, "low": low, "high": high}
+    return found

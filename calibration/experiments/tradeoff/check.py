@@ -8,7 +8,7 @@ from calibration.experiments.tradeoff.machine import is_same_machine
 from calibration.experiments.tradeoff.rows import Row
 from edge.core.errors import ConfigError
 
-__all__ = ["ACCURACY_NOISE", "SIZE_NOISE", "TIME_NOISE", "check", "same_front"]
+__all__ = ["check", "same_front"]
 
 ACCURACY_NOISE: Final = 0.005
 """Presses and seeds are the same, so what remains is arithmetic: the difference that a packed bank may have as well."""
@@ -52,26 +52,19 @@ def _losses(before: Row, after: Row | None, is_same_machine: bool) -> Iterator[s
     if after is None:
         yield f"{key}: the point is missing, it was measured before"
         return
-    yield from _accuracy_losses(key, before, after)
-    if after["bank_bytes"] > before["bank_bytes"] * (1 + SIZE_NOISE):
-        yield f"{key}: the bank has {after['bank_bytes']} bytes, it had {before['bank_bytes']}"
-    if is_same_machine:
-        yield from _machine_losses(key, before, after)
-
-
-def _accuracy_losses(key: str, before: Row, after: Row) -> Iterator[str]:
     for name, label in MEASURES.items():
-        old, new = before["accuracy"][name]["value"], after["accuracy"][name]["value"]
+        old, new = (row["accuracy"][name]["value"] for row in (before, after))
         if old is not None and (new is None or new < old - ACCURACY_NOISE):
             yield f"{key}: {label} is {'undefined' if new is None else f'{new:.4f}'}, it was {old:.4f}"
-
-
-def _machine_losses(key: str, before: Row, after: Row) -> Iterator[str]:
-    old, new = before["ratio"], after["ratio"]
-    if new["low"] > old["high"] * (1 + TIME_NOISE):
+    if after["bank_bytes"] > before["bank_bytes"] * (1 + SIZE_NOISE):
+        yield f"{key}: the bank has {after['bank_bytes']} bytes, it had {before['bank_bytes']}"
+    if not is_same_machine:
+        return
+    was, now = (row["ratio"] for row in (before, after))
+    if now["low"] > was["high"] * (1 + TIME_NOISE):
         yield (
-            f"{key}: a press takes {new['median']:.3f} times the bare trunk ({new['low']:.3f} to {new['high']:.3f}), "
-            f"it took {old['median']:.3f} ({old['low']:.3f} to {old['high']:.3f})"
+            f"{key}: a press takes {now['median']:.3f} times the bare trunk ({now['low']:.3f} to {now['high']:.3f}), "
+            f"it took {was['median']:.3f} ({was['low']:.3f} to {was['high']:.3f})"
         )
     most, least = after["peak_memory_bytes"], before["peak_memory_bytes"]
     if most and least and most > least * (1 + MEMORY_NOISE):

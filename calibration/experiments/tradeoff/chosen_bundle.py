@@ -3,7 +3,6 @@
 import datetime
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,11 @@ from edge.model.bundle_writer import manifest_bytes
 from edge.model.scorer import Scorer
 
 __all__ = ["bundle_of"]
+
+_COST = (
+    "ms", "stages", "ratio", "floor", "bank_bytes", "peak_memory_bytes", "fit_s", "gel_share", "scored", "machine"
+)  # fmt: skip
+"""The columns of a row that go into the cost card."""
 
 
 def bundle_of(
@@ -68,26 +72,9 @@ def with_cards(
         for part, value in one.items()
         if value is not None
     }
-    card = {"point": point.key, "content_sha256": content_sha256(fitted.manifest)} | _cost(row)
+    cost = {} if row is None else {name: row[name] for name in _COST}
+    card = {"point": point.key, "content_sha256": content_sha256(fitted.manifest)} | cost
     manifest = fitted.manifest.model_copy(
         update={"accuracy": values, "facts": {**fitted.manifest.facts, "tradeoff": card}}
     )
     return replace(fitted, manifest=manifest, files={**fitted.files, MANIFEST: manifest_bytes(manifest)})
-
-
-def _cost(row: Row | None) -> dict[str, Any]:
-    if row is None:
-        return {}
-    kept = (
-        "ms",
-        "stages",
-        "ratio",
-        "floor",
-        "bank_bytes",
-        "peak_memory_bytes",
-        "fit_s",
-        "gel_share",
-        "scored",
-        "machine",
-    )
-    return {name: row[name] for name in kept}

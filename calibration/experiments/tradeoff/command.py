@@ -1,20 +1,84 @@
 """The verb `tradeoff`."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Annotated
 
 import typer
 
-from calibration.experiments.tradeoff.options import TradeoffArguments
+from calibration.evaluate.report import write_atomically
+from calibration.experiments.tradeoff.check import check, same_front
+from calibration.experiments.tradeoff.chosen_bundle import bundle_of
+from calibration.experiments.tradeoff.figure import svg
+from calibration.experiments.tradeoff.page import table, write_page
+from calibration.experiments.tradeoff.pick import pick, read_limits
+from calibration.experiments.tradeoff.plan import Run, RunSettings
+from calibration.experiments.tradeoff.rows import Row, read_rows
+from calibration.experiments.tradeoff.run import read_or_measure
+from calibration.fitting.command import refuse_existing, summarise, write
+from calibration.progress import Stages, progress
 from edge.cli.arguments import flatten
-
-if TYPE_CHECKING:
-    from calibration.experiments.tradeoff.plan import Run
+from edge.core.errors import ConfigError
+from edge.extras import needs
 
 __all__ = ["tradeoff"]
 
 LOSS = 7
 """The exit code of `--check` where something became worse."""
+
+
+@dataclass(frozen=True)
+class TradeoffArguments:
+    """What the command line says."""
+
+    dataset: Annotated[
+        Path, typer.Argument(help="the folder of presses, good ones and defective ones with masks")
+    ]
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="the folder for rows.jsonl and tradeoff.html")
+    ] = Path("tradeoff")
+    part: Annotated[str | None, typer.Option(help="the part; optional for a dataset of one part")] = None
+    position: Annotated[str | None, typer.Option(help="the position; optional for one position")] = None
+    method: Annotated[
+        list[str] | None, typer.Option(help="a detector, again for more; by default every installed one")
+    ] = None
+    backbone: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="an installed backbone or a trunk .onnx file, the first varied in every axis, again for more"
+        ),
+    ] = None
+    within: Annotated[str | None, typer.Option(help="choose a point: most time of a press, such as 20ms")] = (
+        None
+    )
+    under: Annotated[str | None, typer.Option(help="choose a point: largest bank, such as 8MB")] = None
+    presses: Annotated[int | None, typer.Option(help="choose a point: most nominal presses", min=1)] = None
+    point: Annotated[str | None, typer.Option(help="make only the bundle of the point of this name")] = None
+    bundle: Annotated[
+        Path | None,
+        typer.Option(help="where the chosen bundle is written, a folder or a name ending in .zip"),
+    ] = None
+    check: Annotated[
+        Path | None, typer.Option(help="rows.jsonl of an earlier run: fail where this one is worse")
+    ] = None
+    picture: Annotated[Path | None, typer.Option(help="also draw the rows as an SVG file of this name")] = (
+        None
+    )
+    rounds: Annotated[int, typer.Option(help="rounds of timing", min=7)] = 25
+    minutes: Annotated[float, typer.Option(help="after this many no new round of timing begins", min=0)] = (
+        12.0
+    )
+    bootstrap: Annotated[int, typer.Option(help="bootstrap replicates per accuracy interval", min=20)] = 200
+    seed: Annotated[int, typer.Option(help="fixes every random choice", min=0)] = 0
+    threads: Annotated[int, typer.Option(help="threads of the runtime", min=1, max=64)] = 2
+    overwrite: Annotated[
+        bool, typer.Option(help="measure again although the folder has rows; replace the bundle")
+    ] = False
+
+    def settings(self) -> RunSettings:
+        """Return what the run depends on."""
+        named = {name: getattr(self, name) for name in ("seed", "threads", "rounds", "minutes")}
+        return RunSettings(self.dataset, self.part, self.position, replicates=self.bootstrap, **named)
 
 
 @flatten
@@ -25,23 +89,16 @@ def tradeoff(given: TradeoffArguments) -> None:
     Writes a row for each and a page to explore them. With limits it chooses a point and writes its bundle. A folder
     that holds rows is not measured again; an interrupted run goes on.
     """
-    from calibration.experiments.tradeoff.pick import pick
-    from calibration.experiments.tradeoff.plan import Run
-    from calibration.experiments.tradeoff.run import read_or_measure
-    from calibration.progress import progress
-    from edge.core.errors import ConfigError
-    from edge.extras import needs
-
     needs("studies", "tradeoff")
-    limits = given.limits()
-    _require_sense(given, bool(limits.names))
+    limits = read_limits(given.within, given.under, given.presses)
+    _require_sense(given, bool(limits))
     run = Run.of(given.settings(), given.method or (), given.backbone or ())
     if given.point is not None:
         _write_bundle(given.point, run, given.bundle or Path(given.point), given.overwrite)
         return
     rows = read_or_measure(run, given.output, given.overwrite, progress, typer.echo)
     _report(rows, given.output, given.picture)
-    if limits.names:
+    if limits:
         picked = pick(rows, limits)
         if picked.row is None:
             raise ConfigError(picked.reasons[0])
@@ -54,9 +111,6 @@ def tradeoff(given: TradeoffArguments) -> None:
 
 def _require_sense(given: TradeoffArguments, has_limits: bool) -> None:
     """Check the options before any work. Errors: ConfigError."""
-    from calibration.experiments.tradeoff.rows import read_rows
-    from edge.core.errors import ConfigError
-
     if given.bundle is not None and not has_limits and given.point is None:
         raise ConfigError("--bundle needs a point: give limits (--within, --under, --presses) or --point")
     if given.bundle is not None and given.bundle.exists() and not given.overwrite:
@@ -67,12 +121,8 @@ def _require_sense(given: TradeoffArguments, has_limits: bool) -> None:
         read_rows(given.check)
 
 
-def _report(rows: list[dict[str, Any]], output: Path, picture: Path | None) -> None:
+def _report(rows: list[Row], output: Path, picture: Path | None) -> None:
     """Write the page, and the picture where wanted; print the front."""
-    from calibration.evaluate.report import write_atomically
-    from calibration.experiments.tradeoff.figure import svg
-    from calibration.experiments.tradeoff.page import table, write_page
-
     page = write_page(rows, output)
     if picture is not None:
         write_atomically(picture, svg(rows))
@@ -80,14 +130,8 @@ def _report(rows: list[dict[str, Any]], output: Path, picture: Path | None) -> N
     typer.echo(f"{len(rows)} points; the page is {page}")
 
 
-def _write_bundle(
-    key: str, run: "Run", bundle: Path, overwrite: bool, row: dict[str, Any] | None = None
-) -> None:
+def _write_bundle(key: str, run: Run, bundle: Path, overwrite: bool, row: Row | None = None) -> None:
     """Fit the point and write its bundle; says so where its bank differs from the measured one, `row`."""
-    from calibration.experiments.tradeoff.chosen_bundle import bundle_of
-    from calibration.fitting.command import refuse_existing, summarise, write
-    from calibration.progress import Stages
-
     point = run.point(key)
     refuse_existing(bundle, overwrite)
     with Stages() as report:
@@ -104,9 +148,7 @@ def _write_bundle(
     typer.echo(f"trunk, head and bank: {made}")
 
 
-def _check(rows: list[dict[str, Any]], earlier: Path) -> None:
-    from calibration.experiments.tradeoff.check import check, same_front
-    from calibration.experiments.tradeoff.rows import read_rows
+def _check(rows: list[Row], earlier: Path) -> None:
 
     before = read_rows(earlier)
     losses, remarks = check(before, rows)

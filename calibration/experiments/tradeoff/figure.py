@@ -3,9 +3,11 @@
 import argparse
 import io
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from calibration.experiments.tradeoff.machine import busy
 from calibration.experiments.tradeoff.page import FIRST, METHOD_NAMES
@@ -46,7 +48,7 @@ def svg(rows: Sequence[Row]) -> bytes:
 
 
 def figure(rows: Sequence[Row]) -> "Figure":
-    """Accuracy (AU-PRO) against the milliseconds of a press, as a matplotlib figure without a window."""
+    """Draw accuracy (AU-PRO) against the milliseconds of a press, as a matplotlib figure without a window."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -56,27 +58,24 @@ def figure(rows: Sequence[Row]) -> "Figure":
     axes = made.add_axes((0.075, 0.165, 0.9, 0.725))
     _frame(axes, drawn)
     methods = list(dict.fromkeys(row["method"] for row in drawn))
+    colours = {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(methods)}
     for row in drawn:
-        _mark(axes, row, COLOURS[methods.index(row["method"]) % len(COLOURS)])
+        _mark(axes, row, colours[row["method"]])
     _front(axes, drawn)
-    _legend(axes, methods, {row["method"] for row in drawn if row.get("peer")})
-    first = rows[0]
+    _legend(axes, colours, {row["method"] for row in drawn if row.get("peer")})
+    first, machine = rows[0], rows[0]["machine"]
     made.text(0.075, 0.945, "What accuracy costs", fontsize=13, fontweight="bold", color=INK)
-    made.text(0.075, 0.908, _subtitle(first, len(drawn)), fontsize=8.5, color=SOFT)
-    made.text(0.975, 0.945, busy(first["machine"]), fontsize=8.5, color=COLOURS[1], ha="right")
+    subtitle = (
+        f"{len(drawn)} operating points on {first['part']}/{first['position']}, scored on pieces that no fit has seen; "
+        f"{machine['processor']}, {machine['threads']} threads"
+    )
+    made.text(0.075, 0.908, subtitle, fontsize=8.5, color=SOFT)
+    made.text(0.975, 0.945, busy(machine), fontsize=8.5, color=COLOURS[1], ha="right")
     return made
 
 
-def _subtitle(first: Row, points: int) -> str:
-    machine = first["machine"]
-    return (
-        f"{points} operating points on {first['part']}/{first['position']}, scored on pieces that no fit has seen; "
-        f"{machine['processor']}, {machine['threads']} threads"
-    )
-
-
 def _frame(axes: "Axes", rows: Sequence[Row]) -> None:
-    from matplotlib.ticker import FuncFormatter, NullFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set_xscale("log")
     axes.set_axisbelow(True)
@@ -88,34 +87,18 @@ def _frame(axes: "Axes", rows: Sequence[Row]) -> None:
     values = [row["accuracy"][FIRST]["value"] for row in rows]
     room = 0.06 * max(max(values) - min(values), 0.02)
     axes.set_ylim(min(values) - room, max(values) + 3 * room)
-    axes.xaxis.set_major_locator(_round_numbers())
+    axes.xaxis.set_major_locator(LogLocator(base=10, subs=(1, 1.5, 2, 3, 4, 5, 7)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _round_numbers() -> Any:
-    from matplotlib.ticker import LogLocator
-
-    return LogLocator(base=10, subs=(1, 1.5, 2, 3, 4, 5, 7))
-
-
-def _stairs(pairs: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return those of (time, accuracy) that no faster one reaches, by rising time."""
-    found: list[tuple[float, float]] = []
-    for time, accuracy in sorted(pairs, key=lambda pair: (pair[0], -pair[1])):
-        if not found or accuracy > found[-1][1]:
-            found.append((time, accuracy))
-    return found
-
-
 def _mark(axes: "Axes", row: Row, colour: str) -> None:
-    shape = PEER if row.get("peer") else {"lr": "o", "hr": "s"}.get(row["view"], "D")
     is_hollow = row["work"]["int8"] > 0
     axes.scatter(
         row["ms"]["median"],
         row["accuracy"][FIRST]["value"],
         s=14 + 1.6 * row["presses"],
-        marker=shape,
+        marker=PEER if row.get("peer") else {"lr": "o", "hr": "s"}.get(row["view"], "D"),
         facecolors="white" if is_hollow else colour,
         edgecolors=colour if is_hollow else "white",
         linewidths=1.3 if is_hollow else 0.7,
@@ -125,27 +108,32 @@ def _mark(axes: "Axes", row: Row, colour: str) -> None:
 
 
 def _front(axes: "Axes", rows: Sequence[Row]) -> None:
-    front = [row for row in rows if row["is_on_front"]]
-    steps = _stairs([(row["ms"]["median"], row["accuracy"][FIRST]["value"]) for row in front])
-    times = [time for time, _ in steps] + [axes.get_xlim()[1]]
-    values = [value for _, value in steps] + [steps[-1][1]]
-    axes.step(times, values, where="post", color=INK, linewidth=1.1, zorder=2)
-    for k, row in enumerate(sorted(front, key=lambda row: row["ms"]["median"])):
-        ms, accuracy = row["ms"], row["accuracy"][FIRST]["value"]
-        axes.plot(
-            [ms["low"], ms["high"]], [accuracy, accuracy], color=INK, linewidth=0.8, alpha=0.5, zorder=3
-        )
+    """Draw the stairs of what is reached in a time, and each point of the front with its name and interval."""
+    front = _list_front(rows)
+    times = [row["ms"]["median"] for row in front]
+    values = [row["accuracy"][FIRST]["value"] for row in front]
+    best = np.maximum.accumulate(values)
+    axes.step(
+        [*times, axes.get_xlim()[1]], [*best, best[-1]], where="post", color=INK, linewidth=1.1, zorder=2
+    )
+    for k, (row, time, value) in enumerate(zip(front, times, values, strict=True)):
+        span = [row["ms"]["low"], row["ms"]["high"]]
+        axes.plot(span, [value, value], color=INK, linewidth=0.8, alpha=0.5, zorder=3)
         axes.annotate(
             _name(row),
-            (ms["median"], accuracy),
+            (time, value),
             xytext=(0, 13 if k % 2 else 26),
             textcoords="offset points",
-            ha="left" if ms["median"] ** 2 < math.prod(axes.get_xlim()) else "right",
+            ha="left" if time**2 < math.prod(axes.get_xlim()) else "right",
             arrowprops={"arrowstyle": "-", "color": SOFT, "linewidth": 0.5},
             fontsize=7.5,
             color=INK,
             zorder=5,
         )
+
+
+def _list_front(rows: Sequence[Row]) -> list[Row]:
+    return sorted((row for row in rows if row["is_on_front"]), key=lambda row: float(row["ms"]["median"]))
 
 
 def _name(row: Row) -> str:
@@ -162,37 +150,32 @@ def _name(row: Row) -> str:
 
 def front_sentence(rows: Sequence[Row]) -> str:
     """The points of the front, the fastest first, each with its accuracy and its milliseconds."""
-    front = sorted((row for row in rows if row["is_on_front"]), key=lambda row: float(row["ms"]["median"]))
     listed = [
         f"{_name(row)}: {row['accuracy'][FIRST]['value']:.3f} in {row['ms']['median']:.0f} ms"
-        for row in front
+        for row in _list_front(rows)
     ]
     return f"The front, by AU-PRO and time: {'; '.join(listed)}."
 
 
-def _legend(axes: "Axes", methods: Sequence[str], peers: Collection[str]) -> None:
-    from matplotlib.lines import Line2D
-
-    def entry(label: str, marker: str, face: str, edge: str, size: float = 6) -> Line2D:
-        return Line2D([], [], ls="", marker=marker, mfc=face, mec=edge, ms=size, label=label)
-
-    entries = []
-    for k, name in enumerate(methods):
-        colour = COLOURS[k % len(COLOURS)]
-        entries.append(entry(METHOD_NAMES.get(name, name), PEER if name in peers else "o", colour, colour))
-    entries += [
-        entry("int8 trunk", "o", "white", SOFT),
-        entry("high resolution", "s", SOFT, SOFT),
-        entry("in tiles", "D", SOFT, SOFT, 5),
-        Line2D([], [], color=INK, linewidth=1.1, label="front"),
+def _legend(axes: "Axes", colours: Mapping[str, str], peers: Collection[str]) -> None:
+    marks = [
+        (METHOD_NAMES.get(name, name), PEER if name in peers else "o", colour, colour)
+        for name, colour in colours.items()
     ]
+    marks += [
+        ("int8 trunk", "o", "white", SOFT),
+        ("high resolution", "s", SOFT, SOFT),
+        ("in tiles", "D", SOFT, SOFT),
+    ]
+    for label, marker, face, edge in marks:
+        axes.plot([], [], ls="", marker=marker, mfc=face, mec=edge, ms=6, label=label)
+    axes.plot([], [], color=INK, linewidth=1.1, label="front")
     axes.legend(
-        handles=entries,
         loc="upper center",
         bbox_to_anchor=(0.5, -0.115),
         frameon=False,
         fontsize=7.5,
-        ncols=math.ceil(len(entries) / (2 if len(entries) > _MOST_IN_A_ROW else 1)),
+        ncols=math.ceil((len(marks) + 1) / (1 if len(marks) < _MOST_IN_A_ROW else 2)),
         columnspacing=1.3,
         handletextpad=0.3,
     )

@@ -1,23 +1,19 @@
-"""The trade-off from Python: its rows as a pandas frame, its picture as a matplotlib figure."""
+"""The trade-off from Python: its rows as a pandas frame. `figure.figure` draws them."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.experiments.harness.rows import ROWS_FILE
 from calibration.experiments.harness.runner import Show
-from calibration.experiments.tradeoff.figure import figure
 from calibration.experiments.tradeoff.page import write_page
 from calibration.experiments.tradeoff.plan import Run, RunSettings
-from calibration.experiments.tradeoff.rows import read_rows
 from calibration.experiments.tradeoff.run import read_or_measure
 from calibration.progress import progress
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
-__all__ = ["tradeoff", "tradeoff_figure"]
+__all__ = ["tradeoff"]
 
 
 def tradeoff(
@@ -42,8 +38,3 @@ def tradeoff(
     rows = read_or_measure(run, Path(output), overwrite, show, print)
     write_page(rows, Path(output))
     return pd.json_normalize(rows)
-
-
-def tradeoff_figure(output: Path | str) -> "Figure":
-    """Accuracy against time, from the rows in the folder. Errors: ConfigError where it has none."""
-    return figure(read_rows(Path(output) / ROWS_FILE))

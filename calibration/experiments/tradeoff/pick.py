@@ -2,28 +2,18 @@
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from calibration.experiments.tradeoff.rows import Row
 from edge.core.errors import ConfigError
 
-__all__ = ["Limits", "Pick", "pick", "size", "time_ms"]
+__all__ = ["Limits", "Pick", "pick", "read_limits"]
 
 _UNITS_MS: Final = {"us": 1e-3, "ms": 1.0, "s": 1e3}
-_UNITS_BYTES: Final = {"b": 1.0, "kb": 1e3, "mb": 1e6, "gb": 1e9}
+_UNITS_MB: Final = {"b": 1e-6, "kb": 1e-3, "mb": 1.0, "gb": 1e3}
 _QUANTITY = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([a-zA-Z]+)\s*")
-
-
-def time_ms(text: str) -> float:
-    """Milliseconds of a text such as `20ms`. Errors: ConfigError."""
-    return _quantity("--within", text, _UNITS_MS, "20ms")
-
-
-def size(text: str) -> float:
-    """Bytes of a text such as `8MB`. Errors: ConfigError."""
-    return _quantity("--under", text, _UNITS_BYTES, "8MB")
 
 
 def _quantity(option: str, text: str, units: dict[str, float], example: str) -> float:
@@ -37,49 +27,31 @@ def _quantity(option: str, text: str, units: dict[str, float], example: str) -> 
     return float(match[1]) * factor
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What a point may cost; None where there is no limit."""
+Limits = Mapping[str, float]
+"""What a point may cost at most, by the name of a cost."""
 
-    within_ms: float | None = None
-    """The upper end of the interval of a press's median time."""
-    under_bytes: float | None = None
-    """The bank as stored."""
-    presses: int | None = None
-    """Nominal presses of the fit."""
-
-    def excess(self, row: Row) -> dict[str, float]:
-        """Return how many times over each limit the point is; only those that it exceeds."""
-        found = {
-            limit.name: limit.cost(row) / most
-            for limit in _LIMITS
-            if (most := getattr(self, limit.field)) is not None
-        }
-        return {name: times for name, times in found.items() if times > 1}
-
-    def without(self, name: str) -> "Limits":
-        """Return the limits without one."""
-        fields = {limit.field: getattr(self, limit.field) for limit in _LIMITS if limit.name != name}
-        return Limits(**fields)
-
-    @property
-    def names(self) -> list[str]:
-        return [limit.name for limit in _LIMITS if getattr(self, limit.field) is not None]
+_COSTS: Final[Mapping[str, tuple[Callable[[Row], float], str]]] = {
+    "time": (lambda row: float(row["ms"]["high"]), "{:.3g} ms"),
+    "bank": (lambda row: row["bank_bytes"] / 1e6, "{:.3g} MB"),
+    "presses": (lambda row: float(row["presses"]), "{:.0f} presses"),
+}
+"""What a point costs: the upper end of the interval of its median time, the bank as stored, and presses of the fit."""
 
 
-@dataclass(frozen=True)
-class _Limit:
-    name: str
-    field: str
-    cost: Callable[[Row], float]
-    text: Callable[[float], str]
+def read_limits(within: str | None, under: str | None, presses: int | None) -> Limits:
+    """Return the limits of texts such as `20ms` and `8MB`. Errors: ConfigError."""
+    given = {
+        "time": within and _quantity("--within", within, _UNITS_MS, "20ms"),
+        "bank": under and _quantity("--under", under, _UNITS_MB, "8MB"),
+        "presses": presses,
+    }
+    return {name: float(most) for name, most in given.items() if most}
 
 
-_LIMITS: Final = (
-    _Limit("time", "within_ms", lambda row: float(row["ms"]["high"]), lambda x: f"{x:.3g} ms"),
-    _Limit("bank", "under_bytes", lambda row: float(row["bank_bytes"]), lambda x: f"{x / 1e6:.3g} MB"),
-    _Limit("presses", "presses", lambda row: float(row["presses"]), lambda x: f"{x:.0f} presses"),
-)
+def _excess(row: Row, limits: Limits) -> dict[str, float]:
+    """Return how many times over each limit the point is; only those that it exceeds."""
+    found = {name: _COSTS[name][0](row) / most for name, most in limits.items()}
+    return {name: times for name, times in found.items() if times > 1}
 
 
 @dataclass(frozen=True)
@@ -96,7 +68,7 @@ def pick(rows: Sequence[Row], limits: Limits) -> Pick:
     Peers have no bundle and are not chosen.
     """
     own = [row for row in rows if not row.get("peer") and _value(row) > -math.inf]
-    fitting = [row for row in own if not limits.excess(row)]
+    fitting = [row for row in own if not _excess(row, limits)]
     if not fitting:
         return Pick(None, tuple(_nothing(own, limits)))
     best = _best(fitting)
@@ -132,15 +104,16 @@ def _why(own: Sequence[Row], fitting: Sequence[Row], best: Row, limits: Limits) 
 
 def _explain_refused(own: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
     """The more accurate points that are nearest to fitting."""
-    better = [row for row in own if limits.excess(row) and _value(row) > _value(best)]
-    for row in sorted(better, key=lambda row: max(limits.excess(row).values()))[:2]:
+    better = [row for row in own if _excess(row, limits) and _value(row) > _value(best)]
+    for row in sorted(better, key=lambda row: max(_excess(row, limits).values()))[:2]:
         yield f"nearer to perfect, but not within: {row['key']}, AU-PRO {_value(row):.3f}, {_too_much(row, limits)}"
 
 
 def _binding(own: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
     """The limits without which another point would be chosen."""
-    for name in limits.names:
-        freed = _best([row for row in own if not limits.without(name).excess(row)])
+    for name in limits:
+        others = {other: most for other, most in limits.items() if other != name}
+        freed = _best([row for row in own if not _excess(row, others)])
         if freed is not best:
             yield (
                 f"the limit on {name} binds: without it {freed['key']} with AU-PRO {_value(freed):.3f} would be chosen "
@@ -152,7 +125,7 @@ def _nothing(own: Sequence[Row], limits: Limits) -> Iterator[str]:
     if not own:
         yield "no point has a defined AU-PRO: there is nothing to choose from"
         return
-    nearest = min(own, key=lambda row: (max(limits.excess(row).values()), -_value(row)))
+    nearest = min(own, key=lambda row: (max(_excess(row, limits).values()), -_value(row)))
     yield (
         f"none of {len(own)} points is within these limits; the nearest is {nearest['key']} with AU-PRO "
         f"{_value(nearest):.3f}: {_too_much(nearest, limits)}; widen a limit"
@@ -160,9 +133,8 @@ def _nothing(own: Sequence[Row], limits: Limits) -> Iterator[str]:
 
 
 def _too_much(row: Row, limits: Limits) -> str:
-    excess = limits.excess(row)
     return ", ".join(
-        f"{limit.text(limit.cost(row))} where {limit.text(getattr(limits, limit.field))} is allowed"
-        for limit in _LIMITS
-        if limit.name in excess
+        f"{text.format(cost(row))} where {text.format(limits[name])} is allowed"
+        for name, (cost, text) in _COSTS.items()
+        if name in _excess(row, limits)
     )

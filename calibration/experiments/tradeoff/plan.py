@@ -12,9 +12,12 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from calibration.experiments.tradeoff.accuracy import Truth
 from calibration.experiments.tradeoff.point import OperatingPoint, Setting
 from calibration.experiments.tradeoff.presses import Chosen, choose_presses, masks_of
+from calibration.metrics import specimen_weights
 from edge import registry
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
@@ -160,13 +163,9 @@ class Run:
     @cached_property
     def truth(self) -> Truth:
         """Labels and masks of the scored presses, and how replicates draw them."""
-        return Truth.of(
-            self.chosen.label,
-            masks_of(self.chosen),
-            self.chosen.specimens,
-            self.settings.replicates,
-            self.settings.seed,
-        )
+        label, rng = self.chosen.label, np.random.default_rng(self.settings.seed)
+        drawn = specimen_weights(self.chosen.specimens, label, self.settings.replicates, rng)
+        return Truth(label, masks_of(self.chosen), np.concatenate([np.ones((1, label.size)), drawn]))
 
     @property
     def command(self) -> str:

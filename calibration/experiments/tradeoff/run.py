@@ -4,10 +4,10 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,14 @@ from calibration.experiments.tradeoff.accuracy import Truth, measure_accuracy
 from calibration.experiments.tradeoff.fitting import FittedPoint, content_sha256, fit_points
 from calibration.experiments.tradeoff.floor import Work, floor_ms, work_of
 from calibration.experiments.tradeoff.front import dominators
-from calibration.experiments.tradeoff.machine import Peak, best, fingerprint, probe
+from calibration.experiments.tradeoff.machine import best, fingerprint, probe
 from calibration.experiments.tradeoff.memory import peak_bytes
 from calibration.experiments.tradeoff.plan import LEAST_ROUNDS, Run, RunSettings
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
 from calibration.experiments.tradeoff.presses import Chosen, on_common_grid, see
 from calibration.experiments.tradeoff.rows import Row, read_rows, write_rows
-from calibration.experiments.tradeoff.statistics import PressTimes, press_times
-from calibration.experiments.tradeoff.timing import STAGES, Lane, bundle_lanes, camera_frames, measure_rounds
+from calibration.experiments.tradeoff.statistics import press_times
+from calibration.experiments.tradeoff.timing import Lane, bundle_lanes, camera_frames, measure_rounds
 from calibration.threads import one_blas_thread
 from edge.core.errors import ConfigError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
@@ -99,7 +99,7 @@ def measure(run: Run, folder: Path, show: Show, others: Others = lambda run, fra
         rows.append(row)
         lanes.append(lane)
     before = probe(settings.threads)
-    times = _times(lanes, settings, begun, show)
+    times, ratios = _time(lanes, settings, begun, show)
     peak = best(before, probe(settings.threads))
     common = {
         "part": chosen.part,
@@ -109,10 +109,11 @@ def measure(run: Run, folder: Path, show: Show, others: Others = lambda run, fra
         "dataset_sha256": dataset,
         "machine": machine,
         "peak": asdict(peak),
-        "rounds": times.rounds,
     }
-    complete = [row | _time_columns(k, row, times, peak) | common for k, row in enumerate(rows)]
-    return with_front(complete, times.ratios)
+    for row, columns in zip(rows, times, strict=True):
+        floor, binds = floor_ms(Work(**row["work"]), peak)
+        row |= {**columns, "floor": {"ms": floor, "binds": binds}, **common}
+    return with_front(rows, ratios)
 
 
 def require_same_run(rows: Sequence[Row], run: Run, file: Path) -> None:
@@ -219,7 +220,9 @@ def _work(fitted: FittedPoint) -> Work:
     return work_of(Bundle.in_memory(inside, files))
 
 
-def _times(lanes: Sequence[Lane], settings: RunSettings, begun: float, show: Show) -> PressTimes:
+def _time(
+    lanes: Sequence[Lane], settings: RunSettings, begun: float, show: Show
+) -> tuple[list[Row], NDArray[np.float64]]:
     with show("rounds of timing", settings.rounds) as advance:
         samples = measure_rounds(
             lanes,
@@ -236,36 +239,8 @@ def _times(lanes: Sequence[Lane], settings: RunSettings, begun: float, show: Sho
 def _frames(points: Sequence[OperatingPoint], chosen: Chosen) -> dict[str, list[CameraFrame]]:
     """Camera frames of the last scored presses, which are defective, by the name of the profile."""
     views = {VIEWS[point.view].profile_name: VIEWS[point.view] for point in points}
-    last = Chosen(
-        chosen.root,
-        chosen.part,
-        chosen.position,
-        chosen.fitted[:1],
-        chosen.scored[-CAMERA_FRAMES:],
-        chosen.high,
-    )
+    last = replace(chosen, fitted=chosen.fitted[:1], scored=chosen.scored[-CAMERA_FRAMES:])
     return {name: camera_frames(view, see(last, view).frames) for name, view in views.items()}
-
-
-def _time_columns(k: int, row: Row, times: PressTimes, peak: Peak) -> Row:
-    """Return what timing adds to a row."""
-    floor, binds = floor_ms(Work(**row["work"]), peak)
-    stages = {
-        name: _plain({"median": times.stages[stage, k], "p95": times.stages_p95[stage, k]})
-        for stage, name in enumerate(STAGES)
-    }
-    press = dict(zip(("median", "low", "high"), times.ms[:, k], strict=True)) | {"p95": times.p95[k]}
-    return {
-        "ms": _plain(press),
-        "stages": stages,
-        "ratio": _plain(dict(zip(("median", "low", "high"), times.ratio[:, k], strict=True))),
-        "bare_trunk_ms": times.bare,
-        "floor": {"ms": floor, "binds": binds},
-    }
-
-
-def _plain(values: dict[str, Any]) -> dict[str, float]:
-    return {name: float(value) for name, value in values.items()}
 
 
 def with_front(rows: Sequence[Row], ratios: NDArray[np.float64]) -> list[Row]:

@@ -1,81 +1,73 @@
 """What the samples of a run say: medians, intervals over rounds, and ratios to the bare trunk."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.experiments.tradeoff.timing import Samples
+from calibration.experiments.tradeoff.timing import STAGES, Samples
 from calibration.metrics.summary import CONFIDENCE
 
-__all__ = ["REPLICATES", "PressTimes", "press_times"]
+__all__ = ["press_times"]
 
 REPLICATES: Final = 500
 
 Float = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class PressTimes:
-    """Times of n points. stages, stages_p95: milliseconds (stages, n)."""
+def press_times(
+    samples: Samples, *, seed: int, replicates: int = REPLICATES
+) -> tuple[list[dict[str, Any]], Float]:
+    """Return the columns with the times of every point, and its ratios to the bare trunk, (replicates, n).
 
-    stages: Float
-    stages_p95: Float
-    ms: Float
-    """Milliseconds of a press, the sum of its stages' medians, with low and high, (3, n)."""
-    p95: Float
-    """Of a press, (n,), the median and how far above their median the point's own rounds reach: medians are pooled over
-    points, so a percentile of its own rounds alone can be below them."""
-    ratio: Float
-    """The ratio of a press to the bare trunk, (3, n) as ms."""
-    ratios: Float
-    """The ratio in each replicate, (replicates, n), all points with the same rounds."""
-    bare: float
-    """Median ms."""
-    rounds: int
-
-
-def press_times(samples: Samples, *, seed: int, replicates: int = REPLICATES) -> PressTimes:
-    """The times of every point, with 95 % bootstrap intervals over rounds.
-
-    A replicate draws rounds, the same ones for every point, so that two points are compared on the same rounds.
+    Milliseconds of a press are the sum of its stages' medians; intervals are 95 %, bootstrapped over rounds. A
+    replicate draws rounds, the same ones for every point, so that two points are compared on the same rounds. Medians
+    are pooled over points, so a percentile is the median and how far above their median the point's own rounds reach.
     """
     rng = np.random.default_rng(seed)
-    ratio_samples = samples.stages / samples.bare
     drawn = rng.integers(samples.rounds, size=(replicates, samples.rounds))
-    stages = _medians(samples.stages, samples.groups)
-    presses = samples.stages.sum(axis=0)
-    ms = np.stack([_medians(samples.stages[:, rows], samples.groups).sum(axis=0) for rows in drawn])
-    ratios = np.stack([_medians(ratio_samples[:, rows], samples.groups).sum(axis=0) for rows in drawn])
-    ratio = _medians(ratio_samples, samples.groups).sum(axis=0)
-    return PressTimes(
-        stages=stages,
-        stages_p95=stages + np.percentile(samples.stages, 95, axis=1) - np.median(samples.stages, axis=1),
-        ms=_with_interval(stages.sum(axis=0), ms),
-        p95=stages.sum(axis=0) + np.percentile(presses, 95, axis=0) - np.median(presses, axis=0),
-        ratio=_with_interval(ratio, ratios),
-        ratios=ratios,
-        bare=float(np.median(samples.bare)),
-        rounds=samples.rounds,
+    ms, ms_drawn = _medians_of_rounds(samples.stages, samples.groups, drawn)
+    ratio, ratio_drawn = _medians_of_rounds(samples.stages / samples.bare, samples.groups, drawn)
+    tails = {
+        name: np.percentile(values, 95, axis=-2) - np.median(values, axis=-2)
+        for name, values in (("stages", samples.stages), ("press", samples.stages.sum(axis=0)))
+    }
+    columns = [
+        {
+            "ms": _interval(ms[:, k].sum(), ms_drawn[:, k])
+            | {"p95": float(ms[:, k].sum() + tails["press"][k])},
+            "stages": {
+                name: {"median": float(ms[stage, k]), "p95": float(ms[stage, k] + tails["stages"][stage, k])}
+                for stage, name in enumerate(STAGES)
+            },
+            "ratio": _interval(ratio[:, k].sum(), ratio_drawn[:, k]),
+            "bare_trunk_ms": float(np.median(samples.bare)),
+            "rounds": samples.rounds,
+        }
+        for k in range(samples.groups.shape[1])
+    ]
+    return columns, ratio_drawn
+
+
+def _medians_of_rounds(
+    values: Float, groups: NDArray[np.int64], drawn: NDArray[np.int64]
+) -> tuple[Float, Float]:
+    """Return the medians of each stage and point, and the sum over stages in each replicate, (replicates, points)."""
+    return _medians(values, groups), np.stack(
+        [_medians(values[:, rows], groups).sum(axis=0) for rows in drawn]
     )
 
 
 def _medians(values: Float, groups: NDArray[np.int64]) -> Float:
-    """The median of each stage and point over rounds, (stages, points), pooled over points of one group."""
+    """Return the median of each stage and point over rounds, (stages, points), pooled over points of one group."""
     found = np.empty((values.shape[0], values.shape[2]))
-    for stage, members in _members(groups):
-        found[stage, members] = np.median(values[stage][:, members])
+    for stage, of_point in enumerate(groups):
+        for group in np.unique(of_point):
+            found[stage, of_point == group] = np.median(values[stage][:, of_point == group])
     return found
 
 
-def _members(groups: NDArray[np.int64]) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    for stage, of_point in enumerate(groups):
-        for group in range(int(of_point.max()) + 1):
-            yield stage, np.flatnonzero(of_point == group)
-
-
-def _with_interval(value: Float, replicates: Float) -> Float:
+def _interval(value: float, drawn: Float) -> dict[str, float]:
     tail = 50.0 * (1.0 - CONFIDENCE)
-    return np.stack([value, *np.percentile(replicates, [tail, 100.0 - tail], axis=0)])
+    low, high = np.percentile(drawn, [tail, 100.0 - tail])
+    return {"median": float(value), "low": float(low), "high": float(high)}

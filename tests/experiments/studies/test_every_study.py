@@ -34,6 +34,6 @@ def test_all_studies_continue_and_write_their_pages(tmp_path: Path) -> None:
     assert totals[0] == totals[1]  # of all cells, also of those that the second run did not do
     assert totals[0].startswith(f"its {len(rows)} cells took ")
     assert (
-        "-> undecided: the rows have subspace alone, so there is nothing to compare it with"
+        "**undecided: the rows have subspace alone, so there is nothing to compare it with"
         in gelgate("lab", "recommend", output).out
     )

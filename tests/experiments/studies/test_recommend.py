@@ -10,7 +10,7 @@ import pytest
 from command_line import gelgate
 
 from calibration.experiments.harness.rows import Rows
-from calibration.experiments.studies.recommend import NEEDS, Answer, page, recommend
+from calibration.experiments.studies.recommend import NEEDS, Answer, page, recommend, write_answers
 
 METHODS = ("spade", "padim", "fapm")
 
@@ -87,7 +87,7 @@ def test_rows_that_overlap_do_not_decide(need: str) -> None:
 
     assert answer.standing is not None
     assert answer.standing.best is None
-    assert "undecided between spade and padim:" in answer.lines()[-2]
+    assert "undecided between spade and padim:" in answer.verdict
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_an_undecided_answer_says_what_to_take(levels: dict[str, float], expecte
     """The default where it is as good, else the highest mean."""
     answer = recommended(covering("localisation", levels), ["localisation"])[0]
 
-    assert answer.lines()[-1] == f"     Take {expected}"
+    assert answer.then == f"Take {expected}"
 
 
 def test_a_part_that_one_method_loses_leaves_the_default() -> None:
@@ -114,7 +114,7 @@ def test_a_part_that_one_method_loses_leaves_the_default() -> None:
     answer = recommended(rows, ["localisation"])[0]
 
     assert answer.standing is not None
-    assert answer.lines()[-1] == "     Take spade then: it has the highest mean."
+    assert answer.then == "Take spade then: it has the highest mean."
     mean = answer.standing.means["padim"]
     assert 0 < mean.low < mean.high < 1
 
@@ -124,7 +124,7 @@ def test_a_need_that_the_rows_do_not_cover_names_its_command(need: str) -> None:
     """Rows of another study answer nothing."""
     for answer in recommended(rows_of("other", {"spade": 0.5}), [need]):
         assert answer.standing is None
-        assert "the rows do not cover this; `gelgate lab study" in answer.lines()[-1]
+        assert "the rows do not cover this; `gelgate lab study" in answer.verdict
 
 
 def test_a_gain_is_the_difference_of_two_conditions() -> None:
@@ -143,10 +143,9 @@ def test_one_seed_has_no_interval() -> None:
     """A single value is printed without the width of nothing."""
     rows = covering("localisation", {"spade": 0.9, "padim": 0.1})
     once = [row for row in rows if row["seed"] == 0 and row["part"] == "PZ3"]
-    text = "\n".join(recommended(once, ["localisation"])[0].lines())
+    text = write_answers(recommended(once, ["localisation"]))
 
-    assert "  spade        0.9000  the paper: strong advantage\n" in text
-    assert "[0.9" not in text
+    assert "| spade | 0.9000 | - | strong advantage |" in text
 
 
 def test_the_head_is_timed_in_processor_seconds() -> None:
@@ -202,8 +201,8 @@ def test_the_command_prints_numbers_with_intervals(tmp_path: Path) -> None:
 
     assert done.code == 0
     assert "rows of tactile_resnet18, corrected mode, split by press" in done.out
-    assert "  spade        0.8045  [0.80" in done.out
-    assert "  -> spade" in done.out
+    assert "| spade | 0.8045 | 0.80" in done.out
+    assert "**spade**" in done.out
     assert "gelgate lab study resolution DATASET -o FOLDER" in done.out
 
 
@@ -220,7 +219,8 @@ def test_rows_of_several_setups_are_not_mixed(tmp_path: Path) -> None:
         in gelgate("lab", "recommend", folder).sentence()
     )
     assert (
-        "-> spade" in gelgate("lab", "recommend", folder, "--mode", "corrected", "--need", "localisation").out
+        "**spade**"
+        in gelgate("lab", "recommend", folder, "--mode", "corrected", "--need", "localisation").out
     )
     assert (
         "no row has the split 'specimen'"
@@ -236,7 +236,7 @@ def test_rows_of_other_settings_are_not_mixed(tmp_path: Path) -> None:
 
     said = gelgate("lab", "recommend", written(tmp_path, rows)).out
     assert "undecided: two rows of cross-position have spade on PZ3 with seed 0 and other settings" in said
-    assert "-> spade" in said
+    assert "**spade**" in said
     assert "**undecided: two rows of cross-position" in page(pd.DataFrame(rows)).text
 
 

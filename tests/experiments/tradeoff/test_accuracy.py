@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.experiments.tradeoff.accuracy import MEASURES, Truth, measure_accuracy
+from calibration.metrics import specimen_weights
 from calibration.metrics.summary import recall_at
 
 SCORES = np.array([1.0, 2.0, 3.0, 4.0, 3.5, 5.0, 6.0])
@@ -49,7 +50,9 @@ def test_a_perfect_map_has_every_measure_at_one() -> None:
     masks = [np.zeros((8, 8), np.bool_) for _ in range(8)]
     for mask in masks[4:]:
         mask[2:4, 2:4] = True
-    truth = Truth.of(np.arange(8) >= 4, masks, [str(k) for k in range(8)], 50, 0)
+    label = np.arange(8) >= 4
+    drawn = specimen_weights([str(k) for k in range(8)], label, 50, np.random.default_rng(0))
+    truth = Truth(label, masks, np.concatenate([np.ones((1, 8)), drawn]))
     scores = (np.arange(8) >= 4).astype(np.float64)
     found = measure_accuracy([mask.astype(np.float32) for mask in masks], scores, truth)
     assert list(found) == list(MEASURES)

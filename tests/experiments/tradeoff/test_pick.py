@@ -3,7 +3,7 @@
 import pytest
 from tradeoff_rows import row
 
-from calibration.experiments.tradeoff.pick import Limits, pick, size, time_ms
+from calibration.experiments.tradeoff.pick import Limits, pick, read_limits
 from edge.core.errors import ConfigError
 
 ROWS = [
@@ -21,26 +21,26 @@ def chosen(limits: Limits) -> str | None:
 
 def test_the_most_accurate_point_within_the_limits_is_chosen() -> None:
     """Each limit alone moves the choice."""
-    assert chosen(Limits(within_ms=100)) == "inreach.t.lr.40"
-    assert chosen(Limits(presses=20)) == "spade.t.lr.20"
-    assert chosen(Limits(presses=20, under_bytes=2e6)) == "padim.t.lr.20"
-    assert chosen(Limits(presses=20, within_ms=19.5)) == "fapm.t.lr.5"
+    assert chosen({"time": 100}) == "inreach.t.lr.40"
+    assert chosen({"presses": 20}) == "spade.t.lr.20"
+    assert chosen({"presses": 20, "bank": 2}) == "padim.t.lr.20"
+    assert chosen({"presses": 20, "time": 19.5}) == "fapm.t.lr.5"
 
 
 def test_the_upper_end_of_the_time_counts() -> None:
     """A median of 20 ms with an interval up to 20.2 is not within 20 ms."""
-    assert chosen(Limits(presses=20, within_ms=20, under_bytes=2e6)) == "fapm.t.lr.5"
-    assert chosen(Limits(presses=20, within_ms=20.3, under_bytes=2e6)) == "padim.t.lr.20"
+    assert chosen({"presses": 20, "time": 20, "bank": 2}) == "fapm.t.lr.5"
+    assert chosen({"presses": 20, "time": 20.3, "bank": 2}) == "padim.t.lr.20"
 
 
 def test_the_faster_of_two_equals_is_chosen() -> None:
     """Equal accuracy: the lower ratio."""
-    assert pick([row("a.t", 0.7, ms=9), row("b.t", 0.7, ms=8)], Limits(presses=20)).row["key"] == "b.t"
+    assert pick([row("a.t", 0.7, ms=9), row("b.t", 0.7, ms=8)], {"presses": 20}).row["key"] == "b.t"
 
 
 def test_the_reasons_name_what_binds_and_what_was_nearer() -> None:
     """The limit on presses binds, the one on time does not, and the missed point is named with its excess."""
-    reasons = "\n".join(pick(ROWS, Limits(within_ms=30, presses=20)).reasons)
+    reasons = "\n".join(pick(ROWS, {"time": 30, "presses": 20}).reasons)
     assert "3 of 4 points fit" in reasons
     assert "the limit on presses binds: without it inreach.t.lr.40 with AU-PRO 0.850" in reasons
     assert "40 presses where 20 presses is allowed" in reasons
@@ -50,7 +50,7 @@ def test_the_reasons_name_what_binds_and_what_was_nearer() -> None:
 
 def test_nothing_that_fits_is_one_sentence_with_the_nearest() -> None:
     """The nearest is the one with the smallest excess over any limit."""
-    found = pick(ROWS, Limits(within_ms=18, presses=4))
+    found = pick(ROWS, {"time": 18, "presses": 4})
     assert found.row is None
     (sentence,) = found.reasons
     assert sentence.startswith("none of 4 points is within these limits; the nearest is fapm.t.lr.5")
@@ -60,8 +60,8 @@ def test_nothing_that_fits_is_one_sentence_with_the_nearest() -> None:
 def test_a_peer_and_an_undefined_accuracy_are_never_chosen() -> None:
     """A peer has no bundle; a point without accuracy has no reason."""
     rows = [row("peer", 0.99) | {"peer": "anomalib"}, row("none.t", None), row("own.t", 0.5)]
-    assert pick(rows, Limits(presses=99)).row["key"] == "own.t"
-    assert "nothing to choose" in pick(rows[:2], Limits(presses=99)).reasons[0]
+    assert pick(rows, {"presses": 99}).row["key"] == "own.t"
+    assert "nothing to choose" in pick(rows[:2], {"presses": 99}).reasons[0]
 
 
 @pytest.mark.parametrize(
@@ -69,16 +69,17 @@ def test_a_peer_and_an_undefined_accuracy_are_never_chosen() -> None:
 )
 def test_a_time_has_a_unit(text: str, ms: float) -> None:
     """Milliseconds, seconds, microseconds."""
-    assert time_ms(text) == pytest.approx(ms)
+    assert read_limits(text, None, None) == {"time": pytest.approx(ms)}
 
 
 def test_a_size_has_a_unit() -> None:
     """Decimal units, in any case."""
-    assert (size("8MB"), size("500 kB"), size("1gb")) == (8e6, 5e5, 1e9)
+    found = [read_limits(None, text, None)["bank"] for text in ("8MB", "500 kB", "1gb")]
+    assert found == pytest.approx([8, 0.5, 1000])
 
 
 @pytest.mark.parametrize("text", ["20", "ms", "0ms", "-3ms", "20 MB", "1e3ms"])
 def test_anything_else_is_refused_with_an_example(text: str) -> None:
     """One sentence that shows how to write it."""
     with pytest.raises(ConfigError, match=r"--within .* is not understood; .* such as --within 20ms"):
-        time_ms(text)
+        read_limits(text, None, None)
