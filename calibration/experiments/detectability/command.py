@@ -1,5 +1,6 @@
 """`gelgate lab detectability`: the smallest damage that a bundle finds, in mm, at every place of the contact."""
 
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,14 +9,14 @@ import typer
 from calibration.fitting.options import NoContact, Part, Pattern, Position, Resize, Seed, Threads
 
 if TYPE_CHECKING:
-    from calibration.experiments.detectability.study import Plan, Settings, Trial
+    from calibration.experiments.detectability.study import Plan, Row, Settings
     from calibration.experiments.harness.rows import Rows
     from calibration.fitting.presses.nominal_presses import NominalPresses
     from edge.model.bundle import Bundle
 
 __all__ = ["detectability"]
 
-TRIALS, RESULT, TABLE, MAP = "trials.jsonl", "detectability.json", "detectability.txt", "detectability.png"
+TRIALS, RESULT, TABLE, MAP = "trials.jsonl", "detectability.json", "detectability.csv", "detectability.png"
 
 
 def detectability(
@@ -54,18 +55,21 @@ def detectability(
     from calibration.experiments.detectability.results import card, results, table, write_card
     from calibration.experiments.detectability.study import Settings
     from calibration.experiments.harness.rows import Rows
+    from calibration.experiments.harness.study import require_known
+    from calibration.fitting.damage.damage import KINDS
     from edge.extras import needs
     from edge.model.bundle import Bundle
     from edge.model.detectability import detectability_lines
 
     needs("studies", "gelgate lab detectability")
-    settings = Settings(_kinds(kind), presses, spacing, seed, threads)
+    require_known("damage", kind or (), KINDS)
+    settings = Settings(tuple(dict.fromkeys(kind or KINDS)), presses, spacing, seed, threads)
     loaded = Bundle.load(bundle)
     found = _presses(loaded, sources, part, position, no_contact, resize, pattern)
     _make_folder(output)
-    planned, trials = _measure(loaded, found, settings, Rows(output / TRIALS, _warn))
-    curves = results(planned, trials)
-    made = card(planned, curves, _today())
+    planned, rows = _measure(loaded, found, settings, Rows(output / TRIALS, _warn))
+    curves = results(planned, rows)
+    made = card(planned, curves, date.today().isoformat())
     write_atomically(output / TABLE, (table(made) + "\n").encode())
     write_atomically(output / RESULT, (made.model_dump_json(indent=1) + "\n").encode())
     write_atomically(output / MAP, draw_map(planned, curves))
@@ -73,19 +77,10 @@ def detectability(
         typer.echo(line)
     typer.echo(f"written to {output}: {MAP}, {TABLE}, {RESULT}, {TRIALS}")
     if write:
-        _say_written(bundle, write_card(bundle, made))
-
-
-def _kinds(asked: list[str] | None) -> tuple[str, ...]:
-    """Return the kinds to measure. Errors: ConfigError for an unknown kind."""
-    from calibration.fitting.damage.damage import KINDS
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
-
-    for name in asked or ():
-        if name not in KINDS:
-            raise ConfigError(f"no damage is named '{name}'; {suggestion(name, KINDS)}")
-    return tuple(dict.fromkeys(asked or KINDS))
+        was_signed = write_card(bundle, made)
+        typer.echo(f"the card is in {bundle}, whose id has changed; `gelgate bundle inspect` prints it")
+        if was_signed:
+            _warn(f"the signature of {bundle} was of the bundle without a card and is removed: sign it again")
 
 
 def _presses(
@@ -116,8 +111,8 @@ def _presses(
 
 def _measure(
     bundle: "Bundle", presses: "NominalPresses", settings: "Settings", rows: "Rows"
-) -> "tuple[Plan, list[Trial]]":
-    from calibration.experiments.detectability.study import Trial, plan, run
+) -> "tuple[Plan, list[Row]]":
+    from calibration.experiments.detectability.study import plan, run
     from calibration.progress import Stages, progress
 
     with Stages() as report:
@@ -125,7 +120,7 @@ def _measure(
     typer.echo(_describe_plan(planned))
     if planned.warning:
         _warn(planned.warning)
-    done = {row["key"]: Trial.of(row) for row in rows.read()}
+    done = {row["key"]: row for row in rows.read()}
     with rows.hold(), progress("trials", planned.total) as advance:
         return planned, run(planned, done, rows.append, advance)
 
@@ -157,17 +152,5 @@ def _make_folder(output: Path) -> None:
         raise ConfigError(f"{output} cannot be a folder: {error.strerror}; choose another place") from error
 
 
-def _say_written(bundle: Path, was_signed: bool) -> None:
-    typer.echo(f"the card is in {bundle}, whose id has changed; `gelgate bundle inspect` prints it")
-    if was_signed:
-        _warn(f"the signature of {bundle} was of the bundle without a card and is removed: sign it again")
-
-
 def _warn(sentence: str) -> None:
     typer.echo(f"warning: {sentence}", err=True)
-
-
-def _today() -> str:
-    import datetime
-
-    return datetime.date.today().isoformat()

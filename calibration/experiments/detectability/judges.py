@@ -3,13 +3,12 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.damage.damage import KINDS, Damage, Spot, surroundings
-from calibration.fitting.damage.imprint import Station
+from calibration.fitting.damage.rendering import EditedPress
 from calibration.fitting.features import extract
 from calibration.fitting.limits.appended import append
 from calibration.fitting.limits.folds import divide_presses
@@ -29,7 +28,7 @@ from edge.model.manifest_facts import MISSING, copies_of_each
 from edge.model.scorer import Scored, Scorer
 from edge.model.session import TrunkSessions, open_session
 
-__all__ = ["MIN_PRESSES", "Judge", "Panel", "Press", "panel", "sizes_mm", "smallest_found"]
+__all__ = ["MIN_PRESSES", "Judge", "choose_judges", "sizes_mm", "smallest_found"]
 
 # The smallest size tried, as a share of the largest, and the number of sizes: each is 1.13 times the one before.
 _SMALLEST_SHARE, _SIZES = 1 / 50, 33
@@ -56,15 +55,6 @@ def smallest_found(is_found: Callable[[float], bool], sizes: Sequence[float]) ->
     return (0.0 if missed < 0 else sizes[missed]), sizes[found]
 
 
-class Press(Protocol):
-    """One press that can be shown with damage, uint8 (h, w, 3) of the station's region."""
-
-    @property
-    def station(self) -> Station: ...
-
-    def render(self, damage: Damage) -> NDArray[np.uint8]: ...
-
-
 @dataclass(frozen=True, eq=False)
 class Judge:
     """The verdict on one press by a bank that has not learnt it."""
@@ -77,7 +67,7 @@ class Judge:
         """Say whether the press passes as it is. Errors: NotScorable."""
         return self._result(self.scorer.score(rgb)) is Result.PASS
 
-    def finds(self, press: Press, damage: Damage) -> bool:
+    def finds(self, press: EditedPress, damage: Damage) -> bool:
         """Say whether the press with the damage fails and its map is highest on the damage. Errors: NotScorable.
 
         A press whose part is not recognised any more is rejected, which finds no damage.
@@ -91,7 +81,7 @@ class Judge:
         row, column = np.unravel_index(int(scored.score_map.argmax()), scored.score_map.shape)
         return bool(surroundings(damage, press.station.field)[row, column])
 
-    def bracket(self, press: Press, kind: str, spot: Spot) -> tuple[float, float]:
+    def bracket(self, press: EditedPress, kind: str, spot: Spot) -> tuple[float, float]:
         """The smallest size found at that spot, (missed, found] in mm. Errors: NotScorable."""
         return smallest_found(lambda size: self.finds(press, Damage(kind, size, spot)), sizes_mm(kind))
 
@@ -107,28 +97,24 @@ _FOLDS = 5
 Advance = Callable[[float], None]
 
 
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """Presses that may be edited, by their index in a random order, each with its judge."""
+def choose_judges(
+    bundle: Bundle, presses: NominalPresses, seed: int, threads: int, progress: Advance
+) -> tuple[dict[int, Judge], JudgedBy]:
+    """Choose the presses that may be edited, by their index in a random order, each with its judge.
 
-    judges: dict[int, Judge]
-    by: JudgedBy
-    """Which judges they are."""
-
-
-def panel(bundle: Bundle, presses: NominalPresses, seed: int, threads: int, progress: Advance) -> Panel:
-    """Judges of the presses apart from the fit where there are enough, else of learnt ones.
-
-    Errors: DatasetError for too few presses, or learnt ones that are not complete.
+    These are the presses apart from the fit where there are enough, else the learnt ones. Errors: DatasetError for too
+    few presses, or learnt ones that are not complete.
     """
     learnt = [k for k, name in enumerate(presses.names) if name in bundle.manifest.provenance.presses]
     apart = _apart(bundle, presses)
-    if bundle.manifest.detector is not None:
-        return _by_bundle(bundle, _shuffle([*learnt, *apart], seed), threads, "third party's graph")
-    if len(apart) >= MIN_PRESSES:
-        return _by_bundle(bundle, _shuffle(apart, seed), threads, "presses apart")
+    is_foreign = bundle.manifest.detector is not None
+    if is_foreign or len(apart) >= MIN_PRESSES:
+        chosen = _shuffle([*learnt, *apart] if is_foreign else apart, seed)
+        judge = Judge(Scorer(bundle, threads), bundle.manifest)
+        return dict.fromkeys(chosen, judge), "third party's graph" if is_foreign else "presses apart"
     _require_complete(bundle, len(learnt), len(apart))
-    return _by_folds(bundle, presses.choose(learnt), learnt, seed, threads, progress)
+    judges = _fold_judges(bundle, presses.choose(learnt), threads, progress)
+    return {k: judges[learnt.index(k)] for k in _shuffle(learnt, seed)}, "folds"
 
 
 def _apart(bundle: Bundle, presses: NominalPresses) -> list[int]:
@@ -168,29 +154,16 @@ def _shuffle(indices: Sequence[int], seed: int) -> list[int]:
     return [indices[k] for k in np.random.default_rng(seed).permutation(len(indices)).tolist()]
 
 
-def _by_bundle(bundle: Bundle, chosen: Sequence[int], threads: int, by: JudgedBy) -> Panel:
-    judge = Judge(Scorer(bundle, threads), bundle.manifest)
-    return Panel(dict.fromkeys(chosen, judge), by)
-
-
-def _by_folds(
-    bundle: Bundle,
-    learnt: NominalPresses,
-    indices: Sequence[int],
-    seed: int,
-    threads: int,
-    progress: Advance,
-) -> Panel:
-    """Banks without a fold each, as the fit made them for the threshold. indices: of the learnt presses."""
-    folds = _Folds(bundle, learnt, threads)
+def _fold_judges(bundle: Bundle, learnt: NominalPresses, threads: int, progress: Advance) -> dict[int, Judge]:
+    """Fit banks without a fold each, as the fit made them for the threshold: the judge of each learnt press."""
+    fit = _Folds(bundle, learnt, threads)
     specimens = learnt.specimens or (None,) * len(learnt)
-    rng = np.random.default_rng(bundle.manifest.provenance.seed or 0)
+    folds, _ = divide_presses(specimens, _FOLDS, np.random.default_rng(bundle.manifest.provenance.seed or 0))
     judges: dict[int, Judge] = {}
-    found, _ = divide_presses(specimens, _FOLDS, rng)
-    for number, held in enumerate(found):
-        judges |= dict.fromkeys((indices[k] for k in held.tolist()), folds.judge(held))
-        progress((number + 1) / len(found))
-    return Panel({k: judges[k] for k in _shuffle(indices, seed)}, "folds")
+    for number, held in enumerate(folds, start=1):
+        judges |= dict.fromkeys(held.tolist(), fit.judge(held))
+        progress(number / len(folds))
+    return judges
 
 
 class _Folds:

@@ -1,11 +1,12 @@
 """From trials to a card and a table: a curve at each place and over all of them."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.experiments.detectability.pod import Pod, fit_pod
-from calibration.experiments.detectability.study import Place, Plan, Trial
+from calibration.experiments.detectability.study import Place, Plan, Row
 from calibration.fitting.damage.damage import KINDS
 from edge.core.errors import StoreError
 from edge.model.archive import MANIFEST, open_archive
@@ -26,22 +27,21 @@ class KindResult:
     places: dict[Place, Pod]
 
 
-def results(planned: Plan, trials: Sequence[Trial]) -> list[KindResult]:
-    """The curves of each kind."""
-    return [
-        _result(kind, planned.places, [trial for trial in trials if trial.kind == kind])
-        for kind in planned.settings.kinds
-    ]
+def results(planned: Plan, rows: Sequence[Row]) -> list[KindResult]:
+    """Fit the curves of each kind."""
+    found = []
+    for kind in planned.settings.kinds:
+        own = [row for row in rows if row["kind"] == kind]
+        at = {place: [row for row in own if tuple(row["place"]) == place] for place in planned.places}
+        found.append(
+            KindResult(kind, _pod(kind, own), {place: _pod(kind, some) for place, some in at.items()})
+        )
+    return found
 
 
-def _result(kind: str, places: Sequence[Place], trials: Sequence[Trial]) -> KindResult:
-    at = {place: [trial for trial in trials if trial.place == place] for place in places}
-    return KindResult(kind, _pod(kind, trials), {place: _pod(kind, found) for place, found in at.items()})
-
-
-def _pod(kind: str, trials: Sequence[Trial]) -> Pod:
-    lows, highs = [trial.low_mm for trial in trials], [trial.high_mm for trial in trials]
-    return fit_pod(lows, highs, KINDS[kind].largest_mm)
+def _pod(kind: str, rows: Sequence[Row]) -> Pod:
+    highs = [math.inf if row["high_mm"] is None else row["high_mm"] for row in rows]
+    return fit_pod([row["low_mm"] for row in rows], highs, KINDS[kind].largest_mm)
 
 
 def card(planned: Plan, found: Sequence[KindResult], created: str) -> DetectabilityCard:
@@ -78,25 +78,13 @@ def _round_mm(size_mm: float | None) -> float | None:
 
 
 def table(found: DetectabilityCard) -> str:
-    """Write one line for each kind and place, sizes in mm."""
-    lines = [f"{'damage':<10}{'x mm':>7}{'y mm':>7}{'a90':>8}{'a90/95':>8}  state"]
+    """Write CSV: a line for each kind and place, first for all places together; sizes in mm, empty if not known."""
+    lines = ["damage,x_mm,y_mm,a90_mm,a90_95_mm,state"]
     for kind in found.kinds:
-        lines.append(_line(kind.kind, "any", "", kind.a90_mm, kind.a90_95_mm, kind.largest_mm, ""))
-        rows = zip(found.places, kind.place_a90_mm, kind.place_a90_95_mm, kind.place_state, strict=True)
-        lines += [
-            _line(kind.kind, f"{x:.1f}", f"{y:.1f}", best, bound, kind.largest_mm, state)
-            for (x, y), best, bound, state in rows
-        ]
+        at = zip(found.places, kind.place_a90_mm, kind.place_a90_95_mm, kind.place_state, strict=True)
+        cells = [("", "", kind.a90_mm, kind.a90_95_mm, ""), *((*place, *rest) for place, *rest in at)]
+        lines += [",".join("" if cell is None else str(cell) for cell in (kind.kind, *row)) for row in cells]
     return "\n".join(lines)
-
-
-def _line(
-    kind: str, x: str, y: str, best: float | None, bound: float | None, largest_mm: float, state: str
-) -> str:
-    sizes = [f">{largest_mm:g}" if size is None else f"{size:.3f}" for size in (best, bound)]
-    if state in ("blind", "too few"):
-        sizes = ["-", "-"] if state == "too few" else [f">{largest_mm:g}", "-"]
-    return f"{kind:<10}{x:>7}{y:>7}" + "".join(f"{size:>8}" for size in sizes) + f"  {state}".rstrip()
 
 
 def write_card(path: Path, card: DetectabilityCard) -> bool:

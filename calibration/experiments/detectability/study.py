@@ -4,14 +4,16 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.experiments.detectability.judges import MIN_PRESSES, Judge, panel
+from calibration.experiments.detectability.judges import MIN_PRESSES, Judge, choose_judges
 from calibration.fitting.damage.damage import KINDS, Spot
 from calibration.fitting.damage.imprint import Station
 from calibration.fitting.damage.rendering import EditedPress
@@ -25,19 +27,18 @@ from edge.core.imaging.sensor_check import colour_cells, colour_distance
 from edge.model.bundle import Bundle
 from edge.model.detectability import JudgedBy
 
-__all__ = ["Place", "PlaceGrid", "Plan", "Settings", "Trial", "free_gel", "plan", "run", "touched_places"]
+__all__ = ["Place", "PlaceGrid", "Plan", "Row", "Settings", "free_gel", "plan", "run", "touched_places"]
 
 # A press touches a place where it touches this share of it; a place is of the contact where half of the presses do.
 _TOUCHED_SHARE = 0.1
 _PRESSES_SHARE = 0.5
 
 
-@dataclass(frozen=True, order=True)
-class Place:
-    """One cell of the grid, by its row and column."""
+Place = tuple[int, int]
+"""One cell of the grid, by its row and column."""
 
-    row: int
-    column: int
+Row = Mapping[str, Any]
+"""One kind of damage at one spot of one press: the smallest size found is in (low_mm, high_mm], null is infinite."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +60,12 @@ class PlaceGrid:
 
     def middle_mm(self, place: Place) -> tuple[float, float]:
         """The middle of a place: x right and y down from the middle of the region."""
-        (rows, columns), (width, height) = self.shape, self.field.extent_mm
-        return ((place.column + 0.5) / columns - 0.5) * width, ((place.row + 0.5) / rows - 0.5) * height
+        (row, column), (rows, columns), (width, height) = place, self.shape, self.field.extent_mm
+        return ((column + 0.5) / columns - 0.5) * width, ((row + 0.5) / rows - 0.5) * height
 
     def pixels(self, place: Place) -> tuple[slice, slice]:
         """The rows and columns of pixels of a place."""
-        sides = zip((place.row, place.column), self.shape, self.field.shape, strict=True)
+        sides = zip(place, self.shape, self.field.shape, strict=True)
         down, across = (slice(round(k * size / n), round((k + 1) * size / n)) for k, n, size in sides)
         return down, across
 
@@ -84,10 +85,9 @@ class PlaceGrid:
 
 def touched_places(grid: PlaceGrid, contacts: Sequence[NDArray[np.bool_]]) -> tuple[Place, ...]:
     """The places that at least half of the presses touch, row by row. contacts: bool (h, w) each."""
-    rows, columns = grid.shape
     return tuple(
         place
-        for place in (Place(row, column) for row in range(rows) for column in range(columns))
+        for place in product(range(grid.shape[0]), range(grid.shape[1]))
         if np.mean([grid.touched(contact, place) for contact in contacts]) >= _PRESSES_SHARE
     )
 
@@ -111,10 +111,6 @@ def free_gel(bundle: Bundle, presses: NominalPresses) -> tuple[F32, str | None]:
             bundle.free_view.astype(np.float32), bundle.profile.size, interpolation=cv2.INTER_LINEAR
         )
         return np.ascontiguousarray(bundle.region.crop(np.asarray(view, np.float32))), None
-    return _of_nearest_unit(bundle, presses)
-
-
-def _of_nearest_unit(bundle: Bundle, presses: NominalPresses) -> tuple[F32, str]:
     whole = Field(bundle.profile.size, bundle.profile.mm_per_pixel)
     units = {
         name: np.ascontiguousarray(bundle.region.crop(background(unit, whole).transpose(1, 2, 0)))
@@ -156,35 +152,6 @@ class Settings:
     threads: int = 2
 
 
-@dataclass(frozen=True)
-class Trial:
-    """One kind of damage at one spot of one press: the smallest size found is in (low_mm, high_mm]."""
-
-    kind: str
-    place: Place
-    press: str
-    spot: Spot
-    low_mm: float
-    high_mm: float
-
-    def row(self, key: str) -> dict[str, Any]:
-        """Return the row as it is stored; an infinite size is null."""
-        return {
-            "key": key,
-            "kind": self.kind,
-            "place": [self.place.row, self.place.column],
-            "press": self.press,
-            "spot": [self.spot.x_mm, self.spot.y_mm, self.spot.turn_rad],
-            "low_mm": self.low_mm,
-            "high_mm": None if math.isinf(self.high_mm) else self.high_mm,
-        }
-
-    @classmethod
-    def of(cls, row: Mapping[str, Any]) -> "Trial":
-        high = math.inf if row["high_mm"] is None else row["high_mm"]
-        return cls(row["kind"], Place(*row["place"]), row["press"], Spot(*row["spot"]), row["low_mm"], high)
-
-
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Everything that a study needs, before its first trial."""
@@ -213,12 +180,9 @@ class Plan:
     def key(self, kind: str, place: Place, press: str) -> str:
         """Hash what a trial depends on: rows of other bundles and settings are not taken for its own."""
         edited = self.presses[press]
-        facts = [FORMAT, self.bundle.digest, self.by, kind, place.row, place.column, press]
-        facts += [
-            self.settings.spacing_mm,
-            self.settings.seed,
-            hashlib.sha256(edited.rgb.tobytes()).hexdigest(),
-        ]
+        picture = hashlib.sha256(edited.rgb.tobytes()).hexdigest()
+        facts: list[object] = [FORMAT, self.bundle.digest, self.by, kind, *place, press]
+        facts += [self.settings.spacing_mm, self.settings.seed, picture]
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:24]
 
 
@@ -242,10 +206,10 @@ def plan(
         if refuses(bundle.manifest.colours, rgb)
     )
     _require_station(bundle, presses, refused)
-    chosen = panel(bundle, presses, settings.seed, settings.threads, progress)
+    chosen, by = choose_judges(bundle, presses, settings.seed, settings.threads, progress)
     edited = {
         presses.names[k]: (EditedPress(station, presses.frames[k]), judge)
-        for k, judge in chosen.judges.items()
+        for k, judge in chosen.items()
         if presses.names[k] not in refused
     }
     _require_contact(bundle, [press for press, _ in edited.values()])
@@ -258,51 +222,49 @@ def plan(
             "choose a larger --spacing"
         )
     judges = {name: edited[name][1] for name in kept}
-    return Plan(bundle, settings, grid, kept, judges, places, chosen.by, failing, refused, warning)
+    return Plan(bundle, settings, grid, kept, judges, places, by, failing, refused, warning)
 
 
 def run(
     planned: Plan,
-    done: Mapping[str, Trial],
-    keep: Callable[[dict[str, Any]], None],
+    done: Mapping[str, Row],
+    keep: Callable[[Row], None],
     advance: Callable[[int], None],
-) -> list[Trial]:
-    """Every trial, in the order of places, presses and kinds. done: trials of an earlier run, by their key.
+) -> list[Row]:
+    """Try every place, press and kind, in this order. done: rows of an earlier run, by their key.
 
     keep: stores a row as soon as its trial is finished. advance: called with the trials done.
     """
-    trials: list[Trial] = []
-    count = 0
-    for place in planned.places:
-        for number, name in enumerate(planned.presses):
-            for kind in planned.settings.kinds:
-                key = planned.key(kind, place, name)
-                trial = done.get(key) or _trial(planned, kind, place, name, number)
-                if trial is not None:
-                    if key not in done:
-                        keep(trial.row(key))
-                    trials.append(trial)
-                count += 1
-                advance(count)
-    return trials
+    rows: list[Row] = []
+    names = enumerate(planned.presses)
+    cases = product(planned.places, names, planned.settings.kinds)
+    for count, (place, (number, name), kind) in enumerate(cases, start=1):
+        key = planned.key(kind, place, name)
+        row = done.get(key)
+        if row is None and (row := _trial(planned, kind, place, name, number)):
+            row = {"key": key, **row}
+            keep(row)
+        rows += [row] if row else []
+        advance(count)
+    return rows
 
 
-def _trial(planned: Plan, kind: str, place: Place, name: str, number: int) -> Trial | None:
-    """Prepare a trial; None where the press does not touch the place."""
+def _trial(planned: Plan, kind: str, place: Place, name: str, number: int) -> Row | None:
+    """Search the smallest size at a spot of the place; None where the press does not touch it."""
     press = planned.presses[name]
-    seed = [planned.settings.seed, tuple(KINDS).index(kind), place.row, place.column, number]
+    seed = [planned.settings.seed, tuple(KINDS).index(kind), *place, number]
     spot = planned.grid.spot(press.contact, place, np.random.default_rng(seed))
     if spot is None:
         return None
     low, high = planned.judges[name].bracket(press, kind, spot)
-    return Trial(kind, place, name, spot, low, high)
-
-
-def _passes(judge: Judge, press: EditedPress) -> bool:
-    try:
-        return judge.passes(press.rgb)
-    except NotScorable:
-        return False
+    return {
+        "kind": kind,
+        "place": list(place),
+        "press": name,
+        "spot": [spot.x_mm, spot.y_mm, spot.turn_rad],
+        "low_mm": low,
+        "high_mm": None if math.isinf(high) else high,
+    }
 
 
 def _require_station(bundle: Bundle, presses: NominalPresses, refused: Sequence[str]) -> None:
@@ -343,10 +305,11 @@ def _passing(
     for name, (press, judge) in edited.items():
         if len(kept) == wanted:
             break
-        if _passes(judge, press):
-            kept[name] = press
-        else:
-            failing.append(name)
+        with suppress(NotScorable):
+            if judge.passes(press.rgb):
+                kept[name] = press
+                continue
+        failing.append(name)
     if len(kept) < MIN_PRESSES:
         raise DatasetError(
             f"{len(failing)} of {len(edited)} presses fail without any damage, so {len(kept)} can be edited and "

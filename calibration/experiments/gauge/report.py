@@ -21,6 +21,7 @@ from calibration.experiments.gauge.gauge import (
     gauge_by_anova,
 )
 from calibration.experiments.gauge.plan import Material
+from calibration.experiments.harness.markdown import markdown_table
 from edge.clock import local_time
 
 __all__ = ["FORMATS", "Section", "csv_tables", "markdown", "report"]
@@ -254,10 +255,7 @@ def markdown(title: str, sections: Sequence[Section]) -> str:
         parts += ["", f"## {section.title}"]
         parts += [text for sentence in section.sentences for text in ("", sentence)]
         if section.head:
-            rows = [[cell.replace("|", "\\|") for cell in row] for row in (section.head, *section.rows)]
-            widths = [max(3, *map(len, column)) for column in zip(*rows, strict=True)]
-            rows.insert(1, ["-" * width for width in widths])
-            parts += ["", *("| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in rows)]
+            parts += ["", markdown_table(section.head, section.rows).rstrip()]
     return "\n".join(parts) + "\n"
 
 

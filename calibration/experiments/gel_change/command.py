@@ -26,27 +26,18 @@ def evaluate_new_gel(
 
     On simulated parts, each pressed on two gels of one sensor. Prints for each detector and each way to keep a bundle
     AU-PRO, image AUROC, and false alarms and detection at the limit."""
-    import json as json_format
-    from dataclasses import asdict
-
-    from calibration.evaluate.report import write_atomically
-    from calibration.experiments.gel_change.study import METHODS, Figures, measure_part, table
+    from calibration.experiments.gel_change.study import METHODS, Row, measure_part, table
+    from calibration.experiments.harness.rows import check_json, write_json
+    from calibration.experiments.harness.study import require_known
     from calibration.progress import progress
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
 
-    if which not in SEEDS:
-        raise ConfigError(f"no set is named '{which}'; {suggestion(which, SEEDS)}")
-    for name in method or ():
-        if name not in METHODS:
-            raise ConfigError(f"no detector of this study is named '{name}'; {suggestion(name, METHODS)}")
-    if json is not None and (json.is_dir() or not json.parent.is_dir()):
-        raise ConfigError(f"'{json}' cannot be written; name a file in an existing folder")
-    figures: list[Figures] = []
+    require_known("set", [which], SEEDS)
+    require_known("detector of this study", method or (), METHODS)
+    check_json(json)
+    rows: list[Row] = []
     with progress("parts", parts) as advance:
         for number in range(parts):
-            figures += measure_part(SEEDS[which], number, method or METHODS, is_other_unit=other_unit)
+            rows += measure_part(SEEDS[which], number, method or METHODS, is_other_unit=other_unit)
             advance(number + 1)
-            if json is not None:
-                write_atomically(json, json_format.dumps([asdict(one) for one in figures], indent=1).encode())
-    typer.echo(table(figures))
+            write_json(json, rows)
+    typer.echo(table(rows))

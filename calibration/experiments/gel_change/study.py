@@ -6,14 +6,15 @@ as they are fitted, with one limit for all places.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.experiments.harness.markdown import markdown_table
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.limits.held_out import Learner, ScoredPresses, score_held_out
+from calibration.fitting.limits.held_out import Learner, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.tap_reader import TapReader
@@ -24,7 +25,7 @@ from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.field_of_view import LR
 from calibration.simulator.parts import PARTS, specimen
 from calibration.simulator.plan import PRESS_CYCLE_S, place_damage
-from calibration.simulator.pose import HeightField, Pose, sample
+from calibration.simulator.pose import HeightField
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import MASK_DEPTH_MM, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
@@ -40,7 +41,7 @@ __all__ = [
     "BEFORE",
     "METHODS",
     "WAYS",
-    "Figures",
+    "Row",
     "another_gel",
     "another_unit",
     "measure_part",
@@ -90,20 +91,10 @@ WAYS: Final[Mapping[str, str]] = {
 }
 """Every way with what it takes."""
 
+Row = Mapping[str, Any]
+"""One way on one part: part, method, way, aupro up to 1 %, auroc, false_alarms and detected, shares at the limit.
 
-@dataclass(frozen=True)
-class Figures:
-    """One way on one part."""
-
-    part: str
-    method: str
-    way: str
-    aupro: float | None
-    """Up to 1 %; None on the old gel, where no damage was pressed, as `auroc` and `detected`."""
-    auroc: float | None
-    false_alarms: float
-    """A share at the limit, as `detected`."""
-    detected: float | None
+On the old gel no damage was pressed, and all but false_alarms are None."""
 
 
 def another_gel(sensor: SensorAppearance, rng: np.random.Generator) -> SensorAppearance:
@@ -144,39 +135,39 @@ class _GelPresses:
         free = [
             self.renderer.free_gel(("free", k), _AGE, Exposure(k, _POWERED_S)) for k in range(_FREE_FRAMES)
         ]
-        pictures = {f"s{piece:05d}_p0": self.press(piece)[0] for piece in pieces}
+        pictures = {f"s{piece:05d}_p0": self.press(piece) for piece in pieces}
         return gather_presses(pictures, PROFILE, REGION, no_contact=free)
 
-    def press(self, piece: int, damage: tuple[str, float] | None = None) -> tuple[U8, NDArray[np.bool_]]:
-        """A picture (240, 320, 3) and where damage shows, bool (240, 320). damage: its kind and severity."""
-        placed = self.renderer.place(Pose(), (piece,))
+    def press(self, piece: int) -> U8:
+        """Press a sound piece: a picture (240, 320, 3)."""
+        whole, exposure = self._piece(piece)
+        return self.renderer.press(whole, _DEPTH_MM, (piece,), presses=_AGE, exposure=exposure)
+
+    def damaged(self, piece: int, kind: str, severity: float) -> tuple[U8, NDArray[np.bool_]]:
+        """Press a damaged piece: a picture, and where damage shows, bool (240, 320)."""
+        whole, exposure = self._piece(piece)
+        rng = self.streams("defect", piece)
+        defect = place_damage(self.shape, kind, severity, _DEPTH_MM, MASK_DEPTH_MM, rng)
+        return self.renderer.damage(whole, defect, _DEPTH_MM, (piece,), presses=_AGE, exposure=exposure)
+
+    def _piece(self, piece: int) -> tuple[HeightField, Exposure]:
         whole = specimen(self.shape, self.streams("specimen", piece))
-        if damage is None:
-            imprint = self.renderer.imprint(sample(whole, placed, LR), _DEPTH_MM * placed.depth_factor)
-            mask = np.zeros(LR.shape, np.bool_)
-        else:
-            rng = self.streams("defect", piece)
-            defect = place_damage(self.shape, *damage, _DEPTH_MM, MASK_DEPTH_MM, rng)
-            sound, imprint = self.renderer.imprints(whole, defect, _DEPTH_MM, placed)
-            mask = self.renderer.mask(sound, imprint)
-        light = self.renderer.light(self.renderer.surface(imprint, _AGE), _AGE)
-        exposure = Exposure(0, _POWERED_S + piece * PRESS_CYCLE_S)
-        return self.renderer.expose(light, (piece,), exposure), mask
+        return whole, Exposure(0, _POWERED_S + piece * PRESS_CYCLE_S)
 
     def scored_presses(self, number: int) -> tuple[U8, NDArray[np.bool_]]:
         """Regions of sound and damaged pieces in turn, uint8 (n, h, w, 3), and their masks, bool (n, h, w)."""
-        kinds, pairs = tuple(DEFECTS), []
-        rng = self.streams("severities", number)
+        kinds, rng = tuple(DEFECTS), self.streams("severities", number)
+        frames, masks = [], []
         for k in range(_TESTED):
-            pairs.append(self.press(3000 + k))
-            pairs.append(self.press(4000 + k, (kinds[k % len(kinds)], float(rng.uniform(0.3, 1.0)))))
-        frames, masks = zip(*pairs, strict=True)
+            damaged, mask = self.damaged(4000 + k, kinds[k % len(kinds)], float(rng.uniform(0.3, 1.0)))
+            frames += [self.press(3000 + k), damaged]
+            masks += [np.zeros_like(mask), mask]
         return np.stack([REGION.crop(f) for f in frames]), np.stack([REGION.crop(m) for m in masks])
 
 
 def measure_part(
     seed: int, number: int, methods: Sequence[str] = METHODS, *, is_other_unit: bool = False
-) -> Iterator[Figures]:
+) -> Iterator[Row]:
     """Measure every method and way on the random part of this number.
 
     is_other_unit: the hard limit, another unit instead of another gel.
@@ -190,7 +181,7 @@ def measure_part(
         new_gel = _GelPresses(shape, number, seed, after, f"new {number}")
         again = new_gel.nominal(range(1000, 1000 + _NOMINAL))
         old = old_gel.nominal(range(_NOMINAL))
-        sound = np.stack([REGION.crop(old_gel.press(2000 + k)[0]) for k in range(_TESTED)])
+        sound = np.stack([REGION.crop(old_gel.press(2000 + k)) for k in range(_TESTED)])
         frames, masks = new_gel.scored_presses(number)
     few = again.first(_FEW)
     detectors = {method: registry.detector(method) for method in methods}
@@ -200,52 +191,42 @@ def measure_part(
     nominals = [reader.nominal(one) for one in (old, again, few)]
     features = [reader.take(one) for one in (sound, few.frames, frames)]
     for method, detector in detectors.items():
-        yield from _compare(f"part {number}", method, reader.learner(detector), nominals, features, masks)
+        for way, row in _compare(reader.learner(detector), nominals, features, masks):
+            yield {"part": f"part {number}", "method": method, "way": way, **row}
 
 
 def _compare(
-    part: str,
-    method: str,
-    learner: Learner,
-    nominals: Sequence[Nominal],
-    features: Sequence[Features],
-    masks: NDArray[np.bool_],
-) -> Iterator[Figures]:
-    """Every way. nominals: old, again, few. features: sound on the old gel; few and scored ones on the new gel."""
-    (old, old_limit), (again, again_limit), (alone, alone_limit) = (_learn(learner, one) for one in nominals)
+    learner: Learner, nominals: Sequence[Nominal], features: Sequence[Features], masks: NDArray[np.bool_]
+) -> Iterator[tuple[str, Row]]:
+    """Measure every way. nominals: old, again, few. features: sound on the old gel; few and scored on the new gel."""
+    (old, at_old), (again, at_again), (alone, at_alone) = (_learn(learner, one) for one in nominals)
     sound, few, scored = features
     before = learner.score(old, sound, range(_TESTED)).scores
-    yield Figures(part, method, BEFORE, None, None, float((before > old_limit).mean()), None)
-    limit = conformal_threshold(learner.score(old, few, range(_FEW)).scores, ALPHA).value
-    rows = range(len(masks))
-    by_old = learner.score(old, scored, rows)
-    for way, found, at in (
-        ("as it is", by_old, old_limit),
-        ("limit", by_old, limit),
-        ("8 alone", learner.score(alone, scored, rows), alone_limit),
-        (AGAIN, learner.score(again, scored, rows), again_limit),
-    ):
-        yield _measure(part, method, way, found, at, masks)
-
-
-def _measure(
-    part: str, method: str, way: str, found: ScoredPresses, limit: float, masks: NDArray[np.bool_]
-) -> Figures:
+    false_alarms = float((before > at_old).mean())
+    yield BEFORE, {"aupro": None, "auroc": None, "false_alarms": false_alarms, "detected": None}
+    carried = conformal_threshold(learner.score(old, few, range(_FEW)).scores, ALPHA).value
+    by_old, by_alone, by_again = (learner.score(b, scored, range(len(masks))) for b in (old, alone, again))
     is_damaged = np.asarray(masks.any(axis=(1, 2)), np.bool_)
-    fails = found.scores > limit
-    return Figures(
-        part,
-        method,
-        way,
-        aupro(found.maps, masks),
-        auroc(found.scores, is_damaged),
-        float(fails[~is_damaged].mean()),
-        float(fails[is_damaged].mean()),
-    )
+    for way, found, limit in (
+        ("as it is", by_old, at_old),
+        ("limit", by_old, carried),
+        ("8 alone", by_alone, at_alone),
+        (AGAIN, by_again, at_again),
+    ):
+        fails = found.scores > limit
+        yield (
+            way,
+            {
+                "aupro": aupro(found.maps, masks),
+                "auroc": auroc(found.scores, is_damaged),
+                "false_alarms": float(fails[~is_damaged].mean()),
+                "detected": float(fails[is_damaged].mean()),
+            },
+        )
 
 
 def _learn(learner: Learner, nominal: Nominal) -> tuple[Bank, float]:
-    """A bank and its limit, from the scores of held-out presses."""
+    """Learn a bank and its limit, from the scores of held-out presses."""
     bank = learner.bank(nominal)
     folds, _ = divide_presses((None,) * nominal.presses, 5, np.random.default_rng(0))
     own = learner.score(bank, nominal.features, range(nominal.presses)).scores
@@ -253,41 +234,36 @@ def _learn(learner: Learner, nominal: Nominal) -> tuple[Bank, float]:
     return bank, conformal_threshold(scores, ALPHA).value
 
 
-def table(figures: Sequence[Figures]) -> str:
-    """Give the figures as Markdown: a section for each method, a row for each way, means over parts."""
-    parts = len({one.part for one in figures})
-    lines = [f"{parts} parts, each on two gels; means over parts, and the most that one part loses."]
-    for method in dict.fromkeys(one.method for one in figures):
-        own = [one for one in figures if one.method == method]
-        lines += [
-            "",
-            f"| {method} | AU-PRO up to 1 % | lost to `{AGAIN}` | most lost | image AUROC | false alarms | detected |",
-            "|---|---|---|---|---|---|---|",
-            *(_row(own, way) for way in WAYS if any(one.way == way for one in own)),
-        ]
-    return "\n".join([*lines, "", *(f"- `{way}`: {what}." for way, what in WAYS.items())])
+def table(rows: Sequence[Row]) -> str:
+    """Write Markdown: a section for each method, a row for each way, means over parts."""
+    parts = len({row["part"] for row in rows})
+    text = [f"{parts} parts, each on two gels; means over parts, and the most that one part loses.\n"]
+    for method in dict.fromkeys(row["method"] for row in rows):
+        own = [row for row in rows if row["method"] == method]
+        losses = f"lost to `{AGAIN}`", "most lost"
+        head = [method, "AU-PRO up to 1 %", *losses, "image AUROC", "false alarms", "detected"]
+        lines = [_line([row for row in own if row["way"] == way], own) for way in WAYS]
+        text.append(markdown_table(head, [line for line in lines if line]))
+    return "\n".join([*text, *(f"- `{way}`: {what}." for way, what in WAYS.items())])
 
 
-def _row(own: Sequence[Figures], way: str) -> str:
-    rows = [one for one in own if one.way == way]
-    again = {one.part: one.aupro for one in own if one.way == AGAIN}
+def _line(of_way: Sequence[Row], own: Sequence[Row]) -> list[str]:
+    """Write the means of one way; nothing where it has no rows. own: all rows of the method."""
+    if not of_way:
+        return []
+    way = of_way[0]["way"]
+    again = {row["part"]: row["aupro"] for row in own if row["way"] == AGAIN}
     lost = [
-        reference - one.aupro
-        for one in rows
-        if one.aupro is not None and (reference := again.get(one.part)) is not None
+        again[row["part"]] - row["aupro"]
+        for row in of_way
+        if row["aupro"] is not None and row["part"] in again
     ]
     is_compared = lost and way != AGAIN
-    cells = [
-        _mean([one.aupro for one in rows]),
-        f"{np.mean(lost):+.3f}" if is_compared else "-",
-        f"{max(lost):+.3f}" if is_compared else "-",
-        _mean([one.auroc for one in rows]),
-        _mean([one.false_alarms for one in rows]),
-        _mean([one.detected for one in rows]),
+    means = [
+        f"{np.mean(values):.3f}"
+        if (values := [row[name] for row in of_way if row[name] is not None])
+        else "-"
+        for name in ("aupro", "auroc", "false_alarms", "detected")
     ]
-    return f"| {way} | {' | '.join(cells)} |"
-
-
-def _mean(values: Sequence[float | None]) -> str:
-    known = [value for value in values if value is not None]
-    return f"{np.mean(known):.3f}" if known else "-"
+    losses = [f"{np.mean(lost):+.3f}", f"{max(lost):+.3f}"] if is_compared else ["-", "-"]
+    return [way, means[0], *losses, *means[1:]]

@@ -5,7 +5,7 @@ import errno
 import fcntl
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,17 @@ from edge.core.errors import ConfigError, StoreError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ROWS_FILE", "ROW_FORMAT", "TIMES", "Rows", "frame", "read_rows", "rows_of_studies"]
+__all__ = [
+    "ROWS_FILE",
+    "ROW_FORMAT",
+    "TIMES",
+    "Rows",
+    "check_json",
+    "frame",
+    "read_rows",
+    "rows_of_studies",
+    "write_json",
+]
 
 ROWS_FILE = "rows.jsonl"
 
@@ -166,3 +176,17 @@ def frame(path: Path) -> "pd.DataFrame":
     import pandas as pd
 
     return pd.DataFrame(read_rows(path))
+
+
+def check_json(path: Path | None) -> None:
+    """Check where rows are to be written. Errors: ConfigError for a folder, or a file in a folder that is not there."""
+    if path is not None and (path.is_dir() or not path.parent.is_dir()):
+        raise ConfigError(f"'{path}' cannot be written; name a file in an existing folder")
+
+
+def write_json(path: Path | None, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows as one JSON file, where one is wanted. Errors: GelgateError."""
+    from calibration.evaluate.report import write_atomically
+
+    if path is not None:
+        write_atomically(path, json.dumps(rows, indent=1).encode())

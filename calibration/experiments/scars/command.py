@@ -28,23 +28,15 @@ def evaluate_scars(
 
     On simulated worn gels with scratches, dents, hairs and worn coat: six ways to place parts, with a bundle each.
     Prints the cause that each alarm was given, by what raised it, with exact binomial limits."""
-    import json as json_format
-    from dataclasses import asdict
-
-    from calibration.evaluate.report import write_atomically
+    from calibration.experiments.harness.rows import check_json, write_json
+    from calibration.experiments.harness.study import require_known
     from calibration.experiments.scars.runs import Run, Station, table
     from calibration.experiments.scars.worn_gel import PLACINGS
     from calibration.progress import progress
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
 
-    if which not in SEEDS:
-        raise ConfigError(f"no set is named '{which}'; {suggestion(which, SEEDS)}")
-    for name in placing or ():
-        if name not in PLACINGS:
-            raise ConfigError(f"no placing is named '{name}'; {suggestion(name, PLACINGS)}")
-    if json is not None and (json.is_dir() or not json.parent.is_dir()):
-        raise ConfigError(f"'{json}' cannot be written; name a file in an existing folder")
+    require_known("set", [which], SEEDS)
+    require_known("placing", placing or (), PLACINGS)
+    check_json(json)
     chosen = [(k, one) for k, one in enumerate(PLACINGS.values()) if not placing or one.name in placing]
     runs: list[Run] = []
     with progress("gels", gels * len(chosen)) as advance:
@@ -55,5 +47,4 @@ def evaluate_scars(
                 advance(len(runs))
     alarms = [alarm for run in runs for alarm in run.alarms]
     typer.echo(table(alarms, sum(run.presses for run in runs)))
-    if json is not None:
-        write_atomically(json, json_format.dumps([asdict(one) for one in alarms], indent=1).encode())
+    write_json(json, alarms)

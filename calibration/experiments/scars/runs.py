@@ -4,13 +4,14 @@ What raises an alarm is known by making the press again, without the scars or wi
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import Final, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.scars.worn_gel import SCARS, Line, Placing, Scar, as_view, random_scar
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import gather_presses
@@ -31,7 +32,7 @@ from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.model.scorer import Scored, Scorer
 
-__all__ = ["MEANINGS", "Alarm", "Run", "Station", "Truth", "format_rate", "table"]
+__all__ = ["MEANINGS", "Alarm", "Run", "Station", "format_rate", "table"]
 
 U8 = NDArray[np.uint8]
 
@@ -47,23 +48,18 @@ _METHOD: Final = "padim"
 # The default of `gel.most_blind_share`: above it the gel is changed.
 MOST_BLIND: Final = 0.05
 
-Truth = Literal["scar", "damage", "both", "wear"]
-"""What raises the alarm: without the scar, or without the damage, the press passes. both: each alone raises it. wear:
-the ordinary wear that the simulator adds to every gel."""
+Alarm = Mapping[str, Any]
+"""One press that did not pass: placing, gel, press, truth (in `MEANINGS`), cause, what (the kinds of scar or damage),
+blind_share."""
 
-
-@dataclass(frozen=True)
-class Alarm:
-    """One press that did not pass."""
-
-    placing: str
-    gel: int
-    press: int
-    truth: Truth
-    cause: str
-    what: str
-    """The kinds of scar or damage."""
-    blind_share: float
+MEANINGS: Final = {
+    "scar": "a scar, the part is sound",
+    "damage": "damage, without it the press passes",
+    "both": "a scar and damage, each alone",
+    "wear": "ordinary wear, the part is sound",
+}
+"""What raises an alarm, in words. Without the scar, or without the damage, the press passes; wear is what the simulator
+adds to every gel."""
 
 
 @dataclass(eq=False)
@@ -151,97 +147,77 @@ class Station:
 _FREE: Final = 6
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
+class _Pressed:
+    """One press of a run. age: presses of the gel before it."""
+
+    number: int
+    piece: int
+    age: int
+    defect: Defect | None
+    imprint: F32
+
+
 class Run:
     """One gel from its first press on, and those that follow it."""
 
-    station: Station
-    gel: int
-    """Its number; it draws scars, damage and order."""
-    flattened: float = 0.0
-    """The share of a scar that contact presses flat, 0 to 1."""
-    alarms: list[Alarm] = field(default_factory=list)
-    presses: int = 0
-    false: int = 0
-    gels: int = 1
-
-    def __post_init__(self) -> None:
-        self._rng = np.random.default_rng([self.station.line.seed, self.gel])
+    def __init__(self, station: Station, gel: int, flattened: float = 0.0) -> None:
+        """gel: its number, which draws scars, damage and order. flattened: of a scar, by contact, 0 to 1."""
+        self.station, self.gel, self.flattened = station, gel, flattened
+        self.alarms: list[Alarm] = []
+        self.presses = 0
+        self._rng = np.random.default_rng([station.line.seed, gel])
         self._scars: list[Scar] = []
-        self._gel = GelScars(first=self.station.first)
+        self._record = GelScars(first=station.first)
         self._series: list[Defect] = []
 
     def play(self) -> "Run":
-        """Every press; returns itself."""
-        before, left = None, None
+        """Make every press; returns itself."""
+        line, before, left = self.station.line, None, None
         for number in range(PRESSES):
             piece, age = 1000 * (self.gel + 1) + number, NOMINAL + number
             self._scar(number, piece)
             defect = self._defect(piece)
-            imprint = self.station.line.imprint(piece, defect)
-            free = self.station.line.free_gel(age, self._shares(number), before)
-            rgb = self.station.line.press(imprint, piece, age, self._scars_at(number))
-            self._judge(number, piece, age, imprint, defect, rgb, free, left)
-            before, left = imprint, as_view(rgb) - free
+            press = _Pressed(number, piece, age, defect, line.imprint(piece, defect))
+            free = line.free_gel(age, self._shares(number), before)
+            rgb = line.press(press.imprint, piece, age, self._scars_at(number))
+            if (scored := self.station.score(rgb)) is not None:
+                self.presses += 1
+                contact = touched_mask(Reference(free, 1, 0).difference(as_view(rgb)))
+                self._add(press, self._record.judge(self.station.press(scored, rgb, contact), free, left))
+            before, left = press.imprint, as_view(rgb) - free
         return self
 
-    def _judge(
-        self,
-        number: int,
-        piece: int,
-        age: int,
-        imprint: F32,
-        defect: Defect | None,
-        rgb: U8,
-        free: F32,
-        left: F32 | None,
-    ) -> None:
-        scored = self.station.score(rgb)
-        if scored is None:
-            return
-        self.presses += 1
-        contact = touched_mask(Reference(free, 1, 0).difference(as_view(rgb)))
-        judged = self._gel.judge(self.station.press(scored, rgb, contact), free, left)
-        if judged.blame is not None:
-            self._add(number, piece, age, imprint, defect, judged)
+    def _add(self, press: _Pressed, judged: Judged) -> None:
+        """Keep an alarm that is due to something; the station asks for a new gel where too much is blind."""
+        if judged.blame is not None and (truth := self._truth(press, judged)) is not None:
+            scars = "+".join(sorted({one.kind for one in self._scars})) or "-"
+            self.alarms.append(
+                {
+                    "placing": self.station.line.placing.name,
+                    "gel": self.gel,
+                    "press": press.number,
+                    "truth": truth,
+                    "cause": judged.blame.cause.value,
+                    "what": press.defect.kind if press.defect else scars,
+                    "blind_share": judged.blind_share,
+                }
+            )
         if judged.blind_share > MOST_BLIND:
-            self._new_gel()
+            self._scars.clear()
+            self._record = GelScars(first=self.station.first)
 
-    def _new_gel(self) -> None:
-        """The station asks for it."""
-        self._scars.clear()
-        self._gel = GelScars(first=self.station.first)
-        self.gels += 1
+    def _truth(self, press: _Pressed, judged: Judged) -> str | None:
+        """Say what an alarm is due to, by making the press again; None for a false alarm."""
+        line, shares = self.station.line, self._scars_at(press.number)
+        if press.defect is not None:
+            sound = line.press(line.imprint(press.piece), press.piece, press.age, shares)
+            return "damage" if self._passes(sound, judged.masked) else "both"
+        again = line.press(press.imprint, press.piece, press.age if shares else 0)
+        return ("scar" if shares else "wear") if self._passes(again) else None
 
-    def _add(
-        self, number: int, piece: int, age: int, imprint: F32, defect: Defect | None, judged: Judged
-    ) -> None:
-        assert judged.blame is not None
-        truth = self._truth(number, piece, age, imprint, defect, judged)
-        if truth is None:
-            self.false += 1
-            return
-        what = defect.kind if defect else "+".join(sorted({one.kind for one in self._scars})) or "-"
-        placing = self.station.line.placing.name
-        self.alarms.append(
-            Alarm(placing, self.gel, number, truth, judged.blame.cause.value, what, judged.blind_share)
-        )
-
-    def _truth(
-        self, number: int, piece: int, age: int, imprint: F32, defect: Defect | None, judged: Judged
-    ) -> Truth | None:
-        """Say what an alarm is due to; None for a false alarm."""
-        station, shares = self.station, self._scars_at(number)
-        if defect is not None:
-            sound = station.score(station.line.press(station.line.imprint(piece), piece, age, shares))
-            return "damage" if station.passes(sound, judged.masked) else "both"
-        if shares:
-            return "scar" if station.passes(self._again(piece, age, imprint)) else None
-        return "wear" if station.passes(self._again(piece, 0, imprint)) else None
-
-    def _again(self, piece: int, age: int, imprint: F32) -> Scored | None:
-        """Score the same press of a gel without scars."""
-        return self.station.score(self.station.line.press(imprint, piece, age))
+    def _passes(self, rgb: U8, masked: NDArray[np.bool_] | None = None) -> bool:
+        return self.station.passes(self.station.score(rgb), masked)
 
     def _shares(self, number: int) -> tuple[tuple[Scar, float], ...]:
         return tuple((one, one.share(number)) for one in self._scars)
@@ -271,7 +247,7 @@ class Run:
             return None
         kinds, line = tuple(DEFECTS), self.station.line
         defect = place_damage(
-            line.placing.shape(),
+            line.shape,
             kinds[int(self._rng.integers(len(kinds)))],
             float(self._rng.uniform(0.3, 1.0)),
             line.placing.depth_mm,
@@ -283,15 +259,6 @@ class Run:
         return defect
 
 
-MEANINGS: Final[dict[Truth, str]] = {
-    "scar": "a scar, the part is sound",
-    "damage": "damage, without it the press passes",
-    "both": "a scar and damage, each alone",
-    "wear": "ordinary wear, the part is sound",
-}
-"""What raised an alarm, in words."""
-
-
 def format_rate(number: int, of: int) -> str:
     """Write a rate with the limits of Clopper and Pearson, each crossed with a probability of 10 % at most."""
     if not of:
@@ -301,40 +268,36 @@ def format_rate(number: int, of: int) -> str:
 
 
 def table(alarms: Sequence[Alarm], presses: int) -> str:
-    """Markdown: all alarms by what raised them, then scars and damage by placing, and by kind."""
-    head = "| alarm raised by | alarms | `gel` | `unsure` | `part` |\n|---|---|---|---|---|"
-    rows = [_row(MEANINGS[truth], [one for one in alarms if one.truth == truth]) for truth in MEANINGS]
+    """Write Markdown: all alarms by what raised them, then scars and damage by placing, and by kind."""
+    lines = []
+    for truth, meaning in MEANINGS.items():
+        causes = Counter(one["cause"] for one in alarms if one["truth"] == truth)
+        rates = [format_rate(causes[cause.value], causes.total()) for cause in _CAUSES]
+        lines.append([meaning, causes.total(), *rates])
     return "\n".join(
         [
-            f"{presses} presses, {len(alarms)} alarms; limits hold with 90 % each.",
-            "",
-            head,
-            *rows,
-            "",
-            *_count_named_gel("placing", alarms, lambda one: one.placing),
-            "",
-            *_count_named_gel("kind of damage, or scars so far", alarms, lambda one: one.what),
+            f"{presses} presses, {len(alarms)} alarms; limits hold with 90 % each.\n",
+            markdown_table(["alarm raised by", "alarms", *(f"`{cause.value}`" for cause in _CAUSES)], lines),
+            _count_named_gel("placing", alarms, "placing"),
+            _count_named_gel("kind of damage, or scars so far", alarms, "what"),
         ]
     )
 
 
-def _row(name: str, alarms: Sequence[Alarm]) -> str:
-    counts = Counter(one.cause for one in alarms)
-    cells = [format_rate(counts[cause.value], len(alarms)) for cause in (Cause.GEL, Cause.UNSURE, Cause.PART)]
-    return f"| {name} | {len(alarms)} | {' | '.join(cells)} |"
+_CAUSES = (Cause.GEL, Cause.UNSURE, Cause.PART)
 
 
-def _count_named_gel(what: str, alarms: Iterable[Alarm], key: Callable[[Alarm], str]) -> list[str]:
+def _count_named_gel(what: str, alarms: Sequence[Alarm], column: str) -> str:
     """Count how many of the scar and of the damage alarms were named gel."""
-    groups: dict[str, Counter[tuple[str, bool]]] = {}
-    for one in alarms:
-        groups.setdefault(key(one), Counter())[one.truth, one.cause == Cause.GEL] += 1
-    rows = [f"| {what} | scar alarms named `gel` | damage alarms named `gel` |", "|---|---|---|"]
-    for name in sorted(groups):
-        found = groups[name]
-        cells = [
-            f"{found[truth, True]} of {found[truth, True] + found[truth, False]}"
-            for truth in ("scar", "damage")
+    counts = Counter((one[column], one["truth"], one["cause"] == Cause.GEL) for one in alarms)
+    lines = [
+        [
+            name,
+            *(
+                f"{(gel := counts[name, truth, True])} of {gel + counts[name, truth, False]}"
+                for truth in ("scar", "damage")
+            ),
         ]
-        rows.append(f"| {name} | {' | '.join(cells)} |")
-    return rows
+        for name in sorted({one[column] for one in alarms})
+    ]
+    return markdown_table([what, "scar alarms named `gel`", "damage alarms named `gel`"], lines)

@@ -5,9 +5,8 @@ Sizes are assumed, from what shows on public pictures of used gels; heights are 
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -26,7 +25,7 @@ from calibration.simulator.streams import Streams
 from edge.core.contact.reference import View
 from edge.core.imaging.decode import VIEW_SIZE
 
-__all__ = ["PLACINGS", "SCARS", "Line", "Placing", "Scar", "Shown", "random_scar"]
+__all__ = ["PLACINGS", "SCARS", "Line", "Placing", "Scar", "random_scar"]
 
 # Presses over which a scar grows to its full size; 1 is a cut.
 _GROWTHS = (1, 1, 5, 20)
@@ -55,25 +54,22 @@ class Scar:
 
     def relief(self, field: Field) -> F32:
         """Return the relief at full strength, in mm, float32 (h, w); nothing for worn coat."""
-        pattern = _pattern(self, field)
-        return np.asarray(pattern * np.float32(_SIGNS[self.kind] * self.strength), np.float32)
+        return np.asarray(
+            self._pattern(field) * np.float32(SCARS[self.kind].sign * self.strength), np.float32
+        )
 
     def coat(self, field: Field) -> F32:
         """The share of light that is left at full strength, float32 (h, w)."""
-        if self.kind != "worn_coat":
+        if SCARS[self.kind].sign:
             return np.ones(field.shape, np.float32)
-        return np.asarray(1 - np.float32(self.strength) * _pattern(self, field), np.float32)
+        return np.asarray(1 - np.float32(self.strength) * self._pattern(field), np.float32)
 
-
-_SIGNS: Mapping[str, float] = {"scratch": -1.0, "dent": -1.0, "hair": 1.0, "worn_coat": 0.0}
-
-
-def _pattern(scar: Scar, field: Field) -> F32:
-    """Return the scar's shape from 0 to 1, float32 (h, w)."""
-    x, y = grids(field)
-    dx, dy = x - np.float32(scar.at_mm[0]), y - np.float32(scar.at_mm[1])
-    cos, sin = np.float32(math.cos(scar.turn_rad)), np.float32(math.sin(scar.turn_rad))
-    return SCARS[scar.kind](cos * dx + sin * dy, cos * dy - sin * dx, scar)
+    def _pattern(self, field: Field) -> F32:
+        """Return the scar's shape from 0 to 1, float32 (h, w)."""
+        x, y = grids(field)
+        dx, dy = x - np.float32(self.at_mm[0]), y - np.float32(self.at_mm[1])
+        cos, sin = np.float32(math.cos(self.turn_rad)), np.float32(math.sin(self.turn_rad))
+        return SCARS[self.kind].pattern(cos * dx + sin * dy, cos * dy - sin * dx, self)
 
 
 def _line(along: F32, across: F32, scar: Scar, half_width_mm: float, bend: float) -> F32:
@@ -110,19 +106,21 @@ def _rub_coat(along: F32, across: F32, scar: Scar) -> F32:
     return np.asarray(np.clip((1 + waves - radius) * 6, 0, 1), np.float32)
 
 
-SCARS: Mapping[str, Callable[[F32, F32, Scar], F32]] = {
-    "scratch": _scratch,
-    "dent": _dent,
-    "hair": _hair,
-    "worn_coat": _rub_coat,
-}
+class ScarKind(NamedTuple):
+    """What scars of one kind have in common."""
 
-_SIZES_MM = {"scratch": (1.0, 5.0), "dent": (0.3, 0.9), "hair": (2.0, 7.0), "worn_coat": (0.4, 1.2)}
-_STRENGTHS = {
-    "scratch": (0.012, 0.06),
-    "dent": (0.02, 0.1),
-    "hair": (0.02, 0.06),
-    "worn_coat": (0.1, 0.35),
+    pattern: Callable[[F32, F32, Scar], F32]
+    sign: float
+    """Of its height; 0 for one that only takes light."""
+    sizes_mm: tuple[float, float]
+    strengths: tuple[float, float]
+
+
+SCARS: Mapping[str, ScarKind] = {
+    "scratch": ScarKind(_scratch, -1.0, (1.0, 5.0), (0.012, 0.06)),
+    "dent": ScarKind(_dent, -1.0, (0.3, 0.9), (0.02, 0.1)),
+    "hair": ScarKind(_hair, 1.0, (2.0, 7.0), (0.02, 0.06)),
+    "worn_coat": ScarKind(_rub_coat, 0.0, (0.4, 1.2), (0.1, 0.35)),
 }
 
 
@@ -132,8 +130,8 @@ def random_scar(kind: str, spot_mm: tuple[float, float], since: int, rng: np.ran
         kind,
         spot_mm,
         float(rng.uniform(0, math.pi)),
-        float(rng.uniform(*_SIZES_MM[kind])),
-        float(rng.uniform(*_STRENGTHS[kind])),
+        float(rng.uniform(*SCARS[kind].sizes_mm)),
+        float(rng.uniform(*SCARS[kind].strengths)),
         since,
         int(rng.choice(_GROWTHS)),
         int(rng.integers(2**31)),
@@ -189,40 +187,17 @@ PLACINGS: Final[Mapping[str, Placing]] = {
 """Where parts lie: always at one place, the hard case, by hand, and anywhere."""
 
 
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """One press: the picture, uint8 (240, 320, 3), and the free gel before it, float32 (120, 160, 3)."""
-
-    rgb: U8
-    free: View
-
-
-@dataclass(eq=False)
 class Line:
-    """One placing on one gel."""
+    """One placing on one gel. seed: of pieces and marks."""
 
-    placing: Placing
-    seed: int
-    """The seed of pieces and marks."""
-    _free: dict[str, F32] = field(default_factory=dict, init=False, repr=False)
-
-    @cached_property
-    def streams(self) -> Streams:
-        """The streams of random numbers."""
-        return Streams(self.seed)
-
-    @cached_property
-    def _renderer(self) -> Renderer:
+    def __init__(self, placing: Placing, seed: int) -> None:
+        self.placing, self.seed, self.streams, self.shape = placing, seed, Streams(seed), placing.shape()
         effects = (*DEFAULT_EFFECTS, "residual_imprint")
-        return Renderer(LR, effects, jitter=self.placing.jitter, streams=self.streams)
-
-    @cached_property
-    def _shape(self) -> HeightField:
-        return self.placing.shape()
+        self._renderer = Renderer(LR, effects, jitter=placing.jitter, streams=self.streams)
 
     def imprint(self, piece: int, defect: Defect | None = None) -> F32:
         """The gel over one piece, mm, float32 (240, 320)."""
-        shape = specimen(self._shape, self.streams("specimen", piece))
+        shape = specimen(self.shape, self.streams("specimen", piece))
         placed = self._renderer.place(Pose(), (piece,))
         height = sample(shape if defect is None else Damaged(shape, defect), placed, LR)
         return self._renderer.imprint(height, self.placing.depth_mm * placed.depth_factor)

@@ -10,7 +10,7 @@ import tiny
 import turned_parts as parts
 from registered_bundle import PROFILE, fitted, nominal
 
-from calibration.experiments.detectability.judges import panel
+from calibration.experiments.detectability.judges import choose_judges
 from calibration.fitting.presses.augmentation import render_copies
 from edge import registry
 from edge.model.manifest_facts import copies_of_each
@@ -37,7 +37,8 @@ def test_a_bank_without_a_press_learns_the_copies_of_the_others() -> None:
     copies, of = render_copies(presses, each, PROFILE.pixels_per_mm, np.random.default_rng(0))
 
     assert each > 0
-    for press, judge in panel(found.bundle(), presses, 0, 1, lambda done: None).judges.items():
+    judges, _ = choose_judges(found.bundle(), presses, 0, 1, lambda done: None)
+    for press, judge in judges.items():
         learnt = np.concatenate([np.delete(presses.frames, press, axis=0), copies[of != press]])
         bank = judge.scorer.bundle.bank["mean"]
         assert bank.mean() == pytest.approx(learnt.mean(dtype=np.float64) / 255, abs=1e-5)

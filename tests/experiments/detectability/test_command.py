@@ -51,7 +51,7 @@ def test_presses_apart_are_judged_by_the_bundle(measured: tuple[Path, Outcome]) 
     picture = cv2.imread(str(output / "detectability.png"))
     assert picture is not None
     assert picture.shape[0] > 500
-    assert "dent" in (output / "detectability.txt").read_text()
+    assert "dent" in (output / "detectability.csv").read_text()
 
 
 def test_learnt_presses_are_judged_by_banks_without_them(
