@@ -10,8 +10,7 @@ __all__ = ["is_installed", "needs", "where_to_get"]
 _STUDIES = ("joblib", "pandas", "matplotlib", "jinja2", "scipy")
 _PACKAGES = {
     "openvino": ("openvino",),
-    "benchmark": ("jinja2",),
-    "train": ("torch", "jinja2"),
+    "train": ("torch",),
     "studies": _STUDIES,
     "cluster": (*_STUDIES, "distributed"),
     "signing": ("cryptography",),

@@ -8,8 +8,9 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from calibration.experiments.backbones.evaluation import default_detectors, used_settings
+from calibration.experiments.backbones.evaluation import used_settings
 from calibration.experiments.backbones.sets import SETS
+from calibration.experiments.harness.study import methods_to_compare
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.training.package import MOST_BYTES
 from calibration.training.train_config import TrainConfig
@@ -98,6 +99,6 @@ def test_it_is_better_than_random_on_what_it_never_saw(name: str) -> None:
         (row["backbone"], row["detector"]): row["measures"]["aupro_fpr01"]["value"]
         for row in EVALUATION["sets"][name]["rows"]
     }
-    for detector in default_detectors():
+    for detector in methods_to_compare():
         assert found["trained", detector] > found["random", detector]
         assert found["trained_int8", detector] > found["trained", detector] - 0.005

@@ -10,8 +10,8 @@ from edge.core.errors import ConfigError
 from edge.extras import needs
 
 VERBS = {
-    "lab train-backbone run": ("train", "torch and jinja2"),
-    "lab evaluate-backbone out": ("benchmark", "jinja2"),
+    "lab train-backbone run": ("train", "torch"),
+    "lab msa report": ("studies", "jinja2 and scipy"),
 }
 
 
@@ -37,7 +37,7 @@ def test_a_verb_names_its_extra_before_it_begins(plain: Path, line: str) -> None
 
 def test_what_is_installed_is_not_refused() -> None:
     """The check can pass."""
-    needs("benchmark", "this test")
+    needs("studies", "this test")
     with pytest.raises(KeyError):
         needs("exprot", "a misspelt extra")
 

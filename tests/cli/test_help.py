@@ -145,7 +145,7 @@ def test_a_folder_that_hides_a_package_of_ours_is_named(
 
 
 @pytest.mark.parametrize(
-    ("package", "advice"), [("jinja2", "pip install 'gelgate[benchmark]'"), ("tqdm", "pip install tqdm, or")]
+    ("package", "advice"), [("jinja2", "pip install 'gelgate[studies]'"), ("tqdm", "pip install tqdm, or")]
 )
 def test_a_missing_package_is_one_sentence(
     package: str, advice: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

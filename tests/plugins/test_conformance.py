@@ -12,7 +12,7 @@ import benches
 import numpy as np
 import pytest
 
-from calibration.experiments.backbones.evaluation import default_detectors
+from calibration.experiments.harness.study import methods_to_compare
 from edge import registry
 from edge.core.detector import Bank, Features, HasReference, Nominal, ScoreMaps
 from edge.core.errors import FrameCorrupt, GelgateError
@@ -51,7 +51,7 @@ def test_the_built_in_detectors_say_what_lists_of_names_would() -> None:
         "settings"
     ]
 
-    assert set(default_detectors()) == set(compared)
+    assert set(methods_to_compare()) == set(compared)
     assert all(isinstance(one, HasReference) for one in detectors.values())
 
 

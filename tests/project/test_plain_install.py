@@ -78,7 +78,7 @@ VERBS: list[tuple[str, int, str]] = [
     ("bundle keys new maker", 3, "gelgate[signing]"),
     ("bundle sign pz0 --key maker.key", 3, "gelgate[signing]"),
     ("lab train-backbone training", 3, "gelgate[train]"),
-    ("lab evaluate-backbone evaluation", 3, "gelgate[benchmark]"),
+    ("lab evaluate-backbone evaluation --set nothing", 3, "no set of trials is named"),
     ("lab study good-fraction dataset -o studies", 3, "gelgate[studies]"),
     ("lab study good-fraction dataset -o studies --dask tcp://127.0.0.1:1", 3, "gelgate[cluster]"),
     ("lab report studies -o report", 3, "gelgate[studies]"),

@@ -1,7 +1,8 @@
 """The verb `evaluate-backbone`."""
 
+from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -44,14 +45,10 @@ def evaluate_backbone(
 ) -> None:
     """Compare backbones on presses that training never draws. docs/backbone.md has the results."""
     import os
-    import sys
     from json import dumps
 
-    from edge.extras import needs
-
-    needs("benchmark", "evaluate-backbone")
-    from calibration.experiments.backbones.evaluation import default_detectors, evaluate
-    from calibration.experiments.backbones.tables import evaluation_tables
+    from calibration.experiments.backbones.evaluation import evaluate, evaluation_tables
+    from calibration.experiments.harness.study import methods_to_compare
     from calibration.progress import progress
 
     # Workers are separate processes; several linear algebra threads in each would compete for the cores.
@@ -59,20 +56,22 @@ def evaluate_backbone(
         os.environ.setdefault("OMP_NUM_THREADS", "1")
     sets = _choose_sets(tactile, only or [], trials)
     graphs = _graphs(trunks or _SHIPPED, random)
-    _say_missing(sets)
-    is_quiet = json or sys.stderr.isatty()
+    for chosen in sets.values():
+        if chosen.missing:
+            typer.echo(f"SKIPPED: {chosen.title}: {chosen.missing}", err=True)
     with progress("trials", sum(len(chosen.trials) for chosen in sets.values())) as advance:
         found = evaluate(
             graphs,
             sets,
-            methods or default_detectors(),
+            methods or methods_to_compare(),
             replicates=replicates,
             limits=limits,
             workers=workers,
-            say=_say_nothing if is_quiet else _say,
             advance=advance,
         )
-    found["trunks"] = _facts(graphs)
+    found["trunks"] = {
+        name: {"sha256": sha256(graph).hexdigest(), "bytes": len(graph)} for name, graph in graphs.items()
+    }
     _write(out, text := dumps(found, indent=1) + "\n")
     typer.echo(text if json else evaluation_tables(found), nl=not json)
 
@@ -85,12 +84,9 @@ def _choose_sets(tactile: Path | None, only: list[str], trials: int) -> dict[str
     from dataclasses import replace
 
     from calibration.experiments.backbones.sets import SETS, evaluation_sets
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
+    from calibration.experiments.harness.study import require_known
 
-    for name in only:
-        if name not in SETS:
-            raise ConfigError(f"no set of trials is named '{name}'; {suggestion(name, SETS)}")
+    require_known("set of trials", only, SETS)
     sets = {name: of for name, of in evaluation_sets(tactile).items() if name in (only or SETS)}
     return {
         name: replace(chosen, trials=(), missing=f"it is opened only with --set {name}")
@@ -100,36 +96,16 @@ def _choose_sets(tactile: Path | None, only: list[str], trials: int) -> dict[str
     }
 
 
-def _say(line: str) -> None:
-    typer.echo(line, err=True)
-
-
-def _say_nothing(line: str) -> None:
-    """A progress bar, or JSON alone."""
-
-
-def _say_missing(sets: dict[str, "EvaluationSet"]) -> None:
-    for chosen in sets.values():
-        if chosen.missing:
-            typer.echo(f"SKIPPED: {chosen.title}: {chosen.missing}", err=True)
-
-
 def _graphs(trunks: list[str], random: bool) -> dict[str, bytes]:
-    """The trunks by the names of their rows. Errors: ConfigError."""
+    """Open trunks, each NAME=TRUNK or the name of an installed backbone, by the names of their rows.
+
+    Errors: ConfigError.
+    """
     from calibration.experiments.backbones.evaluation import RANDOM, random_trunk
     from calibration.fitting.trunks import open_trunk
-
-    graphs = {name: open_trunk(trunk).graph for name, trunk in _parse_names(trunks).items()}
-    if random and RANDOM not in graphs:
-        graphs[RANDOM] = random_trunk()
-    return graphs
-
-
-def _parse_names(words: list[str]) -> dict[str, str]:
-    """NAME=TRUNK pairs; a name alone means the installed backbone of that name. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
-    pairs = [(name, trunk or name) for name, _, trunk in (word.partition("=") for word in words)]
+    pairs = [(name, trunk or name) for name, _, trunk in (word.partition("=") for word in trunks)]
     names = [name for name, _ in pairs]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice or "" in names:
@@ -137,16 +113,10 @@ def _parse_names(words: list[str]) -> dict[str, str]:
             f"every trunk needs a different name, found {'twice ' + ', '.join(twice) if twice else 'an empty one'}; "
             "write NAME=TRUNK"
         )
-    return dict(pairs)
-
-
-def _facts(graphs: dict[str, bytes]) -> dict[str, Any]:
-    import hashlib
-
-    return {
-        name: {"sha256": hashlib.sha256(graph).hexdigest(), "bytes": len(graph)}
-        for name, graph in graphs.items()
-    }
+    graphs = {name: open_trunk(trunk).graph for name, trunk in pairs}
+    if random and RANDOM not in graphs:
+        graphs[RANDOM] = random_trunk()
+    return graphs
 
 
 def _write(out: Path, text: str) -> None:

@@ -35,6 +35,7 @@ __all__ = [
     "check_same",
     "choose_places",
     "make_cells",
+    "methods_to_compare",
     "require_known",
     "run_study",
 ]

@@ -10,10 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from calibration.experiments.backbones import command as evaluate_command
-from calibration.experiments.backbones.evaluation import evaluate, random_trunk
+from calibration.experiments.backbones.evaluation import evaluate, evaluation_tables, random_trunk
 from calibration.experiments.backbones.presses import PARTS, Sizes, development_trial, part_trial
 from calibration.experiments.backbones.sets import EvaluationSet
-from calibration.experiments.backbones.tables import evaluation_tables
 from calibration.experiments.backbones.trial import Trial
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import open_trunk
@@ -86,7 +85,7 @@ def test_brief_sets_compare_what_ships_with_random_weights() -> None:
     lines = evaluation_tables(found).splitlines()
     assert "Not measured: it was not there." in lines
     value = found["sets"]["brief"]["rows"][0]["measures"]["aupro_fpr01"]["value"]
-    assert any(line.startswith("| first | padim |") and f"{value:.3f}" in line for line in lines)
+    assert any(line.startswith("| first    | padim    |") and f"{value:.3f}" in line for line in lines)
 
 
 def test_trials_spread_over_processes_measure_the_same() -> None:
@@ -158,7 +157,7 @@ def test_the_command_writes_prints_and_skips_loudly(tmp_path: Path, monkeypatch:
     done = CliRunner().invoke(build(), [*words, "--no-random"], catch_exceptions=False)
     assert done.exit_code == 0
     assert "SKIPPED: None: it was not there" in done.stderr
-    assert "| trained | padim |" in done.stdout
+    assert "| trained  | padim    |" in done.stdout
     printed = CliRunner().invoke(build(), [*words, "--json"], catch_exceptions=False)
     written = json.loads((tmp_path / "tactile_resnet18_evaluation.json").read_text())
     assert json.loads(printed.stdout) == written

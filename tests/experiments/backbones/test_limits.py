@@ -1,17 +1,9 @@
 """Measures at the fitted limit, on maps and scores whose shares are known."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from calibration.experiments.backbones.evaluation import (
-    evaluate,
-    fit_limits,
-    is_on_damage,
-    limit_columns,
-    random_trunk,
-)
+from calibration.experiments.backbones.evaluation import evaluate, is_on_damage, limit_columns, random_trunk
 from calibration.experiments.backbones.sets import EvaluationSet
 from calibration.experiments.backbones.trial import Trial
 from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -106,9 +98,3 @@ def test_the_evaluation_fits_the_limit_where_a_rate_is_stated() -> None:
     assert measures["aupro_fpr05"] > measures["aupro_fpr01"]
     old = ["image_auroc", "pixel_auroc", "pixel_auprc", "aupro_fpr01"]
     assert list(rows[None, True]) == list(rows[0.05, False]) == old
-
-
-def test_a_limit_needs_a_rate() -> None:
-    """A trial without a false-alarm rate is refused before anything is fitted."""
-    with pytest.raises(ValueError, match="the trial 'known' states no false-alarm rate"):
-        fit_limits(None, None, None, replace(known(), alpha=None), None)  # type: ignore[arg-type]
