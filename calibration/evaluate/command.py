@@ -30,7 +30,7 @@ def evaluate(
     """Score a bundle on a dataset: metrics and report.
 
     Image and pixel AUROC, AUPRC, AU-PRO and AUPIMO with intervals."""
-    from calibration.evaluate.report import as_json, as_table, write_atomically
+    from calibration.evaluate.report import as_json, as_table, require_folder, write_atomically
     from calibration.evaluate.scoring import evaluate_bundle
     from calibration.evaluate.sheet import draw_sheet
     from calibration.progress import progress
@@ -39,8 +39,7 @@ def evaluate(
     if not 0 < limit <= 1:
         raise ConfigError(f"--limit is a false-positive rate in (0, 1], found {limit}")
     for path in (json, sheet):
-        if path is not None and (path.is_dir() or not path.parent.is_dir()):
-            raise ConfigError(f"'{path}' cannot be written; name a file in an existing folder")
+        require_folder(path)
     evaluation = evaluate_bundle(
         bundle,
         dataset,

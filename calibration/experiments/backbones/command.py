@@ -1,13 +1,21 @@
 """The verb `evaluate-backbone`."""
 
+import json as json_format
+import os
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from calibration.experiments.backbones.sets import EvaluationSet
+from calibration.experiments.backbones.evaluation import RANDOM, evaluate, evaluation_tables, random_trunk
+from calibration.experiments.backbones.sets import SETS, EvaluationSet, evaluation_sets
+from calibration.experiments.harness.study import methods_to_compare, require_known
+from calibration.fitting.trunks import open_trunk
+from calibration.progress import progress
+from edge.core.errors import ConfigError, StoreError
+from plugins.backbones.tactile import tactile_resnet18
 
 __all__ = ["evaluate_backbone"]
 
@@ -44,13 +52,6 @@ def evaluate_backbone(
     json: Annotated[bool, typer.Option("--json", help="print everything as JSON instead of tables")] = False,
 ) -> None:
     """Compare backbones on presses that training never draws. docs/backbone.md has the results."""
-    import os
-    from json import dumps
-
-    from calibration.experiments.backbones.evaluation import evaluate, evaluation_tables
-    from calibration.experiments.harness.study import methods_to_compare
-    from calibration.progress import progress
-
     # Workers are separate processes; several linear algebra threads in each would compete for the cores.
     if workers > 1:
         os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -72,20 +73,15 @@ def evaluate_backbone(
     found["trunks"] = {
         name: {"sha256": sha256(graph).hexdigest(), "bytes": len(graph)} for name, graph in graphs.items()
     }
-    _write(out, text := dumps(found, indent=1) + "\n")
+    _write(out, text := json_format.dumps(found, indent=1) + "\n")
     typer.echo(text if json else evaluation_tables(found), nl=not json)
 
 
-def _choose_sets(tactile: Path | None, only: list[str], trials: int) -> dict[str, "EvaluationSet"]:
+def _choose_sets(tactile: Path | None, only: list[str], trials: int) -> dict[str, EvaluationSet]:
     """The sets to compare on; a set that is named is run for every trunk, one on request only then.
 
     Errors: ConfigError for an unknown set.
     """
-    from dataclasses import replace
-
-    from calibration.experiments.backbones.sets import SETS, evaluation_sets
-    from calibration.experiments.harness.study import require_known
-
     require_known("set of trials", only, SETS)
     sets = {name: of for name, of in evaluation_sets(tactile).items() if name in (only or SETS)}
     return {
@@ -101,10 +97,6 @@ def _graphs(trunks: list[str], random: bool) -> dict[str, bytes]:
 
     Errors: ConfigError.
     """
-    from calibration.experiments.backbones.evaluation import RANDOM, random_trunk
-    from calibration.fitting.trunks import open_trunk
-    from edge.core.errors import ConfigError
-
     pairs = [(name, trunk or name) for name, _, trunk in (word.partition("=") for word in trunks)]
     names = [name for name, _ in pairs]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -121,9 +113,6 @@ def _graphs(trunks: list[str], random: bool) -> dict[str, bytes]:
 
 def _write(out: Path, text: str) -> None:
     """Write the evaluation's file. Errors: StoreError."""
-    from edge.core.errors import StoreError
-    from plugins.backbones.tactile import tactile_resnet18
-
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / f"{tactile_resnet18.name}_evaluation.json").write_text(text)

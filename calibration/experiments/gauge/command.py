@@ -1,15 +1,21 @@
 """`gelgate lab msa`: plan a gauge study, run it on a station, and report it."""
 
+import secrets
+import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from calibration.experiments.gauge.live import run_study
+from calibration.experiments.gauge.plan import Piece, make_plan, material, read_plan
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
-
-if TYPE_CHECKING:
-    from edge.store.study_presses import StudyPress
+from edge.config import load_config
+from edge.core.errors import ConfigError, DatasetError
+from edge.core.suggest import suggestion
+from edge.extras import needs
+from edge.store.study_presses import StudyPress, read_study, studies
 
 __all__ = ["msa"]
 
@@ -36,13 +42,6 @@ def plan(
     """Write who presses what, in a random order.
 
     With --bad it is known of every piece whether it is good, and the report compares verdicts with that."""
-    import secrets
-    import time
-
-    from calibration.experiments.gauge.plan import Piece, make_plan
-    from edge.core.errors import ConfigError
-    from edge.core.suggest import suggestion
-
     if output.exists():
         raise ConfigError(f"{output} exists, and may be in use; name another file")
     names = piece or [f"P{number}" for number in range(1, pieces + 1)]
@@ -75,11 +74,6 @@ def run(
     It takes the place of `gelgate run` meanwhile; the station's sensor may be a recording. Presses count on the gel,
     and are not published as results. r and Enter repeats the last press, s and Enter skips the next one. After Ctrl-C
     the same command goes on."""
-    from calibration.experiments.gauge.live import run_study
-    from calibration.experiments.gauge.plan import read_plan
-    from edge.config import load_config
-    from edge.core.errors import ConfigError
-
     try:
         text = plan.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -105,19 +99,14 @@ def report(
     """Report a study from the rows of the database.
 
     Gauge R&R of the score, agreement of the verdicts, and drift. The gateway may run meanwhile."""
-    from edge.extras import needs
-
     needs("studies", "gelgate lab msa report")
-    from calibration.experiments.gauge.plan import material, read_plan
-    from calibration.experiments.gauge.report import FORMATS, markdown
-    from calibration.experiments.gauge.report import report as report_of
-    from edge.core.errors import ConfigError
+    from calibration.experiments.gauge.report import FORMATS, report_sections
 
     if output is not None and output.suffix.lower() not in FORMATS:
         raise ConfigError(f"the ending of {output} names no format; known are {', '.join(FORMATS)}")
     text, rows = _read_stored(database_path(config, database), study)
-    sections = report_of(material(read_plan(text, "in the database"), rows))
-    write = markdown if output is None else FORMATS[output.suffix.lower()]
+    sections = report_sections(material(read_plan(text, "in the database"), rows))
+    write = FORMATS[".md" if output is None else output.suffix.lower()]
     made = write("Measurement systems analysis", sections)
     if output is None:
         typer.echo(made, nl=False)
@@ -126,12 +115,8 @@ def report(
         typer.echo(f"the report of {len(rows)} presses is in {output}")
 
 
-def _read_stored(database: Path, study: str | None) -> "tuple[str, Sequence[StudyPress]]":
+def _read_stored(database: Path, study: str | None) -> tuple[str, Sequence[StudyPress]]:
     """The plan and the presses. Errors: DatasetError where there is no such study, or no press; StoreError."""
-    from calibration.experiments.gauge.plan import read_plan
-    from edge.core.errors import DatasetError
-    from edge.store.study_presses import read_study, studies
-
     known = studies(database)
     if not known:
         raise DatasetError(f"database {database} has no gauge study; `gelgate lab msa run` makes one")

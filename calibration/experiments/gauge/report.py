@@ -24,7 +24,7 @@ from calibration.experiments.gauge.plan import Material
 from calibration.experiments.harness.markdown import markdown_table
 from edge.clock import local_time
 
-__all__ = ["FORMATS", "Section", "csv_tables", "markdown", "report"]
+__all__ = ["FORMATS", "Section", "csv_tables", "markdown", "report_sections"]
 
 
 class Section(NamedTuple):
@@ -38,7 +38,7 @@ class Section(NamedTuple):
     """Rows of as many cells each, as printed."""
 
 
-def report(study: Material, zone: tzinfo | None = None) -> list[Section]:
+def report_sections(study: Material, zone: tzinfo | None = None) -> list[Section]:
     """Every section, in order. A score without any variation has no gauge R&R, and its section says so.
 
     zone: of the times; None for that of this machine.

@@ -20,7 +20,6 @@ __all__ = [
     "ROW_FORMAT",
     "TIMES",
     "Rows",
-    "check_json",
     "frame",
     "read_rows",
     "rows_of_studies",
@@ -176,12 +175,6 @@ def frame(path: Path) -> "pd.DataFrame":
     import pandas as pd
 
     return pd.DataFrame(read_rows(path))
-
-
-def check_json(path: Path | None) -> None:
-    """Check where rows are to be written. Errors: ConfigError for a folder, or a file in a folder that is not there."""
-    if path is not None and (path.is_dir() or not path.parent.is_dir()):
-        raise ConfigError(f"'{path}' cannot be written; name a file in an existing folder")
 
 
 def write_json(path: Path | None, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -3,7 +3,7 @@
 import pytest
 from command_line import gelgate
 
-from calibration.experiments.gel_change.study import AGAIN, BEFORE, WAYS, Row, table
+from calibration.experiments.gel_change.command import AGAIN, BEFORE, WAYS, Row, table
 
 
 def test_the_table_has_means_and_losses_against_pressing_again() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.experiments.gel_change.study import another_gel, another_unit
+from calibration.experiments.gel_change.command import another_gel, another_unit
 from calibration.simulator.field_of_view import LR
 from calibration.simulator.sensor_appearance import SENSORS, background
 

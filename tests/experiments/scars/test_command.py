@@ -3,7 +3,7 @@
 import pytest
 from command_line import gelgate
 
-from calibration.experiments.scars.runs import Alarm, format_rate, table
+from calibration.experiments.scars.command import Alarm, format_rate, table
 
 
 def alarm(truth: str, cause: str, placing: str = "thread in a fixture") -> Alarm:
