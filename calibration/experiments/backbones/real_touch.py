@@ -1,11 +1,11 @@
 """Real presses by sensor and object, as they lie in the folder of real tactile frames, and which of them are held out.
 
-Which sensors are for development and which for judgement is in `calibration/experiments/backbones/sets.toml`.
+Which sensors are for development and which for judgement is in `calibration/experiments/backbones/sets.toml`. The
+folders are not part of the product; their pictures are only for evaluation, and nothing that ships is trained on them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,28 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.experiments.backbones import touch_edits
-from calibration.experiments.backbones.pictures import contact_square, read_picture, specks, together
 from calibration.experiments.backbones.touch_edits import Edited
 from calibration.experiments.backbones.trial import PROFILE, REGION, Trial
 from calibration.fitting.damage.conditions import relight
-from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
+from calibration.fitting.presses.nominal_presses import MAX_NO_CONTACT, NominalPresses, gather_presses
 from calibration.simulator.field_of_view import F32
 from edge.core.errors import DatasetError
 from edge.core.imaging.region import Region
 
-__all__ = [
-    "ALPHA",
-    "EDITS",
-    "MIN_HELD",
-    "OBJECTS",
-    "Object",
-    "Presses",
-    "missing_sensors",
-    "real_touch_trial",
-    "trials_of",
-]
+__all__ = ["ALPHA", "EDITS", "MIN_HELD", "OBJECTS", "Object", "Presses", "real_touch_trial"]
 
 U8 = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
 
 MIN_HELD = 4
 """With fewer held-out presses their false alarms say nothing."""
@@ -64,33 +54,44 @@ class Object:
     sensor: str
     """Its folder."""
     read: Callable[[Path], Presses]
+    """Reads them. Errors: DatasetError where they are not in the folder of all sensors."""
     is_registered: bool = False
     """Cut around the contact."""
     marred: tuple[str, ...] = ()
     """Presses left out, seen by eye in the pictures."""
 
 
-def _balls(folder: str, pattern: str, free: str, other: str, data: Path) -> Presses:
-    """Presses of a ball, every third held out, and of another ball by the same sensor."""
-    paths = _numbered(data / folder, pattern, free)
-    pictures = {str(_number(path)): _landscape(path) for path in paths}
-    held = set(list(pictures)[2::3])
-    return Presses(
-        {name: rgb for name, rgb in pictures.items() if name not in held},
-        {name: rgb for name, rgb in pictures.items() if name in held},
-        _landscape(data / folder / free),
-        [_landscape(path) for path in _numbered(data / other, pattern, free)] if other else [],
-    )
+def _ball(name: str, sensor: str, paths: tuple[str, str, str], other: str = "", *marred: str) -> list[Object]:
+    """Return the same presses of a ball registered, and anywhere in complete pictures.
 
+    paths: folder, pattern of the presses, and the free gel. other: the folder of another ball by the same sensor.
+    """
+    folder, pattern, free = paths
 
-def _numbered(folder: Path, pattern: str, free: str) -> list[Path]:
-    """The pictures of presses by their numbers. Errors: DatasetError for fewer than twelve."""
-    found = sorted((path for path in folder.glob(pattern) if path.name != Path(free).name), key=_number)
-    if len(found) < 3 * MIN_HELD:
-        raise DatasetError(
-            f"{folder} holds {len(found)} presses, at least {3 * MIN_HELD} are needed; fetch them again"
+    def read(data: Path) -> Presses:
+        pictures = _numbered(data / sensor / folder, pattern, free)
+        held = list(pictures)[2::3]
+        return Presses(
+            {name: rgb for name, rgb in pictures.items() if name not in held},
+            {name: pictures[name] for name in held},
+            _landscape(data / sensor / folder / free),
+            list(_numbered(data / sensor / other, pattern, free).values()) if other else [],
         )
-    return found
+
+    return [
+        Object(f"{name}, registered", sensor, read, True, marred),
+        Object(f"{name}, anywhere", sensor, read),
+    ]
+
+
+def _numbered(folder: Path, pattern: str, free: str) -> dict[str, U8]:
+    """The pictures of presses by their numbers. Errors: DatasetError for fewer than twelve."""
+    paths = {_number(path): path for path in folder.glob(pattern) if path.name != Path(free).name}
+    if len(paths) < 3 * MIN_HELD:
+        raise DatasetError(
+            f"{folder} holds {len(paths)} presses, at least {3 * MIN_HELD} are needed; fetch them again"
+        )
+    return {str(number): _landscape(paths[number]) for number in sorted(paths)}
 
 
 def _number(path: Path) -> int:
@@ -100,89 +101,51 @@ def _number(path: Path) -> int:
 
 
 def _landscape(path: Path) -> U8:
-    """A picture of 320x240; an upright one is turned. Errors: DatasetError for another size."""
-    rgb = read_picture(path)
-    turned = np.ascontiguousarray(np.rot90(rgb)) if rgb.shape[0] > rgb.shape[1] else rgb
+    """A picture of 320x240; an upright one is turned. Errors: DatasetError for another size, or no picture."""
+    bgr = cv2.imread(str(path))
+    if bgr is None:
+        raise DatasetError(f"'{path}' is not a picture; fetch the real frames again")
+    turned = np.ascontiguousarray(np.rot90(bgr)) if bgr.shape[0] > bgr.shape[1] else bgr
     if (turned.shape[1], turned.shape[0]) != PROFILE.size:
-        raise DatasetError(f"'{path}' has {rgb.shape[1]}x{rgb.shape[0]} pixels, expected 320x240")
-    return turned
+        raise DatasetError(f"'{path}' has {bgr.shape[1]}x{bgr.shape[0]} pixels, expected 320x240")
+    return np.asarray(cv2.cvtColor(turned, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def _film(data: Path) -> Presses:
     """A finger on a marker gel: blocks of one press learnt and held out; the edge of the finger is another object."""
-    frames = _frames(data / "gelsightinc__gsrobotics" / "mini_example.avi")
-    free = np.asarray(np.rint(np.mean(frames[:_FREE_FRAMES], axis=0)), np.uint8)
+    path, frames = data / "gelsightinc__gsrobotics" / "mini_example.avi", list[U8]()
+    film = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    while (read := film.read())[0]:
+        frames.append(np.asarray(cv2.cvtColor(read[1], cv2.COLOR_BGR2RGB), np.uint8))
+    film.release()
+    if len(frames) <= max(_OTHER_FRAMES):
+        raise DatasetError(
+            f"'{path}' gives {len(frames)} frames, expected more than {max(_OTHER_FRAMES)}; fetch it again"
+        )
     place = [(number, *divmod(number - _LEARNT_FRAMES.start, _BLOCK)) for number in _LEARNT_FRAMES]
+    held = [n for n, block, at in place if block % 2 and _BLOCK // 3 <= at <= 2 * _BLOCK // 3]
     return Presses(
         {f"{number}": frames[number] for number, block, _ in place if block % 2 == 0},
-        {
-            f"{number}": frames[number]
-            for number, block, at in place
-            if block % 2 and _BLOCK // 3 <= at <= 2 * _BLOCK // 3
-        },
-        free,
+        {f"{number}": frames[number] for number in held},
+        np.asarray(np.rint(np.mean(frames[:_FREE_FRAMES], axis=0)), np.uint8),
         [frames[number] for number in _OTHER_FRAMES],
         has_dots=True,
     )
 
 
-def _frames(path: Path) -> list[U8]:
-    """Every frame of a film. Errors: DatasetError."""
-    film = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    found = []
-    while True:
-        is_read, bgr = film.read()
-        if not is_read:
-            break
-        found.append(np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8))
-    film.release()
-    if len(found) <= max(_OTHER_FRAMES):
-        raise DatasetError(
-            f"'{path}' gives {len(found)} frames, expected more than {max(_OTHER_FRAMES)}; fetch it again"
-        )
-    return found
-
-
-def _ball_objects(
-    name: str,
-    sensor: str,
-    folder: str,
-    pattern: str,
-    free: str,
-    other: str = "",
-    marred: tuple[str, ...] = (),
-) -> list[Object]:
-    """Return the same presses registered, and anywhere in complete pictures."""
-    read = partial(_balls, f"{sensor}/{folder}", pattern, free, f"{sensor}/{other}" if other else "")
-    return [
-        Object(f"{name}, registered", sensor, read, True, marred),
-        Object(f"{name}, anywhere", sensor, read),
-    ]
-
-
-_FOLDERS = "*/gelsight.png"
+_FOLDERS = "*/gelsight.png", "../background.png"
 
 # A cut of the gel opens where it is pressed and does not show on the free gel. In registered presses it lies in these
 # alone, at the left of 31 and 42 and in the contact of 8. On a fixture it would be in each press or in none.
 OBJECTS = (
-    *_ball_objects(
-        "ball 6.31 mm",
-        "rpl-cmu__gelslam",
-        "6.310mm",
-        _FOLDERS,
-        "../background.png",
-        "9.500mm",
-        marred=("31", "42"),
-    ),
-    *_ball_objects(
-        "ball 9.47 mm", "skleff1994__gs_sdk", "9.470mm", _FOLDERS, "../background.png", marred=("8",)
-    ),
+    *_ball("ball 6.31 mm", "rpl-cmu__gelslam", ("6.310mm", *_FOLDERS), "9.500mm", "31", "42"),
+    *_ball("ball 9.47 mm", "skleff1994__gs_sdk", ("9.470mm", *_FOLDERS), "", "8"),
     Object("finger on a marker gel", "gelsightinc__gsrobotics", _film),
-    *_ball_objects("ball 5.00 mm", "FabPrez__Taxim", "gsmini_ball5.0", "frame_*.jpg", "frame_0.jpg"),
+    *_ball("ball 5.00 mm", "FabPrez__Taxim", ("gsmini_ball5.0", "frame_*.jpg", "frame_0.jpg")),
     # Not registered: the ball is larger than a registered cut, and its light on the gel moves the contact's centre.
-    _ball_objects(
-        "ball 4.70 mm", "Rancho-zhao__FOTS", "gelsight_ball", "*.png", "../backgrounds/gelsight_bg.png"
-    )[1],
+    _ball("ball 4.70 mm", "Rancho-zhao__FOTS", ("gelsight_ball", "*.png", "../backgrounds/gelsight_bg.png"))[
+        1
+    ],
 )
 """Every object of both sets."""
 
@@ -196,6 +159,10 @@ _SEED = 0
 _TOUCHED_LEVELS, _TOUCHED_SHARE, _MIN_TOUCHED_PX = 30.0, 0.3, 150
 # An edit's centre keeps this distance from the region's border: a detector sees the border cells less well.
 _MARGIN_PX = 16
+# Side of a cut around a contact: 6.1 mm, larger than the contact of the balls.
+_SIDE_PX = 96
+# Sum over the channels. Dirt on one of the two gels has 71, the grain of both at most 13 (measured).
+_SPECK_LEVELS = 30
 
 
 class _Cut(NamedTuple):
@@ -208,28 +175,34 @@ class _Cut(NamedTuple):
     def frame(self) -> U8:
         return np.asarray(self.region.crop(self.rgb), np.uint8)
 
+    @property
+    def inside(self) -> Mask:
+        """The region without its border, bool (240, 320)."""
+        x, y, width, height = self.region.x, self.region.y, self.region.width, self.region.height
+        inside = np.zeros(self.rgb.shape[:2], np.bool_)
+        inside[y + _MARGIN_PX : y + height - _MARGIN_PX, x + _MARGIN_PX : x + width - _MARGIN_PX] = True
+        return inside
 
-def trials_of(data: Path, sensors: Sequence[str]) -> list[Callable[[], Trial]]:
-    """The trials of these sensors. data: the folder of real tactile frames."""
-    return [partial(real_touch_trial, data, found.name) for found in OBJECTS if found.sensor in sensors]
-
-
-def missing_sensors(data: Path, sensors: Sequence[str]) -> str:
-    """Say why there are no trials: the sensors without a folder; empty when all are there."""
-    absent = [sensor for sensor in sensors if not (data / sensor).is_dir()]
-    return f"no frames of {', '.join(absent)} in the folder given with --tactile" if absent else ""
+    def contact(self, free: U8) -> Mask:
+        """Where it touches inside, bool (240, 320)."""
+        levels = cv2.blur(np.abs(touch_edits.relief(self.rgb, free)).sum(axis=2), (9, 9))
+        return np.asarray(levels > max(_TOUCHED_LEVELS, _TOUCHED_SHARE * float(levels.max()))) & self.inside
 
 
 def real_touch_trial(data: Path, name: str, edits: int = EDITS) -> Trial:
     """Learnt presses, held-out ones, small edits of those, other objects, and the held-out ones under another light.
 
-    Errors: DatasetError when the frames are not in the folder, or fewer than four held-out presses are in the region.
+    data: the folder of real tactile frames. Errors: DatasetError when the frames are not in it, or fewer than four
+    held-out presses are in the region.
     """
     chosen = next(found for found in OBJECTS if found.name == name)
     presses = chosen.read(data)
     learnt, held, others = (
         _cuts(pictures, presses.free, chosen.is_registered)
-        for pictures in (*(_unmarred(of, chosen) for of in (presses.learnt, presses.held)), presses.others)
+        for pictures in (
+            *([of[key] for key in of if key not in chosen.marred] for of in (presses.learnt, presses.held)),
+            presses.others,
+        )
     )
     if len(held) < MIN_HELD or len(learnt) < MIN_HELD:
         raise DatasetError(
@@ -239,13 +212,11 @@ def real_touch_trial(data: Path, name: str, edits: int = EDITS) -> Trial:
     rng = np.random.default_rng([_SEED, *name.encode()])
     damaged = _edits(held, edits, presses, rng)
     relighted = [cut.region.crop(relight(cut.rgb, rng)) for cut in held]
-    counts = len(held) + len(damaged), len(others), len(relighted)
-    frames = (
-        [cut.frame for cut in held] + [rgb for rgb, _ in damaged] + [cut.frame for cut in others] + relighted
-    )
+    sound = [cut.frame for cut in held]
+    frames = [*sound, *(edit.rgb for edit in damaged), *(cut.frame for cut in others), *relighted]
     masks = np.zeros((len(frames), *frames[0].shape[:2]), np.bool_)
-    masks[len(held) : counts[0]] = [mask for _, mask in damaged]
-    kind = np.repeat([0, 1, 2], counts)
+    masks[len(held) : len(held) + edits] = [edit.mask for edit in damaged]
+    kind = np.repeat([0, 1, 2], [len(held) + edits, len(others), len(relighted)])
     return Trial(
         name,
         _nominal(learnt, presses.free, chosen.is_registered),
@@ -257,74 +228,66 @@ def real_touch_trial(data: Path, name: str, edits: int = EDITS) -> Trial:
     )
 
 
-def _in_turn(held: Sequence[_Cut], count: int) -> list[_Cut]:
-    """The held-out press that each edit is made of."""
-    return [held[number % len(held)] for number in range(count)]
-
-
-def _unmarred(pictures: Mapping[str, U8], chosen: Object) -> list[U8]:
-    return [rgb for name, rgb in pictures.items() if name not in chosen.marred]
-
-
 def _nominal(learnt: Sequence[_Cut], free: U8, is_registered: bool) -> NominalPresses:
-    if is_registered:
-        return together(
-            [
-                gather_presses({f"{k}": cut.rgb}, PROFILE, cut.region, no_contact=[free])
-                for k, cut in enumerate(learnt)
-            ]
+    """Gather presses of one position; registered ones are each cut at a different place, with the free gel there."""
+    if not is_registered:
+        return gather_presses(
+            {f"{k}": cut.rgb for k, cut in enumerate(learnt)}, PROFILE, REGION, no_contact=[free]
         )
-    return gather_presses(
-        {f"{k}": cut.rgb for k, cut in enumerate(learnt)}, PROFILE, REGION, no_contact=[free]
+    each = [
+        gather_presses({f"{k}": c.rgb}, PROFILE, c.region, no_contact=[free]) for k, c in enumerate(learnt)
+    ]
+    return NominalPresses(
+        np.concatenate([press.frames for press in each]),
+        tuple(name for press in each for name in press.names),
+        touched=np.logical_or.reduce([press.touched for press in each if press.touched is not None]),
+        no_contact=np.concatenate([p.no_contact for p in each if p.no_contact is not None])[:MAX_NO_CONTACT],
     )
 
 
 def _cuts(pictures: Sequence[U8], free: U8, is_registered: bool) -> list[_Cut]:
     """The presses whose contact lies in the region; registered ones without dirt of the free gel in their cut."""
-    if not pictures:
-        return []
-    regions: list[Region | None] = [REGION] * len(pictures)
-    if is_registered:
+    regions: Sequence[Region | None] = [REGION] * len(pictures)
+    if is_registered and pictures:
         named = {f"{k}": rgb for k, rgb in enumerate(pictures)}
         whole = gather_presses(named, PROFILE, Region.full(PROFILE.size), no_contact=[free])
-        dirt = specks(free)
-        squares = [contact_square(touch) for touch in whole.touches]
-        regions = [None if one is None or one.crop(dirt).any() else one for one in squares]
+        # Dirt differs from its surroundings of half a millimetre.
+        near, around = (cv2.GaussianBlur(free.astype(np.float32), (0, 0), sigma) for sigma in (1, 5))
+        dirt = np.abs(near - around).sum(axis=2) > _SPECK_LEVELS
+        regions = [_square(touch.x, touch.y, dirt) for touch in whole.touches]
     cuts = [_Cut(rgb, place) for rgb, place in zip(pictures, regions, strict=True) if place is not None]
-    return [cut for cut in cuts if _spots(cut, free).sum() >= _MIN_TOUCHED_PX]
+    return [cut for cut in cuts if cut.contact(free).sum() >= _MIN_TOUCHED_PX]
 
 
-def _spots(cut: _Cut, free: U8) -> NDArray[np.bool_]:
-    """Find where an edit's centre may lie, bool (240, 320): in the contact, away from the region's border."""
-    levels = cv2.blur(np.abs(touch_edits.relief(cut.rgb, free)).sum(axis=2), (9, 9))
-    touched = levels > max(_TOUCHED_LEVELS, _TOUCHED_SHARE * float(levels.max()))
-    return np.asarray(touched & _inside(cut))
+def _square(across: float, down: float, dirt: Mask) -> Region | None:
+    """The square around a contact's centre, in shares of the picture; None outside the picture, or with dirt in it."""
+    width, height = PROFILE.size
+    x, y = round(across * width) - _SIDE_PX // 2, round(down * height) - _SIDE_PX // 2
+    if not (0 <= x <= width - _SIDE_PX and 0 <= y <= height - _SIDE_PX):
+        return None
+    square = Region(x, y, _SIDE_PX, _SIDE_PX)
+    return None if square.crop(dirt).any() else square
 
 
-def _inside(cut: _Cut) -> NDArray[np.bool_]:
-    """The region without its border, bool (240, 320)."""
-    inside = np.zeros(cut.rgb.shape[:2], np.bool_)
-    x, y, width, height = cut.region.x, cut.region.y, cut.region.width, cut.region.height
-    inside[y + _MARGIN_PX : y + height - _MARGIN_PX, x + _MARGIN_PX : x + width - _MARGIN_PX] = True
-    return inside
-
-
-def _edits(
-    held: Sequence[_Cut], count: int, presses: Presses, rng: np.random.Generator
-) -> list[tuple[U8, NDArray[np.bool_]]]:
+def _edits(held: Sequence[_Cut], count: int, presses: Presses, rng: np.random.Generator) -> list[Edited]:
     """Edits of the held-out presses in turn and their masks, cut to the regions."""
     donors = [_donor(cut.rgb, presses) for cut in held]
     found = []
-    for number, cut in enumerate(_in_turn(held, count)):
+    for number in range(count):
         at = number % len(held)
+        cut = held[at]
         # Every round over the presses begins one further, so that each press has edits of every kind.
         turn = (number + number // len(held)) % 4
         if presses.has_dots and turn % 2:
-            edited = _dot_edit(cut, turn == 1, rng)
+            # Dots are printed all over the gel, so the edit may lie outside the contact.
+            change = touch_edits.remove_dot if turn == 1 else touch_edits.add_dot
+            edited = change(cut.rgb, cut.inside, rng)
         else:
-            others = [donor for k, donor in enumerate(donors) if k != at]
-            edited = touch_edits.add_relief(cut.rgb, others, _relief_spots(cut, presses), rng)
-        found.append((cut.region.crop(edited.rgb), cut.region.crop(edited.mask)))
+            spots = cut.contact(presses.free)
+            if presses.has_dots:  # a dot would hide the piece
+                spots &= ~touch_edits.near_dots(cut.rgb)
+            edited = touch_edits.add_relief(cut.rgb, donors[:at] + donors[at + 1 :], spots, rng)
+        found.append(Edited(cut.region.crop(edited.rgb), cut.region.crop(edited.mask)))
     return found
 
 
@@ -332,15 +295,3 @@ def _donor(rgb: U8, presses: Presses) -> F32:
     """The relief of a press, without marker dots."""
     found = touch_edits.relief(rgb, presses.free)
     return touch_edits.between_dots(found, rgb, presses.free) if presses.has_dots else found
-
-
-def _dot_edit(cut: _Cut, is_removed: bool, rng: np.random.Generator) -> Edited:
-    """Dots are printed all over the gel, so the edit may lie outside the contact."""
-    change = touch_edits.remove_dot if is_removed else touch_edits.add_dot
-    return change(cut.rgb, _inside(cut), rng)
-
-
-def _relief_spots(cut: _Cut, presses: Presses) -> NDArray[np.bool_]:
-    """Find where a piece's centre may lie: in the contact, and not on a marker dot, which would hide it."""
-    spots = _spots(cut, presses.free)
-    return spots & ~touch_edits.near_dots(cut.rgb) if presses.has_dots else spots

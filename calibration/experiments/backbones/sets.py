@@ -1,7 +1,7 @@
 """The evaluation sets: presses of parts, damage and sensors that training never draws, and real frames.
 
 Every set is a list of trials that any process can make. Simulated ones come from `presses.py`, real pictures from
-`pictures.py`, whose folders are not part of the product. `sets.toml` says what each set shows, and what it cannot show.
+`real_touch.py`. `sets.toml` says what each set shows, and what it cannot show.
 """
 
 import tomllib
@@ -12,7 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from calibration.experiments.backbones.presses import PARTS, development_trial, part_trial
-from calibration.experiments.backbones.real_touch import missing_sensors, trials_of
+from calibration.experiments.backbones.real_touch import OBJECTS, real_touch_trial
 from calibration.experiments.backbones.trial import Trial
 
 __all__ = ["SENSORS", "SETS", "EvaluationSet", "evaluation_sets"]
@@ -56,9 +56,7 @@ _FEW = tuple(part for part in PARTS if part in ("PZ1", "PZ4", "PZ5"))
 
 def evaluation_sets(real_tactile: Path | None) -> dict[str, EvaluationSet]:
     """Return every set by its name in `SETS`. real_tactile: the folder of real frames, None to omit their sets."""
-    no_frames = _missing(real_tactile)
-    missing = {}
-    trials: dict[str, Sequence[Callable[[], Trial]]] = {
+    simulated: dict[str, Sequence[Callable[[], Trial]]] = {
         "random-parts": [partial(development_trial, number) for number in range(6)],
         "parts": [partial(part_trial, part) for part in PARTS],
         "sensor": [partial(part_trial, part, "unseen sensor") for part in PARTS],
@@ -67,18 +65,22 @@ def evaluation_sets(real_tactile: Path | None) -> dict[str, EvaluationSet]:
         "residual-imprint": [partial(part_trial, part, "residual imprint") for part in _FEW],
         "sliding-press": [partial(part_trial, part, "sliding press") for part in _FEW],
     }
-    for name, sensors in SENSORS.items():
-        missing[name] = no_frames
-        if real_tactile is not None and not no_frames:
-            missing[name] = missing_sensors(real_tactile, list(sensors))
-            trials[name] = [] if missing[name] else trials_of(real_tactile, list(sensors))
-    return {
-        name: EvaluationSet(**about, trials=tuple(trials.get(name, ())), missing=missing.get(name, ""))
-        for name, about in _DESCRIPTIONS.items()
-    }
+    found = {}
+    for name, about in _DESCRIPTIONS.items():
+        trials, missing = simulated.get(name, ()), ""
+        if (sensors := SENSORS.get(name)) is not None:
+            missing = _say_missing(real_tactile, list(sensors))
+            objects = [one.name for one in OBJECTS if one.sensor in sensors and not missing]
+            trials = [partial(real_touch_trial, real_tactile or Path(), one) for one in objects]
+        found[name] = EvaluationSet(**about, trials=tuple(trials), missing=missing)
+    return found
 
 
-def _missing(folder: Path | None) -> str:
+def _say_missing(folder: Path | None, sensors: Sequence[str]) -> str:
+    """Say why there are no trials: the sensors without a folder; empty when all are there."""
     if folder is None:
         return "no folder of real tactile frames was given (--tactile)"
-    return "" if folder.is_dir() else "the folder of real tactile frames given with --tactile does not exist"
+    if not folder.is_dir():
+        return "the folder of real tactile frames given with --tactile does not exist"
+    absent = [sensor for sensor in sensors if not (folder / sensor).is_dir()]
+    return f"no frames of {', '.join(absent)} in the folder given with --tactile" if absent else ""

@@ -5,7 +5,7 @@ Every random choice comes from the generator that is given, so a seed gives the 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -53,12 +53,13 @@ _RIM_PX, _NEAR_PX = 2, 4
 _APART_PX = 10
 
 
-@dataclass(frozen=True, eq=False)
-class Edited:
-    """An edited press, uint8 (h, w, 3), and where it shows, bool (h, w), one connected region."""
+class Edited(NamedTuple):
+    """An edited press."""
 
     rgb: U8
+    """uint8 (h, w, 3)."""
     mask: Mask
+    """Where it shows, bool (h, w), one connected region."""
 
 
 def relief(rgb: U8, free: U8) -> F32:
@@ -92,14 +93,30 @@ def _blended(
 ) -> Edited | None:
     """The press with a piece around `source` at `place`; None where it does not fit or too little of it is seen."""
     side = int(rng.integers(SIDE_PX[0], SIDE_PX[1] + 1))
-    piece = _piece(donor, source, side, rng)
+    cut = _cut(donor, source, round(side / rng.uniform(*_SHRUNK)))
     sign = float(rng.choice([-1.0, 1.0]))
-    row, column = (place - side // 2).tolist()
-    if piece is None or not _fits((row, column), side, rgb.shape):
-        return None
     change = np.zeros(rgb.shape, np.float32)
-    change[row : row + side, column : column + side] = sign * piece
-    return _change(rgb, change)
+    target = _cut(change, place, side)
+    if cut is None or target is None:
+        return None
+    small = np.asarray(cv2.resize(cut, (side, side), interpolation=cv2.INTER_AREA), np.float32)
+    # 1 in the middle, falling to 0 at the inscribed circle as half a cosine; the mean of each colour becomes 0.
+    along = (np.arange(side) - (side - 1) / 2) / (side / 2)
+    faded = np.clip((np.hypot(along[:, None], along) - (1 - _FADING)) / _FADING, 0, 1)
+    weight = np.asarray(0.5 * (1 + np.cos(np.pi * faded)), np.float32)[..., None]
+    target[:] = sign * ((small - (small * weight).sum(axis=(0, 1)) / weight.sum()) * weight)
+    edited = np.clip(np.round(rgb + change), 0, 255).astype(np.uint8)
+    seen = np.abs(edited.astype(np.float32) - rgb).max(axis=2)
+    peak = float(seen.max())
+    return None if peak < MIN_PEAK_LEVELS else Edited(edited, _hull(seen > _VISIBLE * peak))
+
+
+def _cut(picture: F32, centre: NDArray[np.int64], side: int) -> F32 | None:
+    """A square of a picture, (side, side, 3); None where it would leave the picture."""
+    row, column = (centre - side // 2).tolist()
+    if min(row, column) < 0 or row + side > picture.shape[0] or column + side > picture.shape[1]:
+        return None
+    return picture[row : row + side, column : column + side]
 
 
 def _places(allowed: Mask, what: str) -> NDArray[np.int64]:
@@ -108,38 +125,6 @@ def _places(allowed: Mask, what: str) -> NDArray[np.int64]:
     if not len(found):
         raise DatasetError(f"the press has no {what}; leave it out")
     return found
-
-
-def _piece(donor: F32, centre: NDArray[np.int64], side: int, rng: np.random.Generator) -> F32 | None:
-    """A feathered piece (side, side, 3) whose mean is 0 in each colour, None where it would leave the picture."""
-    wide = round(side / rng.uniform(*_SHRUNK))
-    row, column = (centre - wide // 2).tolist()
-    if not _fits((row, column), wide, donor.shape):
-        return None
-    cut = donor[row : row + wide, column : column + wide]
-    small = np.asarray(cv2.resize(cut, (side, side), interpolation=cv2.INTER_AREA), np.float32)
-    weight = _feather(side)[..., None]
-    return np.asarray((small - (small * weight).sum(axis=(0, 1)) / weight.sum()) * weight, np.float32)
-
-
-def _feather(side: int) -> F32:
-    """1 in the middle, falling to 0 at the inscribed circle as half a cosine."""
-    along = (np.arange(side) - (side - 1) / 2) / (side / 2)
-    radius = np.hypot(along[:, None], along[None, :])
-    faded = np.clip((radius - (1 - _FADING)) / _FADING, 0, 1)
-    return np.asarray(0.5 * (1 + np.cos(np.pi * faded)), np.float32)
-
-
-def _fits(corner: tuple[int, int], side: int, shape: tuple[int, ...]) -> bool:
-    return min(corner) >= 0 and corner[0] + side <= shape[0] and corner[1] + side <= shape[1]
-
-
-def _change(rgb: U8, change: F32) -> Edited | None:
-    """The press with a change in grey levels; None where too little of it is seen."""
-    edited = np.clip(np.round(rgb + change), 0, 255).astype(np.uint8)
-    seen = np.abs(edited.astype(np.float32) - rgb).max(axis=2)
-    peak = float(seen.max())
-    return None if peak < MIN_PEAK_LEVELS else Edited(edited, _hull(seen > _VISIBLE * peak))
 
 
 def _hull(seen: Mask) -> Mask:

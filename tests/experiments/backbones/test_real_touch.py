@@ -96,7 +96,7 @@ def test_edits_lie_in_the_contact_and_not_in_its_glow() -> None:
     rows, columns = np.mgrid[:240, :320]
     radius, free = np.hypot(rows - 120, columns - 160), np.full((240, 320, 3), 100, np.uint8)
     rgb = free + np.where(radius < 30, 90, np.where(radius < 60, 12, 0)).astype(np.uint8)[..., None]
-    spots = real_touch._spots(real_touch._Cut(rgb, REGION), free)
+    spots = real_touch._Cut(rgb, REGION).contact(free)
     assert spots[radius < 25].all()
     assert not spots[radius > 36].any()
 
