@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from calibration.fitting.limits.threshold import count_needed, pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
-from edge.core.contact.wear import foreign_free_gel
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.quality import NominalContact
 from edge.model.bundle import GoldenFrame
@@ -114,12 +113,12 @@ def cost_card(
 
 
 def contact_range(presses: NominalPresses) -> NominalContact | None:
-    """The spans of centroid and area with a margin, None where no touch is known.
+    """The spans of centroid and area with a margin, None where no touch was seen.
 
     A smaller contact than half of the smallest nominal one is of another object, or of a part that is partly pressed:
     the area is never open below.
     """
-    if not presses.touches:
+    if not presses.touches or presses.estimated:
         return None
 
     def around(values: list[float]) -> tuple[float, float]:
@@ -175,12 +174,6 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
             f"needed for {alpha:g}"
         )
     return found
-
-
-def free_gel_warnings(presses: NominalPresses) -> list[str]:
-    """Warn where the picture of the free gel does not belong to the presses: then no place is known."""
-    said = foreign_free_gel(presses.touches, presses.reliefs) if presses.reliefs else None
-    return [] if said is None else [said]
 
 
 def check_given(threshold: float | None) -> None:

@@ -92,7 +92,7 @@ def _check_presses(bundle: Bundle, presses: NominalPresses) -> None:
         raise FitError(
             f"found {len(presses)} presses on the new gel, expected {FEWEST} to {MOST}; with more, fit a bundle on it"
         )
-    if presses.no_contact is None or presses.free_view is None:
+    if presses.free_view is None:
         raise FitError(
             "the free new gel is not known; give a picture of it with --no-contact, or a recording"
         )

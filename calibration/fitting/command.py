@@ -339,6 +339,7 @@ def summarise(fitted: "Fitted", output: Path) -> None:
     sentences = {
         "method": choice_sentence(facts, METHOD_CHOICE),
         "backbone": choice_sentence(facts, BACKBONE_CHOICE),
+        "free gel": facts.get("free_gel"),
         "registration": facts.get("registration"),
         "augmentation": choice_sentence(facts, AUGMENTATION),
         f"threshold {threshold.value:.5g}": threshold.method,

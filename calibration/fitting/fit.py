@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from calibration.fitting.bundle_measurements import (
     contact_range,
     cost_card,
-    free_gel_warnings,
     golden_frames,
     measure_tolerance,
     placeholders,
@@ -76,8 +75,8 @@ __all__ = ["FitConfig", "Fitted", "fit_files"]
 
 Float = NDArray[np.float64]
 
+# The score maps of all presses are kept until a limit is chosen.
 MEMORY_BYTES = 1 << 30
-"""Score maps of all presses are kept until a limit is chosen; of more than this only the scores are."""
 
 
 @dataclass(frozen=True)
@@ -148,9 +147,8 @@ class _Plan:
         return plan_copies(config.augment, self.presses, config.detector.name, config.mode, is_registered)
 
     def find_threshold(self, scores: Float, slack: float = 0.0) -> ThresholdEntry:
-        return conformal_threshold(
-            scores, self.config.alpha, slack, specimens=self.presses.specimens, fewest=self.fewest
-        )
+        pieces = self.presses.specimens
+        return conformal_threshold(scores, self.config.alpha, slack, specimens=pieces, fewest=self.fewest)
 
 
 def _plan_fit(presses: NominalPresses, config: FitConfig) -> _Plan:
@@ -167,7 +165,7 @@ def _plan_fit(presses: NominalPresses, config: FitConfig) -> _Plan:
         rng = np.random.default_rng(config.seed)
         folds, few_pieces = divide_presses(presses.specimens, config.folds, rng, fewest)
         said += few_pieces
-    said += [*colour_warnings(colours), *free_gel_warnings(presses)]
+    said += colour_warnings(colours)
     return replace(plan, folds=folds, fewest=fewest, warnings=said)
 
 
@@ -227,7 +225,7 @@ class _Features:
     def skipped_tiles(self) -> tuple[int, ...]:
         """The tiles that a press without contact there may skip: those that no nominal press touches."""
         tiles, touched = self.learner.grid.tiles, self.presses.touched
-        if tiles is None or touched is None or self.presses.no_contact is None:
+        if tiles is None or touched is None or self.presses.no_contact is None or self.presses.estimated:
             return ()
         return untouched_tiles(tiles, touched)
 
@@ -301,21 +299,19 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
     bank, scores = covered.bank, covered.scores
     head, choice, found, again = learner.head(bank), Choice(PLAIN, why_plain), None, {}
     unit = 1.0 if scores is None else plan.find_threshold(scores).value
-    if damage is not None and scores is not None:
-        with watch.time("threshold"):
+    with watch.time("threshold"):
+        if damage is not None and scores is not None:
             evidence = features.gather_evidence(covered, damage)
             choice = Choice(PLAIN, "another limit cannot be appended to the method's graph")
             choice = choose_limit(evidence) if can_extend(head) else choice
-        if choice.other is not None:
-            head, bank = append(head, bank, choice.other.limit)
-            unit, scores = 1.0, choice.other.scores
-        found = evidence.count_found(choice, unit)
-        again = evidence.press_again_facts(choice, scores)
-    with watch.time("threshold"):
+            if choice.other is not None:
+                head, bank = append(head, bank, choice.other.limit)
+                unit, scores = 1.0, choice.other.scores
+            found = evidence.count_found(choice, unit)
+            again = evidence.press_again_facts(choice, scores)
         relief = features.choose_relief(head)
     head, bank = relief.append_to(head, bank, unit)
-    many = None if scores is None or len(scores) < MIN_PRESSES else scores
-    apart = [] if many is None else apart_warnings(many, plan.presses.names)
+    apart = apart_warnings(scores, plan.presses.names)
     said = [
         *unproven_warnings(features.pose.separated, found),
         *features.warnings,
@@ -324,7 +320,7 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
         *apart,
     ]
     decided = {"limit": choice.facts(), MISSING: relief.facts(), **features.pose.facts}
-    decided |= {**features.augmentation.facts, **again}
+    decided |= {**features.augmentation.facts, **again, **plan.presses.facts}
     return _Learnt(features, bank, head, choice, scores, decided, apart, said)
 
 

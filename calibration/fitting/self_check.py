@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting.presses.nominal_presses import MIN_PRESSES
 from edge.core.errors import FitError
 from edge.model.manifest import ThresholdEntry
 from edge.model.manifest_facts import UNPROVEN
@@ -70,8 +71,10 @@ def standing_apart(scores: NDArray[np.float64]) -> list[int]:
     return []
 
 
-def apart_warnings(scores: NDArray[np.float64], names: Sequence[str]) -> list[str]:
-    """A sentence for each outlier."""
+def apart_warnings(scores: NDArray[np.float64] | None, names: Sequence[str]) -> list[str]:
+    """Write a sentence for each outlier; none where too few presses have scores."""
+    if scores is None or len(scores) < MIN_PRESSES:
+        return []
     apart = standing_apart(scores)
     others = np.delete(scores, apart)
     return [

@@ -36,7 +36,7 @@ def untouched_gel(presses: NominalPresses) -> tuple[F32, Mask]:
 
     Errors: FitError without a picture of the free gel.
     """
-    if presses.no_contact is None:
+    if presses.no_contact is None or presses.estimated:
         raise FitError(
             "there is no picture of the free gel; give one with --no-contact, or a recording that begins before contact"
         )

@@ -94,5 +94,5 @@ def test_presses_that_lie_anywhere_have_no_range_by_place(presses: NominalPresse
     """Where contacts scatter by more than 3 mm places are not compared."""
     apart = tuple(Touch(0.1, 0.2 + 0.08 * k, 0.5) for k in range(8))
     scattered = replace(config, is_scattered=True)
-    fitted = fit_files(replace(presses, touches=apart, reliefs=()), scattered, created="")
+    fitted = fit_files(replace(presses, touches=apart), scattered, created="")
     assert not [kind for kind in fitted.manifest.facts["limit"]["found"] if "place" in kind]

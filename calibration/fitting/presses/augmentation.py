@@ -95,7 +95,7 @@ def plan_copies(
     if augment == "never" or not n or (augment == "auto" and not is_useful):
         return Augmentation()
     why = "the presses are registered, and lie in one pose already" if is_registered else ""
-    if presses.no_contact is None:
+    if presses.no_contact is None or presses.estimated:
         why = "they need a picture of the free gel; give one with --no-contact, or a recording that shows it"
     if why and augment == "always":
         raise FitError(f"no copies of the presses can be added: {why}")

@@ -1,7 +1,7 @@
 """Nominal presses from the user's sources: recordings, folders of pictures, single pictures.
 
 From a recording the contact tracker takes the settled frame of every press, exactly like the gateway, and frames of the
-free gel. Each picture is a press; with a picture of the free gel its touched area is known too.
+free gel. Each picture is a press. The free gel of pictures is given, or estimated from them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 
 from calibration.dataset.files import SUFFIXES, read_rgb
 from calibration.dataset.press import numbered
+from calibration.fitting.presses.free_gel import estimate_free_gel, view_of
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
 from calibration.fitting.presses.sources import check_present
 from edge.core.contact.mask import Touch, touched, touched_mask
 from edge.core.contact.press_detector import PressDetector
-from edge.core.contact.reference import Reference, View
+from edge.core.contact.reference import Reference
 from edge.core.contact.relief import ReliefOfReference, with_relief
 from edge.core.contact.settings import ContactSettings
 from edge.core.errors import DatasetError, FitError
-from edge.core.imaging.decode import VIEW_SIZE, decode
+from edge.core.imaging.decode import decode
 from edge.core.imaging.quality import BLACK_LEVEL
 from edge.core.imaging.region import Region, touched_in
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -56,11 +57,11 @@ MAX_NO_CONTACT = 16
 TOUCHED_MARGIN_MM = 1.0
 
 
-_Contact = tuple[NDArray[np.bool_] | None, float]
-"""Where a press touches, and how much fine structure it shows, as in `_Press`."""
+_Mask = NDArray[np.bool_] | None
+"""Where a press touches in the view, bool (120, 160); None where the free gel is not known."""
 
 # The fields with one entry per press.
-_EACH = ("names", "specimens", "touches", "reliefs")
+_EACH = ("names", "specimens", "touches")
 
 
 @dataclass(frozen=True)
@@ -82,10 +83,10 @@ class NominalPresses:
     """Names of presses found and left out."""
     free_view: NDArray[np.uint8] | None = None
     """The free gel as contact detection sees it, uint8 (120, 160, 3)."""
-    reliefs: tuple[float, ...] = ()
-    """The share of the view in which each press shows an imprint's fine structure, empty when there is no free gel."""
     faults: tuple[str, ...] = ()
-    """Parts of the sources that could not be read or found, a sentence each."""
+    """Parts of the sources that could not be read or found, and doubts about the free gel, a sentence each."""
+    estimated: str = ""
+    """How the free gel was estimated from the presses; empty where it was seen."""
 
     def __post_init__(self) -> None:
         if self.frames.ndim != 4 or self.frames.shape[3] != 3 or self.frames.dtype != np.uint8:
@@ -94,12 +95,15 @@ class NominalPresses:
             object.__setattr__(self, "specimens", (None,) * len(self.frames))
         for what in (getattr(self, name) for name in _EACH):
             if what and len(what) != len(self.frames):
-                raise ValueError(
-                    f"{len(self.frames)} frames with {len(what)} names, specimens, touches or reliefs"
-                )
+                raise ValueError(f"{len(self.frames)} frames with {len(what)} names, specimens or touches")
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What the manifest says of the free gel."""
+        return {"free_gel": self.estimated} if self.estimated else {}
 
     def spread(self, most: int) -> "NominalPresses":
         """Select at most this many of them, evenly spread."""
@@ -125,10 +129,7 @@ class _Press:
     """The inspected region."""
     name: str
     specimen: str | None
-    mask: NDArray[np.bool_] | None
-    """Where it touches in the view, bool (120, 160); None where the free gel is not known."""
-    relief: float
-    """The share of the view in which it shows fine structure."""
+    mask: _Mask
 
 
 @dataclass
@@ -144,19 +145,36 @@ class _Gathered:
     left_out: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
+    estimated: str = ""
 
-    def add(self, picture: NDArray[np.uint8], name: str, specimen: str | None, contact: _Contact) -> None:
+    def check_free_gel(self, pictures: Sequence[NDArray[np.uint8]]) -> None:
+        """Estimate the free gel from pictures of presses where none is known, or it is of another light."""
+        if len(pictures) < MIN_PRESSES:
+            return
+        gel = estimate_free_gel(pictures)
+        foreign = [why for why in map(gel.find_foreign, self.free) if why]
+        if self.free and len(foreign) < len(self.free):
+            return
+        self.free, self.estimated = [gel.picture], str(gel)
+        if foreign:
+            self.faults.append(
+                f"the free gel is {gel}: {foreign[0]}; take one under the light of the presses"
+            )
+        elif gel.doubt:
+            self.faults.append(f"the free gel is {gel}: give a picture of it with --no-contact")
+
+    def add(self, picture: NDArray[np.uint8], name: str, specimen: str | None, mask: _Mask) -> None:
         if name in self.unwanted:
             self.left_out.append(name)
         else:
-            self.presses.append(_Press(self.region.crop(picture).copy(), name, specimen, *contact))
+            self.presses.append(_Press(self.region.crop(picture).copy(), name, specimen, mask))
 
     def finish(self) -> NominalPresses:
         """Return all presses; their contacts count where every one is known."""
         presses, free = self.presses, self.free[:MAX_NO_CONTACT]
         masks = [press.mask for press in presses if press.mask is not None]
         is_known = len(masks) == len(presses)
-        views = [_view(picture) for picture in free]
+        views = [view_of(picture) for picture in free]
         return NominalPresses(
             frames=np.stack([press.rgb for press in presses]),
             names=tuple(press.name for press in presses),
@@ -165,9 +183,11 @@ class _Gathered:
             touched=touched_union(masks, self.profile, self.region) if is_known else None,
             no_contact=np.stack([self.region.crop(picture) for picture in free]) if free else None,
             left_out=tuple(self.left_out),
-            free_view=np.rint(np.mean(views, axis=0, dtype=np.float64)).astype(np.uint8) if free else None,
-            reliefs=tuple(press.relief for press in presses) if is_known else (),
+            free_view=np.rint(np.mean(views, axis=0, dtype=np.float64)).astype(np.uint8)
+            if free and not self.estimated
+            else None,
             faults=tuple(self.faults),
+            estimated=self.estimated,
         )
 
 
@@ -199,13 +219,15 @@ def read_presses(
     free_files = list_pictures(no_contact or ())
     free = _pictures(free_files, profile, resize)
     gathered.free += [picture for _, picture in free]
-    contact = _contacts(gathered.free)
     for source in sources:
         if is_recording(source):
             _read_recording(source, gathered)
     files = list_pictures([source for source in sources if not is_recording(source)], pattern)
     files = [path for path in files if not any(path.samefile(one) for one in free_files)]
-    for path, picture in _pictures(files, profile, resize):
+    pictures = _pictures(files, profile, resize)
+    gathered.check_free_gel([picture for _, picture in pictures])
+    contact = _contacts(gathered.free)
+    for path, picture in pictures:
         piece = specimens.get(path) or specimen_of(path)
         gathered.add(picture, f"{path.parent.name}/{path.name}", piece, contact(picture))
     for name in sorted(gathered.unwanted - set(gathered.left_out)):
@@ -253,7 +275,7 @@ def _read_recording(folder: Path, gathered: _Gathered) -> None:
             if isinstance(found, FoundPress):
                 number, rgb = found.frame.sequence, decode(found.frame, gathered.profile)
                 piece = None if specimens[number] is None else str(specimens[number])
-                gathered.add(rgb, f"{folder.name}#{number}", piece, (found.mask, found.relief or 0.0))
+                gathered.add(rgb, f"{folder.name}#{number}", piece, found.mask)
             elif len(gathered.free) < MAX_NO_CONTACT:
                 gathered.free.append(decode(found, gathered.profile))
     if finder.detector.newest is None:
@@ -344,23 +366,18 @@ def require_light(path: Path, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return picture
 
 
-def _view(picture: NDArray[np.uint8]) -> View:
-    return np.asarray(cv2.resize(picture, VIEW_SIZE, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _contacts(free: Sequence[NDArray[np.uint8]]) -> Callable[[NDArray[np.uint8]], _Contact]:
+def _contacts(free: Sequence[NDArray[np.uint8]]) -> Callable[[NDArray[np.uint8]], _Mask]:
     """Return the function that finds a picture's contact as the gateway does; none is known without the free gel."""
     if not free:
-        return lambda picture: (None, 0.0)
-    mean = np.stack([_view(picture) for picture in free]).mean(axis=0, dtype=np.float64)
+        return lambda picture: None
+    mean = np.stack([view_of(picture) for picture in free]).mean(axis=0, dtype=np.float64)
     reference = Reference(np.asarray(mean, np.float32), len(free), 0)
     structure = ReliefOfReference(reference.view)
 
-    def contact(picture: NDArray[np.uint8]) -> _Contact:
-        difference = reference.difference(_view(picture))
+    def contact(picture: NDArray[np.uint8]) -> _Mask:
+        difference = reference.difference(view_of(picture))
         relief = structure.of(difference, ContactSettings.light_levels)
-        mask = with_relief(touched_mask(difference), relief, ContactSettings.on_area)
-        return mask, relief.area
+        return with_relief(touched_mask(difference), relief, ContactSettings.on_area)
 
     for picture in free:  # from these it learns the noise: a part that fills the view has structure all over
         contact(picture)

@@ -23,8 +23,6 @@ class FoundPress:
     frame: CameraFrame
     mask: NDArray[np.bool_] | None
     """Where it touches, bool (120, 160); None where the free gel is not known."""
-    relief: float | None
-    """The share of the view in which it shows fine structure; None where the free gel is not known."""
 
 
 class PressFinder:
@@ -41,7 +39,7 @@ class PressFinder:
             if isinstance(event, PressSettled) and event.frame is not None:
                 self.settled += 1
                 seen = event.findings
-                yield FoundPress(event.frame, seen.mask if seen else None, seen.relief.area if seen else None)
+                yield FoundPress(event.frame, seen.mask if seen else None)
             elif isinstance(event, PressBegan | ReferenceReady) and self._last_free is not None:
                 yield self._last_free
         if self.detector.tracker.state in (State.BASELINE, State.NO_CONTACT):

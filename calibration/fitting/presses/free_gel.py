@@ -1,0 +1,183 @@
+"""The free gel, estimated from the presses themselves, and whether a picture of it belongs to them.
+
+Where presses lie apart most of them leave a place free, and the median of these is the gel. Where all touch a place the
+light is continued from its surroundings: without a part a GelSight's light is smooth, on six units a polynomial of the
+fourth degree to 2 to 4 levels in the median. Compared with pictures of the free gel estimates differ by 1.0 to 1.6
+levels in the median where balls lie anywhere, by 1.5 to 3.2 on parts in a fixture that cover 15 to 46 % of the view,
+and nowhere by as much as a touch; of a finger on a marker gel by 10.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.mask import squared_distance, touched_mask
+from edge.core.contact.reference import Reference, View, fit_levels
+from edge.core.imaging.decode import VIEW_SIZE
+
+__all__ = ["FreeGel", "estimate_free_gel", "view_of"]
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+MOST_PRESSES = 48
+"""Of more presses as many are taken, evenly spread, for the time that it takes."""
+
+_ROUNDS = 3
+_DEGREE = 4
+# A place is filled from its surroundings where this share of the presses touches it, and is the median of those that do
+# not where so many are left.
+_TOUCHED_SHARE, _FREE_SHARE, _FEWEST = 0.4, 0.1, 3
+# Smaller areas of the 160x120 view are dots of a marker gel, and stay; so many are no chance: 13 on plain gels.
+_DOT_PX, _MANY_DOTS = 150, 20
+# What surrounds a touched area bends the light too. The light there continues what is known nearby.
+_GROWN_PX, _NEARBY_PX = 9, 8.0
+# The rim of the view, and the touched share of it from which the light of the gel is a guess.
+_RIM_SHARE, _HARDLY_SEEN = 0.1, 0.5
+# Fitting the light: pixels beyond three standard deviations are touched; a residual of this many levels is noise.
+_FITS, _SIGMAS, _NOISE = 12, 3.0, 1.5
+# Right pictures differ from estimates by up to 2.6 levels in the median, and as a touch does over at most 2 % of what
+# is free; other lights and units by 3 to 50 levels, or over a tenth of it and more.
+_FOREIGN_LEVELS, _FOREIGN_SHARE = 4.0, 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class FreeGel:
+    """The gel without contact, as the presses show it."""
+
+    picture: U8
+    """uint8 (h, w, 3)."""
+    filled: Mask
+    """The places that were filled from their surroundings, bool of the view."""
+    presses: int
+    has_dots: bool = False
+
+    @property
+    def doubt(self) -> str:
+        """The reason why it may be wrong; empty for none."""
+        if self.has_dots:
+            return "the part hides dots"
+        return "rim not seen" if self.filled[_rim(self.filled.shape)].mean() > _HARDLY_SEEN else ""
+
+    def __str__(self) -> str:
+        share = (
+            f", {self.filled.mean():.0%} of it continued from the surroundings" if self.filled.any() else ""
+        )
+        return f"estimated from {self.presses} presses{share}{self.doubt and ', ' + self.doubt}"
+
+    def find_foreign(self, picture: U8) -> str:
+        """Say why a picture of the free gel is not of the light of the presses; empty where it is, or is not known."""
+        if self.doubt:
+            return ""
+        difference = Reference(view_of(self.picture), 1, 0).difference(view_of(picture))
+        free = ~self.filled
+        levels = float(np.median(np.sqrt(squared_distance(difference)[free])))
+        share = float(touched_mask(difference)[free].mean())
+        if levels <= _FOREIGN_LEVELS and share <= _FOREIGN_SHARE:
+            return ""
+        return (
+            f"the given picture of it differs by {levels:.1f} levels around the parts, over {share:.0%} as a touch "
+            "does: another light, gel or sensor"
+        )
+
+
+def view_of(picture: U8 | F32) -> View:
+    """Return a picture as contact detection sees it."""
+    return np.asarray(cv2.resize(picture, VIEW_SIZE, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def estimate_free_gel(pictures: Sequence[U8]) -> FreeGel:
+    """Estimate the free gel from pictures of presses, uint8 (h, w, 3) each."""
+    rows = np.linspace(0, len(pictures) - 1, min(len(pictures), MOST_PRESSES)).round().astype(int)
+    some = [pictures[k] for k in rows]
+    views = [view_of(picture) for picture in some]
+    gel = np.median(some, axis=0).astype(np.float32)
+    for number in range(_ROUNDS):
+        gel = gel if number == 0 else _median_of_free(some, views, gel)
+        gel, filled, dots = _fill(gel, views)
+    picture = np.clip(np.rint(gel), 0, 255).astype(np.uint8)
+    return FreeGel(picture, filled, len(pictures), dots >= _MANY_DOTS)
+
+
+def _fill(gel: F32, views: Sequence[View]) -> tuple[F32, Mask, int]:
+    """Continue the light into the places that most presses touch: the gel, these places, and the number of dots."""
+    seen = view_of(gel)
+    weights = _fit_light(seen)
+    light = _light(weights, seen.shape[:2])
+    touching = np.mean([touched_mask(Reference(light, 1, 0).difference(view)) for view in views], axis=0)
+    _, labels, areas, _ = cv2.connectedComponentsWithStats((touching > _TOUCHED_SHARE).astype(np.uint8))
+    is_part = areas[:, cv2.CC_STAT_AREA] >= _DOT_PX
+    is_part[0] = False
+    filled = cv2.dilate(is_part[labels].astype(np.uint8), np.ones((_GROWN_PX, _GROWN_PX), np.uint8))
+    known = (filled == 0).astype(np.float32)[..., None]
+    near = cv2.GaussianBlur(known, (0, 0), _NEARBY_PX)[..., None]
+    rest = cv2.GaussianBlur((seen - light) * known, (0, 0), _NEARBY_PX) / (near + 1e-3)
+    size = (gel.shape[1], gel.shape[0])
+    share = cv2.resize(cv2.GaussianBlur(filled.astype(np.float32), (0, 0), 2), size)[..., None]
+    share = np.minimum(2 * share, 1)
+    continued = _light(weights, gel.shape[:2]) + cv2.resize(rest, size)
+    mixed = np.asarray((1 - share) * gel + share * continued, np.float32)
+    return mixed, filled > 0, int((~is_part[1:]).sum())
+
+
+def _median_of_free(pictures: Sequence[U8], views: Sequence[View], gel: F32) -> F32:
+    """Take of each pixel the median of the presses that do not touch it, at the gel's level; the gel where few do."""
+    reference, size = view_of(gel), (gel.shape[1], gel.shape[0])
+    levels = [fit_levels(view, reference) for view in views]
+    touching = [touched_mask(one.applied(view) - reference) for one, view in zip(levels, views, strict=True)]
+    grown = np.ones((_GROWN_PX, _GROWN_PX), np.uint8)
+    masks = [
+        cv2.resize(cv2.dilate(mask.astype(np.uint8), grown), size, interpolation=cv2.INTER_NEAREST) > 0
+        for mask in touching
+    ]
+    found = gel.copy()
+    for row in range(len(gel)):  # row by row, for the memory
+        lines = np.stack(
+            [one.applied(p[row, None].astype(np.float32))[0] for one, p in zip(levels, pictures, strict=True)]
+        )
+        hidden = np.stack([mask[row] for mask in masks])
+        free = len(masks) - hidden.sum(axis=0)
+        lines[hidden] = np.inf
+        middle = np.take_along_axis(np.sort(lines, axis=0), (free // 2)[None, :, None], axis=0)[0]
+        enough = free >= max(_FEWEST, _FREE_SHARE * len(masks))
+        found[row, enough] = middle[enough]
+    return found
+
+
+def _terms(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return the polynomial's terms at each pixel of (h, w), (h, w, terms)."""
+    y, x = ((np.arange(size) + 0.5) / size * 2 - 1 for size in shape[:2])
+    powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
+    return np.asarray(np.stack([np.multiply.outer(y**j, x**i) for i, j in powers], axis=-1), np.float64)
+
+
+def _light(weights: NDArray[np.float64], shape: tuple[int, ...]) -> F32:
+    return np.asarray(_terms(shape) @ weights, np.float32)
+
+
+def _fit_light(view: View) -> NDArray[np.float64]:
+    """Fit the polynomial, (terms, 3), to what is not touched, from the rim or everywhere: what explains more."""
+    terms = _terms(view.shape)[::2, ::2]
+    terms, levels = terms.reshape(-1, terms.shape[-1]), view[::2, ::2].reshape(-1, 3).astype(np.float64)
+    found = []
+    for kept in (_rim(view.shape)[::2, ::2].ravel(), np.ones(len(terms), np.bool_)):
+        for _ in range(_FITS):
+            weights = np.asarray(np.linalg.lstsq(terms[kept], levels[kept])[0], np.float64)
+            away = np.abs(terms @ weights - levels).max(axis=1)
+            now = away < _SIGMAS * max(1.48 * float(np.median(away[kept])), _NOISE)
+            if np.array_equal(now, kept) or now.sum() < 3 * terms.shape[1]:
+                break
+            kept = now
+        found.append((float(kept.mean()), weights))
+    return max(found, key=lambda one: one[0])[1]
+
+
+def _rim(shape: tuple[int, ...]) -> Mask:
+    rim = np.ones(shape[:2], np.bool_)
+    down, across = (round(_RIM_SHARE * size) for size in shape[:2])
+    rim[down:-down, across:-across] = False
+    return rim
