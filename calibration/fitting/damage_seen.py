@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.damage.damaged_presses import damage_presses
-from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.held_out import Learner, ScoredPresses, score_held_out
@@ -22,13 +21,14 @@ from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose
 from calibration.fitting.presses.augmentation import Copies, Take, plan_copies
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.scatter import scatter_warnings
+from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import Trunk
 from calibration.metrics import aupro, auroc
 from edge.core.detector import Detector, Features, Nominal
+from edge.core.errors import FitError
 from edge.core.registration.registrar import Registered, Registrar
-from edge.model.session import open_session
 
-__all__ = ["MOST_PRESSES", "DamageJudge", "PosedPresses", "Separation", "TrunkBench", "measure_separation"]
+__all__ = ["MOST_PRESSES", "DamageJudge", "PosedPresses", "Separation", "measure_separation"]
 
 T = TypeVar("T")
 U8 = NDArray[np.uint8]
@@ -102,18 +102,46 @@ class DamageJudge:
         self._registered: PosedPresses | None = None
         self._poses: dict[str, PoseChoice] = {}
 
-    def judge(self, detector: Detector, bench: "TrunkBench") -> Separation:
-        """Measure what banks of this method see on the trunk. Errors: FitError where it does not take the presses or
-        the trunk."""
-        config, learner = self._config, bench.make_learner(detector)
-        posed = self._pose(learner, bench.take)
+    def judge(
+        self, trunk: Trunk, taps: Sequence[str], detectors: Mapping[str, Detector]
+    ) -> dict[str, Separation | FitError]:
+        """Measure what banks of each method see on the trunk, or why it does not take the presses or the trunk.
+
+        taps: all that the methods read. Errors: FitError for a trunk that lacks one.
+        """
+        config, found = self._config, dict[str, Separation | FitError]()
+        frame, name = (config.region.height, config.region.width), f"trunk '{trunk.id}'"
+        reader = TapReader(trunk.graph, taps, frame, config.profile.pixels_per_mm, config.threads, name)
+        _, trunk_ms = _time(lambda rgb: reader.take(rgb[None]), self._few.frames[:_TIMED])
+        taken: dict[bool, tuple[Nominal, Features]] = {}
+        for name, detector in detectors.items():
+            try:
+                found[name] = self._judge_method(detector, reader, taken, trunk_ms)
+            except FitError as error:
+                found[name] = error
+        return found
+
+    def _judge_method(
+        self,
+        detector: Detector,
+        reader: TapReader,
+        taken: dict[bool, tuple[Nominal, Features]],
+        trunk_ms: float,
+    ) -> Separation:
+        """Measure what banks of this method see. taken: features of presses as they lie or registered, for all methods.
+        Errors: FitError where it does not take the presses."""
+        config = self._config
+        learner = reader.learner(detector, detector.parameters(config.mode, **config.overrides), config.seed)
+        posed = self._pose(learner, reader.take)
         is_registered = posed.registered is not None
-        nominal, features = bench.take_features(posed)
+        if is_registered not in taken:
+            taken[is_registered] = reader.nominal(posed.learnt), reader.take(posed.frames)
+        nominal, features = taken[is_registered]
         each = plan_copies(config.augment, self._few, detector.name, config.mode, is_registered).each
-        copies = Copies.of(self._few, each, config.profile.pixels_per_mm, config.seed, bench.take)
+        copies = Copies.of(self._few, each, config.profile.pixels_per_mm, config.seed, reader.take)
         learner = replace(learner, copies=copies)
         shown = score_held_out(learner, nominal, self._folds, (features, self._press)).edited
-        press_ms = posed.registration_ms + bench.trunk_ms + float(np.median(shown.head_ms))
+        press_ms = posed.registration_ms + trunk_ms + float(np.median(shown.head_ms))
         return Separation(self._by_kind(posed.bring_back(shown)), press_ms, is_registered)
 
     def _by_kind(self, scored: ScoredPresses) -> dict[str, float]:
@@ -154,36 +182,3 @@ def _time(work: Callable[[U8], T], frames: U8) -> tuple[list[T], float]:
 def _part(scored: ScoredPresses, first: int, count: int) -> ScoredPresses:
     rows = slice(first, first + count)
     return ScoredPresses(scored.maps[rows], scored.scores[rows])
-
-
-class TrunkBench:
-    """One trunk, whose features serve every method. taps: all that the methods read. Errors: FitError for a trunk that
-    lacks one."""
-
-    def __init__(self, trunk: Trunk, taps: Sequence[str], config: FitConfig) -> None:
-        self._config, self.trunk = config, trunk
-        self._session = open_session(trunk.graph, config.threads, f"trunk '{trunk.id}'")
-        size = config.region.height, config.region.width
-        self._grid = trunk_grid(self._session, taps, size, config.profile.pixels_per_mm)
-        self._features: dict[bool, tuple[Nominal, Features]] = {}
-        self.trunk_ms = 0.0
-
-    def make_learner(self, detector: Detector) -> Learner:
-        """Prepare the method on this trunk. Errors: FitError for settings that the method refuses."""
-        config = self._config
-        parameters = detector.parameters(config.mode, **config.overrides)
-        grid = replace(self._grid, taps={tap: self._grid.taps[tap] for tap in detector.taps(parameters)})
-        return Learner(detector, grid, parameters, config.seed, config.threads)
-
-    def take(self, frames: U8) -> Features:
-        return extract(self._session, frames, self._grid, lambda fraction: None)
-
-    def take_features(self, posed: PosedPresses) -> tuple[Nominal, Features]:
-        """Take the features of the presses to learn and of those to score, once for all methods."""
-        learnt, key = posed.learnt, posed.registered is not None
-        if key not in self._features:
-            free = None if learnt.no_contact is None else self.take(learnt.no_contact)
-            nominal = Nominal(self.take(learnt.frames), learnt.touched, free)
-            self._features[key] = nominal, self.take(posed.frames)
-            _, self.trunk_ms = _time(lambda rgb: self.take(rgb[None]), learnt.frames[:_TIMED])
-        return self._features[key]

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.fitting.candidates import Candidates
-from calibration.fitting.damage_seen import DamageJudge, Separation, TrunkBench
+from calibration.fitting.damage_seen import DamageJudge, Separation
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from calibration.fitting.trunks import open_trunk
@@ -88,37 +88,21 @@ class Comparison:
     def run(self, judge: DamageJudge, report: Report) -> None:
         """Judge on one trunk after the other, all methods on the same features. Errors: FitError where no pair can be
         tried."""
-        benches = self._open_benches()
-        for number, (trunk, bench) in enumerate(benches.items()):
-            report("choice", number / len(benches))
-            for method, detector in self._detectors.items():
-                if (method, trunk) in self._errors:
-                    continue
-                try:
-                    self.separations[method, trunk] = judge.judge(detector, bench)
-                except FitError as error:
-                    self._errors[method, trunk] = error
-        if benches:
-            report("choice", 1.0)
+        for number, trunk in enumerate(self._candidates.trunks):
+            report("choice", number / len(self._candidates.trunks))
+            seen: Mapping[str, Separation | ConfigError | FitError]
+            try:
+                seen = judge.judge(open_trunk(trunk, self._taps), self._taps, self._detectors)
+            except (ConfigError, FitError) as error:
+                seen = dict.fromkeys(self._detectors, error)
+            for method, found in seen.items():
+                if isinstance(found, Separation):
+                    self.separations[method, trunk] = found
+                else:
+                    self._errors[method, trunk] = found
+        report("choice", 1.0)
         if not self.separations:
             raise next(iter(self._errors.values()))
-
-    def _open_benches(self) -> dict[str, TrunkBench]:
-        """Open the trunks on which some method can be tried; what cannot is known before the work."""
-        benches: dict[str, TrunkBench] = {}
-        for trunk in self._candidates.trunks:
-            try:
-                bench = TrunkBench(open_trunk(trunk, self._taps), self._taps, self._config)
-            except (ConfigError, FitError) as error:
-                self._errors |= {(method, trunk): error for method in self._detectors}
-                continue
-            for method, detector in self._detectors.items():
-                try:
-                    bench.make_learner(detector)
-                    benches[trunk] = bench
-                except FitError as error:
-                    self._errors[method, trunk] = error
-        return benches
 
     def choose(self) -> FitConfig:
         """Return the configuration with the pair that sees most, and why for the manifest."""

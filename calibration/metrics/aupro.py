@@ -128,15 +128,6 @@ def _area(
     pro = np.minimum(np.cumsum(overlap)[last_of_tie] / regions, 1.0)
     x = np.concatenate([[0.0], fpr, [1.0]])
     y = np.concatenate([[0.0], pro, [1.0]])
-    return _integrate_to_limit(x, y, limit) / limit
-
-
-def _integrate_to_limit(x: NDArray[np.float64], y: NDArray[np.float64], limit: float) -> float:
-    """The area under the points (x rising) from 0 to `limit`, the last piece interpolated linearly."""
     inside = int(np.searchsorted(x, limit, side="right"))
-    area = float(np.sum((x[1:inside] - x[: inside - 1]) * (y[1:inside] + y[: inside - 1])) / 2)
-    if inside < x.size:
-        step = limit - x[inside - 1]
-        slope = (y[inside] - y[inside - 1]) / (x[inside] - x[inside - 1])
-        area += float(step * (y[inside - 1] + slope * step / 2))
-    return area
+    x, y = np.append(x[:inside], limit), np.append(y[:inside], np.interp(limit, x, y))
+    return float(np.sum(np.diff(x) * (y[1:] + y[:-1])) / 2 / limit)

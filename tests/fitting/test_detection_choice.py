@@ -1,6 +1,6 @@
 """A fit chooses the method and the trunk whose banks see more of small damage in its own presses, and says why."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +9,11 @@ import pytest
 from pressed_dome import dome_config, dome_presses
 
 from calibration.fitting.candidates import Candidates
-from calibration.fitting.damage_seen import DamageJudge, Separation, TrunkBench
+from calibration.fitting.damage_seen import DamageJudge, Separation
 from calibration.fitting.detection_choice import Comparison, choose_detection
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.trunks import open_trunk
+from calibration.fitting.trunks import Trunk, open_trunk
 from edge import registry
 from edge.core.detector import Detector
 from edge.core.errors import FitError
@@ -70,16 +70,15 @@ def test_the_pair_that_sees_more_is_chosen(
 
 
 class SaidSeen(DamageJudge):
-    """What was said that each pair sees, in place of a judgement; an error is raised."""
+    """What was said that each pair sees, in place of a judgement."""
 
     def __init__(self, said: dict[tuple[str, str], Separation | FitError]) -> None:
         self.said = said
 
-    def judge(self, detector: Detector, bench: TrunkBench) -> Separation:
-        found = self.said[detector.name, bench.trunk.id]
-        if isinstance(found, FitError):
-            raise found
-        return found
+    def judge(
+        self, trunk: Trunk, taps: Sequence[str], detectors: Mapping[str, Detector]
+    ) -> dict[str, Separation | FitError]:
+        return {name: self.said[name, trunk.id] for name in detectors}
 
 
 def seen(mean: float, press_ms: float = 5.0, is_registered: bool = False) -> Separation:

@@ -15,6 +15,7 @@ from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.pose.registration import LearntPose, completed, learn_pose
 from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.metrics import auroc
 from edge.core.detector import Nominal
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
@@ -148,10 +149,9 @@ def _proof(
 
 
 def _auroc(learner: Learner, take: Take, nominal: U8, sound: U8, damaged: U8) -> float:
-    """The share of pairs of a damaged and a sound press in which the damaged one scores higher."""
+    """Measure how well the scores of damaged presses are told from those of sound ones."""
     features = take(np.concatenate([nominal, sound, damaged]))
-    first, last = len(nominal), len(nominal) + len(sound)
+    first = len(nominal)
     bank = learner.bank(Nominal({tap: maps[:first] for tap, maps in features.items()}))
-    good = learner.score(bank, features, range(first, last)).scores
-    bad = learner.score(bank, features, range(last, last + len(damaged))).scores
-    return float((bad[:, None] > good).mean() + 0.5 * (bad[:, None] == good).mean())
+    scores = learner.score(bank, features, range(first, first + len(sound) + len(damaged))).scores
+    return auroc(scores, np.arange(len(scores)) >= len(sound)) or 0.0

@@ -40,9 +40,9 @@ _GROWN_PX, _NEARBY_PX = 9, 8.0
 _RIM_SHARE, _HARDLY_SEEN = 0.1, 0.5
 # Fitting the light: pixels beyond three standard deviations are touched; a residual of this many levels is noise.
 _FITS, _SIGMAS, _NOISE = 12, 3.0, 1.5
-# Right pictures differ from estimates by up to 2.6 levels in the median, and as a touch does over at most 2 % of what
-# is free; other lights and units by 3 to 50 levels, or over a tenth of it and more.
-_FOREIGN_LEVELS, _FOREIGN_SHARE = 4.0, 0.05
+# Right pictures differ from estimates by up to 1.6 levels in the median, by 2.6 where some of it was filled, and as a
+# touch does over at most 2 % of what is free; other lights by 2.6 to 9 levels, other units by 3 to 50.
+_FOREIGN_LEVELS, _FOREIGN_BY_FILLED, _FOREIGN_SHARE = 2.5, 4.0, 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,8 @@ class FreeGel:
         free = ~self.filled
         levels = float(np.median(np.sqrt(squared_distance(difference)[free])))
         share = float(touched_mask(difference)[free].mean())
-        if levels <= _FOREIGN_LEVELS and share <= _FOREIGN_SHARE:
+        most = _FOREIGN_BY_FILLED if self.filled.any() else _FOREIGN_LEVELS
+        if levels <= most and share <= _FOREIGN_SHARE:
             return ""
         return (
             f"the given picture of it differs by {levels:.1f} levels around the parts, over {share:.0%} as a touch "
