@@ -101,6 +101,18 @@ def test_a_fit_of_another_method_is_refused(unit: Path) -> None:
     assert scatter_warnings(presses, PROFILE, registry.detector("inreach")) == []
 
 
+def test_the_free_gel_is_what_balls_that_lie_anywhere_leave_free(unit: Path) -> None:
+    """A level or two from the picture of it, in the median."""
+    nominal = [unit / "6.310mm" / str(k) / "gelsight.png" for k in NOMINAL]
+    presses, given = (
+        read_presses(nominal, PROFILE, REGION, no_contact=free) for free in ([], [unit / "background.png"])
+    )
+    assert presses.facts["free_gel"].startswith(f"estimated from {len(nominal)} presses")
+    assert presses.no_contact is not None
+    assert given.no_contact is not None
+    assert np.median(np.abs(presses.no_contact[0].astype(float) - given.no_contact[0])) < 2
+
+
 def test_every_real_press_is_seen_and_counted_once(station: Path, reports: list[PressReport]) -> None:
     """Seven presses, seven results, seven on the gel, seven pictures."""
     presses = len(TESTED) + 1
