@@ -184,7 +184,7 @@ def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path, brok
     from edge.cli.run import press_line
     from edge.clock import SystemClock
     from edge.config import load_config
-    from edge.gateway.gateway import Gateway
+    from edge.gateway.build import open_station
     from edge.store.press_store import Store
 
     tally = _read_truth(recording)
@@ -203,13 +203,13 @@ def _inspected(folder: Path, bundle: Path, recording: Path, heatmaps: Path, brok
     config.write_text(text, encoding="utf-8")
     with _subscriber(broker, heatmaps) as (received, complete):
         loaded = load_config(config)
-        with Gateway.open(
+        with open_station(
             loaded,
             SystemClock(),
             lambda report: tally.add(press_line(report), report.result.verdict or "error"),
-        ) as gateway:
-            tally.summary = gateway.run(threading.Event())
-            tally.status = gateway.status
+        ) as station:
+            tally.summary = station.run(threading.Event())
+            tally.status = station.parts.acquisition.status
             # Before the gateway closes: it waits two seconds for unsent messages, and a busy machine needs more.
             _await(lambda: len(complete) >= len(tally.verdicts))
         tally.received = len(received)

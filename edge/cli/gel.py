@@ -77,7 +77,7 @@ def replace(
     with _open(config, database) as store:
         known = sorted({record.serial for record in store.gels()})
         record = store.replace_gel(
-            _only(known) if serial is None else _check_serial(serial, known),
+            _choose_serial(serial, known),
             now_ns,
             gel_id,
             limit,
@@ -101,7 +101,7 @@ def prove(
     where one is not."""
     with _open(config, database) as store:
         known = sorted({record.serial for record in store.gels()})
-        on = _only(known) if serial is None else _check_serial(serial, known)
+        on = _choose_serial(serial, known)
         used = store.read("reading where bundles are proven", gel_proofs.of_mounted)
         here = [(key, of, proof) for key, of, proof in used if key.serial == on and part in (None, of.part)]
         if part is not None and not here:
@@ -137,20 +137,17 @@ def user() -> str:
         return "unnamed"
 
 
-def _only(serials: list[str]) -> str:
-    if len(serials) != 1:
-        known = ", ".join(serials) or "none"
+def _choose_serial(serial: str | None, known: list[str]) -> str:
+    """Choose the sensor. An unknown one is refused: a mistyped one must not leave the worn gel in the ledger. Errors:
+    ConfigError."""
+    if serial is None and len(known) != 1:
         raise ConfigError(
-            f"the sensor of the replaced gel is not clear; known are {known}; name one with --serial"
+            f"the sensor of the replaced gel is not clear; known are {', '.join(known) or 'none'}; name one with "
+            "--serial"
         )
-    return serials[0]
-
-
-def _check_serial(serial: str, serials: list[str]) -> str:
-    """Refuse an unknown serial: a mistyped one must not leave the worn gel in the ledger. Errors: ConfigError."""
-    if serial not in serials:
-        raise ConfigError(f"no gel of a sensor '{serial}' is in the ledger; {suggestion(serial, serials)}")
-    return serial
+    if serial is not None and serial not in known:
+        raise ConfigError(f"no gel of a sensor '{serial}' is in the ledger; {suggestion(serial, known)}")
+    return serial or known[0]
 
 
 def _open(config: Path, database: Path | None) -> Store:

@@ -10,10 +10,10 @@ from pydantic import ValidationError
 from edge.clock import SystemClock
 from edge.config.secret_file import read_secret
 from edge.core.errors import ConfigError
+from edge.core.sink_context import PageRequests
 from edge.logs import start
 from edge.messaging.command_payloads import SHORTEST_SECRET
 from edge.messaging.subscriber import broker_at, station_filter
-from edge.page.changes import Changes, TokenGate
 from edge.page.from_broker import BrokerStation, page_requests
 from edge.page.server import PageServer
 from edge.page.settings import PageSettings
@@ -58,9 +58,9 @@ def page(
     settings = _settings({"port": page_port, **given})
     broker = broker_at(host, port, "page", username, password_file, ca)
     shown = BrokerStation(broker, station_filter(prefix, site, line, station))
-    changes = _changes(shown, settings, secret_file)
-    where = (settings.access(), settings.bind, settings.port)
-    server = PageServer(shown.shown, changes, *where, SystemClock())
+    requests = _requests(shown, settings, secret_file)
+    why_not = "this page only shows: it was started without --secret-file and --token-file"
+    server = PageServer(shown.shown, settings, requests, SystemClock(), why_not)
     start("text", is_verbose=False)
     try:
         shown.start()
@@ -81,20 +81,16 @@ def _settings(given: dict[str, object]) -> PageSettings:
         raise ConfigError(numbered("the page's options", sentences(PageSettings, error))) from error
 
 
-def _changes(shown: BrokerStation, settings: PageSettings, secret_file: Path | None) -> Changes:
-    """Make the way in which the page changes something. Errors: ConfigError for a secret or a token alone."""
-    clock = SystemClock()
-    token = settings.token()
-    if (token is None) != (secret_file is None):
+def _requests(shown: BrokerStation, settings: PageSettings, secret_file: Path | None) -> PageRequests | None:
+    """Make what asks the station for changes. Errors: ConfigError for a secret or a token alone."""
+    if (settings.token() is None) != (secret_file is None):
         raise ConfigError(
             "changes need --secret-file, which signs them for the station, and --token-file, which a person types; "
             "give both, or neither"
         )
     if secret_file is None:
-        why = "this page only shows: it was started without --secret-file and --token-file"
-        return Changes(None, TokenGate(None, clock), clock, why)
-    secret = read_secret(secret_file, "--secret-file", SHORTEST_SECRET)
-    return Changes(page_requests(shown, secret, clock), TokenGate(token, clock), clock)
+        return None
+    return page_requests(shown, read_secret(secret_file, "--secret-file", SHORTEST_SECRET), SystemClock())
 
 
 def _url_host(address: str) -> str:

@@ -16,7 +16,7 @@ from edge.clock import SystemClock, local_time
 from edge.config import load_config
 from edge.core.errors import DeviceError, GelgateError
 from edge.core.printable import score_texts
-from edge.gateway.gateway import Gateway
+from edge.gateway.build import open_station
 from edge.gateway.opening import played_recording
 from edge.gateway.preflight import preflight
 from edge.gateway.recorder import PressReport
@@ -79,16 +79,16 @@ def run(
         out = Lines()
         on_press = log_press if log_json else lambda report: out.put(_line_with_time(report))
         read_again = partial(load_config, config, state_dir)
-        with Gateway.open(loaded, clock, on_press, checked, read_again) as gateway:
+        with open_station(loaded, clock, on_press, checked, read_again) as station:
             if is_service:
-                signal.signal(signal.SIGHUP, lambda *_: gateway.reload())
-            summary = gateway.run(stop, presses=presses)
+                signal.signal(signal.SIGHUP, lambda *_: station.reload())
+            summary = station.run(stop, presses)
     if log_json:
         log_summary(summary)
     else:
         out.put(summary_text(summary))
     if recording is not None and loaded.inspection.trigger == "automatic":
-        check_played(recording, summary, gateway.status)
+        check_played(recording, summary, station.parts.acquisition.status)
 
 
 class Lines:

@@ -1,18 +1,19 @@
 """Snapshots: the camera's frames around a moment, kept in memory, written as a recording when somebody asks for one.
 
-A thread writes the files, so no press waits for a disk.
+They are written in the background, so no press waits for a disk.
 """
 
 import logging
 import shutil
-import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Final, Self
 
+from edge.background import Background
 from edge.core.errors import GelgateError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, DeviceIdentity
@@ -48,7 +49,7 @@ class _Wish:
 
 
 class Snapshots(PressStage):
-    """`step` is one turn of the own thread, which a test may call; the loop calls the rest.
+    """Keeps the newest frames, and writes those of a wish. The loop alone calls it.
 
     folder: of all snapshots. find_sensor: returns the sensor, None while it is not known. find_low_space: returns why
     nothing more may be written. store: has each snapshot in its table of acts.
@@ -67,11 +68,7 @@ class Snapshots(PressStage):
         self._ring: deque[CameraFrame] = deque()
         self._bytes = 0
         self._wish: _Wish | None = None
-        self._job: tuple[Path, Sequence[CameraFrame], RecordingHeader] | None = None
-        self._done: Act | None = None
-        self._asked = threading.Event()
-        self._is_closing = False
-        self._thread = threading.Thread(target=self._run, name="snapshots", daemon=True)
+        self.worker: Background[Act] = Background("snapshots", CLOSE_S)
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -80,7 +77,7 @@ class Snapshots(PressStage):
         return cls(folder, parts.clock, parts.store, parts.find_sensor, parts.find_low_space)
 
     def start(self) -> None:
-        self._thread.start()
+        self.worker.start()
 
     def take(self, frame: CameraFrame) -> None:
         """Keep the newest frame; the oldest ones leave."""
@@ -101,7 +98,7 @@ class Snapshots(PressStage):
             raise ValueError(f"no snapshot is written: {low}")
         if not self._ring:
             raise ValueError("no frame has arrived from a sensor yet; try again later")
-        if self._wish is not None or self._job is not None:
+        if self._wish is not None or self.worker.is_busy:
             raise ValueError("another snapshot is being written; try again in some seconds")
         newest_ns, now = self._ring[-1].timestamp_ns, datetime.fromtimestamp(self._clock.time_ns() / 1e9, UTC)
         folder = self._folder / f"{now:%Y%m%dT%H%M%S.%fZ}"
@@ -127,23 +124,18 @@ class Snapshots(PressStage):
     )
 
     def turn(self, mounted: Mounted | None) -> None:
-        """Hand over the frames of a wish when the last one is there, and record the outcome of one."""
+        """Record the outcome of a wish, and hand over the frames of one when the last frame is there."""
+        if (done := self.worker.take()) is not None:
+            self._store.begin_act(done, within_s=0)
         wish, identity = self._wish, self._find_sensor()
         if wish is not None and identity is not None and self._is_complete(wish):
             frames = [one for one in self._ring if wish.first_ns <= one.timestamp_ns <= wish.last_ns]
             header = RecordingHeader(identity.product, identity.serial, identity.mode, identity.nominal_fps)
-            self._wish, self._job = None, (wish.folder, frames, header)
-            self._asked.set()
-        if self._done is not None:
-            self._store.begin_act(self._done, within_s=0)
-            self._done = None
+            self.worker.ask(partial(self._save, wish.folder, frames, header))
+            self._wish = None
 
-    def step(self) -> None:
-        """Write the frames that were handed over, if there are some."""
-        self._asked.clear()
-        if self._job is None:
-            return
-        folder, frames, header = self._job
+    def _save(self, folder: Path, frames: Sequence[CameraFrame], header: RecordingHeader) -> Act:
+        """Write the frames; returns what becomes of it, for the table of acts."""
         size = sum(len(frame.payload) for frame in frames)
         after = {"recording": str(folder), "frames": len(frames), "bytes": size}
         fault = None
@@ -152,7 +144,7 @@ class Snapshots(PressStage):
         except (GelgateError, OSError) as error:
             fault = f"snapshot {folder} is not written: {error}"
             log.error("%s", fault)
-        self._done = Act(
+        return Act(
             self._clock.time_ns(),
             "the gateway",
             "snapshot",
@@ -160,14 +152,9 @@ class Snapshots(PressStage):
             sentence=fault,
             after=after,
         )
-        self._job = None
 
     def close(self) -> None:
-        """End the thread; one that writes is waited for only shortly. May be called again."""
-        self._is_closing = True
-        self._asked.set()
-        if self._thread.is_alive():
-            self._thread.join(CLOSE_S)
+        self.worker.close()
 
     def _is_complete(self, wish: _Wish) -> bool:
         newest_ns = self._ring[-1].timestamp_ns
@@ -187,11 +174,6 @@ class Snapshots(PressStage):
             unfinished.rename(folder)
         finally:
             shutil.rmtree(unfinished, ignore_errors=True)  # it has its name by now, or never will
-
-    def _run(self) -> None:
-        while not self._is_closing:
-            self._asked.wait()
-            self.step()
 
 
 def _make_room(folder: Path, wanted_bytes: int) -> None:

@@ -1,4 +1,4 @@
-"""The composition root: from a configuration to the parts of a station, built in order and not yet started.
+"""The composition root: from a configuration to a station, its parts built in order and not yet started.
 
 What belongs to one session of a sensor is made by the loop, when the first frame comes.
 """
@@ -6,29 +6,26 @@ What belongs to one session of a sensor is made by the loop, when the first fram
 import logging
 import random
 from collections import Counter
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from functools import partial
 
 from edge import registry
 from edge.acquisition import Acquisition
 from edge.config import Config, sink_names
-from edge.core.errors import GelgateError
 from edge.core.ports import Clock, Device, Message, Sink
 from edge.core.sink_context import PageRequests, Station, client_id, topic_root
 from edge.gateway.bundle_set import BundleSet
-from edge.gateway.bundle_stage import BundleStage, OpenBundles
-from edge.gateway.command_policy import policy_of
 from edge.gateway.command_table import station_commands, station_handlers, trigger_by_pedal
-from edge.gateway.commands import Commands
+from edge.gateway.commands import Commands, policy_of
 from edge.gateway.description import describe_station
 from edge.gateway.features import load_features
 from edge.gateway.loop_calls import LoopCalls
-from edge.gateway.opening import BundleOpener, Opened, device_opener, first_part
+from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.preflight import Preflight
 from edge.gateway.report import FreeSpace
-from edge.gateway.station_loop import Parts, StationLoop
+from edge.gateway.station_loop import OnPress, Parts, StationLoop
 from edge.gateway.status import StationStatus
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.publisher import Publisher, PublisherLock
@@ -41,25 +38,42 @@ from edge.store.gel_files import GelFiles
 from edge.store.outbox import Bounds
 from edge.store.press_store import Store
 
-__all__ = ["build"]
+__all__ = ["open_station"]
 
 log = logging.getLogger(__name__)
 
 
-def build(
+@contextmanager
+def open_station(
     config: Config,
     clock: Clock,
-    closing: ExitStack,
+    on_press: OnPress = lambda report: None,
     checked: Preflight | None = None,
     read_again: Callable[[], Config] | None = None,
     stages: Mapping[str, PressStage] | None = None,
-) -> Parts:
-    """Every part; a part that cannot work is refused here. closing: gets the calls that close the parts, in reverse.
+) -> Iterator[StationLoop]:
+    """Build every part, and close them in reverse; a part that cannot work is refused before anything is started.
 
-    checked: the parts that the check before the start has opened. read_again: the configuration as it is at a reload;
-    by default as it was at the start. stages: stages that take the place of the features of these names. Errors:
-    ConfigError, BundleError, StoreError.
+    A missing sensor is a fault while running, not an error: it is reported, and the station waits for it.
+
+    on_press: called by the loop with every recorded press. checked: the parts that the check before the start has
+    opened. read_again: reads the configuration at a reload; by default it is as at the start. stages: they take the
+    place of the features of these names. Errors: ConfigError, BundleError, StoreError.
     """
+    with ExitStack() as closing:
+        parts = _build(config, clock, closing, checked, read_again or (lambda: config), stages or {})
+        yield StationLoop(parts, on_press)
+
+
+def _build(
+    config: Config,
+    clock: Clock,
+    closing: ExitStack,
+    checked: Preflight | None,
+    read_again: Callable[[], Config],
+    stages: Mapping[str, PressStage],
+) -> Parts:
+    """Build the parts. closing: gets the calls that close them."""
     calls, retained_state = LoopCalls[StationLoop](), _retained_state(config)
     # The lock first: a second gateway must not migrate the tables of this one, or take its place at the broker.
     lock = PublisherLock(config.store.path)
@@ -77,9 +91,10 @@ def build(
     device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
     acquisition = Acquisition(device, clock, status.sensor_changed)
     closing.callback(acquisition.close)
-    stage = BundleStage(_staging(opener, read_again or (lambda: config)))
-    closing.callback(stage.close)
-    selection = PartSelection(bundles, part, stage, store, status, clock)
+    selection = PartSelection(
+        bundles, part, lambda in_use: opener.open(read_again().inspection, in_use), store, status, clock
+    )
+    closing.callback(selection.close)
     free_space = FreeSpace(config.store.path, round(config.store.free_mb * 1e6))
     stage_parts = StageParts(
         config,
@@ -94,7 +109,7 @@ def build(
         listen=listeners.append,
     )
     return Parts(
-        stages=_open_stages(stage_parts, stages or {}, closing),
+        stages=_open_stages(stage_parts, stages, closing),
         selection=selection,
         contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
         place=config.station.place,
@@ -166,18 +181,6 @@ def _open_bundles(
     for error in opened.faults.values():
         raise error
     return opener, opened.bundles
-
-
-def _staging(opener: BundleOpener, read_again: Callable[[], Config]) -> OpenBundles:
-    """Opens what is configured at the time of a reload."""
-
-    def open_bundles(in_use: BundleSet) -> Opened | GelgateError:
-        try:
-            return opener.open(read_again().inspection, in_use)
-        except GelgateError as error:
-            return error
-
-    return open_bundles
 
 
 def _names_before(config: Config) -> dict[str, str]:

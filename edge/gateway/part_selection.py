@@ -3,12 +3,13 @@
 import logging
 from collections.abc import Callable
 from concurrent.futures import Future
+from typing import Final
 
+from edge.background import Background
 from edge.core.errors import GelgateError, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.gateway.bundle_set import BundleSet, OpenBundle
-from edge.gateway.bundle_stage import BundleStage
 from edge.gateway.golden_watch import GoldenWatch
 from edge.gateway.opening import Opened
 from edge.gateway.status import StationStatus
@@ -20,20 +21,23 @@ __all__ = ["PartSelection"]
 
 log = logging.getLogger(__name__)
 
+# A first run of a bundle may take two minutes; nothing is lost when it is left.
+CLOSE_S: Final = 3.0
+
 
 class PartSelection:
     """The bundles of a station and the one in use.
 
     A change that is asked for during a press is made after it: a press is judged by the bundle with which it began.
-    New bundles that fail leave the ones in use as they are, with the alarm `bundle`. on_change: called with every other
-    bundle in use, and with new bundles.
+    New bundles are opened in the background, by `open_bundles` from those in use. Those that fail leave the ones in use
+    as they are, with the alarm `bundle`. on_change: called with every other bundle in use, and with new bundles.
     """
 
     def __init__(
         self,
         bundles: BundleSet,
         part: PartPosition,
-        stage: BundleStage,
+        open_bundles: Callable[[BundleSet], Opened],
         store: Store,
         status: StationStatus,
         clock: Clock,
@@ -42,7 +46,8 @@ class PartSelection:
         self._in_use = bundles[part]
         self._wanted = part
         self._why: Act | None = None
-        self.stage = stage
+        self.worker: Background[Opened | GelgateError] = Background("bundles", CLOSE_S)
+        self._open = open_bundles
         self._store = store
         self._status = status
         self._clock = clock
@@ -84,11 +89,11 @@ class PartSelection:
 
     def start(self) -> None:
         """Begin to wait for requests to open bundles, in the background."""
-        self.stage.start()
+        self.worker.start()
 
     def reload(self) -> None:
         """Open the configured bundles again, while presses are judged as before."""
-        self.stage.request(self.bundles)
+        self.worker.ask(self._open_again)
 
     def score_golden(self) -> "Future[str | None]":
         """Score the golden frames of the bundle in use with the next turns; the result is why they score otherwise, or
@@ -99,7 +104,7 @@ class PartSelection:
         """Take one turn: new bundles, change the one in use, score a golden frame. Errors: StoreError, and then the one
         in use has not changed; the next turn tries again."""
         inspector, bundles = self.inspector, self.bundles
-        if (staged := self.stage.take()) is not None:
+        if (staged := self.worker.take()) is not None:
             self._take(staged)
         if self._unrecorded is not None:
             self._store.begin_act(self._unrecorded, within_s=0)
@@ -112,8 +117,19 @@ class PartSelection:
             self.on_change()
 
     def close(self) -> None:
-        """The loop ends: who waits for golden frames is not kept waiting."""
+        """The loop ends: who waits for golden frames is not kept waiting. May be called again."""
         self._golden.close()
+        self.worker.close()
+
+    def _open_again(self) -> Opened | GelgateError:
+        """Open what is configured now; the bundles in use that have not changed are kept as they are."""
+        try:
+            return self._open(self.bundles)
+        except GelgateError as error:
+            return error
+        except Exception as error:  # the loop reports it, and the bundles in use stay
+            log.exception("the new bundles could not be opened")
+            return GelgateError(f"the new bundles could not be opened ({error!r:.200}); see the log")
 
     def _change(self) -> None:
         chosen = self.bundles[self._wanted]

@@ -25,8 +25,8 @@ from edge.core.errors import (
 from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
 from edge.gateway.bundle_set import BundleSet, OpenBundle
-from edge.gateway.command_policy import policy_of
 from edge.gateway.command_table import station_commands
+from edge.gateway.commands import policy_of
 from edge.gateway.features import load_features
 from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.model.manifest_facts import licence_sentence

@@ -7,10 +7,10 @@ import logging
 import shutil
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from edge.acquisition import Acquisition, AcquisitionStatus
 from edge.core.errors import PressesMissed, StoreError
@@ -54,8 +54,7 @@ CLEARED_AT: Final = 1.1
 LATE_NS: Final = round(QualitySettings().max_age_s * 1e9)
 
 
-@dataclass(frozen=True)
-class FrameCounts:
+class FrameCounts(NamedTuple):
     """Since the start."""
 
     frames: int = 0
@@ -71,13 +70,7 @@ class FrameCounts:
 
     def since(self, before: "FrameCounts") -> "FrameCounts":
         """The counts since `before`."""
-        return FrameCounts(
-            self.frames - before.frames,
-            self.dropped - before.dropped,
-            self.late - before.late,
-            self.interrupted - before.interrupted,
-            self.late_presses - before.late_presses,
-        )
+        return FrameCounts(*(now - then for now, then in zip(self, before, strict=True)))
 
 
 class OverloadRule:
@@ -149,19 +142,18 @@ class Summary:
         if result.score is not None and "total" in result.latency_ms:
             self.latencies_ms.append(result.latency_ms["total"])
         if (result.reason or "").startswith(f"{Reason.STALE}:"):
-            self.frames = replace(self.frames, late_presses=self.frames.late_presses + 1)
+            self.frames = self.frames._replace(late_presses=self.frames.late_presses + 1)
 
     def add_lost(self, *, is_late: bool, was_interrupted: bool) -> None:
         """Count a frame for which this machine was too slow (see FrameCounts)."""
-        self.frames = replace(
-            self.frames,
+        self.frames = self.frames._replace(
             late=self.frames.late + is_late,
             interrupted=self.frames.interrupted + was_interrupted,
         )
 
     def see(self, sensor: AcquisitionStatus, undecodable: int) -> None:
         """Add the reader thread's counts. undecodable: frames that arrived and could not be decoded."""
-        self.frames = replace(self.frames, frames=sensor.frames, dropped=sensor.dropped)
+        self.frames = self.frames._replace(frames=sensor.frames, dropped=sensor.dropped)
         self.frames_corrupt = sensor.corrupt + undecodable
         self.frames_stale = sensor.stale
 

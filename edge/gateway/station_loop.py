@@ -1,6 +1,8 @@
 """The loop of a running station: frames, calls of other threads, presses to record, and the regular report.
 
-`step` is one turn without waiting, so a test can drive it in any order; `run` adds the waiting.
+One thread reads the sensor and one per sink publishes. The thread that calls `run` does everything between: contact,
+score, verdict, and the one transaction that counts a press and queues its messages. `step` is one turn without waiting,
+so a test can drive it in any order; `run` adds the waiting.
 """
 
 import logging
@@ -20,6 +22,7 @@ from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.report import FreeSpace, Report, Summary
+from edge.gateway.service_manager import ServiceManager
 from edge.gateway.status import StationStatus
 from edge.messaging.publisher import Publisher
 from edge.press_stage import PressStage
@@ -76,6 +79,7 @@ class StationLoop:
             parts.store, parts.publisher, parts.status, parts.acquisition, parts.free_space, parts.clock
         )
         self._refused_ns = 0
+        self._is_reload_wanted = False
         self._on_press = on_press
         self._last_stats_ns = parts.clock.monotonic_ns()
         parts.selection.on_change = self._follow_selection
@@ -102,7 +106,24 @@ class StationLoop:
             )
         return self.session
 
-    def run(
+    def run(self, stop: threading.Event, presses: int | None = None) -> Summary:
+        """Start every part, and inspect as `turn_until` does; returns the counts of the run."""
+        self.parts.publisher.start()
+        for stage in self.parts.stages:
+            stage.start()
+        self.parts.acquisition.start()
+        self.parts.selection.start()
+        manager = ServiceManager(self.parts.clock)
+        manager.ready()
+        self.turn_until(stop, presses, manager.alive)
+        manager.stopping()
+        return self.summary
+
+    def reload(self) -> None:
+        """Open the bundles again with the next turn. A handler of a signal may call it: no lock is taken."""
+        self._is_reload_wanted = True
+
+    def turn_until(
         self, stop: threading.Event, presses: int | None = None, on_turn: Callable[[], None] = lambda: None
     ) -> None:
         """Step until `stop` is set, a recording ends, or that number of presses was recorded.
@@ -131,6 +152,9 @@ class StationLoop:
         once, with one after STORE_RETRY_S."""
         parts, now_ns = self.parts, self.parts.clock.monotonic_ns()
         parts.calls.serve(self)
+        if self._is_reload_wanted:
+            self._is_reload_wanted = False
+            parts.selection.reload()
         if frame is not None:
             for stage in parts.stages:
                 stage.take(frame)

@@ -19,7 +19,7 @@ from edge.core.sink_context import PageRequests
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, CommandResponse
 from edge.page.access import Refused
 
-__all__ = ["READ_ONLY", "UNLOCK", "AddressRates", "Changes", "TokenGate", "change_refusal", "is_verb"]
+__all__ = ["READ_ONLY", "UNLOCK", "AddressRates", "Changes", "change_refusal", "is_verb"]
 
 # Wrong tokens a minute from one address; then its requests are refused, also with the right one.
 WRONG_PER_MINUTE: Final = 10
@@ -54,61 +54,26 @@ class AddressRates:
         return rate
 
 
-class TokenGate:
-    """Admits who has the token. Any thread may use it. token: None admits no one."""
-
-    def __init__(self, token: bytes | None, clock: Clock) -> None:
-        self._digest = None if token is None else _digest(token)
-        self._wrong = AddressRates(WRONG_PER_MINUTE, clock)
-
-    @property
-    def is_open(self) -> bool:
-        """True where there is a token."""
-        return self._digest is not None
-
-    def refusal(self, client: str, authorization: str) -> Refused | None:
-        """Say why this header, `Bearer <token>`, does not open. It is compared in constant time."""
-        if self._wrong.of(client).is_exhausted:
-            return Refused(
-                429, f"more than {WRONG_PER_MINUTE} wrong tokens a minute from {client}; wait some seconds"
-            )
-        kind, _, given = authorization.partition(" ")
-        if self._digest is None:
-            return self._refuse(client, 403, READ_ONLY)
-        if kind.lower() != "bearer" or not given.strip():
-            return self._refuse(client, 401, "a change needs the token of this page")
-        if not hmac.compare_digest(_digest(given.strip().encode()), self._digest):
-            return self._refuse(client, 401, "this is not the token of this page")
-        return None
-
-    def _refuse(self, client: str, status: int, sentence: str) -> Refused:
-        self._wrong.of(client).take()
-        return Refused(status, sentence, is_recorded=True)
-
-
-def _digest(token: bytes) -> bytes:
-    """Hash the token to one length, so that the comparison does not tell how long it is."""
-    return hashlib.sha256(token).digest()
-
-
 class Changes:
-    """The requests of the people at one page. Any thread may use it.
+    """The requests of the people at one page, who have its token. Any thread may use it.
 
-    station: does and records them; None where nothing can be changed. why_not: why, for the page.
+    station: does and records them; None where nothing can be changed. token: None admits no one. why_not: why nothing
+    can be changed, for the page.
     """
 
     def __init__(
-        self, station: PageRequests | None, gate: TokenGate, clock: Clock, why_not: str = READ_ONLY
+        self, station: PageRequests | None, token: bytes | None, clock: Clock, why_not: str = READ_ONLY
     ) -> None:
         self._station = station
-        self._gate = gate
+        self._digest = None if token is None else _digest(token)
+        self._wrong = AddressRates(WRONG_PER_MINUTE, clock)
         self._foreign = AddressRates(FOREIGN_PER_MINUTE, clock)
         self._clock = clock
         self._why_not = why_not
 
     def offer(self) -> dict[str, Any]:
         """Tell the page which verbs it offers, or why it offers none."""
-        if self._station is None or not self._gate.is_open:
+        if self._station is None or self._digest is None:
             return {"verbs": [], "why_not": self._why_not}
         return {"verbs": sorted(self._station.verbs), "why_not": None}
 
@@ -118,8 +83,27 @@ class Changes:
             return Refused(403, self._why_not)
         refused = self._too_large(headers) or change_refusal(headers)
         if refused is None:
-            return self._gate.refusal(client, headers.get("authorization", ""))
+            return self.token_refusal(client, headers.get("authorization", ""))
         return refused._replace(is_recorded=refused.is_recorded and self._foreign.of(client).take())
+
+    def token_refusal(self, client: str, authorization: str) -> Refused | None:
+        """Say why this header, `Bearer <token>`, does not open. It is compared in constant time."""
+        wrong = self._wrong.of(client)
+        if wrong.is_exhausted:
+            return Refused(
+                429, f"more than {WRONG_PER_MINUTE} wrong tokens a minute from {client}; wait some seconds"
+            )
+        kind, _, given = authorization.partition(" ")
+        if self._digest is None:
+            refused = Refused(403, READ_ONLY, is_recorded=True)
+        elif kind.lower() != "bearer" or not given.strip():
+            refused = Refused(401, "a change needs the token of this page", is_recorded=True)
+        elif not hmac.compare_digest(_digest(given.strip().encode()), self._digest):
+            refused = Refused(401, "this is not the token of this page", is_recorded=True)
+        else:
+            return None
+        wrong.take()
+        return refused
 
     def _too_large(self, headers: Mapping[str, str]) -> Refused | None:
         if "content-length" not in headers:
@@ -151,6 +135,11 @@ class Changes:
             status="ok" if error is None else "error",
             error=error,
         ).encode()
+
+
+def _digest(token: bytes) -> bytes:
+    """Hash the token to one length, so that the comparison does not tell how long it is."""
+    return hashlib.sha256(token).digest()
 
 
 def is_verb(text: str) -> bool:

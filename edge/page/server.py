@@ -18,9 +18,10 @@ from urllib.parse import parse_qs, urlsplit
 
 from edge.core.errors import ConfigError
 from edge.core.ports import Clock
-from edge.page.access import Access
-from edge.page.changes import Changes, is_verb
+from edge.core.sink_context import PageRequests
+from edge.page.changes import READ_ONLY, Changes, is_verb
 from edge.page.http_server import HttpHandler, HttpServer
+from edge.page.settings import PageSettings
 from edge.page.shown import Shown
 
 __all__ = ["PageServer"]
@@ -38,20 +39,30 @@ _PARTS: Final = ("state", "info", "gel", "reference", "stats", "alarms")
 
 
 class PageServer:
-    """Serves the page until `close`, each connection on a thread of its own. port 0: a free one, then in `port`.
+    """Serves the page until `close`, each connection on a thread of its own.
 
-    Errors: ConfigError for an address or a port that cannot be used.
+    station: does what the people at the page ask for; None where nothing can be changed, and why_not says why to them.
+    port: instead of the one of the settings; 0 for a free one. Errors: ConfigError for an address, a port or a token
+    that cannot be used.
     """
 
     def __init__(
-        self, shown: Shown, changes: Changes, access: Access, bind: str, port: int, clock: Clock
+        self,
+        shown: Shown,
+        settings: PageSettings,
+        station: PageRequests | None,
+        clock: Clock,
+        why_not: str = READ_ONLY,
+        port: int | None = None,
     ) -> None:
         self._shown = shown
+        bind, port = settings.bind, settings.port if port is None else port
 
         class Handler(_Handler):
             pass
 
-        Handler.shown, Handler.changes, Handler.access = shown, changes, access
+        Handler.shown, Handler.access = shown, settings.access()
+        Handler.changes = Changes(station, settings.token(), clock, why_not)
         try:
             self._server = HttpServer((bind, port), Handler, clock)
         except OSError as error:

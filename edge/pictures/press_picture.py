@@ -5,8 +5,7 @@ and the names of the press are written around the panels. The text chunks of the
 saved picture is complete.
 """
 
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -17,18 +16,6 @@ from edge.pictures import png
 from edge.pictures.heatmap import FULL_SCALE, draw_contour, paint_scores, relative_scores, score_at
 
 __all__ = ["LARGEST_BYTES", "TEXT_KEYWORDS", "PressCaption", "draw_press", "press_png"]
-
-TEXT_KEYWORDS: Final = (
-    "press_id",
-    "verdict",
-    "score",
-    "threshold",
-    "mm_per_pixel",
-    "station",
-    "part",
-    "time",
-)
-"""Of the PNG's text chunks. mm_per_pixel is `x y` of the inspected region, not of the enlarged panel."""
 
 # The longest side of one panel in pixels. Small regions are enlarged by a whole number, large ones shrunk.
 _SMALLEST_PANEL: Final = 384
@@ -53,16 +40,15 @@ _BAR_LENGTHS_MM: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 U8 = NDArray[np.uint8]
 
 
-@dataclass(frozen=True)
-class PressCaption:
-    """The text on a picture."""
+class PressCaption(NamedTuple):
+    """The text on a picture, and in the PNG's text chunks."""
 
     press_id: str
     verdict: str
     score: float
     threshold: float
     mm_per_pixel: tuple[float, float]
-    """(x, y) of the region."""
+    """(x, y) of the inspected region, not of the enlarged panel."""
     station: str
     """Site/line/station."""
     part: str
@@ -76,7 +62,10 @@ class PressCaption:
             "threshold": f"{self.threshold:.9g}",
             "mm_per_pixel": f"{x:.6g} {y:.6g}",
         }
-        return {keyword: numbers.get(keyword) or str(getattr(self, keyword)) for keyword in TEXT_KEYWORDS}
+        return {keyword: numbers.get(keyword) or str(value) for keyword, value in self._asdict().items()}
+
+
+TEXT_KEYWORDS: Final = PressCaption._fields
 
 
 def press_png(rgb: U8, score_map: NDArray[np.floating], caption: PressCaption) -> bytes:

@@ -13,7 +13,6 @@ from edge.core.errors import SinkRejected
 from edge.core.plugins import SinkPlugin
 from edge.core.ports import Clock, Message
 from edge.core.sink_context import Station
-from edge.page.changes import Changes, TokenGate
 from edge.page.server import PageServer
 from edge.page.settings import PageSettings
 from edge.page.shown import Shown
@@ -37,9 +36,7 @@ class PageSink:
         self, options: PageSettings, station: Station, clock: Clock, port: int | None = None
     ) -> None:
         self._shown = Shown("/".join(station.root.split("/")[1:-2]))
-        changes = Changes(station.page, TokenGate(options.token(), clock), clock)
-        wanted = options.port if port is None else port
-        self._server = PageServer(self._shown, changes, options.access(), options.bind, wanted, clock)
+        self._server = PageServer(self._shown, options, station.page, clock, port=port)
         self.port = self._server.port
 
     def send(self, message: Message) -> None:

@@ -197,7 +197,7 @@ class GoldenStation(SteppedStation):
         self.play(1)
         for driver in self.find(Outputs).drivers:
             driver.step()
-        self.find(Snapshots).step()
+        self.find(Snapshots).worker.step()
         self.publish()
 
     def turn_until(self, presses: int) -> None:

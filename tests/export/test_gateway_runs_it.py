@@ -11,7 +11,7 @@ from station import press_recording, station_config
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.config.tables import Config
-from edge.gateway.gateway import Gateway
+from edge.gateway.build import open_station
 from edge.gateway.recorder import PressReport
 
 NETWORK = """
@@ -44,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def inspected(config: Config) -> list[PressReport]:
     reports: list[PressReport] = []
-    with Gateway.open(config, SystemClock(), reports.append) as gateway:
+    with open_station(config, SystemClock(), reports.append) as gateway:
         gateway.run(threading.Event())
     return reports
 

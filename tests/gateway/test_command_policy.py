@@ -12,9 +12,15 @@ from stepped_station import SteppedStation
 from edge.clock import ManualClock
 from edge.config import load_config
 from edge.core.errors import ConfigError, StoreError
-from edge.gateway.command_policy import SIGNED_WITHIN_S, CommandPolicy, policy_of
 from edge.gateway.command_table import every_command, station_commands
-from edge.gateway.commands import REPEATED_WITHIN_S, Change, Commands
+from edge.gateway.commands import (
+    REPEATED_WITHIN_S,
+    SIGNED_WITHIN_S,
+    Change,
+    CommandPolicy,
+    Commands,
+    policy_of,
+)
 from edge.messaging.command_payloads import signature_of, signed_text
 from edge.store import acts
 from edge.store.press_store import Store

@@ -14,7 +14,7 @@ from stepped_station import SteppedStation
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import BundleMismatch
-from edge.gateway.gateway import Gateway
+from edge.gateway.build import open_station
 from edge.gateway.recorder import PressReport
 from edge.pictures import png
 from edge.recording.format import RecordingWriter
@@ -33,7 +33,7 @@ def finished(
     """A gateway with its threads that has run until its recording ended: its folder, and its presses."""
     config = station_config(tmp_path_factory.mktemp("finished"), recording, bundle)
     reports: list[PressReport] = []
-    with Gateway.open(load_config(config), SystemClock(), reports.append) as gateway:
+    with open_station(load_config(config), SystemClock(), reports.append) as gateway:
         gateway.run(threading.Event())
     return config.parent, reports
 

@@ -13,8 +13,6 @@ from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import BundleMismatch, ConfigError, StoreError
 from edge.core.part_position import PartPosition
-from edge.gateway.bundle_set import BundleSet
-from edge.gateway.bundle_stage import BundleStage
 from edge.gateway.opening import BundleOpener, Opened
 from edge.model.archive import open_archive
 from edge.model.session import TrunkSessions
@@ -44,7 +42,7 @@ def station(config: Path) -> Iterator[SteppedStation]:
 def reloaded(station: SteppedStation) -> None:
     """Ask for a reload, let the bundles' thread have a turn, and the loop one."""
     station.parts.selection.reload()
-    station.parts.selection.stage.step()
+    station.parts.selection.worker.step()
     station.loop.step(None)
 
 
@@ -285,17 +283,18 @@ def test_a_trunk_that_no_bundle_uses_any_more_is_forgotten(config: Path) -> None
     assert (digest in trunks, "another" in trunks) == (True, False)
 
 
-def test_an_unexpected_fault_while_bundles_are_opened_is_an_alarm() -> None:
+def test_an_unexpected_fault_while_bundles_are_opened_is_an_alarm(
+    station: SteppedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The bundles' thread does not end by it: the next reload is served."""
-    opened = Opened(BundleSet(), {})
-    stage = BundleStage(Mock(side_effect=[RuntimeError("no such thing"), opened]))
-    for _ in range(2):
-        stage.request(BundleSet())
-        stage.step()
-        found, after = stage.take(), stage.take()
-        assert found is opened or "no such thing" in str(found)
-        assert after is None
-    assert found is opened
+    opened = Opened(station.parts.selection.bundles, {})
+    monkeypatch.setattr(
+        station.parts.selection, "_open", Mock(side_effect=[RuntimeError("no such thing"), opened])
+    )
+    reloaded(station)
+    assert "no such thing" in str(station.alarm("bundle"))
+    reloaded(station)
+    assert station.alarm("bundle") is None
 
 
 def test_every_reload_is_in_the_table_of_acts(station: SteppedStation) -> None:

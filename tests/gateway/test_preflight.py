@@ -7,7 +7,7 @@ import socket
 import threading
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack, closing
+from contextlib import closing
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -22,8 +22,7 @@ from edge.config import PluginTable, load_config
 from edge.core.errors import ConfigError, DeviceLost, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Sink
-from edge.gateway.build import build
-from edge.gateway.gateway import Gateway
+from edge.gateway.build import open_station
 from edge.gateway.preflight import Finding, _try_sink, preflight
 from edge.messaging.publisher import Publisher, PublisherLock
 from edge.messaging.sink_worker import RetainedState
@@ -68,9 +67,9 @@ def test_a_start_after_the_check_opens_everything_once(
     """The bundle is loaded and hashed once, its golden frames are scored once, the sensor is opened once."""
     counted = Counted(monkeypatch)
     config, clock = load_config(station_config(tmp_path, recording, bundle)), SystemClock()
-    with preflight(config, clock) as checked, ExitStack() as closing:
+    with preflight(config, clock) as checked, open_station(config, clock, checked=checked) as station:
         assert [finding.error for finding in checked.findings] == [None] * 5
-        acquisition = build(config, clock, closing, checked).acquisition
+        acquisition = station.parts.acquisition
         acquisition.step()
         acquisition.step()
         assert acquisition.status.state is AcquisitionState.STREAMING
@@ -190,8 +189,9 @@ def test_a_second_gateway_never_reaches_the_broker(tmp_path: Path, recording: Pa
         sinks = MQTT % broker.getsockname()[1]
         config = load_config(station_config(tmp_path, recording, bundle, sinks=sinks))
         with closing(PublisherLock(config.store.path)):
-            with pytest.raises(StoreError, match="another gelgate process publishes"):
-                Gateway.open(config, SystemClock())
+            refused = pytest.raises(StoreError, match="another gelgate process publishes")
+            with refused, open_station(config, SystemClock()):
+                pass
             with pytest.raises(TimeoutError):
                 broker.accept()
 
@@ -203,8 +203,9 @@ def test_a_sink_that_cannot_be_opened_closes_those_before_it(
     second = MQTT.replace("port = %d", 'username = "u", password_file = "/nowhere/password"')
     config = load_config(station_config(tmp_path, recording, bundle, sinks=MQTT % free_port() + second))
     before = set(threading.enumerate())
-    with pytest.raises(ConfigError, match="password file /nowhere/password cannot be read"):
-        Gateway.open(config, SystemClock())
+    refused = pytest.raises(ConfigError, match="password file /nowhere/password cannot be read")
+    with refused, open_station(config, SystemClock()):
+        pass
 
     assert "mqtt-commands" not in {thread.name for thread in set(threading.enumerate()) - before}
     PublisherLock(config.store.path).close()

@@ -1,7 +1,6 @@
 """What a station says of itself: its counters at an interval, what was lost of its frames, and its description."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -85,7 +84,7 @@ def test_a_machine_that_is_too_slow_raises_an_alarm(counts: list[FrameCounts], r
     rule, skipping = OverloadRule(), OverloadRule()
     assert [rule.step(one) is not None for one in counts] == raised
     skipping.skip(counts[0])
-    assert skipping.step(replace(counts[0], frames=1000)) is None
+    assert skipping.step(counts[0]._replace(frames=1000)) is None
 
 
 def test_a_run_ends_with_what_was_lost() -> None:
@@ -94,9 +93,9 @@ def test_a_run_ends_with_what_was_lost() -> None:
     summary = Summary()
     for reason, total_ms in (("stale: old", 0.05), ("black: dark", 0.05), (None, 191.0), (None, 193.0)):
         summary.add(report(reason, total_ms))
-    summary.frames = replace(summary.frames, late=3)
+    summary.frames = summary.frames._replace(late=3)
     summary.see(AcquisitionStatus(frames=100, corrupt=4, stale=5, dropped=16), undecodable=1)
-    summary.frames = replace(summary.frames, interrupted=2)
+    summary.frames = summary.frames._replace(interrupted=2)
     assert list(summary.latencies_ms) == [191.0, 193.0]
     presses, frames = summary_text(summary).splitlines()
     assert presses == "4 presses: 2 pass, 2 rejected"

@@ -62,7 +62,7 @@ def test_a_self_test_ends_with_the_station(station: SteppedStation) -> None:
     """Who waits for its golden frames is not kept waiting."""
     finish, stop = station.ask("self_test"), threading.Event()
     stop.set()
-    station.loop.run(stop)
+    station.loop.turn_until(stop)
     golden = finish()["parts"]["golden"]
 
     assert not golden["is_ok"]
@@ -105,10 +105,10 @@ def test_pulses_that_were_not_given_are_acknowledged_without_the_verdict(
     with SteppedStation(station_config(tmp_path, recording, bundle, tables=PEDAL)) as station:
         io = station.find(Outputs)
         for _ in range(2):
-            io._alarms.late("relay", "41 ms late")
+            io.note_late("relay", "41 ms late")
         io.judge(Press(decide(2.0, 1.0), judged_ns=1), None, ANY)
         assert station.ask("acknowledge_alarm", alarm="pulse") == {"alarms": []}
-        io._alarms.late("relay", "7 ms late")
+        io.note_late("relay", "7 ms late")
         assert io._verdict == "fail"
         assert "1 pulses were not given in time" in str(station.alarm("pulse"))
 

@@ -8,7 +8,7 @@ import pytest
 
 from edge.clock import ManualClock, SystemClock
 from edge.config import load_config
-from edge.gateway.gateway import Gateway
+from edge.gateway.build import open_station
 from edge.gateway.service_manager import ServiceManager
 
 
@@ -39,7 +39,7 @@ def test_a_run_is_ready_alive_and_stopping(config: Path, monkeypatch: pytest.Mon
     monkeypatch.setenv("NOTIFY_SOCKET", manager.path)
     monkeypatch.setenv("WATCHDOG_USEC", "3")
     heard: list[str] = []
-    with Gateway.open(
+    with open_station(
         load_config(config), SystemClock(), lambda report: heard.extend(manager.heard())
     ) as gateway:
         gateway.run(threading.Event())

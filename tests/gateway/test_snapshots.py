@@ -1,6 +1,7 @@
 """Snapshots: the frames around a moment, as a recording, bounded in memory and on the disk."""
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -39,7 +40,7 @@ def made(folder: Path, clock: ManualClock) -> Snapshots:
 def written(found: Snapshots) -> Act:
     """The loop's turn, the thread's turn, the loop's turn."""
     found.turn(None)
-    found.step()
+    found.worker.step()
     found.turn(None)
     return found._store.begin_act.call_args.args[0]
 
@@ -50,7 +51,7 @@ def test_the_frames_around_the_request_are_written(tmp_path: Path) -> None:
     folder = found.request(0.5, 0.3)
     for number in (100, 101, 102):
         found.turn(None)
-        found.step()
+        found.worker.step()
         assert not folder.exists()
         found.take(frame(number))
     act = written(found)
@@ -101,10 +102,9 @@ def test_a_snapshot_has_its_name_when_it_is_complete(tmp_path: Path) -> None:
     found = bench(tmp_path)
     name = found.request(1, 0).name
     found.turn(None)
-    assert found._job is not None
-    path, frames, header = found._job
-    found._job = (path, Watched(frames), header)
-    found.step()
+    path, frames, header = found.worker._job.args
+    found.worker.ask(partial(found._save, path, Watched(frames), header))
+    found.worker.step()
 
     assert names[-1] == [f".{name}"]
     assert [path.name for path in folder.iterdir()] == [name]
@@ -159,7 +159,7 @@ def test_a_snapshot_of_a_station_is_a_recording_of_its_sensor(
         station.play_until(lambda: len(station.reports) == 1)
         folder = Path(station.ask("snapshot", before_s=0.5, after_s=0.2)["recording"])
         station.play()
-        station.find(Snapshots).step()
+        station.find(Snapshots).worker.step()
         station.turn()
         acts = station.parts.store.acts()
 

@@ -20,10 +20,9 @@ from edge.core.errors import ConfigError, DeviceNotFound
 from edge.core.press import Press
 from edge.core.verdict import decide
 from edge.features.outputs.actuator_driver import ActuatorDriver
-from edge.features.outputs.opening import IoAlarms, describe_actuator
-from edge.features.outputs.stage import Outputs
+from edge.features.outputs.stage import Outputs, describe_actuator
 from edge.features.reference_press import ReferenceGuard
-from edge.gateway.gateway import Gateway
+from edge.gateway.build import open_station
 
 ANDON = """
 [[actuators]]
@@ -45,7 +44,9 @@ options = { presses_s = [0.1] }
 
 
 def outputs_of(driver: Any) -> Outputs:
-    return Outputs((), (driver,), IoAlarms(print), ManualClock())
+    outputs = Outputs(print, ManualClock())
+    outputs.drivers = [driver]
+    return outputs
 
 
 def pressed(word: str, judged_ns: int) -> Press:
@@ -268,11 +269,11 @@ def test_a_wrong_table_is_refused_with_its_place(
 def test_faults_of_several_devices_are_one_alarm() -> None:
     """The text names each; it is cleared with the last one."""
     said: list[tuple[str, str | None]] = []
-    alarms = IoAlarms(lambda alarm, text: said.append((alarm, text)))
-    alarms.fault("actuator", "b", "gone")
-    alarms.fault("actuator", "a", "stuck")
-    alarms.fault("actuator", "b", None)
-    alarms.fault("actuator", "a", None)
+    outputs = Outputs(lambda alarm, text: said.append((alarm, text)), ManualClock())
+    outputs.note_fault("actuator", "b", "gone")
+    outputs.note_fault("actuator", "a", "stuck")
+    outputs.note_fault("actuator", "b", None)
+    outputs.note_fault("actuator", "a", None)
 
     assert [text for _, text in said] == ["b: gone", "a: stuck; b: gone", "a: stuck", None]
 
@@ -297,7 +298,7 @@ def test_a_running_gateway_switches_and_leaves_the_outputs_of_stopped(
 ) -> None:
     """With its threads, from the start to the end of a recording: the last writing is that of `stopped`."""
     config = load_config(configure(ANDON))
-    with Gateway.open(config, SystemClock()) as gateway:
+    with open_station(config, SystemClock()) as gateway:
         gateway.run(threading.Event())
 
     lines = [json.loads(line) for line in (tmp_path / "switched.jsonl").read_text().splitlines()]

@@ -33,7 +33,7 @@ def test_a_requested_reload_is_served_by_the_bundles_thread(station: SteppedStat
     assert station.ask("reload") == {"is_waiting": True}
     station.turn()
     assert station.parts.store.acts() == []
-    station.parts.selection.stage.step()
+    station.parts.selection.worker.step()
     station.turn()
     assert [act.verb for act in station.parts.store.acts()] == ["open_bundles"]
 
@@ -90,7 +90,7 @@ def test_a_gateway_that_ends_while_the_database_refuses_leaves_the_count_to_the_
         station.play()
         (stop := threading.Event()).set()
         with pytest.raises(StoreError, match="no room"):
-            station.loop.run(stop)
+            station.loop.turn_until(stop)
 
     with SteppedStation(config) as station:
         station.play(3)

@@ -9,8 +9,7 @@ from recorded_presses import T0, make_press, messages_of
 
 from edge.clock import SystemClock
 from edge.core.backoff import Backoff
-from edge.gateway.command_policy import CommandPolicy
-from edge.gateway.commands import Change, Commands
+from edge.gateway.commands import Change, CommandPolicy, Commands
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.publisher import Publisher
 from edge.messaging.sink_worker import IDLE_S, RetainedState, SinkWorker

@@ -12,8 +12,7 @@ from edge.clock import SystemClock
 from edge.core.errors import ConfigError
 from edge.core.ports import Message
 from edge.core.sink_context import Station, topic_root
-from edge.gateway.command_policy import CommandPolicy
-from edge.gateway.commands import Change, Commands
+from edge.gateway.commands import Change, CommandPolicy, Commands
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
 from edge.messaging.payload_base import as_replayed, iso_time
 from edge.messaging.result_payload import ResultPayload, heatmap_message, press_messages

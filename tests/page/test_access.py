@@ -7,7 +7,7 @@ import pytest
 
 from edge.clock import ManualClock
 from edge.page.access import Access
-from edge.page.changes import MOST_ADDRESSES, WRONG_PER_MINUTE, TokenGate, change_refusal
+from edge.page.changes import MOST_ADDRESSES, WRONG_PER_MINUTE, Changes, change_refusal
 
 OWN = {"host": "gateway:8080", "content-type": "application/json"}
 PLANT = Access((ip_network("192.168.1.0/24"), ip_network("fd00::/8")), ("gateway.plant",))
@@ -91,8 +91,8 @@ def test_the_page_itself_may_ask_for_a_change_and_another_may_not(
     assert (refused and refused.status) == status
 
 
-def gate(**options: Any) -> TokenGate:
-    return TokenGate(options.get("token", b"correct-horse"), options.get("clock", ManualClock()))
+def gate(**options: Any) -> Changes:
+    return Changes(None, options.get("token", b"correct-horse"), options.get("clock", ManualClock()))
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_who_has_the_token_is_admitted_and_others_are_recorded(
     token: bytes | None, authorization: str, status: int | None, words: str
 ) -> None:
     """The sentence holds neither token; where none is configured, nobody is admitted."""
-    refused = gate(token=token).refusal("10.0.0.1", authorization)
+    refused = gate(token=token).token_refusal("10.0.0.1", authorization)
     assert (refused and (refused.status, refused.is_recorded)) == (status and (status, True))
     assert refused is None or (words in refused.sentence and "horse" not in refused.sentence)
 
@@ -122,20 +122,20 @@ def test_guessing_is_limited_and_does_not_fill_the_table() -> None:
     """Ten wrong ones a minute from one address; then the right one is refused too, and nothing is recorded."""
     clock = ManualClock()
     one = gate(clock=clock)
-    wrong = [one.refusal("10.0.0.1", f"Bearer guess-{n}") for n in range(WRONG_PER_MINUTE + 5)]
-    right = one.refusal("10.0.0.1", "Bearer correct-horse")
+    wrong = [one.token_refusal("10.0.0.1", f"Bearer guess-{n}") for n in range(WRONG_PER_MINUTE + 5)]
+    right = one.token_refusal("10.0.0.1", "Bearer correct-horse")
 
     assert [refused and refused.status for refused in wrong] == [401] * WRONG_PER_MINUTE + [429] * 5
     assert right is not None
     assert (right.status, right.is_recorded) == (429, False)
-    assert one.refusal("10.0.0.2", "Bearer correct-horse") is None
+    assert one.token_refusal("10.0.0.2", "Bearer correct-horse") is None
     clock.sleep(60)
-    assert one.refusal("10.0.0.1", "Bearer correct-horse") is None
+    assert one.token_refusal("10.0.0.1", "Bearer correct-horse") is None
 
 
 def test_the_addresses_that_are_counted_are_bounded() -> None:
     """Of a network with many."""
     one = gate()
     for n in range(MOST_ADDRESSES + 50):
-        one.refusal(f"fd00::{n:x}", "Bearer guess")
+        one.token_refusal(f"fd00::{n:x}", "Bearer guess")
     assert len(one._wrong._rates) <= MOST_ADDRESSES

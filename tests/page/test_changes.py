@@ -16,8 +16,7 @@ from stepped_station import SteppedStation
 
 from edge.clock import ManualClock
 from edge.core.sink_context import PageRequests, Station
-from edge.gateway.command_policy import CommandPolicy
-from edge.gateway.commands import Change, Commands
+from edge.gateway.commands import Change, CommandPolicy, Commands
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
 from edge.page.changes import WRONG_PER_MINUTE
 from edge.store.press_store import Store

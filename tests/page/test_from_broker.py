@@ -20,16 +20,14 @@ from edge.core.errors import ConfigError, GelgateError
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from edge.gateway.command_policy import CommandPolicy
-from edge.gateway.commands import Change, Commands
+from edge.gateway.commands import Change, CommandPolicy, Commands
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
-from edge.page.access import Access
-from edge.page.changes import Changes, TokenGate
 from edge.page.from_broker import BrokerStation, page_requests
 from edge.page.server import PageServer
+from edge.page.settings import PageSettings
 from edge.store.press_store import Store
 from plugins.sinks.mqtt import MqttSink, plugin
 from plugins.sinks.mqtt_options import MqttOptions
@@ -155,8 +153,11 @@ def test_a_malformed_message_ends_nothing_and_is_not_shown(topic: str, payload: 
 
 
 @pytest.fixture
-def served(broker: LocalBroker, tmp_path: Path) -> Iterator[Callable[..., tuple[int, Store]]]:
+def served(
+    broker: LocalBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., tuple[int, Store]]]:
     """A station at the broker that serves signed requests, and its page here with this secret; gives port and store."""
+    monkeypatch.setenv("PAGE_TOKEN", TOKEN)
     with ExitStack() as opened:
         clock = ManualClock(time.time_ns())
         store = opened.enter_context(Store(tmp_path / "gelgate.db", monotonic_ns=clock.monotonic_ns))
@@ -169,8 +170,8 @@ def served(broker: LocalBroker, tmp_path: Path) -> Iterator[Callable[..., tuple[
             station = listening(broker, opened)
             until(lambda: station.shown.station()["away"] is None)
             here = SystemClock()
-            changes = Changes(page_requests(station, secret, here), TokenGate(TOKEN.encode(), here), here)
-            server = PageServer(station.shown, changes, Access(), "127.0.0.1", 0, here)
+            settings = PageSettings(token_variable="PAGE_TOKEN")
+            server = PageServer(station.shown, settings, page_requests(station, secret, here), here, port=0)
             opened.callback(server.close)
             return server.port, store
 

@@ -16,7 +16,8 @@ from edge.config import load_config
 from edge.core.gel_life import GelState
 from edge.core.gel_scars.causes import Cause
 from edge.core.verdict import Kind
-from edge.gateway.gateway import Gateway
+from edge.gateway.build import open_station
+from edge.gateway.station_loop import StationLoop
 from edge.messaging.alarm_payload import ADVICE, AlarmPayload
 from edge.messaging.result_payload import PressAgainPart
 from plugins.sinks.page import PageSink
@@ -144,7 +145,7 @@ OF_THE_BROWSER = "Failed to load resource: the server responded with a status of
 
 
 @pytest.fixture
-def running(tmp_path: Path, bundle: Path) -> Iterator[tuple[Gateway, int]]:
+def running(tmp_path: Path, bundle: Path) -> Iterator[tuple[StationLoop, int]]:
     """Two parts, a press every second, a broker that is not there; gives the port of its page."""
     port, bundles = free_port(), two_parts(tmp_path / "bundles", bundle)
     token = tmp_path / "page.token"
@@ -154,7 +155,7 @@ def running(tmp_path: Path, bundle: Path) -> Iterator[tuple[Gateway, int]]:
     recording = press_recording(tmp_path / "presses", 3, motion=Motion(free=28, idle=6), seed=2)
     config = station_config(tmp_path / "station", recording, bundles, sinks=sinks, pace=1.0, loop=True)
     stop = threading.Event()
-    with Gateway.open(load_config(config), SystemClock()) as gateway:
+    with open_station(load_config(config), SystemClock()) as gateway:
         thread = threading.Thread(target=gateway.run, args=(stop,))
         thread.start()
         yield gateway, port
@@ -163,7 +164,7 @@ def running(tmp_path: Path, bundle: Path) -> Iterator[tuple[Gateway, int]]:
 
 
 @pytest.fixture
-def changing(browser: Any, running: tuple[Gateway, int]) -> Iterator[Any]:
+def changing(browser: Any, running: tuple[StationLoop, int]) -> Iterator[Any]:
     """The page, opened; at the end there was no other message on the console than of the refused token."""
     one = browser.new_page(viewport={"width": 1280, "height": 900})
     one.set_default_timeout(BROWSER_MS)
@@ -181,10 +182,10 @@ def said(changing: Any, words: str) -> None:
     changing.locator("#said", has_text=words).wait_for()
 
 
-def test_a_shift_at_the_page(changing: Any, running: tuple[Gateway, int]) -> None:
+def test_a_shift_at_the_page(changing: Any, running: tuple[StationLoop, int]) -> None:
     """A wrong token, the right one by keyboard, another part, an alarm, a new gel: each is done and written down."""
     gateway, _ = running
-    store = gateway.loop.parts.store
+    store = gateway.parts.store
     changing.wait_for_selector("#verdict.pass, #verdict.fail")
     assert not changing.locator("#new-gel").is_visible()
 
@@ -208,7 +209,7 @@ def test_a_shift_at_the_page(changing: Any, running: tuple[Gateway, int]) -> Non
         store.findings.append("database gelgate.db: it knew fewer presses")
         loop.publish_stats()
 
-    gateway.loop.parts.calls.post(raise_alarm)
+    gateway.parts.calls.post(raise_alarm)
     changing.get_by_role("button", name="Acknowledge the alarm counts").click()
     said(changing, "The alarm counts is acknowledged.")
     wait_until(changing, "!document.getElementById('alarms').textContent.includes('fewer presses')")

@@ -1,7 +1,5 @@
 """The picture of a press: nothing painted over the defect, everything a reader needs around it and in the file."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -47,14 +45,14 @@ def test_every_pixel_of_the_defect_is_as_the_sensor_saw_it() -> None:
 def test_a_sound_press_is_not_drawn_on_but_for_the_scale() -> None:
     """Above the scale bar every pixel of the left panel is the sensor's."""
     rgb = press(224, 224)
-    sheet = draw_press(rgb, np.full((224, 224), 0.5, np.float32), replace(CAPTION, verdict="pass", score=0.5))
+    sheet = draw_press(rgb, np.full((224, 224), 0.5, np.float32), CAPTION._replace(verdict="pass", score=0.5))
 
     assert np.array_equal(sheet[HEADER : HEADER + 400 : 2, 0:448:2], rgb[:200])
 
 
 def test_a_squeezed_axis_is_drawn_true() -> None:
     """1280x720 of a profile that squeezes rows by 4/3 has panels of 800x600: a circle on the part is a circle."""
-    caption = replace(CAPTION, mm_per_pixel=(0.0159, 0.0159 * 4 / 3))
+    caption = CAPTION._replace(mm_per_pixel=(0.0159, 0.0159 * 4 / 3))
     sheet = draw_press(press(720, 1280), with_defect(720, 1280), caption)
 
     above = (sheet[HEADER : HEADER + 600, :800] == 255).all(axis=2)
@@ -73,14 +71,14 @@ def test_the_scale_bar_is_as_long_as_it_says() -> None:
 @pytest.mark.parametrize(("verdict", "channel"), [("pass", 1), ("fail", 0)])
 def test_the_verdict_has_its_colour(verdict: str, channel: int) -> None:
     """Green for a pass, red for a fail."""
-    sheet = draw_press(press(224, 224), with_defect(224, 224), replace(CAPTION, verdict=verdict))
+    sheet = draw_press(press(224, 224), with_defect(224, 224), CAPTION._replace(verdict=verdict))
 
     assert int(sheet[2, 2].argmax()) == channel
 
 
 def test_a_threshold_below_zero_has_its_picture() -> None:
     """A negated likelihood: damage at -0.2 is above the threshold of -0.5, and is as bright as the other."""
-    caption = replace(CAPTION, score=-0.2, threshold=-0.5)
+    caption = CAPTION._replace(score=-0.2, threshold=-0.5)
     scores = np.where(with_defect(40, 56) > CAPTION.threshold, -0.2, -0.9)
 
     sheet = draw_press(press(40, 56), scores, caption)

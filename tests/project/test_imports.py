@@ -26,7 +26,7 @@ HEAVY = {
 @pytest.mark.parametrize(
     ("statement", "needed"),
     [
-        ("import edge.gateway.gateway", {"cv2", "onnxruntime"}),
+        ("import edge.gateway.build", {"cv2", "onnxruntime"}),
     ],
 )
 def test_a_start_imports_nothing_heavy(statement: str, needed: set[str]) -> None:

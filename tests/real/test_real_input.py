@@ -23,7 +23,7 @@ from edge.config import load_config
 from edge.core.errors import FitError
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
-from edge.gateway.gateway import Gateway
+from edge.gateway.build import open_station
 from edge.gateway.recorder import PressReport
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
@@ -86,7 +86,7 @@ def _thread_on_this_unit(unit: Path, real_tactile: Path, path: Path) -> Path:
 @pytest.fixture(scope="module")
 def reports(station: Path) -> list[PressReport]:
     found: list[PressReport] = []
-    with Gateway.open(load_config(station), SystemClock(), found.append) as gateway:
+    with open_station(load_config(station), SystemClock(), found.append) as gateway:
         gateway.run(threading.Event())
     return found
 

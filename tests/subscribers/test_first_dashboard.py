@@ -21,7 +21,7 @@ from station import MQTT, press_recording, small_bundle, station_config
 from edge.cli.describe import Format, text_at
 from edge.clock import SystemClock
 from edge.config import load_config
-from edge.gateway.gateway import Gateway
+from edge.gateway.build import open_station
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_broker import Broker
 from edge.pictures import png
@@ -52,8 +52,8 @@ def config(broker: LocalBroker, tmp_path_factory: pytest.TempPathFactory) -> Pat
     recording = press_recording(folder / "presses", 3, dented=[1], seed=2)
     path = station_config(folder, recording, bundle, sinks=MQTT % broker.port)
     loaded = load_config(path)
-    with Gateway.open(loaded, SystemClock()) as gateway:
-        gateway.run(threading.Event(), presses=3)
+    with open_station(loaded, SystemClock()) as gateway:
+        gateway.run(threading.Event(), 3)
         with Outbox(loaded.store.path) as outbox:
             _until(lambda: outbox.status().rows == 0)
     return path

@@ -1,11 +1,13 @@
 """The pictures of the page in docs/images: `make page-pictures`. They are drawn from messages, without a station."""
 
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -19,9 +21,8 @@ from edge.core.sink_context import PageRequests
 from edge.core.verdict import Kind
 from edge.messaging.alarm_payload import AlarmPayload
 from edge.messaging.command_payloads import CommandResponse
-from edge.page.access import Access
-from edge.page.changes import Changes, TokenGate
 from edge.page.server import PageServer
+from edge.page.settings import PageSettings
 from edge.page.shown import Shown
 
 TOKEN: Final = "correct-horse"
@@ -100,9 +101,8 @@ def served(scene: Scene) -> Iterator[int]:
     for message in scene.messages:
         shown.see(message)
     verbs = PageRequests(frozenset({"select_part", "acknowledge_alarm", "replace_gel"}), _answer, _answer)
-    server = PageServer(
-        shown, Changes(verbs, TokenGate(TOKEN.encode(), clock), clock), Access(), "127.0.0.1", 0, clock
-    )
+    with mock.patch.dict(os.environ, TOKEN_OF_THE_PAGE=TOKEN):
+        server = PageServer(shown, PageSettings(token_variable="TOKEN_OF_THE_PAGE"), verbs, clock, port=0)
     yield server.port
     server.close()
 

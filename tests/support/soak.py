@@ -30,7 +30,7 @@ from station import MQTT, Motion, press_recording, small_bundle, station_config
 
 from edge.clock import SystemClock
 from edge.config import load_config
-from edge.gateway.gateway import Gateway
+from edge.gateway.build import open_station
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Received
 from edge.messaging.validation import StationsCheck
@@ -129,7 +129,7 @@ def play(config: Path, empties_outbox: bool) -> None:
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     loaded = load_config(config)
-    with Gateway.open(loaded, SystemClock()) as gateway, Outbox(loaded.store.path) as outbox:
+    with open_station(loaded, SystemClock()) as gateway, Outbox(loaded.store.path) as outbox:
         gateway.run(stop)
         if empties_outbox:
             until(lambda: not outbox.status().rows)

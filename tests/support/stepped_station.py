@@ -11,10 +11,9 @@ from typing import Any, Self, TypeVar
 from edge.clock import ManualClock
 from edge.config import Config, load_config
 from edge.core.errors import RecordingEnded
-from edge.gateway.build import build
+from edge.gateway.build import open_station
 from edge.gateway.command_table import every_command
 from edge.gateway.recorder import PressReport
-from edge.gateway.station_loop import StationLoop
 from edge.messaging.result_payload import ResultPayload
 from edge.press_stage import PressStage
 
@@ -35,10 +34,15 @@ class SteppedStation:
         self.reports: list[PressReport] = []
         self.has_ended = False
         self._pause_s = 0.0  # before the next step of the reader; the loop may look meanwhile
-        with ExitStack() as closing:
-            self.parts = build(load_config(config), self.clock, closing, read_again=read_again, stages=stages)
-            self._closing = closing.pop_all()
-        self.loop = StationLoop(self.parts, lambda report: (self.reports.append(report), on_press(report))[1])
+        self._closing = ExitStack()
+
+        def note(report: PressReport) -> None:
+            self.reports.append(report)
+            on_press(report)
+
+        opened = open_station(load_config(config), self.clock, note, None, read_again, stages)
+        self.loop = self._closing.enter_context(opened)
+        self.parts = self.loop.parts
 
     def find(self, kind: type[S]) -> S:
         """Return the stage of this kind, which is configured."""

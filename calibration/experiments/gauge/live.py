@@ -12,7 +12,7 @@ from edge.clock import SystemClock
 from edge.config import Config
 from edge.core.errors import ConfigError, DatasetError
 from edge.core.press import Press, PressLabel, StudyLabel
-from edge.gateway.gateway import Gateway
+from edge.gateway.build import open_station
 from edge.press_stage import Mounted, PressStage
 from edge.store import study_presses
 from edge.store.gel_ledger import GelRecord
@@ -151,11 +151,11 @@ def run_study(plan: StudyPlan, config: Config, say: Callable[[str], None]) -> in
         labels = prepare_labels(plan, store, say, stop.set)
         if not labels.left:
             return 0
-        with Gateway.open(config, SystemClock(), stages={"reference_press": labels}) as gateway:
+        with open_station(config, SystemClock(), stages={"reference_press": labels}) as station:
             if sys.stdin is not None and sys.stdin.isatty():  # the thread ends with the process
                 threading.Thread(target=_read_keys, args=(labels.keys,), name="keys", daemon=True).start()
             try:
-                gateway.run(stop)
+                station.run(stop)
             except KeyboardInterrupt:
                 say("stopped with Ctrl-C")
     if labels.fault is not None:

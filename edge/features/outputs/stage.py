@@ -3,31 +3,32 @@
 They follow the presses of parts; master pieces and studies switch nothing.
 """
 
+import logging
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Final, Self, final
+from typing import Any, Final, Self, TypeVar, final
 
-from edge.config import Config
+from edge import registry
+from edge.config import ActuatorTable, Config, PluginTable
 from edge.core.contact.events import Event, PressBegan, PressSettled
 from edge.core.contact.press_detector import Look
-from edge.core.digital_io import StationView
+from edge.core.digital_io import DiscoveredPort, StationView
+from edge.core.errors import DeviceNotFound
 from edge.core.ports import Clock
 from edge.core.press import Press
 from edge.features.outputs.actuator_driver import ActuatorDriver
-from edge.features.outputs.opening import (
-    IoAlarms,
-    describe_actuator,
-    describe_trigger,
-    open_drivers,
-    open_readers,
-)
 from edge.features.outputs.trigger_reader import TriggerReader
 from edge.model.inspector import Inspector
 from edge.press_stage import PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
 
-__all__ = ["Outputs"]
+__all__ = ["Outputs", "describe_actuator"]
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T", bound=PluginTable)
 
 # Nobody changes a part faster: a pass that is older than the last picture of the gel may be another part's.
 UNSEEN_S: Final = 0.5
@@ -37,36 +38,67 @@ UNSEEN_S: Final = 0.5
 class Outputs(PressStage):
     """The last stage: it shows what the others have decided."""
 
-    def __init__(
-        self,
-        readers: Sequence[TriggerReader],
-        drivers: Sequence[ActuatorDriver],
-        alarms: IoAlarms,
-        clock: Clock,
-    ) -> None:
-        self.readers, self.drivers, self._alarms, self._clock = tuple(readers), tuple(drivers), alarms, clock
+    def __init__(self, say: Callable[[str, str | None], None], clock: Clock) -> None:
+        self.readers: Sequence[TriggerReader] = ()
+        self.drivers: Sequence[ActuatorDriver] = ()
+        self._say, self._clock = say, clock
         self._verdict: str | None = None
         self._awaited_ns: int | None = None
         self._seen_ns: int | None = None
+        self._faults: dict[str, dict[str, str]] = {"trigger_device": {}, "actuator": {}}
+        self._late: Counter[str] = Counter()
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
         """Open the configured pedals, lights and relays, not yet started. Errors: ConfigError."""
-        config, clock, alarms = parts.config, parts.clock, IoAlarms(parts.alarms.say)
-        outputs = cls((), open_drivers(config.actuators, clock, alarms), alarms, clock)
-        actions: dict[str, Callable[[], None]] = {
-            "trigger": parts.trigger,
-            "acknowledge": partial(parts.post, outputs.acknowledge_all),
-        }
-        outputs.readers = tuple(open_readers(config.triggers, clock, alarms, actions))
+        outputs = cls(parts.alarms.say, parts.clock)
+        acknowledge = partial(parts.post, outputs.acknowledge_all)
+        outputs.drivers = [
+            ActuatorDriver(
+                _open_later(registry.actuator(table.plugin), table, parts.clock),
+                [output.rule() for output in table.outputs],
+                parts.clock,
+                partial(outputs.note_fault, "actuator", name),
+                partial(outputs.note_late, name),
+                watchdog_ns=round(table.watchdog_s * 1e9),
+            )
+            for name, table in _label(parts.config.actuators).items()
+        ]
+        outputs.readers = [
+            TriggerReader(
+                _open_later(registry.trigger(table.plugin), table, parts.clock),
+                parts.clock,
+                parts.trigger if table.action == "trigger" else acknowledge,
+                partial(outputs.note_fault, "trigger_device", name),
+                debounce_ns=round(table.debounce_ms * 1e6),
+            )
+            for name, table in _label(parts.config.triggers).items()
+        ]
         return outputs
 
     @classmethod
     def attempts(cls, config: Config) -> Iterator[tuple[str, Callable[[], str]]]:
         for trigger in config.triggers:
-            yield f"trigger {trigger.plugin}", partial(describe_trigger, trigger)
+            yield f"trigger {trigger.plugin}", partial(_describe, trigger, registry.trigger)
         for actuator in config.actuators:
             yield f"actuator {actuator.plugin}", partial(describe_actuator, actuator)
+
+    def note_fault(self, alarm: str, name: str, fault: str | None) -> None:
+        """The device of that name cannot be used, or with None can again. The owner threads call it."""
+        found = {**self._faults[alarm], name: fault}
+        self._faults[alarm] = {key: text for key, text in found.items() if text is not None}
+        text = "; ".join(f"{key}: {one}" for key, one in sorted(self._faults[alarm].items()))
+        self._say(alarm, text or None)
+
+    def note_late(self, name: str, sentence: str) -> None:
+        """A pulse was not given in time. It stays an alarm until a person acknowledges it, or a restart."""
+        self._late[name] += 1
+        log.error("%s: %s", name, sentence)
+        self._say(
+            "pulse",
+            f"{self._late.total()} pulses were not given in time; a part may have passed. The last one: {name}: "
+            f"{sentence}",
+        )
 
     def start(self) -> None:
         """Outputs first: they are then in the state `starting` before anything can be asked for."""
@@ -122,16 +154,56 @@ class Outputs(PressStage):
             self._pulse(press)
 
     def acknowledge(self, alarm: str) -> None:
-        if alarm == "pulse":
-            self._alarms.acknowledge()
+        if alarm == "pulse" and self._late:
+            self._late.clear()
+            self._say("pulse", None)
 
     def acknowledge_all(self) -> None:
         """Take it that a person has seen the last verdict, and the pulses that were not given."""
         self._verdict, self._awaited_ns = None, None
-        self._alarms.acknowledge()
+        self.acknowledge("pulse")
 
     def _pulse(self, press: Press) -> None:
         """Deadlines count from the judged frame, or from now where there is none."""
         judged_ns = self._clock.monotonic_ns() if press.judged_ns is None else press.judged_ns
         for driver in self.drivers:
             driver.pulse(press.word, judged_ns)
+
+
+def _open_later(plugin: Any, table: PluginTable, clock: Clock) -> Callable[[], Any]:
+    """Check the options now, and open the device when it is called. Errors: ConfigError."""
+    return partial(plugin.open, plugin.Options.model_validate(table.options), clock)
+
+
+def describe_actuator(table: ActuatorTable) -> str:
+    """Describe the light or relay of this table, with warnings. Errors: DeviceNotFound, ConfigError."""
+    warnings = [
+        f"the pulse on channel {rule.channel} leaves out {', '.join(rule.passed_over)}: a reject gate lets these "
+        "parts through; add them to `when`"
+        for rule in (output.rule() for output in table.outputs)
+        if rule.passed_over
+    ]
+    return "; warning: ".join([_describe(table, registry.actuator), *warnings])
+
+
+def _describe(table: PluginTable, find: Callable[[str], Any]) -> str:
+    """Describe the device of this table, for a person. Errors: DeviceNotFound, ConfigError."""
+    plugin = find(table.plugin)
+    discovered: Sequence[DiscoveredPort] = plugin.discover(plugin.Options.model_validate(table.options))
+    usable = [f"{one.product} at {one.place}" for one in discovered if one.refusal is None]
+    if usable:
+        return "; ".join(usable)
+    seen = "; ".join(one.refusal for one in discovered if one.refusal)
+    raise DeviceNotFound(
+        f"nothing for '{table.plugin}' is plugged in"
+        + (f" ({seen})" if seen else "; check the cable and the rights, then `gelgate devices`")
+    )
+
+
+def _label(tables: Sequence[T]) -> dict[str, T]:
+    """Each with the name that its alarms carry: the plugin, numbered where it is used several times."""
+    plugins = [table.plugin for table in tables]
+    return {
+        table.plugin if plugins.count(table.plugin) == 1 else f"{table.plugin} {number}": table
+        for number, table in enumerate(tables, 1)
+    }
