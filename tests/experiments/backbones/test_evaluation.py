@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from calibration.experiments.backbones import command as evaluate_command
-from calibration.experiments.backbones.evaluation import evaluate, evaluation_tables, random_trunk
-from calibration.experiments.backbones.presses import PARTS, Sizes, development_trial, part_trial
+from calibration.experiments.backbones.evaluation import evaluate, random_trunk
+from calibration.experiments.backbones.presses import Sizes, part_trial
 from calibration.experiments.backbones.sets import EvaluationSet
 from calibration.experiments.backbones.trial import Trial
 from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -73,21 +73,6 @@ def with_others(name: str, seed: int) -> Trial:
     return replace(found, frames=frames, masks=masks, is_other=np.arange(8) >= 6, alpha=0.5)
 
 
-def test_brief_sets_compare_what_ships_with_random_weights() -> None:
-    """On a brief set only the first trunk and `random` have rows; a set without trials says why; a table shows both."""
-    trunk = random_trunk()
-    sets = {
-        "brief": EvaluationSet("Brief", "Two.", SQUARES.trials[:1], is_brief=True),
-        "none": EvaluationSet("None", "Nothing.", (), missing="it was not there"),
-    }
-    found = evaluate(dict.fromkeys(("first", "other", "random"), trunk), sets, ("padim",), replicates=0)
-    assert [row["backbone"] for row in found["sets"]["brief"]["rows"]] == ["first", "random"]
-    lines = evaluation_tables(found).splitlines()
-    assert "Not measured: it was not there." in lines
-    value = found["sets"]["brief"]["rows"][0]["measures"]["aupro_fpr01"]["value"]
-    assert any(line.startswith("| first    | padim    |") and f"{value:.3f}" in line for line in lines)
-
-
 def test_trials_spread_over_processes_measure_the_same() -> None:
     """Two workers give the same numbers as one."""
     sets = {"pieces": EvaluationSet("Pieces", "Two.", (partial(part_trial, "PZ3", "plain", FEW),) * 2)}
@@ -138,14 +123,6 @@ def test_conditions_differ_where_they_say() -> None:
     assert 0 < (left.max(axis=3) > 4).mean() < 0.1
     assert np.array_equal(sliding.nominal.frames, plain.nominal.frames)
     assert (np.abs(sliding.frames.astype(float) - plain.frames).max(axis=3) > 4).mean() > 0.01
-
-
-def test_development_parts_are_no_analogues() -> None:
-    """They do not change the table of parts, and each number is another part."""
-    first, second = development_trial(0, FEW), development_trial(1, FEW)
-    assert (first.name, second.name) == ("RP0", "RP1")
-    assert {"RP0", "RP1"}.isdisjoint(PARTS)
-    assert np.abs(first.frames[1].astype(float) - second.frames[1]).mean() > 3
 
 
 def test_the_command_writes_prints_and_skips_loudly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

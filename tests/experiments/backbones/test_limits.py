@@ -51,15 +51,6 @@ def test_shares_at_the_limit() -> None:
     }
 
 
-def test_shares_follow_the_weights() -> None:
-    """A replicate that draws one edit three times has that edit's share; shares without weights have no interval."""
-    scores = np.array([1.0, 1.0, 3.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-    weights = np.array([[1.0, 1, 1, 1, 1], [2, 0, 3, 0, 0], [1, 1, 0, 3, 0]])
-    found = limit_columns(2.0, known(), peaked([(0, 0)] * 8), scores, weights)
-    assert found["detected"] == pytest.approx([1 / 3, 1, 0])
-    assert np.isnan(found["others_detected"][1:]).all()
-
-
 def test_a_peak_is_found_within_six_pixels() -> None:
     """On the damage and 6 pixels from it, not at 7, and never without damage."""
     masks = np.zeros((4, 32, 32), np.bool_)

@@ -6,11 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.experiments.backbones import command, real_touch
+from calibration.experiments.backbones import command
 from calibration.experiments.backbones.real_touch import EDITS, OBJECTS, real_touch_trial
 from calibration.experiments.backbones.sets import SENSORS, SETS, EvaluationSet, evaluation_sets
-from calibration.experiments.backbones.touch_edits import dots
-from calibration.experiments.backbones.trial import REGION
 from edge.core.errors import DatasetError
 
 DEVELOPMENT, JUDGEMENT = SENSORS["real-touch"], SENSORS["real-touch-judgement"]
@@ -80,31 +78,3 @@ def test_a_trial_is_the_same_every_time(real_tactile: Path) -> None:
     assert one.is_other is not None
     assert one.is_other.sum() == 10
     assert one.alpha == 0.05
-
-
-def test_relief_on_a_marker_gel_lies_between_the_dots(real_tactile: Path) -> None:
-    """No piece is centred on a dot, which would hide it; every second edit is a piece, the others are of dots."""
-    found = real_touch_trial(real_tactile, "finger on a marker gel", edits=12)
-    sound, edits = found.frames[:12], slice(12, 24)
-    assert found.masks[edits].any(axis=(1, 2)).all()
-    for frame, mask in list(zip(sound, found.masks[edits], strict=True))[::2]:
-        assert (dots(frame)[mask] > 0).mean() < 0.5
-
-
-def test_edits_lie_in_the_contact_and_not_in_its_glow() -> None:
-    """A contact of 90 levels in a glow of 12: the spots end with the contact, a blur's width apart."""
-    rows, columns = np.mgrid[:240, :320]
-    radius, free = np.hypot(rows - 120, columns - 160), np.full((240, 320, 3), 100, np.uint8)
-    rgb = free + np.where(radius < 30, 90, np.where(radius < 60, 12, 0)).astype(np.uint8)[..., None]
-    spots = real_touch._Cut(rgb, REGION).contact(free)
-    assert spots[radius < 25].all()
-    assert not spots[radius > 36].any()
-
-
-def test_presses_with_a_cut_of_the_gel_are_no_registered_ones(real_tactile: Path) -> None:
-    """Of 15 learnt and 5 held-out registered presses, the two with a cut are left out; the complete pictures stay."""
-    registered, anywhere = (
-        real_touch_trial(real_tactile, f"ball 6.31 mm, {how}", edits=1) for how in ("registered", "anywhere")
-    )
-    assert len(registered.nominal) == 13
-    assert len(anywhere.nominal) == 29

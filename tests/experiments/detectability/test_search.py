@@ -1,6 +1,5 @@
 """The smallest size found: halving, and what counts as found."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,12 +18,6 @@ from edge.model.scorer import Scored
 SIZES = sizes_mm("dent")
 
 
-def test_sizes_rise_by_equal_factors_to_the_largest() -> None:
-    """33 sizes from a fiftieth of the largest on."""
-    assert (len(SIZES), SIZES[0], SIZES[-1]) == (33, 0.008, 0.4)
-    assert np.diff(np.log(SIZES)) == pytest.approx(math.log(50) / 32, abs=2e-3)
-
-
 @pytest.mark.parametrize("limit", [0.001, 0.008, 0.05, 0.39, 0.4])
 def test_halving_brackets_the_smallest_size_found(limit: float) -> None:
     """Seven looks at most, and the bracket is between neighbours of the ladder."""
@@ -38,11 +31,6 @@ def test_halving_brackets_the_smallest_size_found(limit: float) -> None:
     assert low < limit <= high or (low, high) == (0.0, SIZES[0])
     assert high == SIZES[0] if low == 0 else SIZES.index(high) == SIZES.index(low) + 1
     assert len(looks) <= 7
-
-
-def test_what_is_never_found_has_no_upper_end() -> None:
-    """One look at the largest size is enough."""
-    assert smallest_found(lambda size: False, SIZES) == (0.4, math.inf)
 
 
 @dataclass

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from calibration.experiments.gauge.plan import Piece, StudyPlan, make_plan, material, read_plan
-from calibration.experiments.gauge.report import csv_tables, markdown, report_sections
+from calibration.experiments.gauge.report import markdown, report_sections
 from edge.core.errors import ConfigError, DatasetError
 from edge.store.study_presses import StudyPress
 
@@ -121,14 +121,3 @@ def test_what_a_study_cannot_show_is_said(plan: StudyPlan, rows_of: Rows) -> Non
         (unknown, rows_of(unknown), "name bad pieces in `gelgate lab msa plan --bad`"),
     ):
         assert words in text_of(study, rows)
-
-
-def test_both_forms_have_the_same_numbers_and_names_are_text(rows_of: Rows) -> None:
-    """Markdown and CSV; an operator's name is no mark-up."""
-    plan = make_plan([Piece(name="P1"), Piece(name="P2")], ["<b>|", "B"], 2, 1, T0)
-    sections = report_sections(material(plan, rows_of(plan)))
-    share = next(row for row in sections[1].rows if row[0].startswith("gauge"))[3]
-
-    assert f"| {share} " in markdown("T", sections)
-    assert f",{share}," in csv_tables("T", sections)
-    assert "<b>\\|" in markdown("T", sections)

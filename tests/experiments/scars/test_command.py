@@ -3,28 +3,13 @@
 import pytest
 from command_line import gelgate
 
-from calibration.experiments.scars.command import Alarm, format_rate, table
-
-
-def alarm(truth: str, cause: str, placing: str = "thread in a fixture") -> Alarm:
-    return {"placing": placing, "truth": truth, "cause": cause, "what": "dent"}
+from calibration.experiments.scars.command import format_rate
 
 
 def test_no_wrong_name_in_230_is_one_per_cent_at_most() -> None:
     """1 - 0.1 ** (1 / 230) = 0.996 %; of as many right names, 99 % at least."""
     assert format_rate(0, 230) == "0.0% (0 of 230; 0.0% to 1.0%)"
     assert format_rate(230, 230) == "100.0% (230 of 230; 99.0% to 100.0%)"
-
-
-def test_the_table_counts_causes_by_what_raised_the_alarm() -> None:
-    """Three scars named gel twice, two of damage named part."""
-    alarms = [*[alarm("scar", "gel")] * 2, alarm("scar", "unsure"), *[alarm("damage", "part", "other")] * 2]
-    text = " ".join(table(alarms, 40).split())
-
-    assert "40 presses, 5 alarms" in text
-    assert "| a scar, the part is sound | 3 | 66.7% (2 of 3;" in text
-    assert "| thread in a fixture | 2 of 3 | 0 of 0 |" in text
-    assert "| other | 0 of 0 | 0 of 2 |" in text
 
 
 @pytest.mark.parametrize(

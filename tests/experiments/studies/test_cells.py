@@ -5,8 +5,6 @@ from dataclasses import replace
 import pytest
 from study_cells import cells
 
-from calibration.experiments.harness.cells import Cell
-
 (CELL,) = cells(1)
 
 
@@ -57,15 +55,3 @@ def test_a_cell_refuses_nonsense(change: dict[str, object], said: str) -> None:
     """Equal cells must have equal keys, and columns must not hide each other."""
     with pytest.raises(ValueError, match=said):
         replace(CELL, **change)  # type: ignore[arg-type]
-
-
-def test_a_setting_is_read_by_its_name() -> None:
-    """An unknown name is an error."""
-    assert CELL.setting("shots") == 1
-    with pytest.raises(KeyError):
-        CELL.setting("fraction")
-
-
-def test_cells_are_hashable() -> None:
-    """Equal cells are one cell."""
-    assert len({CELL, Cell(**CELL.__dict__)}) == 1

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from study_cells import Counted, DiesOnce, KillsScheduler, cells, quiet, seeds_of
@@ -155,16 +154,6 @@ def test_an_address_that_is_none_is_a_sentence(
         Options(dataset=tmp_path, output=tmp_path / "out", dask=address)
 
 
-def test_a_scheduler_without_workers_is_a_sentence(
-    tmp_path: Path, rows: Rows, counted: Counted, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It says how to start one."""
-    with scheduler(tmp_path) as (address, _):
-        monkeypatch.setattr(cluster, "ANSWER_WITHIN_S", 5.0)
-        with pytest.raises(ConfigError, match=f"has no worker; start one with `dask worker {address}`"):
-            run(cells(1), counted, rows, dask=address, progress=quiet)
-
-
 def test_a_cluster_with_another_version_is_refused() -> None:
     """Its rows would be from another program; the process and its version are named."""
 
@@ -177,21 +166,3 @@ def test_a_cluster_with_another_version_is_refused() -> None:
 
     with pytest.raises(ConfigError, match="2 processes of the cluster at 'x' do not have gelgate"):
         cluster._check_versions(Cluster(), "x")
-
-
-def test_a_result_that_died_with_its_worker_is_waited_for() -> None:
-    """While the cluster runs, a result that has to be computed again may take longer than an answer."""
-
-    class Again:
-        """A future that is computed again: its result comes at the third look."""
-
-        status = "pending"
-        looks = 0
-
-        def result(self, timeout: float) -> str:
-            self.looks += 1
-            if self.looks < 3:
-                raise TimeoutError
-            return "row"
-
-    assert cluster._result(SimpleNamespace(status="running"), Again()) == "row"

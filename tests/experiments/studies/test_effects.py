@@ -1,6 +1,5 @@
 """Effects here and in the paper: directions by the interval over seeds, and pages of the data's numbers alone."""
 
-import re
 from typing import Any
 
 import pytest
@@ -8,8 +7,7 @@ import pytest
 pd = pytest.importorskip("pandas", reason="SKIPPED, NOT TESTED: the extra `studies` brings pandas")
 
 from calibration.experiments.harness.evidence import Sample, compare_directions, direction, effects  # noqa: E402
-from calibration.experiments.harness.published import paper_medians  # noqa: E402
-from calibration.experiments.studies import cross_position_study, resolution_study  # noqa: E402
+from calibration.experiments.studies import resolution_study  # noqa: E402
 from calibration.experiments.studies.views import VIEWS  # noqa: E402
 
 
@@ -68,65 +66,9 @@ def test_effects_are_set_next_to_the_papers() -> None:
     }
 
 
-@pytest.mark.parametrize(("page", "table"), [(cross_position_study, CROSSED), (resolution_study, FINE)])
-def test_every_number_in_brackets_is_the_papers(page: Any, table: "pd.DataFrame") -> None:
-    """No number is typed into a page."""
-    study = table["study"][0]
-    printed = {float(number) for number in re.findall(r"\((\d\.\d{4})\)", page.page(table).text)}
-    known = {
-        round(v, 4)
-        for key, values in paper_medians(study).items()
-        if key[1] == "PZ3"
-        for v in values.values()
-    }
-
-    assert len(printed) > 10
-    assert printed <= known
-
-
-def test_the_cross_position_page_counts_what_agrees() -> None:
-    """From none to 5 %: ten of twelve directions agree; beyond, nothing changes here."""
-    text = cross_position_study.page(CROSSED).text
-
-    assert "From 0 % to 5 % of the second position: 10 agree, 2 differ, 0 undecided." in text
-    assert "From 5 % to 15 % of the second position: 0 agree, 0 differ, 12 undecided." in text
-    assert "## tiny (random), corrected mode, split by press" in text
-
-
-def test_the_page_says_what_the_study_cost() -> None:
-    """120 cells of 6 processor seconds are 12 minutes."""
-    text = cross_position_study.page(CROSSED).text
-
-    assert "the 120 cells of this table took 12 minutes of one core" in text
-    assert "| 5 % | padim | 10 | 9 | 1.00 | 2.00 | 3.00 | 1.0 |" in text
-
-
 def test_seeds_that_learn_the_same_presses_give_no_direction() -> None:
     """With the cap of the pool as many as are learnt, ten seeds are one bank."""
     text = resolution_study.page(FINE.assign(presses=40)).text
 
     assert "0 agree, 0 differ, 12 undecided" in text
     assert "| +0.1000 | undecided |" in text
-
-
-def test_the_resolution_page_separates_detail_from_tiles() -> None:
-    """The gain of 0.2 is 0.1 by tiles and 0.1 by detail in these rows."""
-    text = resolution_study.page(FINE).text
-
-    assert re.search(r"From `lr` to `lr_tiled`: .*\n\n.*\n.*\n\| fapm \| PZ3 \| \+0\.1000 \| up", text)
-    assert re.search(r"From `lr_tiled` to `hr_tiled`: .*\n\n.*\n.*\n\| fapm \| PZ3 \| \+0\.1000 \| up", text)
-    assert re.search(
-        r"From `hr_full` to `hr_tiled`: .*\n\n.*\n.*\n\| fapm \| PZ3 \| \+0\.0000 \| undecided", text
-    )
-
-
-def test_both_splits_are_compared_and_refusals_are_listed() -> None:
-    """How much a split by press flatters, and what could not be scored."""
-    harder = CROSSED.assign(split="specimen", aupro_001=CROSSED["aupro_001"] - 0.1)
-    refused = CROSSED[:1].assign(error="the trunk lacks a tap", aupro_001=None)
-    text = cross_position_study.page(pd.concat([CROSSED, harder, refused], ignore_index=True)).text
-
-    assert re.search(
-        r"\| tiny \| corrected \| padim \| PZ3 \| 30 \| 0\.\d{4} \| 0\.\d{4} \| \+0\.1000 \|", text
-    )
-    assert "| spade | corrected | tiny | 1 | the trunk lacks a tap |" in text

@@ -14,7 +14,7 @@ from calibration.dataset import LabelledPress
 from calibration.experiments.harness.feature_cache import FeatureCache
 from calibration.experiments.harness.pictures import PressPictures, View
 from calibration.fitting.trunks import Trunk
-from edge.core.errors import ConfigError, DatasetError, StoreError
+from edge.core.errors import ConfigError, StoreError
 from edge.core.imaging.region import Region
 
 VIEW = View((48, 40), Region(8, 4, 32, 32), 15.77)
@@ -54,18 +54,6 @@ def test_features_are_those_of_the_trunk(cache: FeatureCache, presses: tuple[Lab
     assert taken.grid.frame == (32, 32)
     assert not taken.features["layer1"].flags.writeable
     assert list(taken.grid_of(["layer2"]).taps) == ["layer2"]
-
-
-def test_presses_that_are_scored_one_by_one_stay_in_the_file(
-    cache: FeatureCache, presses: tuple[LabelledPress, ...]
-) -> None:
-    """Maps of chosen presses, without a copy: 36 presses of 1280x720 would be 0.9 GB in each process."""
-    taken = cache.features(TRUNK, TAPS, PressPictures(presses, VIEW))
-    maps = taken.each([2, 0], ["layer1"])["layer1"]
-
-    assert [one.shape for one in maps] == [(1, 3, 4, 4)] * 2
-    np.testing.assert_array_equal(np.concatenate(maps), taken.features["layer1"][[2, 0]])
-    assert all(np.shares_memory(one, taken.features["layer1"]) for one in maps)
 
 
 def test_a_second_call_reads_what_the_first_wrote(
@@ -126,15 +114,6 @@ def test_a_full_disk_leaves_no_entry(cache: FeatureCache, presses: tuple[Labelle
     assert len(cache.features(TRUNK, TAPS, pictures).features["layer1"]) == 3
 
 
-def test_a_broken_picture_leaves_no_entry(cache: FeatureCache, presses: tuple[LabelledPress, ...]) -> None:
-    """The file is named."""
-    presses[1].path.write_bytes(presses[1].path.read_bytes()[:60])
-    with pytest.raises(DatasetError, match=r"1\.png"):
-        cache.features(TRUNK, TAPS, PressPictures(presses, VIEW))
-
-    assert entries(cache) == set()
-
-
 def test_a_cache_of_another_format_is_refused(cache: FeatureCache) -> None:
     """Its files may mean something else."""
     (cache.folder / "cache.json").write_text(json.dumps({"format": 99}))
@@ -159,16 +138,3 @@ def test_a_folder_with_other_files_is_no_cache(tmp_path: Path) -> None:
         FeatureCache(tmp_path)
 
     assert [path.name for path in tmp_path.iterdir()] == ["letter.txt"]
-
-
-def test_a_folder_that_cannot_be_made_is_a_sentence(tmp_path: Path) -> None:
-    """A file is in its place."""
-    (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match="cannot be used"):
-        FeatureCache(tmp_path / "file" / "features")
-
-
-def test_a_picture_of_another_size_is_refused(presses: tuple[LabelledPress, ...]) -> None:
-    """With both sizes."""
-    with pytest.raises(DatasetError, match="is 48x40, the study looks at 320x240"):
-        PressPictures(presses, replace(VIEW, size=(320, 240))).read(0, 1)

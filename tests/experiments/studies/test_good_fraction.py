@@ -67,24 +67,10 @@ def test_presses_and_pool_are_in_the_row(rows: list[dict[str, Any]]) -> None:
     assert {r["specimens"] for r in chosen(rows, split="specimen", fraction=1.0)} == {3}
 
 
-def test_bright_damage_is_found(rows: list[dict[str, Any]]) -> None:
-    """With all presses every defective press is above the nominal ones, and most of each square is found."""
-    for row in chosen(rows, split="press", fraction=1.0, method="padim"):
-        assert row["image_auroc"] == 1.0
-        assert row["recall_001"] == 1.0
-        assert row["aupro_005"] > 0.6
-
-
 def test_more_shots_than_presses_are_a_refusal_in_the_row(rows: list[dict[str, Any]]) -> None:
     """The other cells are not disturbed."""
     for row in chosen(rows, shots=32):
         assert row["error"] == "32 presses are asked for, the pool of PZ3/pos1 has 6"
-
-
-def test_rows_say_what_they_were_made_from(rows: list[dict[str, Any]]) -> None:
-    """Hashes of the pictures and the trunk, and the program's version, the same in all rows."""
-    scored = [row for row in rows if "error" not in row]
-    assert len({(r["pictures_sha256"], r["trunk_sha256"], r["program"]) for r in scored}) == 1
 
 
 def test_the_seed_does_not_matter_where_nothing_is_random(dataset: Path, tmp_path: Path) -> None:
@@ -207,16 +193,6 @@ def test_an_output_that_is_a_file_is_refused_before_any_work(dataset: Path, tmp_
     (tmp_path / "rows").write_text("notes")
     with pytest.raises(ConfigError, match="rows' is a file; name a folder"):
         options(dataset, tmp_path / "rows")
-
-
-def test_an_unreadable_picture_is_named(dataset: Path, tmp_path: Path) -> None:
-    """With every file at fault, as `evaluate` does."""
-    copy = Path(shutil.copytree(dataset, tmp_path / "data"))
-    picture = min((copy / "PZ3/pos1/rgb_320x240").iterdir())
-    picture.write_bytes(picture.read_bytes()[:1000])
-
-    with pytest.raises(DatasetError, match="1 file at fault"):
-        study_good_fraction(options(copy, tmp_path / "out", fractions=(1.0,), shots=()))
 
 
 def test_no_damaged_picture_is_a_sentence(dataset: Path, tmp_path: Path) -> None:
@@ -346,16 +322,3 @@ def test_a_study_from_python_is_a_frame(dataset: Path, tmp_path: Path) -> None:
     assert len(found) == 3
     assert isinstance(figure(found), Figure)
     assert isinstance(figure(found[found["shots"].notna()]), Figure)
-
-
-def test_a_figure_of_several_setups_is_refused(dataset: Path, tmp_path: Path) -> None:
-    """Or of a measure that no row has."""
-    found = study("good-fraction",
-        dataset, tmp_path, methods=["subspace"], splits=["press", "specimen"], seeds=1, fractions=[1.0], shots=[],
-        held_out=2, show=quiet,
-    )  # fmt: skip
-
-    with pytest.raises(ConfigError, match="a figure shows one backbone, mode and split, the rows have"):
-        figure(found)
-    with pytest.raises(ConfigError, match="no row has the measure 'auprox'"):
-        figure(found[found["split"] == "press"], "auprox")

@@ -10,7 +10,7 @@ import pytest
 from command_line import gelgate
 
 from calibration.experiments.harness.rows import Rows
-from calibration.experiments.studies.recommend import NEEDS, Answer, page, recommend, write_answers
+from calibration.experiments.studies.recommend import NEEDS, Answer, page, recommend
 
 METHODS = ("spade", "padim", "fapm")
 
@@ -105,20 +105,6 @@ def test_an_undecided_answer_says_what_to_take(levels: dict[str, float], expecte
     assert answer.then == f"Take {expected}"
 
 
-def test_a_part_that_one_method_loses_leaves_the_default() -> None:
-    """The default's mean is far below although the rows do not decide; and no interval leaves the range of AU-PRO."""
-    rows = [
-        row | {"aupro_001": 0.0 if row["part"] == "PZ3" and row["method"] == "padim" else row["aupro_001"]}
-        for row in covering("localisation", {"spade": 0.88, "padim": 0.88})
-    ]
-    answer = recommended(rows, ["localisation"])[0]
-
-    assert answer.standing is not None
-    assert answer.then == "Take spade then: it has the highest mean."
-    mean = answer.standing.means["padim"]
-    assert 0 < mean.low < mean.high < 1
-
-
 @pytest.mark.parametrize("need", NEEDS)
 def test_a_need_that_the_rows_do_not_cover_names_its_command(need: str) -> None:
     """Rows of another study answer nothing."""
@@ -137,15 +123,6 @@ def test_a_gain_is_the_difference_of_two_conditions() -> None:
     assert gain is not None
     assert (zero_shot.best, gain.best) == ("spade", "padim")
     assert gain.means["padim"].value == pytest.approx(0.4)
-
-
-def test_one_seed_has_no_interval() -> None:
-    """A single value is printed without the width of nothing."""
-    rows = covering("localisation", {"spade": 0.9, "padim": 0.1})
-    once = [row for row in rows if row["seed"] == 0 and row["part"] == "PZ3"]
-    text = write_answers(recommended(once, ["localisation"]))
-
-    assert "| spade | 0.9000 | - | strong advantage |" in text
 
 
 def test_the_head_is_timed_in_processor_seconds() -> None:
@@ -191,19 +168,6 @@ def written(folder: Path, rows: list[dict[str, Any]]) -> str:
     for row in rows:
         file.append(row)
     return str(folder)
-
-
-def test_the_command_prints_numbers_with_intervals(tmp_path: Path) -> None:
-    """And the setup of the rows; a need without rows has its command."""
-    done = gelgate(
-        "lab", "recommend", written(tmp_path, covering("localisation", {"spade": 0.8, "padim": 0.6}))
-    )
-
-    assert done.code == 0
-    assert "rows of tactile_resnet18, corrected mode, split by press" in done.out
-    assert "| spade | 0.8045 | 0.80" in done.out
-    assert "**spade**" in done.out
-    assert "gelgate lab study resolution DATASET -o FOLDER" in done.out
 
 
 def test_rows_of_several_setups_are_not_mixed(tmp_path: Path) -> None:
@@ -262,26 +226,6 @@ def test_what_is_no_rows_or_no_need_is_refused(tmp_path: Path) -> None:
         "did you mean 'few-presses'?"
         in gelgate("lab", "recommend", tmp_path, "--need", "few-pressse").sentence()
     )
-
-
-def test_the_page_has_every_answer_of_every_setup() -> None:
-    """Means, intervals and the paper's judgement from the rows; a need without rows is not on it."""
-    rows = [
-        *covering("localisation", {"spade": 0.8, "padim": 0.6}),
-        *covering("few-presses", {"spade": 0.6, "padim": 0.6}),
-    ]
-    frame = pd.DataFrame([*rows, *(row | {"mode": "paper"} for row in rows[:30])])
-    text = page(frame).text
-
-    assert "## tactile_resnet18, corrected mode, split by press" in text
-    assert "## tactile_resnet18, paper mode, split by press" in text
-    assert (
-        "### Localisation at low resolution: AU-PRO@0.01 with the largest share of presses\n\n**spade**"
-        in text
-    )
-    assert "| spade | 0.8045 | 0.8045 to 0.8045 | strong advantage |" in text
-    assert "### Few presses: AU-PRO@0.01 with 8 presses or fewer\n\n**undecided between" in text
-    assert "damaged presses among" not in text
 
 
 def test_bad_presses_are_compared_at_a_share_that_every_method_has() -> None:

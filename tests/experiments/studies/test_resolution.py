@@ -8,14 +8,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from command_line import gelgate
 from study_cells import quiet
 from study_dataset import study_dataset
 
 from calibration.experiments.harness.study import Options
 from calibration.experiments.studies.resolution_study import ViewPlace, capped_presses, study_resolution
 from calibration.experiments.studies.views import COMMON, VIEWS, common_map
-from edge.core.errors import ConfigError, DatasetError
+from edge.core.errors import DatasetError
 
 
 @pytest.fixture(scope="module")
@@ -34,11 +33,6 @@ def options(dataset: Path, output: Path, **changed: Any) -> Options:
     return Options(dataset=dataset, output=output, **(asked | changed))
 
 
-def test_the_common_field_of_view_is_that_of_low_resolution() -> None:
-    """A pixel of the 224x224 crop covers the 4x3 pixels of 1280x720 that were pooled into it."""
-    assert (COMMON.x, COMMON.y, COMMON.width, COMMON.height) == (192, 24, 896, 672)
-
-
 @pytest.mark.parametrize("name", VIEWS)
 def test_a_bright_place_is_at_its_place_in_the_common_map(name: str) -> None:
     """The middle of row 100, column 50 of the low resolution's crop, in every view."""
@@ -53,14 +47,6 @@ def test_a_bright_place_is_at_its_place_in_the_common_map(name: str) -> None:
 
     assert found.shape == (COMMON.height, COMMON.width)
     assert centre == pytest.approx([100.5 * 3 - 0.5, 50.5 * 4 - 0.5], abs=0.51)
-
-
-def test_only_tiled_views_have_tiles() -> None:
-    """32 tiles of 224 with at least 56 pixels in common, as in the paper."""
-    tiles = {name: view.tiles for name, view in VIEWS.items()}
-
-    assert {name for name, layout in tiles.items() if layout is not None} == {"hr_tiled", "lr_tiled"}
-    assert {len(layout) for layout in tiles.values() if layout is not None} == {32}
 
 
 def test_a_view_has_a_row_with_common_measures(dataset: Path, tmp_path: Path) -> None:
@@ -103,24 +89,6 @@ def test_one_resolution_alone_is_refused(tmp_path: Path) -> None:
         study_resolution(options(root, tmp_path))
     with pytest.raises(DatasetError, match=r"PZ3/pos1 of dataset .* has pictures of one resolution only"):
         study_resolution(options(root, tmp_path, parts=("PZ3",)))
-
-
-def test_an_unknown_view_is_refused(dataset: Path, tmp_path: Path) -> None:
-    """With the nearest known name."""
-    refused = gelgate("lab", "study", "resolution", dataset, "-o", tmp_path, "--view", "hr_tild").sentence()
-
-    assert refused == "no view is named 'hr_tild'; did you mean 'hr_tiled'?"
-
-
-def test_rows_of_other_pictures_are_not_continued(tmp_path: Path) -> None:
-    """A folder with rows of one dataset does not take rows of another, in any view."""
-    asked = options(study_dataset(tmp_path / "one", positions=("pos1",)), tmp_path / "rows")
-    study_resolution(replace(asked, views=("lr",), presses=3))
-    file = sorted((tmp_path / "one").glob("PZ3/pos1/rgb_320x240/*.png"))
-    for name in file:
-        name.write_bytes(file[0].read_bytes())
-    with pytest.raises(ConfigError, match="rows of PZ3/pos1 from other pictures"):
-        study_resolution(replace(asked, views=("lr",), presses=3))
 
 
 def test_rows_of_the_other_mode_are_added_in_tiles(

@@ -28,15 +28,6 @@ def opened(browser: Any, tmp_path: Path) -> Iterator[Any]:
     assert said == []
 
 
-def test_every_point_is_drawn(opened: Any) -> None:
-    """One mark each, the front as a line, the floor as an area."""
-    rows = rows_of_a_run()
-    assert opened.locator(".point").count() == len(rows)
-    assert opened.locator(".point.on-front").count() == sum(row["is_on_front"] for row in rows)
-    assert opened.locator("path.front").count() == 1
-    assert opened.locator("path.floor").count() == 1
-
-
 def test_a_point_under_the_pointer_shows_its_card(opened: Any) -> None:
     """Its command, its hash, its stages stacked, and its intervals."""
     row = next(row for row in rows_of_a_run() if row["view"] == "hr" and row["method"] == "padim")
@@ -78,26 +69,3 @@ def test_limits_hide_what_costs_more(opened: Any) -> None:
     assert opened.locator(".point").count() == len(fitting)
     opened.locator("#within").fill("0.001")
     assert "No point fits these filters" in opened.locator("#plot").text_content()
-
-
-def test_the_keyboard_walks_through_the_points(opened: Any) -> None:
-    """Tab reaches one point, arrows the next by time, Enter holds it, Escape lets it go."""
-    opened.locator(".point[tabindex='0']").focus()
-    before = opened.locator("#card h3 + p").inner_text() + opened.locator("#card pre").inner_text()
-    opened.keyboard.press("ArrowRight")
-    after = opened.locator("#card h3 + p").inner_text() + opened.locator("#card pre").inner_text()
-    assert before != after
-    opened.keyboard.press("Enter")
-    assert opened.locator(".point.pinned").count() == 1
-    opened.keyboard.press("Escape")
-    assert opened.locator(".point.pinned").count() == 0
-
-
-@pytest.mark.parametrize("time", ["ms", "core", "ratio"])
-@pytest.mark.parametrize("measure", ["aupro_fpr01", "recall_fpr01"])
-def test_every_axis_can_be_chosen(opened: Any, time: str, measure: str) -> None:
-    """All points are drawn on each, some of them on the front."""
-    opened.locator("#time").select_option(time)
-    opened.locator("#measure").select_option(measure)
-    assert opened.locator(".point").count() == len(rows_of_a_run())
-    assert opened.locator(".point.on-front").count() > 0

@@ -12,7 +12,6 @@ from command_line import gelgate
 from tradeoff_rows import row
 
 from calibration.experiments.tradeoff.figure import front_sentence, svg
-from calibration.experiments.tradeoff.notebook import tradeoff
 from calibration.experiments.tradeoff.plan import Run, RunSettings
 from calibration.experiments.tradeoff.rows import read_rows, write_rows
 from edge.cli import EXIT_MEANINGS
@@ -73,14 +72,6 @@ def test_what_may_be_a_mistake_in_the_dataset_is_said(
     assert code == 0, said
     assert "1 of the 4 defective presses of PZ9/pos1 has an empty mask" in said
     assert "PZ9/pos1 has 1 copy of other pictures" in said
-
-
-def test_from_python_the_rows_are_a_frame(finished: Path, dataset: Path) -> None:
-    """One row for each point, nested fields as columns with dots; the page is made from them."""
-    found = tradeoff(dataset, finished, methods=["padim"], backbones=["tactile_resnet18"])
-    assert list(found["key"]) == [one["key"] for one in read_rows(finished / "rows.jsonl")]
-    assert found["accuracy.pixel_auprc.value"].between(0.6, 0.7).all()
-    assert (finished / "tradeoff.html").is_file()
 
 
 def test_a_loss_ends_with_its_own_exit_code(finished: Path, dataset: Path) -> None:

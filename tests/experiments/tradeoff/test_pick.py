@@ -64,20 +64,6 @@ def test_a_peer_and_an_undefined_accuracy_are_never_chosen() -> None:
     assert "nothing to choose" in pick(rows[:2], {"presses": 99}).reasons[0]
 
 
-@pytest.mark.parametrize(
-    ("text", "ms"), [("20ms", 20.0), ("0.5 s", 500.0), ("900us", 0.9)], ids=["ms", "seconds", "us"]
-)
-def test_a_time_has_a_unit(text: str, ms: float) -> None:
-    """Milliseconds, seconds, microseconds."""
-    assert read_limits(text, None, None) == {"time": pytest.approx(ms)}
-
-
-def test_a_size_has_a_unit() -> None:
-    """Decimal units, in any case."""
-    found = [read_limits(None, text, None)["bank"] for text in ("8MB", "500 kB", "1gb")]
-    assert found == pytest.approx([8, 0.5, 1000])
-
-
 @pytest.mark.parametrize("text", ["20", "ms", "0ms", "-3ms", "20 MB", "1e3ms"])
 def test_anything_else_is_refused_with_an_example(text: str) -> None:
     """One sentence that shows how to write it."""

@@ -10,7 +10,7 @@ import pytest
 from tradeoff_dataset import make_dataset
 
 from calibration.experiments.tradeoff.chosen_bundle import bundle_of
-from calibration.experiments.tradeoff.plan import LEAST_ROUNDS, Run, RunSettings, choose_points, usual_points
+from calibration.experiments.tradeoff.plan import Run, RunSettings, choose_points, usual_points
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
 from calibration.experiments.tradeoff.presses import choose_presses, on_common_grid
 from calibration.experiments.tradeoff.rows import read_rows, write_rows
@@ -18,7 +18,6 @@ from calibration.experiments.tradeoff.run import measure, require_same_run
 from calibration.experiments.tradeoff.timing import STAGES
 from calibration.progress import progress
 from edge.core.errors import ConfigError, DatasetError, GelgateError
-from edge.model.bundle import Bundle
 
 POINTS = (
     OperatingPoint("padim", "tactile_resnet18", presses=5),
@@ -59,12 +58,6 @@ def test_every_point_has_a_complete_row(measured: tuple[Path, list[dict[str, Any
     assert rows[0]["work"]["float32"] > rows[1]["work"]["float32"]
     assert rows[1]["work"]["int8"] > 0
     assert any(row["is_on_front"] for row in rows)
-
-
-def test_a_row_names_no_path(measured: tuple[Path, list[dict[str, Any]]], dataset: Path) -> None:
-    """Rows are passed on: only the dataset's own name is in them."""
-    assert str(dataset.parent) not in json.dumps(measured[1])
-    assert f"gelgate lab tradeoff {dataset.name} " in measured[1][0]["command"]
 
 
 def test_a_run_goes_on_where_it_was_interrupted(
@@ -188,12 +181,6 @@ def test_one_class_alone_is_refused(tmp_path: Path) -> None:
         choose_presses(root, None, None, most_fitted=5, most_scored=5, seed=0)
 
 
-def test_a_position_that_is_not_there_is_refused_with_the_known_ones(dataset: Path) -> None:
-    """PZ8 against PZ9."""
-    with pytest.raises(DatasetError, match=r"no position that fits PZ8/\*; choose .* among PZ9/pos1"):
-        choose_presses(dataset, "PZ8", None, most_fitted=5, most_scored=5, seed=0)
-
-
 def test_a_full_disk_keeps_the_finished_points(
     measured: tuple[Path, list[dict[str, Any]]], dataset: Path, tmp_path: Path
 ) -> None:
@@ -206,17 +193,3 @@ def test_a_full_disk_keeps_the_finished_points(
     (folder / "points.jsonl").symlink_to(full)
     with pytest.raises(GelgateError, match=r"the disk is full: the 0 rows so far are kept"):
         measure(run_of(dataset, POINTS[:1]), folder, progress)
-
-
-def test_too_few_rounds_are_refused(dataset: Path) -> None:
-    """An interval over rounds needs rounds."""
-    with pytest.raises(ConfigError, match=f"times need at least {LEAST_ROUNDS} rounds, found 3"):
-        RunSettings(dataset, rounds=3)
-
-
-def test_the_bundles_of_a_run_load_as_any_other(
-    measured: tuple[Path, list[dict[str, Any]]],
-) -> None:
-    """The folders that are timed hold bundles that find their trunk next to them."""
-    folder = measured[0] / "bundles" / POINTS[0].key
-    assert Bundle.load(folder).manifest.method == "padim"
