@@ -43,6 +43,9 @@ _FITS, _SIGMAS, _NOISE = 12, 3.0, 1.5
 # Right pictures differ from estimates by up to 1.6 levels in the median, by 2.6 where some of it was filled, and as a
 # touch does over at most 2 % of what is free; other lights by 2.6 to 9 levels, other units by 3 to 50.
 _FOREIGN_LEVELS, _FOREIGN_BY_FILLED, _FOREIGN_SHARE = 2.5, 4.0, 0.05
+# A press differs by 1.4 to 5.1 levels in the median of a set, and by 2.5 times that at most; one that is turned by 29
+# and more, of another unit by 8 and more.
+_STRANGE_LEVELS, _STRANGE_TIMES = 6.0, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +76,7 @@ class FreeGel:
         """Say why a picture of the free gel is not of the light of the presses; empty where it is, or is not known."""
         if self.doubt:
             return ""
-        difference = Reference(view_of(self.picture), 1, 0).difference(view_of(picture))
-        free = ~self.filled
-        levels = float(np.median(np.sqrt(squared_distance(difference)[free])))
-        share = float(touched_mask(difference)[free].mean())
+        levels, share = self._compare(picture)
         most = _FOREIGN_BY_FILLED if self.filled.any() else _FOREIGN_LEVELS
         if levels <= most and share <= _FOREIGN_SHARE:
             return ""
@@ -84,6 +84,25 @@ class FreeGel:
             f"the given picture of it differs by {levels:.1f} levels around the parts, over {share:.0%} as a touch "
             "does: another light, gel or sensor"
         )
+
+    def find_strangers(self, names: Sequence[str], pictures: Sequence[U8]) -> list[str]:
+        """Write a sentence for each press whose surroundings are not those of the others."""
+        if self.filled.all():
+            return []
+        levels = [self._compare(picture)[0] for picture in pictures]
+        most = max(_STRANGE_LEVELS, _STRANGE_TIMES * float(np.median(levels)))
+        return [
+            f"press '{name}' differs by {found:.0f} levels where the others leave the gel free: turned, or of another "
+            f"light, gel or sensor; look at it, and fit with --leave-out '{name}'"
+            for name, found in zip(names, levels, strict=True)
+            if found > most
+        ]
+
+    def _compare(self, picture: U8) -> tuple[float, float]:
+        """Return by how many levels a picture differs in the median, and over which share as a touch does."""
+        difference, free = Reference(view_of(self.picture), 1, 0).difference(view_of(picture)), ~self.filled
+        levels = np.sqrt(squared_distance(difference)[free])
+        return float(np.median(levels)), float(touched_mask(difference)[free].mean())
 
 
 def view_of(picture: U8 | F32) -> View:

@@ -147,11 +147,12 @@ class _Gathered:
     faults: list[str] = field(default_factory=list)
     estimated: str = ""
 
-    def check_free_gel(self, pictures: Sequence[NDArray[np.uint8]]) -> None:
-        """Estimate the free gel from pictures of presses where none is known, or it is of another light."""
+    def check_free_gel(self, names: Sequence[str], pictures: Sequence[NDArray[np.uint8]]) -> None:
+        """Estimate the free gel from presses where none is known, or it is of another light, and check each by it."""
         if len(pictures) < MIN_PRESSES:
             return
         gel = estimate_free_gel(pictures)
+        self.faults += gel.find_strangers(names, pictures)
         foreign = [why for why in map(gel.find_foreign, self.free) if why]
         if self.free and len(foreign) < len(self.free):
             return
@@ -225,11 +226,12 @@ def read_presses(
     files = list_pictures([source for source in sources if not is_recording(source)], pattern)
     files = [path for path in files if not any(path.samefile(one) for one in free_files)]
     pictures = _pictures(files, profile, resize)
-    gathered.check_free_gel([picture for _, picture in pictures])
+    names = [f"{path.parent.name}/{path.name}" for path, _ in pictures]
+    kept = [k for k, name in enumerate(names) if name not in gathered.unwanted]
+    gathered.check_free_gel([names[k] for k in kept], [pictures[k][1] for k in kept])
     contact = _contacts(gathered.free)
-    for path, picture in pictures:
-        piece = specimens.get(path) or specimen_of(path)
-        gathered.add(picture, f"{path.parent.name}/{path.name}", piece, contact(picture))
+    for name, (path, picture) in zip(names, pictures, strict=True):
+        gathered.add(picture, name, specimens.get(path) or specimen_of(path), contact(picture))
     for name in sorted(gathered.unwanted - set(gathered.left_out)):
         known = [press.name for press in gathered.presses]
         raise FitError(f"no press is named '{name}' to be left out; {suggestion(name, known)}")
