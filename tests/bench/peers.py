@@ -28,7 +28,7 @@ from calibration.experiments.tradeoff.point import VIEWS
 from calibration.experiments.tradeoff.presses import Seen, see
 from calibration.experiments.tradeoff.rows import Row
 from calibration.experiments.tradeoff.run import read_or_measure
-from calibration.experiments.tradeoff.timing import Drawing, Lane
+from calibration.experiments.tradeoff.timing import Lane, scale_of
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.progress import progress
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
@@ -82,7 +82,6 @@ def _fit(
     found = [_score(model, normalise(frame)) for frame in seen.frames]
     maps, scores = zip(*found, strict=True)
     accuracy = measure_accuracy(maps, np.array(scores), run.truth)
-    drawing = Drawing(VIEWS["lr"], frames, f"{run.chosen.part}/{run.chosen.position}", maps[0])
     row = _row(method, model, accuracy, seconds, nominal[0])
     profile, key = VIEWS["lr"].profile_name, row["key"]
 
@@ -91,7 +90,8 @@ def _fit(
         score_map, value = _score(model, normalise(rgb))
         return score_map, value, 0.0, (time.perf_counter() - start) * 1e3  # its trunk is part of the model
 
-    return row, Lane(drawing, score, (profile, key, key, profile))
+    part, shared = f"{run.chosen.part}/{run.chosen.position}", (profile, key, key, profile)
+    return row, Lane(VIEWS["lr"], frames, part, score, shared, scale_of(maps[0]))
 
 
 def learn(method: str, model: Any, planes: Sequence[Any]) -> None:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = [
     "COMPARED",
     "MIN_DRAWS",
+    "STABLE_WITHIN",
     "Mean",
     "Sample",
     "Standing",
@@ -33,6 +34,7 @@ __all__ = [
     "mean_interval",
     "rank",
     "sample",
+    "stable_from",
     "subtract",
     "summarise",
     "write_condition",
@@ -43,6 +45,9 @@ COMPARED: Mapping[str, str] = {"pixel_auroc": "AUROC", "auprc": "AUPRC", "aupro_
 
 MIN_DRAWS = 3
 """With fewer values there is no interval: of two it would be nine times as wide as the two are apart."""
+
+STABLE_WITHIN = 0.01
+"""How far the mean over seeds may be from that of all presses, for every larger fraction, part and measure."""
 
 Direction = Literal["up", "down", "undecided"]
 
@@ -194,6 +199,25 @@ def effects(
             lines.append([method, part, COMPARED.get(measure, measure), mean, ours, paper, agreement])
     heading = ["method", "part", "measure", "mean difference", "here", "paper", "direction"]
     return pd.DataFrame(lines, columns=heading)
+
+
+def stable_from(rows: "pd.DataFrame") -> float | None:
+    """Return the smallest fraction from which on every mean is near that of the largest fraction; None without rows.
+
+    rows: of one method, mode, backbone and split. The rule holds for all parts and the three measures of the paper
+    together, so that a method has one value, as in the paper.
+    """
+    curves = rows.reindex(columns=["part", "position", "fraction", *COMPARED])
+    long = curves.melt(["part", "position", "fraction"], var_name="measure").dropna()
+    means = long.groupby(["part", "position", "measure", "fraction"])["value"].mean()
+    flat = [_flat_from(curve.droplevel([0, 1, 2])) for _, curve in means.groupby(level=[0, 1, 2])]
+    return max(flat, default=None)
+
+
+def _flat_from(curve: "pd.Series[float]") -> float:
+    """Return the first fraction of the flat end of one curve: all means there are near the last one."""
+    far = curve.index[(curve - curve.iloc[-1]).abs() > STABLE_WITHIN]
+    return float(min(curve.index if far.empty else curve.index[curve.index > far.max()]))
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """What the cells of one part, position and backbone have in common: presses, features, masks."""
 
 import importlib.metadata
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -12,15 +12,16 @@ from numpy.typing import NDArray
 
 from calibration.dataset.remarks import empty_masks, repeated_pictures
 from calibration.experiments.harness.cells import Cell
-from calibration.experiments.harness.detector_settings import overrides_for, write_overrides
 from calibration.experiments.harness.feature_cache import FeatureCache, Taken
 from calibration.experiments.harness.presses import StudyPresses, open_presses, presses_of
 from calibration.experiments.harness.scoring import Scored, TestPresses, fit_and_score
 from calibration.fitting.trunks import Trunk, open_trunk
 from edge import registry
-from edge.core.detector import Nominal, Progress
+from edge.core.detector import Detector, Mode, Nominal, Progress
+from edge.core.errors import ConfigError, FitError
+from edge.model.onnx_validation import output_names
 
-__all__ = ["Drawn", "Material", "Place", "fit_cell", "material"]
+__all__ = ["Drawn", "Material", "Place", "fit_cell", "material", "overrides_for", "taps_of"]
 
 
 @dataclass(frozen=True)
@@ -139,5 +140,52 @@ def fit_cell(
         overrides=overrides,
         also=lambda scored: also(scored, tests),
     )
-    changed = {"changed": write_overrides(overrides)} if overrides else {}
+    texts = [
+        f"{name} {', '.join(map(str, value)) if isinstance(value, tuple) else value}"
+        for name, value in overrides.items()
+    ]
+    changed = {"changed": "; ".join(texts)} if texts else {}
     return {**measured, **drawn[0].material.facts, **changed}
+
+
+@lru_cache(maxsize=64)
+def overrides_for(method: str, mode: Mode, backbone: str) -> dict[str, Any]:
+    """Parameters that differ from the mode's, empty where the backbone gives the taps that the mode reads.
+
+    The published InReaCh reads thirteen taps of a Wide-ResNet-50-2. With another backbone it reads its stages, on the
+    grid of the middle one. Errors: ConfigError for an unknown method or backbone; FitError where nothing fits.
+    """
+    detector = registry.detector(method)
+    wanted = set(detector.taps(detector.parameters(mode)))
+    given = _find_taps(backbone, tuple(sorted(wanted)))
+    if wanted <= set(given):
+        return {}
+    if not {"taps", "grid_tap"} <= set(vars(detector.parameters(mode))):
+        raise FitError(
+            f"{method} in {mode} mode reads {', '.join(sorted(wanted))}, the backbone '{backbone}' gives "
+            f"{', '.join(given)}; export a trunk with these taps, or leave the method or the mode out"
+        )
+    return {"taps": tuple(given), "grid_tap": given[len(given) // 2]}
+
+
+def _find_taps(backbone: str, wanted: tuple[str, ...]) -> list[str]:
+    """The wanted taps if the backbone has them all, else those that it gives without being asked."""
+    usual = open_trunk(backbone)
+    given = output_names(usual.graph)
+    if set(wanted) <= set(given):
+        return given
+    try:
+        return output_names(open_trunk(backbone, wanted).graph)
+    except (ConfigError, FitError):
+        return given
+
+
+def taps_of(methods: Iterable[str], modes: Iterable[Mode], backbone: str) -> tuple[str, ...]:
+    """The taps that these methods read, sorted: they are extracted together. Errors: as `overrides_for`."""
+    modes = tuple(modes)
+    read: set[str] = set()
+    for method in methods:
+        for mode in modes:
+            detector: Detector = registry.detector(method)
+            read |= set(detector.taps(detector.parameters(mode, **overrides_for(method, mode, backbone))))
+    return tuple(sorted(read))

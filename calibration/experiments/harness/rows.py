@@ -134,17 +134,14 @@ def read_rows(path: Path, say: Callable[[str], None] = lambda sentence: None) ->
 def rows_of_studies(path: Path, say: Callable[[str], None] = lambda sentence: None) -> list[dict[str, Any]]:
     """The rows of a file, or of the one in a folder. Errors: ConfigError where there is no row, or none of a study."""
     file = path / ROWS_FILE if path.is_dir() else path
+    way_on = "name the rows.jsonl that `gelgate lab study` wrote"
     if not file.is_file():
-        raise ConfigError(
-            f"there are no rows at '{file}'; name the rows.jsonl that `gelgate lab study` wrote"
-        )
+        raise ConfigError(f"there are no rows at '{file}'; {way_on}")
     rows = read_rows(file, say)
     if not rows:
         raise ConfigError(f"'{file}' has no complete row yet; continue the study")
     if any("study" not in row for row in rows):
-        raise ConfigError(
-            f"'{file}' has rows that are of no study; name the rows.jsonl that `gelgate lab study` wrote"
-        )
+        raise ConfigError(f"'{file}' has rows that are of no study; {way_on}")
     return rows
 
 

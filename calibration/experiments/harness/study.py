@@ -14,12 +14,12 @@ from typing import Any, get_args
 from calibration.dataset import Dataset
 from calibration.experiments.harness.cells import Cell, Setting, Split
 from calibration.experiments.harness.cluster import check_address
-from calibration.experiments.harness.detector_settings import taps_of
-from calibration.experiments.harness.material import Material, Place, material
+from calibration.experiments.harness.evidence import stable_from
+from calibration.experiments.harness.material import Material, Place, material, taps_of
 from calibration.experiments.harness.presses import hold_out
-from calibration.experiments.harness.rows import ROWS_FILE, Rows
+from calibration.experiments.harness.published import stable_fraction
+from calibration.experiments.harness.rows import ROWS_FILE, Rows, frame
 from calibration.experiments.harness.runner import Show, run
-from calibration.experiments.harness.stable import find_stable_fraction
 from calibration.fitting.trunks import DEFAULT_BACKBONE, every_cut
 from calibration.progress import progress
 from edge import registry
@@ -36,6 +36,7 @@ __all__ = [
     "choose_places",
     "make_cells",
     "methods_to_compare",
+    "positions_by_part",
     "require_known",
     "run_study",
 ]
@@ -105,10 +106,27 @@ class Options:
         return (self.cache or self.output / "features").absolute()
 
     def fraction_of(self, method: str, mode: Mode, backbone: str, split: str) -> float:
-        """Return the share of the pool that a method learns from. Errors: ConfigError where it is not known."""
+        """Return the share of the pool that a method learns from: the one asked for, else the method's stable one.
+
+        In `paper` mode a method of the paper has the paper's own; else rows of good-fraction in the output folder give
+        it, those of another split where this one has none. Errors: ConfigError where it is not known.
+        """
         if self.fraction is not None:
             return self.fraction
-        return find_stable_fraction(self.output / ROWS_FILE, method, mode, backbone, split)
+        if mode == "paper" and (paper := stable_fraction(method)) is not None:
+            return paper
+        file = self.output / ROWS_FILE
+        rows = frame(file)
+        wanted = {"study": "good-fraction", "method": method, "mode": mode, "backbone": backbone}
+        for column, value in wanted.items():
+            rows = rows[rows[column] == value] if column in rows else rows
+        found = None if rows.empty else stable_from(rows[rows["split"] == split]) or stable_from(rows)
+        if found is None:
+            raise ConfigError(
+                f"the stable fraction of {method} ({mode}, {backbone}) is not known: '{file}' has no rows of "
+                "good-fraction with it; run `gelgate lab study good-fraction` into the same folder, or give --fraction"
+            )
+        return found
 
     def taps(self) -> dict[str, tuple[str, ...]]:
         """Return by backbone the taps that all methods read. Errors: ConfigError, FitError."""
@@ -158,11 +176,17 @@ def require_known(what: str, given: Iterable[str], names: Iterable[str]) -> None
             raise ConfigError(f"no {what} is named '{name}'; {suggestion(name, known)}")
 
 
+def positions_by_part(dataset: Dataset) -> dict[str, list[str]]:
+    """Return the positions of each part, in their order."""
+    known: dict[str, list[str]] = {}
+    for part, position in dataset.positions:
+        known.setdefault(part, []).append(position)
+    return known
+
+
 def choose_places(dataset: Dataset, parts: Sequence[str], position: str | None) -> list[tuple[str, str]]:
     """(part, position) of each part: the position given, or its first by name. Errors: DatasetError."""
-    known: dict[str, list[str]] = {}
-    for part, place in dataset.positions:
-        known.setdefault(part, []).append(place)
+    known = positions_by_part(dataset)
     for part in parts:
         if part not in known:
             raise DatasetError(f"dataset '{dataset.root}' has no part '{part}'; {suggestion(part, known)}")

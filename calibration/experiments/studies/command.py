@@ -1,5 +1,6 @@
 """The verb `study`: each study a command that can be interrupted and continued."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -111,47 +112,45 @@ class StudyArguments:
             if value is not None
         }
         share = None if self.fraction is None else self.fraction / 100
-        fractions, shots = parse_fractions(self.fractions), parse_counts(self.shots, "--shots")
+        fractions, shots = parse_fractions(self.fractions), parse_shots(self.shots)
         given |= {"fraction": share, "fractions": fractions, "shots": shots}
         return Options(**given)
 
 
-NONE = "none"
-
-
 def parse_fractions(text: str) -> tuple[float, ...]:
     """Return shares in (0, 1] from percentages: `5:100:5`, `5,10,20`, or `none`. Errors: ConfigError."""
-    if text.strip() == NONE:
-        return ()
     try:
-        percent = _range(text) if ":" in text else [float(word) for word in text.split(",")]
+        percent = _parse(text)
     except ValueError:
-        percent = []
-    if not percent or not all(0 < value <= 100 for value in percent):
+        percent = [math.nan]
+    if not all(0 < value <= 100 for value in percent):
         raise ConfigError(
             f"--fractions are percentages above 0 up to 100, such as 5:100:5 or 5,10,20, found '{text}'"
         )
     return tuple(sorted({round(value / 100, 6) for value in percent}))
 
 
-def _range(text: str) -> list[float]:
+def parse_shots(text: str) -> tuple[int, ...]:
+    """Return whole numbers of at least 1: `1,2,4`, or `none`. Errors: ConfigError."""
+    try:
+        counts = _parse(text)
+    except ValueError:
+        counts = [0]
+    if not all(value >= 1 and value.is_integer() for value in counts):
+        raise ConfigError(f"--shots are whole numbers of at least 1, such as 1,2,4, found '{text}'")
+    return tuple(sorted({int(value) for value in counts}))
+
+
+def _parse(text: str) -> list[float]:
+    """Return the numbers of a list or a range, at least one; none for `none`. Errors: ValueError."""
+    if text.strip() == "none":
+        return []
+    if ":" not in text:
+        return [float(word) for word in text.split(",")]
     first, last, step = (float(word) for word in text.split(":"))
     if step <= 0 or first > last:
         raise ValueError(text)
     return [first + k * step for k in range(int((last - first) / step + 1e-9) + 1)]
-
-
-def parse_counts(text: str, option: str) -> tuple[int, ...]:
-    """Return whole numbers of at least 1: `1,2,4`, or `none`. Errors: ConfigError."""
-    if text.strip() == NONE:
-        return ()
-    try:
-        counts = sorted({int(word) for word in text.split(",")})
-    except ValueError:
-        counts = []
-    if not counts or counts[0] < 1:
-        raise ConfigError(f"{option} are whole numbers of at least 1, such as 1,2,4, found '{text}'")
-    return tuple(counts)
 
 
 study = typer.Typer(help="Study what accuracy costs, cell by cell.", no_args_is_help=True)

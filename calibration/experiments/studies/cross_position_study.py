@@ -32,6 +32,7 @@ from calibration.experiments.harness.study import (
     Options,
     choose_places,
     make_cells,
+    positions_by_part,
     run_study,
 )
 from edge.core.errors import DatasetError
@@ -142,10 +143,7 @@ def find_pairs(options: Options) -> list[tuple[str, str, str]]:
     Errors: DatasetError where none has two, or a part that was asked for lacks a position.
     """
     dataset, target = open_presses(options.dataset), options.target
-    known: dict[str, list[str]] = {}
-    for part, position in dataset.positions:
-        known.setdefault(part, []).append(position)
-    places = []
+    known, places = positions_by_part(dataset), []
     for part, source in choose_places(dataset, options.parts, options.position):
         others = [position for position in known[part] if position != source]
         if target is not None and target not in others and part in options.parts:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from calibration.experiments.harness.cells import Cell, Setting
-from calibration.experiments.harness.evidence import MIN_DRAWS
+from calibration.experiments.harness.evidence import MIN_DRAWS, STABLE_WITHIN, stable_from
 from calibration.experiments.harness.figures import (
     draw_fractions,
     draw_overview,
@@ -34,7 +34,6 @@ from calibration.experiments.harness.page import (
 from calibration.experiments.harness.presses import hold_out, open_presses, subset
 from calibration.experiments.harness.published import stable_fraction
 from calibration.experiments.harness.rows import TIMES, Rows
-from calibration.experiments.harness.stable import STABLE_WITHIN, stable_from
 from calibration.experiments.harness.study import (
     Evaluation,
     Options,

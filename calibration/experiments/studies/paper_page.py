@@ -14,12 +14,12 @@ from calibration.experiments.harness.evidence import (
     direction,
     effects,
     sample,
+    stable_from,
     subtract,
     write_condition,
 )
 from calibration.experiments.harness.page import SETUP, Page, by_setup, only_scored, percent, render
 from calibration.experiments.harness.published import paper_medians, stable_fraction
-from calibration.experiments.harness.stable import stable_from
 from calibration.experiments.studies import cross_position_study, good_fraction_study, resolution_study
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.experiments.harness.scoring import run_head
+from calibration.experiments.tradeoff.floor import Work, work_of
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint, View
 from calibration.experiments.tradeoff.presses import Chosen, Seen
 from calibration.fitting.bundle_measurements import placeholders, provenance
@@ -51,6 +52,7 @@ class FittedPoint:
     """float64 (n,)."""
     features_s: float
     bank_s: float
+    work: Work
 
 
 def trunk_of(point: OperatingPoint) -> Trunk:
@@ -128,8 +130,8 @@ def _fit(
     maps = {tap: [one[None] for one in features[tap][len(nominal) :]] for tap in taps}
     session = open_session(loaded.graphs.head or b"", learner.threads, f"head of {point.method}")
     scored = run_head(session, loaded.bank, maps, point.method)
-    features_s = seconds * point.presses
-    return FittedPoint(point, trunk, manifest, files, scored.maps, scored.scores, features_s, bank_s)
+    features_s, work = seconds * point.presses, work_of(trunk.graph, loaded)
+    return FittedPoint(point, trunk, manifest, files, scored.maps, scored.scores, features_s, bank_s, work)
 
 
 def _facts(

@@ -34,26 +34,20 @@ def floor_ms(work: Work, peak: Peak) -> tuple[float, str]:
     return max(arithmetic, moving), "arithmetic" if arithmetic >= moving else "bandwidth"
 
 
-def work_of(bundle: Bundle) -> Work:
-    """The work of one press by a bundle with trunk and head."""
-    grid = bundle.grid
+def work_of(trunk: bytes, bundle: Bundle) -> Work:
+    """Return the work of one press by a bundle with this trunk and a head."""
+    grid, head = bundle.grid, bundle.graphs.head
     assert grid is not None
-    assert bundle.graphs.trunk is not None
-    assert bundle.graphs.head is not None
+    assert head is not None
     tiles = 1 if grid.tiles is None else len(grid.tiles)
     seen = grid.frame if grid.tiles is None else (grid.tiles.size, grid.tiles.size)
-    trunk_ops, is_int8 = operations(bundle.graphs.trunk, {"frames": (1, *seen, 3)})
-    shapes = {
-        **{tap: (1, *shape) for tap, shape in grid.taps.items()},
-        **{name: array.shape for name, array in bundle.bank.items()},
-    }
-    head_ops, _ = operations(bundle.graphs.head, shapes)
-    pixels = math.prod(grid.frame)
-    moved = len(bundle.graphs.trunk) + sum(array.nbytes for array in bundle.bank.values()) + pixels * (3 + 4)
-    trunk_ops *= tiles
-    return Work(
-        float32=head_ops + (0 if is_int8 else trunk_ops), int8=trunk_ops if is_int8 else 0, bytes=moved
-    )
+    trunk_ops, is_int8 = operations(trunk, {"frames": (1, *seen, 3)})
+    shapes = {tap: (1, *shape) for tap, shape in grid.taps.items()}
+    head_ops, _ = operations(head, {**shapes, **{name: array.shape for name, array in bundle.bank.items()}})
+    moved = len(trunk) + sum(array.nbytes for array in bundle.bank.values()) + math.prod(grid.frame) * (3 + 4)
+    if is_int8:
+        return Work(head_ops, trunk_ops * tiles, moved)
+    return Work(head_ops + trunk_ops * tiles, 0, moved)
 
 
 def operations(graph: bytes, inputs: Mapping[str, tuple[int, ...]]) -> tuple[float, bool]:

@@ -14,9 +14,10 @@ from typing import Final
 
 import numpy as np
 
+from calibration.experiments.harness.pictures import LR_VIEW
 from calibration.experiments.tradeoff.accuracy import Truth
 from calibration.experiments.tradeoff.point import OperatingPoint, Setting
-from calibration.experiments.tradeoff.presses import Chosen, choose_presses, masks_of
+from calibration.experiments.tradeoff.presses import Chosen, choose_presses
 from calibration.metrics import specimen_weights
 from edge import registry
 from edge.core.errors import ConfigError
@@ -165,7 +166,11 @@ class Run:
         """Labels and masks of the scored presses, and how replicates draw them."""
         label, rng = self.chosen.label, np.random.default_rng(self.settings.seed)
         drawn = specimen_weights(self.chosen.specimens, label, self.settings.replicates, rng)
-        return Truth(label, masks_of(self.chosen), np.concatenate([np.ones((1, label.size)), drawn]))
+        return Truth(
+            label,
+            [LR_VIEW.mask(press) for press in self.chosen.scored],
+            np.concatenate([np.ones((1, label.size)), drawn]),
+        )
 
     @property
     def command(self) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calibration.dataset import LabelledPress, open_dataset, resolution_of, split_by_specimen
 from calibration.dataset.remarks import empty_masks, repeated_pictures
-from calibration.experiments.harness.pictures import LR_VIEW
+from calibration.experiments.harness.pictures import LR_VIEW, PressPictures
 from calibration.experiments.harness.presses import presses_of
 from calibration.experiments.tradeoff.point import VIEWS, View
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
@@ -50,11 +50,13 @@ class Chosen:
 
     def remarks(self) -> list[str]:
         """Sentences on what may be a mistake: empty masks of some presses, and copies of pictures."""
-        where, every = f"{self.part}/{self.position}", (*self.fitted, *self.scored)
+        where, pictures = f"{self.part}/{self.position}", PressPictures((*self.fitted, *self.scored), LR_VIEW)
         defective = [press for press in self.scored if press.is_defective]
-        digests = [hashlib.sha256(press.path.read_bytes()).digest() for press in every]
-        masks = np.stack([VIEWS["lr"].region.crop(press.mask()) for press in defective])
-        return [*empty_masks(where, defective, masks), *repeated_pictures(where, every, digests)]
+        masks = np.stack([LR_VIEW.mask(press) for press in defective])
+        return [
+            *empty_masks(where, defective, masks),
+            *repeated_pictures(where, pictures.presses, pictures.digests),
+        ]
 
     def sha256(self) -> str:
         """Hash the pictures and masks that are used, in their order: equal hashes mean equal presses."""
@@ -135,27 +137,19 @@ def _high(
 
 
 def see(chosen: Chosen, view: View) -> Seen:
-    """The pictures in one view. Errors: DatasetError with every faulty picture."""
-    pictures = [_pictured(chosen, press, view) for press in (*chosen.fitted, *chosen.scored)]
-    fitted, scored = pictures[: len(chosen.fitted)], pictures[len(chosen.fitted) :]
+    """Read the pictures in one view. Errors: DatasetError with every faulty picture."""
+    is_low = view.profile_name == VIEWS["lr"].profile_name
+    fitted, scored = (
+        [press if is_low else chosen.high[press.path] for press in presses]
+        for presses in (chosen.fitted, chosen.scored)
+    )
     nominal = read_presses(
         [press.path for press in fitted],
         view.profile,
         view.region,
         specimens={press.path: press.specimen for press in fitted},
     )
-    frames = [np.ascontiguousarray(view.region.crop(press.rgb())) for press in scored]
-    return Seen(nominal, np.stack(frames))
-
-
-def _pictured(chosen: Chosen, press: LabelledPress, view: View) -> LabelledPress:
-    return press if view.profile_name == VIEWS["lr"].profile_name else chosen.high[press.path]
-
-
-def masks_of(chosen: Chosen) -> list[NDArray[np.bool_]]:
-    """The mask of each scored press in the low-resolution region, bool (h, w)."""
-    region = VIEWS["lr"].region
-    return [np.ascontiguousarray(region.crop(press.mask())) for press in chosen.scored]
+    return Seen(nominal, np.stack([view.region.crop(press.rgb()) for press in scored]))
 
 
 def on_common_grid(score_map: NDArray[np.float32]) -> NDArray[np.float32]:

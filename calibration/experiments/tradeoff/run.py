@@ -16,7 +16,7 @@ from calibration.experiments.harness.rows import ROW_FORMAT, ROWS_FILE, Rows
 from calibration.experiments.harness.runner import Show
 from calibration.experiments.tradeoff.accuracy import Truth, measure_accuracy
 from calibration.experiments.tradeoff.fitting import FittedPoint, content_sha256, fit_points
-from calibration.experiments.tradeoff.floor import Work, floor_ms, work_of
+from calibration.experiments.tradeoff.floor import Work, floor_ms
 from calibration.experiments.tradeoff.front import dominators
 from calibration.experiments.tradeoff.machine import best, fingerprint, probe
 from calibration.experiments.tradeoff.memory import peak_bytes
@@ -30,7 +30,6 @@ from calibration.threads import one_blas_thread
 from edge.core.errors import ConfigError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.frames import CameraFrame
-from edge.model.bundle import Bundle
 from edge.model.bundle_writer import write_bundle
 
 __all__ = ["measure", "read_or_measure", "require_same_run"]
@@ -86,7 +85,7 @@ def measure(run: Run, folder: Path, show: Show, others: Others = lambda run, fra
         _fit_missing(run, folder, finished, show)
     found = {row["key"]: row for row in finished.read()}
     rows = [found[point.key] for point in points]
-    bundles = [_bundle_folder(folder, point) for point in points]
+    bundles = [folder / "bundles" / point.key for point in points]
     with show("peak memory", len(points)) as advance:
         memory = peak_bytes(bundles, settings.threads, advance)
     frames = _frames(points, chosen)
@@ -149,10 +148,6 @@ def _claim(folder: Path, settings: RunSettings, dataset: str) -> None:
     path.write_text(json.dumps(wanted))
 
 
-def _bundle_folder(folder: Path, point: OperatingPoint) -> Path:
-    return folder / "bundles" / point.key
-
-
 def _fit_missing(run: Run, folder: Path, rows: Rows, show: Show) -> None:
     """Fit and score every point without a row, view by view and backbone by backbone."""
     missing = [point for point in run.points if point.key not in rows.done()]
@@ -160,7 +155,7 @@ def _fit_missing(run: Run, folder: Path, rows: Rows, show: Show) -> None:
         return
     with show("operating points", len(run.points)) as advance:
         for fitted in _fit(missing, run.chosen, run.settings):
-            _write_point(fitted, folder)
+            _write_point(fitted, folder / "bundles")
             rows.append(_accuracy_row(fitted, run.truth))
             advance(len(rows.done()))
 
@@ -176,13 +171,12 @@ def _fit(points: Iterable[OperatingPoint], chosen: Chosen, settings: RunSettings
 
 
 def _write_point(fitted: FittedPoint, folder: Path) -> None:
-    """The point's bundle, and its trunk once for all points that share it."""
-    store = folder / "bundles" / "trunks"
-    store.mkdir(parents=True, exist_ok=True)
-    trunk = store / f"{fitted.trunk.sha256}.onnx"
+    """Write the point's bundle, and its trunk once for all points that share it."""
+    trunk = folder / "trunks" / f"{fitted.trunk.sha256}.onnx"
+    trunk.parent.mkdir(parents=True, exist_ok=True)
     if not trunk.is_file():
         trunk.write_bytes(fitted.trunk.graph)
-    write_bundle(_bundle_folder(folder, fitted.point), fitted.files, overwrite=True)
+    write_bundle(folder / fitted.point.key, fitted.files, overwrite=True)
 
 
 def _accuracy_row(fitted: FittedPoint, truth: Truth) -> Row:
@@ -207,17 +201,8 @@ def _accuracy_row(fitted: FittedPoint, truth: Truth) -> Row:
         "trunk_sha256": manifest.backbone.trunk.sha256,
         "content_sha256": content_sha256(manifest),
         "fit_s": {"features": fitted.features_s, "bank": fitted.bank_s},
-        "work": asdict(_work(fitted)),
+        "work": asdict(fitted.work),
     }
-
-
-def _work(fitted: FittedPoint) -> Work:
-    assert fitted.manifest.backbone is not None
-    files = {**fitted.files, fitted.manifest.backbone.trunk.file: fitted.trunk.graph}
-    inside = fitted.manifest.model_copy(
-        update={"backbone": fitted.manifest.backbone.model_copy(update={"in_bundle": True})}
-    )
-    return work_of(Bundle.in_memory(inside, files))
 
 
 def _time(
@@ -245,10 +230,8 @@ def _frames(points: Sequence[OperatingPoint], chosen: Chosen) -> dict[str, list[
 
 def with_front(rows: Sequence[Row], ratios: NDArray[np.float64]) -> list[Row]:
     """Rows with the keys of the points that dominate each, and whether it is on the front."""
-    accuracy = np.array(
-        [np.nan if (v := row["accuracy"]["aupro_fpr01"]["value"]) is None else v for row in rows], np.float64
-    )
-    found = dominators(accuracy, ratios)
+    values = [row["accuracy"]["aupro_fpr01"]["value"] for row in rows]
+    found = dominators(np.array(values, np.float64), ratios)  # None is NaN
     return [
         row | {"is_on_front": not others, "dominated_by": [rows[k]["key"] for k in others]}
         for row, others in zip(rows, found, strict=True)

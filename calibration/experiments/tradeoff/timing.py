@@ -24,13 +24,12 @@ from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.region import CENTRE_SIDE
-from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions, open_session
 from edge.pictures.press_picture import PressCaption, press_png
 
-__all__ = ["STAGES", "Drawing", "Lane", "Samples", "bundle_lanes", "camera_frames", "measure_rounds"]
+__all__ = ["STAGES", "Lane", "Samples", "bundle_lanes", "camera_frames", "measure_rounds", "scale_of"]
 
 STAGES: Final = ("decode", "trunk", "head", "overlay")
 """From camera bytes to the published picture: decode and cut, features, score map, picture of the press."""
@@ -54,58 +53,47 @@ class Samples:
         return len(self.bare)
 
 
-class Drawing:
-    """The two stages outside the detector: decode and cut, and the picture of the press.
-
-    example: a score map (h, w) that sets the scale of the colours.
-    """
-
-    def __init__(
-        self, view: View, frames: Sequence[CameraFrame], part: str, example: NDArray[np.float32]
-    ) -> None:
-        self.view, self._frames, self._part = view, frames, part
-        self._profile, self._region = view.profile, view.region
-        self._threshold = max(float(np.median(example)), 1e-6)
-
-    def decode(self, number: int) -> NDArray[np.uint8]:
-        """The region of a camera frame, uint8 (h, w, 3)."""
-        frame = self._frames[number % len(self._frames)]
-        return np.ascontiguousarray(self._region.crop(decode(frame, self._profile)))
-
-    def draw(self, rgb: NDArray[np.uint8], score_map: NDArray[np.float32], score: float) -> bytes:
-        caption = PressCaption(
-            press_id="0" * 26,
-            verdict="fail",
-            score=score,
-            threshold=self._threshold,
-            mm_per_pixel=mm_per_pixel(self._profile),
-            station="site/line/station",
-            part=self._part,
-            time="2026-01-01T00:00:00Z",
-        )
-        return press_png(rgb, score_map, caption)
-
-
 @dataclass(frozen=True)
 class Lane:
-    """One point on its way from camera bytes to the picture."""
+    """One point on its way from camera bytes to the picture of the press."""
 
-    drawing: Drawing
+    view: View
+    frames: Sequence[CameraFrame]
+    part: str
     score: Callable[[NDArray[np.uint8]], tuple[NDArray[np.float32], float, float, float]]
     """Score map and score of a region, and the milliseconds of trunk and head."""
     shared: tuple[object, object, object, object]
     """A key of each stage; lanes with equal keys do the same work in it."""
+    threshold: float
+    """Sets the scale of the colours."""
 
     def press(self, number: int) -> tuple[float, float, float, float]:
         """Return the milliseconds of each stage for one press."""
+        profile = self.view.profile
         start = time.perf_counter()
-        rgb = self.drawing.decode(number)
+        frame = self.frames[number % len(self.frames)]
+        rgb = np.ascontiguousarray(self.view.region.crop(decode(frame, profile)))
         decoded = time.perf_counter()
         score_map, score, trunk_ms, head_ms = self.score(rgb)
         scored = time.perf_counter()
-        self.drawing.draw(rgb, score_map, score)
+        caption = PressCaption(
+            press_id="0" * 26,
+            verdict="fail",
+            score=score,
+            threshold=self.threshold,
+            mm_per_pixel=mm_per_pixel(profile),
+            station="site/line/station",
+            part=self.part,
+            time="2026-01-01T00:00:00Z",
+        )
+        press_png(rgb, score_map, caption)
         end = time.perf_counter()
         return (decoded - start) * 1e3, trunk_ms, head_ms, (end - scored) * 1e3
+
+
+def scale_of(score_map: NDArray[np.float32]) -> float:
+    """Return a threshold that gives pictures of such score maps colours."""
+    return max(float(np.median(score_map)), 1e-6)
 
 
 def bundle_lanes(
@@ -122,8 +110,8 @@ def bundle_lanes(
         name, score = view.profile_name, partial(_score, Scorer(bundle, threads, trunks))
         part = f"{bundle.manifest.part}/{bundle.manifest.position}"
         grey = np.full((view.region.height, view.region.width, 3), 128, np.uint8)
-        drawing = Drawing(view, frames[name], part, score(grey)[0])
-        lanes.append(Lane(drawing, score, (name, (sha256, view.name), point.key, name)))
+        shared = (name, (sha256, view.name), point.key, name)
+        lanes.append(Lane(view, frames[name], part, score, shared, scale_of(score(grey)[0])))
     return lanes
 
 
@@ -201,15 +189,10 @@ def camera_frames(view: View, pictures: NDArray[np.uint8]) -> list[CameraFrame]:
 
 
 def _in_camera(view: View, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    profile, region = view.profile, view.region
-    width, height = profile.size
+    (width, height), region = view.profile.size, view.region
     picture = np.full((height, width, 3), rgb.mean(axis=(0, 1)).astype(np.uint8), np.uint8)
     picture[region.y : region.y + region.height, region.x : region.x + region.width] = rgb
-    return _with_border(picture, profile)
-
-
-def _with_border(picture: NDArray[np.uint8], profile: SensorProfile) -> NDArray[np.uint8]:
-    (width, height), (x, y) = profile.native, profile.border
+    (width, height), (x, y) = view.profile.native, view.profile.border
     left, top = int(width * x), int(height * y)
     inner = cv2.resize(picture, (width - 2 * left, height - 2 * top), interpolation=cv2.INTER_LINEAR)
     return np.asarray(cv2.copyMakeBorder(inner, top, top, left, left, cv2.BORDER_REPLICATE), np.uint8)

@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from study_cells import quiet
 from study_dataset import study_dataset
 
-from calibration.experiments.harness.detector_settings import overrides_for
-from calibration.experiments.harness.material import Material
+from calibration.experiments.harness.material import Material, overrides_for
 from calibration.experiments.harness.pictures import LR_VIEW, PressPictures
 from calibration.experiments.harness.presses import StudyPresses
 from calibration.experiments.harness.rows import read_rows

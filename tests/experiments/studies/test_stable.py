@@ -7,9 +7,9 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from calibration.experiments.harness.evidence import STABLE_WITHIN, stable_from
 from calibration.experiments.harness.published import paper_medians, stable_fraction
 from calibration.experiments.harness.rows import Rows
-from calibration.experiments.harness.stable import STABLE_WITHIN, find_stable_fraction, stable_from
 from calibration.experiments.harness.study import Options
 from edge.core.errors import ConfigError
 
@@ -63,13 +63,14 @@ def test_rows_of_the_folder_give_it(tmp_path: Path) -> None:
     for row in curve({0.3: 0.8, 1.0: 0.8}):
         rows.append(row)
 
-    assert find_stable_fraction(rows.path, "padim", "corrected", "b", "press") == 0.3
-    assert find_stable_fraction(rows.path, "padim", "corrected", "b", "specimen") == 0.3
+    asked = Options(tmp_path, tmp_path)
+    assert asked.fraction_of("padim", "corrected", "b", "press") == 0.3
+    assert asked.fraction_of("padim", "corrected", "b", "specimen") == 0.3
     for method, backbone in (("spade", "b"), ("padim", "other")):
         with pytest.raises(
             ConfigError, match=rf"stable fraction of {method} \(corrected, {backbone}\) is not known"
         ):
-            find_stable_fraction(rows.path, method, "corrected", backbone, "press")
+            asked.fraction_of(method, "corrected", backbone, "press")
 
 
 def test_the_user_and_the_paper_come_first(tmp_path: Path) -> None:
