@@ -4,7 +4,7 @@ They use the simulator's scenes and renderer; training has other parts, other da
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,16 +117,6 @@ def development_trial(number: int, sizes: Sizes | None = None, condition: str = 
     return _Rendered(shape, scene, CONDITIONS[condition], DEVELOPMENT_SEED, sizes or Sizes()).trial()
 
 
-@dataclass(frozen=True)
-class _Picture:
-    """One press."""
-
-    plan: PressPlan
-    rgb: NDArray[np.uint8]
-    mask: NDArray[np.bool_]
-    """Where damage shows, all False on a sound piece."""
-
-
 class _Rendered:
     """One shape under one condition, as a trial."""
 
@@ -153,36 +143,43 @@ class _Rendered:
 
     def trial(self) -> Trial:
         with reproducible_opencv():
-            pictures = sorted(self._pictures(), key=lambda picture: picture.plan.name)
+            # Every press in the order of acquisition, sound and damaged pieces mixed.
+            made = {plan: self._press(plan) for plan in dataset_plan(self.scene, self.seed)}
             free = [
                 self.gel.free_gel(("free", number), self.condition.learnt_at)
                 for number in range(self.sizes.free_gels)
             ]
-        learnt = {p.plan.name: p.rgb for p in pictures if self._is_learnt(p.plan)}
         # Damaged presses first.
-        scored = sorted(
-            (p for p in pictures if not self._is_learnt(p.plan)), key=lambda picture: not picture.plan.kind
-        )
+        plans = sorted(made, key=lambda plan: (not plan.kind, plan.name))
+        learnt = {plan.name: made[plan][0] for plan in plans if self._is_learnt(plan)}
+        scored = [made[plan] for plan in plans if not self._is_learnt(plan)]
         return Trial(
             self.scene.part,
             gather_presses(learnt, PROFILE, REGION, no_contact=free),
-            np.stack([REGION.crop(p.rgb) for p in scored]),
-            np.stack([REGION.crop(p.mask) for p in scored]),
+            np.stack([REGION.crop(rgb) for rgb, _ in scored]),
+            np.stack([REGION.crop(mask) for _, mask in scored]),
         )
 
     def _is_learnt(self, plan: PressPlan) -> bool:
         return not plan.kind and plan.specimen <= self.sizes.pieces - self.sizes.held_out
 
-    def _pictures(self) -> Iterator[_Picture]:
-        """Every press in the order of acquisition, sound and damaged pieces mixed."""
-        for plan in dataset_plan(self.scene, self.seed):
-            imprint, mask = self._imprint(plan)
-            before = self.condition.learnt_at if self._is_learnt(plan) else self.condition.scored_at
-            presses = before + plan.gel_presses
-            previous = (self._earlier_imprint(plan), RELEASED_S) if self.condition.is_remembering else None
-            light = self.gel.light(self.gel.surface(imprint, presses, previous), presses)
-            exposure = Exposure(0, plan.time_s, self._velocity(plan))
-            yield _Picture(plan, self.gel.expose(light, plan.key, exposure), mask)
+    def _press(self, plan: PressPlan) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """Render a press, and where it shows damage, all False on a sound piece."""
+        condition, scene = self.condition, self.scene
+        piece = analogues.specimen(self.shape, self.streams("specimen", scene.part, plan.specimen))
+        placed, depth = self.gel.place(self._put_down(plan), plan.key), scene.press_depth_mm
+        if plan.kind:
+            rng = self.streams("defect", scene.part, plan.position, plan.specimen)
+            defect = place_damage(self.shape, plan.kind, plan.severity, depth, scene.mask_depth_mm, rng)
+            sound, imprint = self.gel.imprints(piece, defect, depth, placed)
+            mask = self.gel.mask(sound, imprint, scene.mask_depth_mm)
+        else:
+            imprint = self.gel.imprint(sample(piece, placed, LR), depth * placed.depth_factor)
+            mask = np.zeros(imprint.shape, np.bool_)
+        presses = plan.gel_presses + (condition.learnt_at if self._is_learnt(plan) else condition.scored_at)
+        previous = (self._earlier_imprint(plan), RELEASED_S) if condition.is_remembering else None
+        light = self.gel.light(self.gel.surface(imprint, presses, previous), presses)
+        return self.gel.expose(light, plan.key, Exposure(0, plan.time_s, self._velocity(plan))), mask
 
     def _velocity(self, plan: PressPlan) -> tuple[float, float] | None:
         """Draw the velocity of the gel during the exposure, in mm/s; None for the scene's own motion blur."""
@@ -206,22 +203,3 @@ class _Rendered:
         across, down = rng.uniform(-ELSEWHERE_MM, ELSEWHERE_MM, 2).tolist()
         pose = Pose((across, down), float(rng.uniform(0, 2 * math.pi)))
         return self.gel.imprint(sample(self.shape, pose, LR), self.scene.press_depth_mm)
-
-    def _imprint(self, plan: PressPlan) -> tuple[F32, NDArray[np.bool_]]:
-        """The press's imprint in mm, and where it differs from that of the sound piece."""
-        scene = self.scene
-        piece = analogues.specimen(self.shape, self.streams("specimen", scene.part, plan.specimen))
-        placed, depth = self.gel.place(self._put_down(plan), plan.key), scene.press_depth_mm
-        if not plan.kind:
-            imprint = self.gel.imprint(sample(piece, placed, LR), depth * placed.depth_factor)
-            return imprint, np.zeros(imprint.shape, np.bool_)
-        defect = place_damage(
-            self.shape,
-            plan.kind,
-            plan.severity,
-            depth,
-            scene.mask_depth_mm,
-            self.streams("defect", scene.part, plan.position, plan.specimen),
-        )
-        sound, damaged = self.gel.imprints(piece, defect, depth, placed)
-        return damaged, self.gel.mask(sound, damaged, scene.mask_depth_mm)

@@ -2,17 +2,23 @@
 
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from calibration.evaluate.report import write_atomically
+from calibration.experiments.detectability.study import Plan, Row, Settings, plan, run
+from calibration.experiments.harness.rows import Rows
+from calibration.experiments.harness.study import require_known
+from calibration.fitting.damage.damage import KINDS
 from calibration.fitting.options import NoContact, Part, Pattern, Position, Resize, Seed, Threads
-
-if TYPE_CHECKING:
-    from calibration.experiments.detectability.study import Plan, Row, Settings
-    from calibration.experiments.harness.rows import Rows
-    from calibration.fitting.presses.nominal_presses import NominalPresses
-    from edge.model.bundle import Bundle
+from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
+from calibration.fitting.presses.sources import find_sources
+from calibration.progress import Stages, progress
+from edge.core.errors import ConfigError
+from edge.extras import needs
+from edge.model.bundle import Bundle
+from edge.model.detectability import detectability_lines
 
 __all__ = ["detectability"]
 
@@ -50,18 +56,10 @@ def detectability(
     The result is the probability of detection: a90/95 in mm as a map, a table and a card. An interrupted run goes on
     where it ended.
     """
-    from calibration.evaluate.report import write_atomically
+    needs("studies", "gelgate lab detectability")
     from calibration.experiments.detectability.figure import draw_map
     from calibration.experiments.detectability.results import card, results, table, write_card
-    from calibration.experiments.detectability.study import Settings
-    from calibration.experiments.harness.rows import Rows
-    from calibration.experiments.harness.study import require_known
-    from calibration.fitting.damage.damage import KINDS
-    from edge.extras import needs
-    from edge.model.bundle import Bundle
-    from edge.model.detectability import detectability_lines
 
-    needs("studies", "gelgate lab detectability")
     require_known("damage", kind or (), KINDS)
     settings = Settings(tuple(dict.fromkeys(kind or KINDS)), presses, spacing, seed, threads)
     loaded = Bundle.load(bundle)
@@ -84,18 +82,15 @@ def detectability(
 
 
 def _presses(
-    bundle: "Bundle",
+    bundle: Bundle,
     sources: list[Path],
     part: str | None,
     position: str | None,
     no_contact: list[Path] | None,
     resize: bool,
     pattern: str | None,
-) -> "NominalPresses":
+) -> NominalPresses:
     """The presses, read as the bundle's profile says. Errors: as `read_presses` and `find_sources`."""
-    from calibration.fitting.presses.nominal_presses import read_presses
-    from calibration.fitting.presses.sources import find_sources
-
     own = bundle.manifest
     found = find_sources(sources, part or own.part, position or own.position, bundle.profile.size)
     return read_presses(
@@ -110,11 +105,8 @@ def _presses(
 
 
 def _measure(
-    bundle: "Bundle", presses: "NominalPresses", settings: "Settings", rows: "Rows"
-) -> "tuple[Plan, list[Row]]":
-    from calibration.experiments.detectability.study import plan, run
-    from calibration.progress import Stages, progress
-
+    bundle: Bundle, presses: NominalPresses, settings: Settings, rows: Rows
+) -> tuple[Plan, list[Row]]:
     with Stages() as report:
         planned = plan(bundle, presses, settings, lambda fraction: report("banks", fraction))
     typer.echo(_describe_plan(planned))
@@ -125,7 +117,7 @@ def _measure(
         return planned, run(planned, done, rows.append, advance)
 
 
-def _describe_plan(planned: "Plan") -> str:
+def _describe_plan(planned: Plan) -> str:
     """Say what is going to be measured, and which presses are not used."""
     judged = {
         "presses apart": "presses that the bundle has not learnt, judged by it",
@@ -144,8 +136,6 @@ def _describe_plan(planned: "Plan") -> str:
 
 def _make_folder(output: Path) -> None:
     """Make the output folder. Errors: ConfigError."""
-    from edge.core.errors import ConfigError
-
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -70,40 +70,30 @@ MEANINGS: Final = {
 adds to every gel."""
 
 
-@dataclass(eq=False)
 class Station:
-    """A placing with a bundle fitted on presses of the new gel. threads: of fit and scoring."""
+    """A placing with a bundle that has learnt 24 presses of sound pieces on the new gel."""
 
-    line: Line
-    scorer: Scorer
-    first: F32
-
-    @classmethod
-    def fit(cls, placing: Placing, seed: int, threads: int = 1) -> "Station":
-        """Learn 24 presses of sound pieces."""
-        line = Line(placing, seed)
-        sensor = profile("cropped_lr")
+    def __init__(self, placing: Placing, seed: int) -> None:
+        line = self.line = Line(placing, seed)
+        sensor, detector = profile("cropped_lr"), registry.detector(_METHOD)
+        region = Region.centre(sensor.size)
         pictures = {
             f"s{piece:03d}_p0": line.press(line.imprint(piece), piece, piece) for piece in range(NOMINAL)
         }
-        region = Region.centre(sensor.size)
-        presses = gather_presses(
-            pictures, sensor, region, no_contact=[line.free_picture(k) for k in range(_FREE)]
-        )
-        detector = registry.detector(_METHOD)
-        trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
+        free = [line.free_picture(k) for k in range(_FREE)]
         config = FitConfig(
             placing.part,
             placing.position or "top",
             sensor,
             region,
             detector,
-            trunk,
-            threads=threads,
+            open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters())),
+            threads=1,
             register="always" if placing.is_registered else "never",
         )
-        bundle = fit_files(presses, config, created="2026-01-01").bundle()
-        return cls(line, Scorer(bundle, threads), line.free_gel(NOMINAL))
+        presses = gather_presses(pictures, sensor, region, no_contact=free)
+        self.scorer = Scorer(fit_files(presses, config, created="2026-01-01").bundle(), 1)
+        self.first = line.free_gel(NOMINAL)
 
     def score(self, rgb: U8) -> Scored | None:
         """Score a picture; None where the part is not found."""
@@ -335,7 +325,7 @@ def evaluate_scars(
     runs: list[Run] = []
     with progress("gels", gels * len(chosen)) as advance:
         for number, one in chosen:
-            station = Station.fit(one, SEEDS[which] + number)
+            station = Station(one, SEEDS[which] + number)
             for gel in range(gels):
                 runs.append(Run(station, gel, flattened).play())
                 advance(len(runs))
