@@ -110,8 +110,8 @@ def _measure(
     with Stages() as report:
         planned = plan(bundle, presses, settings, lambda fraction: report("banks", fraction))
     typer.echo(_describe_plan(planned))
-    if planned.warning:
-        _warn(planned.warning)
+    if presses.estimated:
+        _warn(f"the free gel is {presses.estimated}; give a picture of it with --no-contact for exact sizes")
     done = {row["key"]: row for row in rows.read()}
     with rows.hold(), progress("trials", planned.total) as advance:
         return planned, run(planned, done, rows.append, advance)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,15 +18,13 @@ from calibration.fitting.damage.imprint import Station
 from calibration.fitting.damage.rendering import EditedPress
 from calibration.fitting.presses.colours import refuses
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.simulator.field_of_view import CROP_MM, F32, Field, grids
-from calibration.simulator.sensor_appearance import SENSORS, background
+from calibration.simulator.field_of_view import CROP_MM, Field, grids
 from calibration.threads import one_blas_thread
 from edge.core.errors import DatasetError, NotScorable
-from edge.core.imaging.sensor_check import colour_cells, colour_distance
 from edge.model.bundle import Bundle
 from edge.model.detectability import JudgedBy
 
-__all__ = ["Place", "PlaceGrid", "Plan", "Row", "Settings", "free_gel", "plan", "run", "touched_places"]
+__all__ = ["Place", "PlaceGrid", "Plan", "Row", "Settings", "plan", "run", "touched_places"]
 
 # A press touches a place where it touches this share of it; a place is of the contact where half of the presses do.
 _TOUCHED_SHARE = 0.1
@@ -92,48 +89,6 @@ def touched_places(grid: PlaceGrid, contacts: Sequence[NDArray[np.bool_]]) -> tu
     )
 
 
-_CELLS = (8, 8)
-# Presses of one unit lie within this share of the light of its free gel, those of other units at 3 % to 37 %
-# (docs/bundle.md); a unit nearer than this gives the same slopes within the accuracy of the response.
-_NEAR_UNIT = 0.1
-
-
-def free_gel(bundle: Bundle, presses: NominalPresses) -> tuple[F32, str | None]:
-    """The free gel in the region, float32 (h, w, 3), and a warning where it is not of this station.
-
-    From the presses' own pictures of it, else the bundle's, else from the nearest known unit. Errors: DatasetError
-    where no unit is near.
-    """
-    if presses.no_contact is not None:
-        return np.asarray(presses.no_contact.mean(axis=0, dtype=np.float64), np.float32), None
-    if bundle.free_view is not None:
-        view = cv2.resize(
-            bundle.free_view.astype(np.float32), bundle.profile.size, interpolation=cv2.INTER_LINEAR
-        )
-        return np.ascontiguousarray(bundle.region.crop(np.asarray(view, np.float32))), None
-    whole = Field(bundle.profile.size, bundle.profile.mm_per_pixel)
-    units = {
-        name: np.ascontiguousarray(bundle.region.crop(background(unit, whole).transpose(1, 2, 0)))
-        for name, unit in SENSORS.items()
-    }
-    mean = presses.frames.mean(axis=0, dtype=np.float64)
-    away = {name: colour_distance(_cells(mean), _cells(unit)) for name, unit in units.items()}
-    nearest = min(away, key=away.__getitem__)
-    if away[nearest] > _NEAR_UNIT:
-        raise DatasetError(
-            f"neither the presses nor bundle {bundle.where} have a picture of the free gel, and the nearest unit whose "
-            f"light is known differs by {away[nearest]:.0%} of the light; give a picture of it with --no-contact"
-        )
-    return units[nearest], (
-        f"there is no picture of the free gel: the colours of the known unit '{nearest}' stand for it, which differ by "
-        f"{away[nearest]:.1%} of the light; give one with --no-contact for exact places of contact"
-    )
-
-
-def _cells(picture: NDArray[np.floating]) -> NDArray[np.float64]:
-    return colour_cells(np.clip(np.rint(picture), 0, 255).astype(np.uint8), _CELLS)
-
-
 FORMAT = 1
 """Of a row; rows of another format are done again."""
 
@@ -169,8 +124,6 @@ class Plan:
     """Names of presses that fail without damage; they are not edited."""
     refused: tuple[str, ...]
     """Names of presses of another sensor."""
-    warning: str | None = None
-    """What is not known of the light."""
 
     @property
     def total(self) -> int:
@@ -198,7 +151,11 @@ def plan(
     Errors: DatasetError (presses of another sensor, too few of them, none with contact, no picture of the free gel),
     FitError where a fold cannot be fitted.
     """
-    free, warning = free_gel(bundle, presses)
+    if presses.no_contact is None:
+        raise DatasetError(
+            f"{len(presses)} presses do not show the free gel; give a picture of it with --no-contact"
+        )
+    free = np.asarray(presses.no_contact.mean(axis=0, dtype=np.float64), np.float32)
     station = Station(bundle.profile, bundle.region, free)
     refused = tuple(
         name
@@ -222,7 +179,7 @@ def plan(
             "choose a larger --spacing"
         )
     judges = {name: edited[name][1] for name in kept}
-    return Plan(bundle, settings, grid, kept, judges, places, by, failing, refused, warning)
+    return Plan(bundle, settings, grid, kept, judges, places, by, failing, refused)
 
 
 def run(
