@@ -70,13 +70,15 @@ def test_a_sink_that_had_level_5_never_falls_on_silence(
 
 
 def test_a_broker_that_knows_only_3_1_1_is_used_and_asked_again_for_5(
-    scripted: ScriptedBroker, sink: MqttSink
+    scripted: ScriptedBroker, sink: MqttSink, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """It does not answer at 5, twice, and answers at 3.1.1 in between; when it is updated the sink returns to 5."""
+    """It does not answer at 5, twice, and answers at 3.1.1 in between, which the log says; when it is updated the sink
+    returns to 5."""
     scripted.silent_at_5 = True
     with hurried(sink):
         connected(sink)
     assert sink.level == "3.1.1"
+    assert "MQTT 3.1.1 is used" in caplog.text
     sink.find_level()
     connected(sink)
     assert sink.level == "3.1.1"

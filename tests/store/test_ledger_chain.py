@@ -19,6 +19,7 @@ from edge.core.reference_press.control_chart import Imprint
 from edge.store import acts, integrity, press_store, reference_presses, study_presses
 from edge.store.acts import Act
 from edge.store.backup import migrate
+from edge.store.database import CHAINED_SINCE, MIGRATIONS
 from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import Finding, check_database
 from edge.store.ledger_chain import Head
@@ -212,6 +213,12 @@ def test_a_head_that_is_none_is_refused(text: str) -> None:
     """With its form."""
     with pytest.raises(ValueError, match="is no head of a ledger; expected"):
         Head.parse(text)
+
+
+def test_the_first_version_with_a_chain_is_the_one_that_makes_its_table() -> None:
+    """`db migrate` says that older presses are not covered, of the versions before."""
+    chained = [number for number, script in enumerate(MIGRATIONS, 1) if "TABLE ledger_chain" in script]
+    assert chained == [CHAINED_SINCE]
 
 
 def test_a_database_that_was_migrated_says_where_its_chain_starts(tmp_path: Path) -> None:  # fmt: skip

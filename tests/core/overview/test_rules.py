@@ -156,6 +156,13 @@ def test_without_a_still_nothing_that_is_asked_for_is_admitted() -> None:
     assert reason(view, OverviewRules()) is None
 
 
+@pytest.mark.parametrize(("jpeg", "fault"), [(None, None), (b"still", "no answer")])
+def test_a_look_without_a_still_says_why(jpeg: bytes | None, fault: str | None) -> None:
+    """Neither, or both, would admit a press that nobody looked at."""
+    with pytest.raises(ValueError, match="a still, or a fault"):
+        OverviewView(jpeg, fault)
+
+
 def test_stills_alone_ask_for_nothing() -> None:
     """Without codes and presence every press is admitted, and nothing is known of the part."""
     view = looked(with_tag(17), OverviewRules())
