@@ -49,7 +49,7 @@ class StationTable(Table):
 
     @property
     def place(self) -> Place:
-        return Place(self.site, self.line, self.station)
+        return Place(self.site, self.line, self.station, self.prefix)
 
 
 class BundleTable(Table):

@@ -14,9 +14,7 @@ __all__ = [
     "PageRequests",
     "Place",
     "Station",
-    "client_id",
     "topic_level",
-    "topic_root",
 ]
 
 # The version of topics and payloads together; it rises only when a subscriber of the old one would misread the new.
@@ -56,39 +54,34 @@ def topic_level(text: str) -> str:
     return text
 
 
-def topic_root(prefix: str, site: str, line: str, station: str) -> str:
-    """`<prefix>/<site>/<line>/<station>/gel/v1`. Errors: ValueError naming the level that cannot be used."""
-    levels = {"prefix": prefix, "site": site, "line": line, "station": station}
-    for level, text in levels.items():
-        try:
-            topic_level(text)
-        except ValueError as error:
-            raise ValueError(f"the topic level '{level}' is {text!r}: {error}") from None
-    return "/".join([*levels.values(), "gel", TOPIC_VERSION])
-
-
-def client_id(prefix: str, site: str, line: str, station: str) -> str:
-    """The station's name at a broker, different for every topic root.
-
-    `gelgate-<site>-<line>-<station>`; where another prefix or a hyphen in a level would make two of them equal, it ends
-    with a hash of the root.
-    """
-    name = f"gelgate-{site}-{line}-{station}"
-    if prefix == "gelgate" and name.count("-") == 3:
-        return name
-    return f"{name}-{hashlib.sha256(topic_root(prefix, site, line, station).encode()).hexdigest()[:8]}"
-
-
 @dataclass(frozen=True)
 class Place:
-    """The place in the plant from which a result comes."""
+    """The place of a station in the plant; each is one level of its topics."""
 
     site: str
     line: str
     station: str
+    prefix: str = "gelgate"
 
     def __str__(self) -> str:
         return f"{self.site}/{self.line}/{self.station}"
+
+    @property
+    def root(self) -> str:
+        """The root of its topics."""
+        return f"{self.prefix}/{self}/gel/{TOPIC_VERSION}"
+
+    @property
+    def client_id(self) -> str:
+        """The station's name at a broker, different for every root.
+
+        `gelgate-<site>-<line>-<station>`; where another prefix or a hyphen in a level would make two of them equal, it
+        ends with a hash of the root.
+        """
+        name = f"gelgate-{self.site}-{self.line}-{self.station}"
+        if self.prefix == "gelgate" and name.count("-") == 3:
+            return name
+        return f"{name}-{hashlib.sha256(self.root.encode()).hexdigest()[:8]}"
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from edge import registry
 from edge.acquisition import Acquisition
 from edge.config import Config, sink_names
 from edge.core.ports import Clock, Device, Message, Sink
-from edge.core.sink_context import PageRequests, Station, client_id, topic_root
+from edge.core.sink_context import PageRequests, Station
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.command_table import station_commands, station_handlers, trigger_by_pedal
 from edge.gateway.commands import Commands, policy_of
@@ -203,11 +203,10 @@ def _open_store(config: Config, clock: Clock) -> Store:
 
 
 def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, commands: Commands) -> Station:
-    table = config.station
     lost = StatePayload(time_ns=clock.time_ns(), state="lost", reason="the gateway ended without a message")
     return Station(
-        root=topic_root(table.prefix, table.site, table.line, table.station),
-        client_id=client_id(table.prefix, table.site, table.line, table.station),
+        root=config.station.place.root,
+        client_id=config.station.place.client_id,
         will=lost.message(),
         offline=availability_message(is_online=False),
         birth=retained_state.all,

@@ -18,7 +18,6 @@ from edge.config.secret_file import read_secret
 from edge.core.errors import GelgateError, StoreError
 from edge.core.ports import Clock
 from edge.core.rate import Rate
-from edge.core.sink_context import topic_root
 from edge.messaging.command_payloads import (
     SHORTEST_SECRET,
     CommandRequest,
@@ -301,9 +300,9 @@ def _request(payload: bytes) -> CommandRequest:
 
 def policy_of(config: Config) -> CommandPolicy:
     """Return the configured policy. Errors: ConfigError for a secret that cannot be read."""
-    table, station = config.commands, config.station
+    table = config.commands
     return CommandPolicy(
-        topic_root(station.prefix, station.site, station.line, station.station),
+        config.station.place.root,
         frozenset(table.unsigned),
         frozenset(table.signed),
         None

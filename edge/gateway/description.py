@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from importlib.metadata import version
 
 from edge.config import Config
-from edge.core.sink_context import Place, topic_root
 from edge.gateway.command_table import station_commands
 from edge.messaging.descriptions.station import DescribedStation, SparkplugNode
 
@@ -13,11 +12,11 @@ __all__ = ["DescribedBroker", "broker_of", "describe_station"]
 
 def describe_station(config: Config) -> DescribedStation:
     """Describe the station of this configuration, with the commands that it serves."""
-    table, commands = config.station, config.commands
+    commands = config.commands
     served = {*commands.unsigned, *commands.signed}
     return DescribedStation(
-        root=topic_root(table.prefix, table.site, table.line, table.station),
-        place=str(Place(table.site, table.line, table.station)),
+        root=config.station.place.root,
+        place=str(config.station.place),
         version=version("gelgate"),
         commands=[one for one in station_commands(config) if one.verb in served],
         signed=commands.signed,

@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 
-from edge.core.sink_context import client_id
+from edge.core.sink_context import Place
 
 
 def test_stations_with_other_topics_have_other_names() -> None:
@@ -14,7 +14,7 @@ def test_stations_with_other_topics_have_other_names() -> None:
         ("other", "a", "b", "c"),
         ("third", "a", "b", "c"),
     ]
-    names = sorted(client_id(*place) for place in places)
+    names = sorted(Place(*levels, prefix).client_id for prefix, *levels in places)
 
     assert [one for one, other in pairwise(names) if one == other] == []
     assert names[0] == "gelgate-a-b-c"
