@@ -59,7 +59,7 @@ class Json(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         line: dict[str, object] = {
-            "time": _iso(record.created),
+            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
             "logger": record.name,
             "message": record.getMessage(),
@@ -70,7 +70,3 @@ class Json(logging.Formatter):
             line["traceback"] = self.formatException(record.exc_info)
         line |= {name: value for name, value in getattr(record, "fields", {}).items() if name not in line}
         return json.dumps(line, ensure_ascii=False, default=str)
-
-
-def _iso(seconds: float) -> str:
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")

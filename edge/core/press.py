@@ -1,6 +1,7 @@
 """A press: the one value that grows from the frame that settles to the row and the message that it becomes."""
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ __all__ = ["Again", "JudgedFrame", "Press", "PressLabel", "ReferenceLabel", "Sca
 class ReferenceLabel:
     """A master piece."""
 
+    kind: ClassVar = "reference"
     piece: str
     expected: str
     """The verdict that it must give."""
@@ -30,24 +32,17 @@ class ReferenceLabel:
     is_start: bool = False
     """Its charts begin again."""
 
-    @property
-    def kind(self) -> str:
-        return "reference"
-
 
 @dataclass(frozen=True)
 class StudyLabel:
     """One step of the plan of a gauge study; repeat counts from 1."""
 
+    kind: ClassVar = "study"
     study_id: str
     step: int
     piece: str
     operator: str
     repeat: int
-
-    @property
-    def kind(self) -> str:
-        return "study"
 
 
 PressLabel = ReferenceLabel | StudyLabel

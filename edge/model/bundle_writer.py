@@ -165,7 +165,8 @@ def write_bundle(path: Path, files: Mapping[str, bytes], *, overwrite: bool = Fa
         if path.suffix == ".zip":
             _write_zip(partial, files)
         else:
-            _write_folder(partial, files)
+            for name, data in files.items():
+                _write_synced(partial / name, data)
         _put_in_place(partial, path)
     finally:
         _remove(partial)
@@ -188,25 +189,19 @@ def add_file(bundle: Path, name: str, data: bytes) -> None:
 def write_file(path: Path, data: bytes) -> None:
     """Write one file that appears at once or not at all, replacing an older one. Errors: OSError."""
     partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
-    path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        with partial.open("wb") as out:
-            out.write(data)
-            out.flush()
-            os.fsync(out.fileno())
+        _write_synced(partial, data)
         partial.replace(path)
     finally:
         _remove(partial)
 
 
-def _write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
-    for name, data in files.items():
-        file = folder / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with file.open("wb") as out:
-            out.write(data)
-            out.flush()
-            os.fsync(out.fileno())
+def _write_synced(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as out:
+        out.write(data)
+        out.flush()
+        os.fsync(out.fileno())
 
 
 def _write_zip(file: Path, files: Mapping[str, bytes]) -> None:

@@ -145,16 +145,12 @@ def how_they_differ(then: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator
         if before == after:
             continue
         if name == "flags" and isinstance(before, list) and isinstance(after, list):
-            yield from _flags(set(before), set(after))
+            if gone := sorted(set(before) - set(after)):
+                yield f"the processor had {' '.join(gone)}"
+            if new := sorted(set(after) - set(before)):
+                yield f"the processor now has {' '.join(new)}"
         else:
             yield f"{name} {before} then, {after} now"
-
-
-def _flags(before: set[str], after: set[str]) -> Iterator[str]:
-    if gone := sorted(before - after):
-        yield f"the processor had {' '.join(gone)}"
-    if new := sorted(after - before):
-        yield f"the processor now has {' '.join(new)}"
 
 
 def _cpu() -> dict[str, str]:

@@ -5,10 +5,10 @@
 
 import base64
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, StringConstraints, ValidationError
 
@@ -132,17 +132,35 @@ def fingerprint(key: "Ed25519PublicKey") -> str:
 def read_public_key(path: Path) -> "Ed25519PublicKey":
     """The key of `<name>.pub`. Errors: ConfigError."""
     needs("signing", "checking a signature")
-    from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
     from cryptography.hazmat.primitives.serialization import load_pem_public_key
 
-    try:
-        key = load_pem_public_key(read_small_file(path))
-    except (ValueError, UnsupportedAlgorithm) as error:
-        raise no_key(path, "public", error) from error
-    if not isinstance(key, Ed25519PublicKey):
-        raise no_key(path, "public", type(key).__name__)
+    key: Ed25519PublicKey = read_key(path, "public", load_pem_public_key, Ed25519PublicKey)
     return key
+
+
+def read_key(path: Path, kind: str, load: Callable[[bytes], object], wanted: type) -> Any:
+    """Read the key of a small PEM file. kind: in words. Errors: ConfigError."""
+    from cryptography.exceptions import UnsupportedAlgorithm
+
+    found: object
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+        if len(data) > _MAX_BYTES:
+            raise ConfigError(f"{path} is no key: it has more than {_MAX_BYTES} bytes")
+        found = load(data)
+    except OSError as error:
+        raise ConfigError(f"the key {path} cannot be read: {error.strerror}") from error
+    except (ValueError, TypeError, UnsupportedAlgorithm) as error:  # TypeError: the key has a password
+        found = error
+    if isinstance(found, wanted):
+        return found
+    what = found if isinstance(found, Exception) else type(found).__name__
+    raise ConfigError(
+        f"{path} is not a {kind} Ed25519 key in PEM form without a password ({what!s:.100}); "
+        "`gelgate bundle keys new` makes one"
+    )
 
 
 def _fits(key: "Ed25519PublicKey", signature: bytes, manifest: bytes) -> bool:
@@ -164,22 +182,3 @@ def _parse(raw: bytes, where: str) -> SignatureFile:
             f"bundle {where}: {SIGNATURE} is not a signature ({'.'.join(map(str, fault['loc'])) or 'file'}: "
             f"{fault['msg']}); sign the bundle again, or remove the file"
         ) from error
-
-
-def read_small_file(path: Path) -> bytes:
-    """The bytes of a key file. Errors: ConfigError."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-    except OSError as error:
-        raise ConfigError(f"the key {path} cannot be read: {error.strerror}") from error
-    if len(data) > _MAX_BYTES:
-        raise ConfigError(f"{path} is no key: it has more than {_MAX_BYTES} bytes")
-    return data
-
-
-def no_key(path: Path, kind: str, found: object) -> ConfigError:
-    return ConfigError(
-        f"{path} is not a {kind} Ed25519 key in PEM form without a password ({found!s:.100}); "
-        "`gelgate bundle keys new` makes one"
-    )

@@ -2,6 +2,7 @@
 
 import base64
 import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,7 @@ from edge.model.signature import (
     PUBLIC_SUFFIX,
     SignatureFile,
     fingerprint,
-    no_key,
-    read_small_file,
+    read_key,
 )
 
 if TYPE_CHECKING:
@@ -52,12 +52,8 @@ def read_private_key(path: Path) -> "Ed25519PrivateKey":
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
-    try:
-        key = load_pem_private_key(read_small_file(path), None)
-    except (ValueError, TypeError) as error:  # TypeError: the key has a password
-        raise no_key(path, "private", error) from error
-    if not isinstance(key, Ed25519PrivateKey):
-        raise no_key(path, "private", type(key).__name__)
+    load = partial(load_pem_private_key, password=None)
+    key: Ed25519PrivateKey = read_key(path, "private", load, Ed25519PrivateKey)
     return key
 
 

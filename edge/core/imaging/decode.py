@@ -72,16 +72,15 @@ def _crop_box(profile: SensorProfile, scale: int) -> tuple[int, int, int, int]:
 
 def _reduce(frame: CameraFrame, scale: int) -> NDArray[np.uint8]:
     """Decode BGR uint8 at 1/scale, rounded up as libjpeg does."""
-    if kind(frame.payload) == "jpg":
-        return _reduce_jpeg(frame, scale)
-    bgr = _imdecode(frame, cv2.IMREAD_COLOR)
-    height, width = bgr.shape[:2]
-    return _resize(bgr, (-(-width // scale), -(-height // scale)))
-
-
-def _reduce_jpeg(frame: CameraFrame, scale: int) -> NDArray[np.uint8]:
+    if kind(frame.payload) != "jpg":
+        bgr = _imdecode(frame, cv2.IMREAD_COLOR)
+        height, width = bgr.shape[:2]
+        return _resize(bgr, (-(-width // scale), -(-height // scale)))
     bgr = _imdecode(frame, _FLAGS[scale])
-    if _ends_without_data(bgr):
+    # Where the decoder ran out of data the last rows are one flat colour, unlike the others. `quality` judges a picture
+    # that is flat everywhere (black, saturated).
+    tail, head = bgr[-2:], bgr[: max(1, bgr.shape[0] // 8)]
+    if (tail == tail[0, 0]).all() and (head != tail[0, 0]).any():
         raise FrameCorrupt(
             f"frame {frame.sequence} has no picture data in its last rows; look for lost USB packets"
         )
@@ -98,15 +97,6 @@ def _imdecode(frame: CameraFrame, flag: int) -> NDArray[np.uint8]:
             f"frame {frame.sequence} cannot be decoded: {len(frame.payload)} bytes are not a picture"
         )
     return np.asarray(pixels, dtype=np.uint8)
-
-
-def _ends_without_data(bgr: NDArray[np.uint8]) -> bool:
-    """True where the decoder ran out of data: the last rows are one flat colour, unlike the others.
-
-    `quality` judges a picture that is flat everywhere (black, saturated).
-    """
-    tail, head = bgr[-2:], bgr[: max(1, bgr.shape[0] // 8)]
-    return bool((tail == tail[0, 0]).all() and (head != tail[0, 0]).any())
 
 
 def _resize(bgr: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
