@@ -215,7 +215,9 @@ class Acquisition:
             frame = device.read(self._clock.monotonic_ns() + _LONGEST_WAIT_NS)
         except FrameCorrupt:
             self._corrupt_in_a_row += 1
-            self._count_corrupt()
+            self._sequence += 1
+            self._set(corrupt=self._status.corrupt + 1)
+            self._count_stale()
             if self._corrupt_in_a_row >= _CORRUPT_IN_A_ROW:
                 raise
             return
@@ -274,13 +276,8 @@ class Acquisition:
         with self._changed:
             self._sequence += 1
             self._frames.append(frame.renumber(self._sequence))
-            dropped = self._shortened()
-            self._status = replace(
-                self._status,
-                frames=self._status.frames + 1,
-                dropped=self._status.dropped + dropped,
-                fps=self._rate(),
-            )
+            dropped = self._status.dropped + self._shortened()
+            self._set(frames=self._status.frames + 1, dropped=dropped, fps=self._rate())
             self._changed.notify_all()
         self._count_stale()
 
@@ -298,17 +295,10 @@ class Acquisition:
             return 0.0
         return (len(self._times_ns) - 1) * 1e9 / (self._times_ns[-1] - self._times_ns[0])
 
-    def _count_corrupt(self) -> None:
-        self._sequence += 1
-        with self._changed:
-            self._status = replace(self._status, corrupt=self._status.corrupt + 1)
-        self._count_stale()
-
     def _count_stale(self) -> None:
         stale = self._stale_before + (self._counting.stale if self._counting is not None else 0)
         if stale != self._status.stale:
-            with self._changed:
-                self._status = replace(self._status, stale=stale)
+            self._set(stale=stale)
 
     def _set(self, **changes: object) -> None:
         """Change the status, and report it when the state or the fault differs from before."""

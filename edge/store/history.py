@@ -102,8 +102,15 @@ def write_history(path: Path, rows: Iterable[HistoryRow]) -> int:
     if write is None:
         raise StoreError(f"the ending of {path} names no format; known are {', '.join(FORMATS)}")
     part = path.with_name(path.name + ".part")
+    number = 0
+
+    def counted() -> Iterator[HistoryRow]:
+        nonlocal number
+        for number, row in enumerate(rows, 1):  # noqa: B007  # it is returned
+            yield row
+
     try:
-        number = write(part, rows)
+        write(part, counted())
         os.replace(part, path)
     except OSError as error:
         raise StoreError(
@@ -114,19 +121,15 @@ def write_history(path: Path, rows: Iterable[HistoryRow]) -> int:
     return number
 
 
-def _write_csv(path: Path, rows: Iterable[HistoryRow]) -> int:
+def _write_csv(path: Path, rows: Iterator[HistoryRow]) -> None:
     """Write a row of column names, then the presses. An empty cell is a missing value."""
-    number = 0
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
-        for row in rows:
-            writer.writerow(astuple(row))
-            number += 1
-    return number
+        writer.writerows(map(astuple, rows))
 
 
-def _write_parquet(path: Path, rows: Iterable[HistoryRow]) -> int:
+def _write_parquet(path: Path, rows: Iterator[HistoryRow]) -> None:
     """Column `time_ns` is a moment in UTC, so that programs need no conversion."""
     import pyarrow as pa
     from pyarrow import parquet
@@ -134,18 +137,12 @@ def _write_parquet(path: Path, rows: Iterable[HistoryRow]) -> int:
     types = {"number": pa.int64(), "time_ns": pa.timestamp("ns", "UTC")}
     types |= {name: pa.float64() for name in ("running_s", "score", "threshold")}
     schema = pa.schema([(name, types.get(name, pa.string())) for name in COLUMNS])
-    number = 0
     with parquet.ParquetWriter(path, schema) as writer:
-        remaining = iter(rows)
-        while group := list(islice(remaining, GROUP_ROWS)):
-            columns = zip(*map(astuple, group), strict=True)
-            arrays = [pa.array(values, field.type) for values, field in zip(columns, schema, strict=True)]
-            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
-            number += len(group)
-    return number
+        while group := list(map(vars, islice(rows, GROUP_ROWS))):
+            writer.write_table(pa.Table.from_pylist(group, schema))
 
 
-FORMATS: Final[Mapping[str, Callable[[Path, Iterable[HistoryRow]], int]]] = {
+FORMATS: Final[Mapping[str, Callable[[Path, Iterator[HistoryRow]], None]]] = {
     ".csv": _write_csv,
     ".parquet": _write_parquet,
 }
