@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 from edge.acquisition import Acquisition, AcquisitionStatus
 from edge.core.errors import PressesMissed, StoreError
 from edge.core.imaging.frames import CameraFrame
-from edge.core.imaging.quality import QualitySettings, Reason
+from edge.core.imaging.quality import MAX_AGE_S, Reason
 from edge.core.ports import Clock
 from edge.gateway.inspection_session import InspectionSession
 from edge.gateway.recorder import PressReport
@@ -51,7 +51,7 @@ STEP_NS: Final = 2 * 10**9
 # The alarm ends when there is this much more room than where it began, so that it does not come and go.
 CLEARED_AT: Final = 1.1
 # A frame older than this when it is processed cannot be judged any more.
-LATE_NS: Final = round(QualitySettings().max_age_s * 1e9)
+LATE_NS: Final = round(MAX_AGE_S * 1e9)
 
 
 class FrameCounts(NamedTuple):

@@ -18,7 +18,7 @@ from typing import Final
 from edge.core.backoff import Backoff
 from edge.core.errors import StoreError
 from edge.core.ports import Clock, Message, ReportsFaults, Sink
-from edge.messaging.sink_worker import OnChange, RetainedState, SinkCounters, SinkWorker
+from edge.messaging.sink_worker import RetainedState, SinkCounters, SinkWorker
 from edge.store.outbox import Outbox, OutboxStatus
 
 __all__ = ["Publisher", "PublisherLock"]
@@ -83,7 +83,7 @@ BACKOFF_CEILING_S: Final = 5.0
 class Publisher:
     """All workers over one database, each in its own thread.
 
-    database: the store's file. sinks: name to sink, already open; the publisher closes them. on_change: see OnChange.
+    database: the store's file. sinks: name to sink, already open; the publisher closes them.
     lock: that of the database, if it was taken before the sinks were opened; the publisher releases it. before: see
     `Outbox.register`.
     Errors: StoreError if another process publishes from this database: two would mix the order.
@@ -96,7 +96,6 @@ class Publisher:
         retained_state: RetainedState,
         clock: Clock,
         rng: random.Random,
-        on_change: OnChange = lambda name, is_up, sentence: None,
         lock: PublisherLock | None = None,
         before: Mapping[str, str] | None = None,
     ) -> None:
@@ -115,7 +114,6 @@ class Publisher:
                 retained_state,
                 clock,
                 Backoff(rng, BACKOFF_FIRST_S, BACKOFF_CEILING_S),
-                on_change,
             )
             for name, sink in self._sinks.items()
         }

@@ -6,7 +6,7 @@ Each row that a sink refused is offered again in its turn, for permissions and l
 import json
 import logging
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -21,7 +21,6 @@ from edge.store.outbox import Outbox, OutboxRow
 __all__ = [
     "IDLE_S",
     "OFFER_REFUSED_S",
-    "OnChange",
     "RefusedRows",
     "RetainedState",
     "SinkCounters",
@@ -156,9 +155,6 @@ BATCH_ROWS: Final = 16
 # An idle worker checks the outbox this often: other processes (`gelgate gel replace`) cannot wake it.
 IDLE_S: Final = 5.0
 
-OnChange = Callable[[str, bool, str], None]
-"""(sink name, whether it accepts messages now, one sentence). Called on changes only, from the worker's thread."""
-
 
 @dataclass(frozen=True)
 class SinkCounters:
@@ -194,7 +190,6 @@ class SinkWorker:
         retained_state: RetainedState,
         clock: Clock,
         backoff: Backoff,
-        on_change: OnChange,
     ) -> None:
         self.name = name
         self.counters = SinkCounters()
@@ -202,8 +197,7 @@ class SinkWorker:
         self._outbox = outbox
         self._retained_state = retained_state
         self._backoff = backoff
-        self._on_change = on_change
-        self._has_changed = False  # whether `on_change` was ever called
+        self._has_said = False  # whether the log has a line on this sink
         self._sent_version = 0  # version of the retained state that this sink has
         self._passed = 0  # every row up to this one is settled with this sink
         self._accepted: int | None = (
@@ -218,7 +212,7 @@ class SinkWorker:
     def step(self) -> float:
         """Send changed state and at most one batch of rows; returns seconds until the next step, 0 for at once.
 
-        Never raises a SinkError or a StoreError: both are counted and retried. A SinkError is reported by `on_change`.
+        Never raises a SinkError or a StoreError: both are counted and retried. A SinkError is logged once.
         While the store refuses, a row that the sink has accepted is not sent again, only acknowledged again.
         """
         has_failed = self._backoff.failures > 0
@@ -291,7 +285,7 @@ class SinkWorker:
         self._backoff.succeeded()
         if not self.counters.is_up:
             self.counters = replace(self.counters, is_up=True, last_error="")
-            self._change(True, f"sink {self.name} accepts messages")
+            self._log_change(True, f"sink {self.name} accepts messages")
 
     def _note_stored(self) -> None:
         self._backoff.succeeded()
@@ -308,12 +302,12 @@ class SinkWorker:
         return self._backoff.failed()
 
     def _note_failure(self, error: SinkError) -> float:
-        is_news = self.counters.is_up or not self._has_changed
+        is_news = self.counters.is_up or not self._has_said
         self.counters = replace(
             self.counters, is_up=False, failed=self.counters.failed + 1, last_error=str(error)
         )
         if is_news:
-            self._change(False, str(error))
+            self._log_change(False, str(error))
         return self._backoff.failed()
 
     def _note_refused(self, message: Message, why: str) -> None:
@@ -322,10 +316,9 @@ class SinkWorker:
             log.warning("sink %s refused a message on %s: %s", self.name, message.topic, why)
         self._refuses.add(kind_of(message))
 
-    def _change(self, is_up: bool, sentence: str) -> None:
-        self._has_changed = True
+    def _log_change(self, is_up: bool, sentence: str) -> None:
+        self._has_said = True
         log.log(logging.INFO if is_up else logging.WARNING, "%s", sentence)
-        self._on_change(self.name, is_up, sentence)
 
 
 def _press_id(message: Message) -> str | None:

@@ -11,7 +11,6 @@ from edge.core.errors import FrameCorrupt, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import (
-    QualitySettings,
     Reason,
     Rejection,
     check_contact,
@@ -36,11 +35,10 @@ class Inspector:
 
     fault: str | None = None
 
-    def __init__(self, scorer: Scorer, clock: Clock, quality: QualitySettings | None = None) -> None:
+    def __init__(self, scorer: Scorer, clock: Clock) -> None:
         self.scorer = scorer
         self.bundle = scorer.bundle
         self._clock = clock
-        self._quality = quality or QualitySettings()
         colours = self.bundle.manifest.colours
         self._colours = colours.nominal() if colours else None
         self.expected = find_expected_reach(
@@ -62,7 +60,7 @@ class Inspector:
         if self.fault is not None:
             return replace(press, error=self.fault)
         now_ns = self._clock.monotonic_ns()
-        stale = None if frame.is_on_demand else check_freshness(frame.timestamp_ns, now_ns, self._quality)
+        stale = None if frame.is_on_demand else check_freshness(frame.timestamp_ns, now_ns)
         if stale:
             return press.reject(stale)
         started_ns = self._clock.monotonic_ns()
@@ -73,7 +71,7 @@ class Inspector:
         latency = {"decode": (self._clock.monotonic_ns() - started_ns) / 1e6}
         rgb = np.ascontiguousarray(self.bundle.region.crop(picture))
         press = replace(press, rgb=rgb, latency_ms=latency)
-        rejection = check_light(picture, self._quality)
+        rejection = check_light(picture)
         if rejection is None and self._colours is not None:
             rejection = check_sensor(rgb, self._colours)
         if rejection is None and self.bundle.manifest.contact is not None:

@@ -242,10 +242,10 @@ class Store:
             self._keep_count(gel, sequence)
         return gel
 
-    def gels(self, serial: str | None = None) -> list[GelRecord]:
-        """Every gel of this sensor, or of all sensors, oldest first; the mounted one has no `removed_ns`."""
+    def gels(self) -> list[GelRecord]:
+        """Every gel, by its sensor, oldest first; a mounted one has no `removed_ns`."""
         with self._database.reading("reading the gel ledger") as connection:
-            return ledger.history(connection, serial, self._warn_fraction)
+            return ledger.history(connection, None, self._warn_fraction)
 
     def replace_gel(
         self,

@@ -42,7 +42,7 @@ def test_a_broker_killed_in_the_middle_and_restarted_loses_nothing(
     with Store(path) as store, Outbox(path) as outbox:
         outbox.register(["mqtt"])
         backoff = Backoff(random.Random(1), 0.05, 0.2)
-        worker = SinkWorker("mqtt", sink, outbox, RetainedState(), SystemClock(), backoff, lambda *_: None)
+        worker = SinkWorker("mqtt", sink, outbox, RetainedState(), SystemClock(), backoff)
         for outage in range(2):
             heard.append(listen(broker, client_id=f"listener{outage}"))
             while worker.step() != IDLE_S:

@@ -32,7 +32,7 @@ def test_replacing_a_gel_starts_at_zero_and_keeps_the_old_one(store: Store) -> N
     store.replace_gel(SERIAL, time_ns=50, limit_presses=300, note="torn by a thread")
     count(store, make_press(3))
 
-    old, new = store.gels(SERIAL)
+    old, new = store.gels()
     assert (old.gel_id, old.presses, old.removed_ns) == ("2BNN4ZE7-1", 2, 50)
     assert (new.gel_id, new.presses, new.removed_ns) == ("2BNN4ZE7-2", 1, None)
     assert (new.limit_presses, new.note) == (300, "torn by a thread")

@@ -47,16 +47,9 @@ def worker(
     name: str = "mqtt",
     retained_state: RetainedState | None = None,
     clock: ManualClock | None = None,
-    changes: list[tuple[bool, str]] | None = None,
 ) -> SinkWorker:
-    def note(name: str, is_up: bool, sentence: str) -> None:
-        if changes is not None:
-            changes.append((is_up, sentence))
-
     backoff = Backoff(random.Random(1), 0.1, 5.0)
-    return SinkWorker(
-        name, sink, outbox, retained_state or RetainedState(), clock or ManualClock(), backoff, note
-    )
+    return SinkWorker(name, sink, outbox, retained_state or RetainedState(), clock or ManualClock(), backoff)
 
 
 def drain(worker: SinkWorker) -> None:

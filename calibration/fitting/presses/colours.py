@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.imaging.quality import QualitySettings
+from edge.core.imaging.quality import BLACK_LEVEL
 from edge.core.imaging.sensor_check import check_sensor, colour_cells, colour_distance
 from edge.model.manifest import ColourEntry
 
@@ -50,7 +50,7 @@ def nominal_colours(frames: NDArray[np.uint8]) -> ColourEntry | None:
     """
     cells = np.stack([colour_cells(np.ascontiguousarray(rgb), CELLS) for rgb in frames])
     mean = cells.mean(axis=0)
-    if mean.mean() < QualitySettings().black_level:
+    if mean.mean() < BLACK_LEVEL:
         return None
     n = len(cells)
     others = [(mean * n - one) / (n - 1) if n > 1 else mean for one in cells]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from edge.core.contact.reference import View
 
 __all__ = [
+    "BLACK_LEVEL",
     "Touch",
     "is_black",
     "mask_beyond",
@@ -30,8 +31,8 @@ CHANGE_LEVELS = 12.0
 # Adds the colours of a pixel.
 _SUM = np.ones((1, 3), np.float32)
 
-_BLACK_LEVEL = 8.0
-"""A mean level below this is a camera that is not ready: real backgrounds have means of 78 to 168."""
+BLACK_LEVEL = 8.0
+"""Below this mean level the LEDs or the camera are off, or not ready: real backgrounds have means of 78 to 168."""
 
 
 @dataclass(frozen=True)
@@ -93,4 +94,4 @@ def measure_change(view: View, earlier: View) -> float:
 
 def is_black(view: View) -> bool:
     """True for the black frames with which a camera starts."""
-    return float(view.mean()) < _BLACK_LEVEL
+    return float(view.mean()) < BLACK_LEVEL

@@ -7,23 +7,26 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.contact.mask import Touch
+from edge.core.contact.mask import BLACK_LEVEL, Touch
 
 __all__ = [
     "BLACK_LEVEL",
+    "MAX_AGE_S",
     "NominalContact",
-    "QualitySettings",
     "Reason",
     "Rejection",
     "check_contact",
     "check_freshness",
     "check_light",
-    "saturated_fraction",
 ]
 
+# A value of 250 of 255 no longer shows the slope. Steep flanks of real imprints clip in blue and red on far less than
+# 5 %.
+SATURATED_LEVEL: Final = 250
+SATURATED_SHARE: Final = 0.10
 
-# Real no-contact pictures have mean levels of 78 to 168; below 8 the LEDs or the camera are off.
-BLACK_LEVEL: Final = 8.0
+MAX_AGE_S: Final = 1.0
+"""The age of a frame at which it is not judged any more."""
 
 
 class Reason(StrEnum):
@@ -69,65 +72,33 @@ class NominalContact:
                 raise ValueError(f"{name} runs from low to high, found {low} to {high}")
 
 
-@dataclass(frozen=True)
-class QualitySettings:
-    """Limits on the light and the age of a scored frame."""
-
-    black_level: float = BLACK_LEVEL
-    # A value of 250 of 255 no longer shows the slope. Steep flanks of real imprints clip in blue and red on far less
-    # than 5 %.
-    saturated_level: int = 250
-    saturated_fraction: float = 0.10
-    max_age_s: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not (0 <= self.black_level < self.saturated_level <= 255 and 0 < self.saturated_fraction <= 1):
-            raise ValueError(
-                f"0 <= black_level < saturated_level <= 255 and a fraction in (0, 1], found {self}"
-            )
-        if self.max_age_s <= 0:
-            raise ValueError(f"max_age_s is positive, found {self.max_age_s}")
-
-
-def check_light(
-    rgb: NDArray[np.uint8], settings: QualitySettings | None = None, free_saturated: float = 0.0
-) -> Rejection | None:
-    """Black or saturated, or None. rgb: uint8 (h, w, 3). free_saturated: what the untouched gel saturates already."""
-    limits = settings or QualitySettings()
+def check_light(rgb: NDArray[np.uint8]) -> Rejection | None:
+    """Black or saturated, or None. rgb: uint8 (h, w, 3)."""
     mean = float(rgb.mean(dtype=np.float64))
-    if mean < limits.black_level:
+    if mean < BLACK_LEVEL:
         return Rejection(
             Reason.BLACK,
-            f"the frame's mean level is {mean:.1f}, at least {limits.black_level:g} is expected; "
+            f"the frame's mean level is {mean:.1f}, at least {BLACK_LEVEL:g} is expected; "
             "check the sensor's light and cable",
         )
-    excess = saturated_fraction(rgb, limits) - free_saturated
-    if excess > limits.saturated_fraction:
+    share = float((rgb.max(axis=2) >= SATURATED_LEVEL).mean())
+    if share > SATURATED_SHARE:
         return Rejection(
             Reason.SATURATED,
-            f"{excess:.0%} of the frame is saturated beyond the free gel, at most {limits.saturated_fraction:.0%} "
-            "is accepted; lower the exposure or the press depth",
+            f"{share:.0%} of the frame is saturated, at most {SATURATED_SHARE:.0%} is accepted; lower the exposure or "
+            "the press depth",
         )
     return None
 
 
-def saturated_fraction(rgb: NDArray[np.uint8], settings: QualitySettings | None = None) -> float:
-    """The fraction of pixels with a saturated channel. rgb: uint8 (h, w, 3)."""
-    limits = settings or QualitySettings()
-    return float((rgb.max(axis=2) >= limits.saturated_level).mean())
-
-
-def check_freshness(
-    timestamp_ns: int, now_ns: int, settings: QualitySettings | None = None
-) -> Rejection | None:
+def check_freshness(timestamp_ns: int, now_ns: int) -> Rejection | None:
     """Stale, or None. Both times are monotonic; a frame from the future is also refused."""
-    limits = settings or QualitySettings()
     age_s = (now_ns - timestamp_ns) / 1e9
-    if 0 <= age_s <= limits.max_age_s:
+    if 0 <= age_s <= MAX_AGE_S:
         return None
     return Rejection(
         Reason.STALE,
-        f"the frame is {age_s:.2f} s old, at most {limits.max_age_s:g} s is accepted; check the machine's load",
+        f"the frame is {age_s:.2f} s old, at most {MAX_AGE_S:g} s is accepted; check the machine's load",
     )
 
 

@@ -34,8 +34,9 @@ class Region:
             raise ValueError(f"a region has x, y >= 0 and width, height >= 1, found {self}")
 
     @classmethod
-    def centre(cls, size: tuple[int, int], side: int = CENTRE_SIDE) -> Self:
+    def centre(cls, size: tuple[int, int]) -> Self:
         """The central square of a picture of size (width, height)."""
+        side = CENTRE_SIDE
         x, y = (size[0] - side) // 2, (size[1] - side) // 2
         if min(x, y) < 0:
             raise ConfigError(

@@ -19,7 +19,6 @@ _HEAD = """\
 def access_rules(
     station: DescribedStation,
     user: str,
-    reader: str = "reader",
     discovery_prefix: str | None = None,
     node: SparkplugNode | None = None,
 ) -> str:
@@ -43,7 +42,7 @@ def access_rules(
             *(f"topic read {topic}" for topic in reads),
             "",
             "# Sees what the station says, and no request.",
-            f"user {reader}",
+            "user reader",
             *(f"topic read {station.root}/{name}" for name in sent),
             "",
         ]
