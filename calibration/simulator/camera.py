@@ -49,17 +49,17 @@ def gel_rim(field: Field) -> F32 | None:
     if field.extent_mm[0] < _PAD_MM[0] and field.extent_mm[1] < _PAD_MM[1]:
         return None
     x, y = grids(field)
-    beyond = np.maximum(np.abs(x) - np.float32(_PAD_MM[0] / 2), np.abs(y) - np.float32(_PAD_MM[1] / 2))
-    inside = np.clip(np.float32(0.5) - beyond / np.float32(0.8), 0, 1)
-    return np.asarray(np.float32(_RIM_LEVEL) + np.float32(1 - _RIM_LEVEL) * inside, dtype=np.float32)
+    beyond = np.maximum(np.abs(x) - _PAD_MM[0] / 2, np.abs(y) - _PAD_MM[1] / 2)
+    inside = np.clip(0.5 - beyond / 0.8, 0, 1)
+    return np.asarray(_RIM_LEVEL + (1 - _RIM_LEVEL) * inside, dtype=np.float32)
 
 
 @lru_cache(maxsize=4)
 def lens_falloff(field: Field) -> F32:
     """The share of light that the lens passes, float32 (h, w): 1 at the centre, 0.75 at the crop's corners."""
     x, y = grids(field)
-    r2 = (x * x + y * y) / np.float32(10.14**2 + 7.61**2)
-    return np.asarray(1 / (1 + np.float32(_CORNER_LOSS / (1 - _CORNER_LOSS)) * r2), dtype=np.float32)
+    r2 = (x * x + y * y) / (10.14**2 + 7.61**2)
+    return np.asarray(1 / (1 + _CORNER_LOSS / (1 - _CORNER_LOSS) * r2), dtype=np.float32)
 
 
 def vignette(planes: F32, falloff: F32) -> F32:
@@ -122,7 +122,7 @@ def led_drift(planes: F32, time_s: float, rng: np.random.Generator) -> F32:
         waves = sum(
             math.sin(2 * math.pi * time_s / period + p) for period, p in zip(_WANDER_S, phases, strict=True)
         )
-        plane *= np.float32(warm + _WANDER * waves)
+        plane *= warm + _WANDER * waves
     return planes
 
 

@@ -40,6 +40,10 @@ class Defect:
             raise ValueError(f"severity is in [0, 1], found {self.severity}")
         if self.size <= 0:
             raise ValueError(f"the size of a defect is positive, found {self.size}")
+        # A number of NumPy's would widen the arithmetic of heights to float64.
+        for name in ("severity", "turn_rad", "size"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        object.__setattr__(self, "at_mm", (float(self.at_mm[0]), float(self.at_mm[1])))
 
     @property
     def width(self) -> float:
@@ -59,8 +63,8 @@ class Damaged:
         if self.defect.severity == 0:
             return height
         along, across = rotate(
-            x_mm - np.float32(self.defect.at_mm[0]),
-            y_mm - np.float32(self.defect.at_mm[1]),
+            x_mm - self.defect.at_mm[0],
+            y_mm - self.defect.at_mm[1],
             self.defect.turn_rad,
         )
         return DEFECTS[self.defect.kind](self, height, along, across)
@@ -68,9 +72,7 @@ class Damaged:
     def top(self, reach_mm: float) -> float:
         """The highest point of the sound part within reach of the defect's centre."""
         offset = np.linspace(-reach_mm, reach_mm, 15, dtype=np.float32)
-        x, y = np.meshgrid(
-            offset + np.float32(self.defect.at_mm[0]), offset + np.float32(self.defect.at_mm[1])
-        )
+        x, y = np.meshgrid(offset + self.defect.at_mm[0], offset + self.defect.at_mm[1])
         return float(self.part(x, y).max())
 
 
@@ -86,11 +88,9 @@ def _bell(distance: ArrayLike) -> F32:
 def _dent(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     """A round hollow up to 0.4 mm deep with the displaced metal as a low rim: a knock by something blunt."""
     d = piece.defect
-    r = np.sqrt(along * along + across * across) / np.float32(0.8 * d.width)
+    r = np.sqrt(along * along + across * across) / (0.8 * d.width)
     rim = reproducible_math.exp(-(((r - 1.05) / 0.22) ** 2))
-    return f32(
-        height - np.float32(DENT_DEPTH_MM * d.severity) * _bell(r) + np.float32(0.05 * d.severity) * rim
-    )
+    return f32(height - DENT_DEPTH_MM * d.severity * _bell(r) + 0.05 * d.severity * rim)
 
 
 def _burr(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
@@ -101,34 +101,29 @@ def _burr(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     ragged = 0.7 + 0.3 * reproducible_math.sin(
         along * np.float32(rng.uniform(6, 11)) + np.float32(rng.uniform(0, 6))
     )
-    ridge = _bell(np.abs(along) / np.float32(length)) * _bell(np.abs(across) / np.float32(width))
-    near_top = ramp((height - np.float32(piece.top(1.0) - 0.6)) / np.float32(0.3))
-    return f32(height + np.float32(0.22 * d.severity) * ridge * ragged * near_top)
+    ridge = _bell(np.abs(along) / length) * _bell(np.abs(across) / width)
+    near_top = ramp((height - np.float32(piece.top(1.0) - 0.6)) / 0.3)
+    return f32(height + 0.22 * d.severity * ridge * ragged * near_top)
 
 
 def _scratch(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     """A furrow up to 0.16 mm deep and about 0.2 mm wide with raised lips."""
     d = piece.defect
-    bend = np.float32(0.12 / d.size) * along * along
-    u = np.abs(across - bend) / np.float32(0.11 * d.width)
-    along_it = ramp((np.float32(1.8 * d.size) - np.abs(along)) / np.float32(0.5))
+    bend = 0.12 / d.size * along * along
+    u = np.abs(across - bend) / (0.11 * d.width)
+    along_it = ramp((1.8 * d.size - np.abs(along)) / 0.5)
     lips = reproducible_math.exp(-(((u - 1.5) / 0.45) ** 2))
     furrow = np.maximum(1 - u, 0)
-    return f32(
-        height
-        + along_it
-        * np.float32(d.severity)
-        * (np.float32(0.025) * lips - np.float32(SCRATCH_DEPTH_MM) * furrow)
-    )
+    return f32(height + along_it * d.severity * (0.025 * lips - SCRATCH_DEPTH_MM * furrow))
 
 
 def _flattened_crest(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     """The highest relief is pressed down to a plane up to 0.4 mm lower, over 2 x 1.2 mm, with a little spread metal."""
     d = piece.defect
     top = np.float32(piece.top(0.9 * d.size))
-    inside = ramp((1.25 - np.abs(along) / np.float32(1.1 * d.width)) * 3)
-    inside = inside * ramp((1.25 - np.abs(across) / np.float32(0.65 * d.width)) * 3)
-    plane = top - np.float32(0.4 * d.severity)
+    inside = ramp((1.25 - np.abs(along) / (1.1 * d.width)) * 3)
+    inside = inside * ramp((1.25 - np.abs(across) / (0.65 * d.width)) * 3)
+    plane = top - 0.4 * d.severity
     return f32(height - inside * np.maximum(height - plane, 0))
 
 
@@ -136,15 +131,14 @@ def _abrasion(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     """A rubbed patch: up to 0.12 mm removed from the highest relief, and parallel grinding marks."""
     d = piece.defect
     rng = np.random.default_rng(d.seed)
-    r = np.sqrt((along / np.float32(1.7)) ** 2 + across**2) / np.float32(0.95 * d.width)
+    r = np.sqrt((along / 1.7) ** 2 + across**2) / (0.95 * d.width)
     patch = ramp((1 - r) * 2.5)
     marks = sum(
-        reproducible_math.sin(across * np.float32(k) + np.float32(p))
-        for k, p in rng.uniform((18, 0), (45, 6.3), (3, 2))
+        reproducible_math.sin(across * k + p) for k, p in rng.uniform((18, 0), (45, 6.3), (3, 2)).tolist()
     )
-    exposed = ramp((height - np.float32(piece.top(1.2) - 0.5)) / np.float32(0.4))
-    taken = np.float32(0.12) + np.float32(0.02) * marks
-    return f32(height - np.float32(d.severity) * patch * exposed * taken)
+    exposed = ramp((height - np.float32(piece.top(1.2) - 0.5)) / 0.4)
+    taken = 0.12 + 0.02 * marks
+    return f32(height - d.severity * patch * exposed * taken)
 
 
 def _material_loss(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
@@ -157,37 +151,33 @@ def _material_loss(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
         + 0.18 * reproducible_math.sin(3 * angle + np.float32(rng.uniform(0, 6)))
         + 0.1 * reproducible_math.sin(5 * angle + np.float32(rng.uniform(0, 6)))
     )
-    r = np.sqrt(along * along + across * across) / (np.float32(0.9 * d.width) * lobes)
-    face = (
-        np.float32(0.8 * d.severity)
-        * ramp((1 - r) * 2)
-        * (np.float32(0.75) + np.float32(0.25) * reproducible_math.tanh(along))
-    )
+    r = np.sqrt(along * along + across * across) / (0.9 * d.width * lobes)
+    face = (0.8 * d.severity) * ramp((1 - r) * 2) * (0.75 + 0.25 * reproducible_math.tanh(along))
     return f32(height - face)
 
 
 def _thread_discontinuity(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     """Relief torn away over 2.4 x 1.6 mm: crests fall and valleys fill towards their common mean."""
     d = piece.defect
-    x0, y0 = np.float32(d.at_mm[0]), np.float32(d.at_mm[1])
+    x0, y0 = d.at_mm[0], d.at_mm[1]
     back_x, back_y = rotate(along, across, -d.turn_rad)
     stencil = [0.75 * k / 3 for k in range(-3, 4)]
-    mean = sum(piece.part(back_x + x0, back_y + y0 + np.float32(s)) for s in stencil) / np.float32(7)
-    inside = ramp((1.2 - np.abs(along) / np.float32(1.3 * d.width)) * 3)
-    inside = inside * ramp((1.2 - np.abs(across) / np.float32(0.9 * d.width)) * 3)
+    mean = sum(piece.part(back_x + x0, back_y + y0 + s) for s in stencil) / 7
+    inside = ramp((1.2 - np.abs(along) / (1.3 * d.width)) * 3)
+    inside = inside * ramp((1.2 - np.abs(across) / (0.9 * d.width)) * 3)
     level = np.minimum(f32(mean), np.float32(piece.top(1.0)))
-    return f32(height + np.float32(d.severity) * inside * (level - height))
+    return f32(height + d.severity * inside * (level - height))
 
 
 def _impact_mark(piece: Damaged, height: F32, along: F32, across: F32) -> F32:
     """A notch up to 0.35 mm deep from a sharp edge: long, narrow, steep on one side, with a burr on the other."""
     d = piece.defect
-    length = _bell(np.abs(along) / np.float32(1.2 * d.width))
-    u = across / np.float32(0.38 * d.width)
+    length = _bell(np.abs(along) / (1.2 * d.width))
+    u = across / (0.38 * d.width)
     notch = np.maximum(1 - np.where(u > 0, 0.8 * u, -2.2 * u), 0)
     lip = reproducible_math.exp(-(((u + 0.75) / 0.3) ** 2))
-    change = np.float32(0.08) * lip - np.float32(0.35) * notch
-    return f32(height + np.float32(d.severity) * length * change)
+    change = 0.08 * lip - 0.35 * notch
+    return f32(height + d.severity * length * change)
 
 
 DEFECTS: Mapping[str, Change] = {

@@ -62,8 +62,8 @@ def dust_relief(grains: F64, presses: int, field: Field) -> F32:
         if came > presses:
             break
         window = _window(field, gx, gy, 3 * radius)
-        r2 = (x[window] - np.float32(gx)) ** 2 + (y[window] - np.float32(gy)) ** 2
-        relief[window] += np.float32(height) * reproducible_math.exp(-r2 / np.float32(2 * radius * radius))
+        r2 = (x[window] - gx) ** 2 + (y[window] - gy) ** 2
+        relief[window] += height * reproducible_math.exp(-r2 / (2 * radius * radius))
     return relief
 
 
@@ -115,16 +115,12 @@ def wear_relief(scratches: F64, presses: int, field: Field) -> F32:
         if came > presses:
             break
         window = _window(field, sx, sy, length / 2 + 0.2)
-        dx, dy = x[window] - np.float32(sx), y[window] - np.float32(sy)
-        along = np.float32(math.cos(turn)) * dx + np.float32(math.sin(turn)) * dy
-        across = (
-            np.float32(math.cos(turn)) * dy
-            - np.float32(math.sin(turn)) * dx
-            + np.float32(0.03) * along * along
-        )
-        line = reproducible_math.exp(-((across / np.float32(_SCRATCH_HALF_WIDTH_MM)) ** 2))
-        ends = np.clip((np.float32(length / 2) - np.abs(along)) / np.float32(0.3), 0, 1)
-        relief[window] -= np.float32(depth) * line * ends
+        dx, dy = x[window] - sx, y[window] - sy
+        along = math.cos(turn) * dx + math.sin(turn) * dy
+        across = math.cos(turn) * dy - math.sin(turn) * dx + 0.03 * along * along
+        line = reproducible_math.exp(-((across / _SCRATCH_HALF_WIDTH_MM) ** 2))
+        ends = np.clip((length / 2 - np.abs(along)) / 0.3, 0, 1)
+        relief[window] -= depth * line * ends
     return relief
 
 
@@ -137,10 +133,8 @@ def wear_stains(stains: F64, presses: int, field: Field) -> F32:
             break
         # A stain that appeared at press n is fully dark at press 2n.
         share = min(1.0, (presses - came) / max(came, 1.0))
-        r2 = (x - np.float32(sx)) ** 2 + (y - np.float32(sy)) ** 2
-        keeps *= np.float32(1) - np.float32(lost * share) * reproducible_math.exp(
-            -r2 / np.float32(2 * radius * radius)
-        )
+        r2 = (x - sx) ** 2 + (y - sy) ** 2
+        keeps *= 1 - lost * share * reproducible_math.exp(-r2 / (2 * radius * radius))
     return keeps
 
 
@@ -167,10 +161,8 @@ def grain_texture(rng: np.random.Generator, field: Field) -> F32:
 
 def grain(planes: F32, surface_mm: F32, texture: F32) -> F32:
     """The planes with the coat's speckle, which a stretched coat shows about three times as strongly."""
-    stretched = np.clip(surface_mm / np.float32(0.1), 0, 1)
-    speckle = texture * (
-        np.float32(_GRAIN_LEVELS * GRAIN_FREE) + np.float32(_GRAIN_LEVELS * (1 - GRAIN_FREE)) * stretched
-    )
+    stretched = np.clip(surface_mm / 0.1, 0, 1)
+    speckle = texture * (_GRAIN_LEVELS * GRAIN_FREE + _GRAIN_LEVELS * (1 - GRAIN_FREE) * stretched)
     for plane in planes:
         plane += speckle
     return planes
@@ -196,9 +188,9 @@ def markers(planes: F32, surface_mm: F32, field: Field) -> F32:
     push_x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=DOT_SPREAD_MM / (8 * field.mm_per_px[0]))
     push_y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=DOT_SPREAD_MM / (8 * field.mm_per_px[1]))
     u, v = x + push_x, y + push_y
-    u -= np.float32(DOT_PITCH_MM[0]) * np.round(u / np.float32(DOT_PITCH_MM[0]))
-    v -= np.float32(DOT_PITCH_MM[1]) * np.round(v / np.float32(DOT_PITCH_MM[1]))
-    edge = np.float32(max(field.mm_per_px))
-    covered = np.clip((np.float32(DOT_RADIUS_MM) - cv2.sqrt(u * u + v * v)) / edge + np.float32(0.5), 0, 1)
-    planes *= np.float32(1) - np.float32(1 - DOT_KEEPS) * covered
+    u -= DOT_PITCH_MM[0] * np.round(u / DOT_PITCH_MM[0])
+    v -= DOT_PITCH_MM[1] * np.round(v / DOT_PITCH_MM[1])
+    edge = max(field.mm_per_px)
+    covered = np.clip((DOT_RADIUS_MM - cv2.sqrt(u * u + v * v)) / edge + 0.5, 0, 1)
+    planes *= 1 - (1 - DOT_KEEPS) * covered
     return planes

@@ -36,13 +36,13 @@ def normals(surface_mm: F32, field: Field) -> tuple[F32, F32]:
     scale_x, scale_y = -1 / (8 * field.mm_per_px[0]), -1 / (8 * field.mm_per_px[1])
     slope_x = cv2.Sobel(surface_mm, cv2.CV_32F, 1, 0, ksize=3, scale=scale_x, borderType=cv2.BORDER_REPLICATE)
     slope_y = cv2.Sobel(surface_mm, cv2.CV_32F, 0, 1, ksize=3, scale=scale_y, borderType=cv2.BORDER_REPLICATE)
-    length = cv2.sqrt(slope_x * slope_x + slope_y * slope_y + np.float32(1))
+    length = cv2.sqrt(slope_x * slope_x + slope_y * slope_y + 1)
     return np.asarray(slope_x / length, dtype=np.float32), np.asarray(slope_y / length, dtype=np.float32)
 
 
 def headlight(nx: F32, ny: F32) -> F32:
     """The picture when a scene names no lights: a white lamp at the camera on a Lambertian coat."""
-    level = np.float32(_HEADLIGHT_LEVEL) * cv2.sqrt(np.float32(1) - nx * nx - ny * ny)
+    level = _HEADLIGHT_LEVEL * cv2.sqrt(1 - nx * nx - ny * ny)
     return np.stack([level, level, level]).astype(np.float32, copy=False)
 
 
@@ -62,7 +62,7 @@ def illumination(nx: F32, ny: F32, free_gel: F32, per_normal: F32, curvature: F3
         for factor, square in zip(curvature[c].tolist(), squares, strict=True):
             cv2.scaleAdd(square, factor, plane, dst=plane)
         plane += free_gel[c]
-    return np.maximum(planes, np.float32(0), out=planes)
+    return np.maximum(planes, 0, out=planes)
 
 
 def raise_planes(planes: F32, surface_mm: F32, per_mm: F32) -> F32:
@@ -73,7 +73,7 @@ def raise_planes(planes: F32, surface_mm: F32, per_mm: F32) -> F32:
     """
     for plane, factor in zip(planes, per_mm, strict=True):
         plane += factor * surface_mm
-    return np.maximum(planes, np.float32(0), out=planes)
+    return np.maximum(planes, 0, out=planes)
 
 
 # A fully shadowed point keeps this share of that colour: light also comes back from the walls. FOTS uses 0.65.
@@ -93,10 +93,10 @@ def shadows(planes: F32, surface_mm: F32, field: Field) -> F32:
     for plane, (dx, dy) in zip(planes, LIGHTS, strict=True):
         spacing = field.extent_mm[0] / half[0] if dx else field.extent_mm[1] / half[1]
         hidden = _hidden_by(height, dx, dy, spacing)
-        shade = np.clip(hidden / np.float32(PENUMBRA_MM), 0, 1)
+        shade = np.clip(hidden / PENUMBRA_MM, 0, 1)
         shade = cv2.GaussianBlur(shade, (5, 5), 1.0)
         factor = cv2.resize(shade, field.size, interpolation=cv2.INTER_LINEAR)
-        plane *= np.float32(1) - np.float32(1 - _SHADOW_KEEPS) * factor
+        plane *= 1 - (1 - _SHADOW_KEEPS) * factor
     return planes
 
 
@@ -111,7 +111,7 @@ def _hidden_by(height: F32, dx: int, dy: int, spacing: float) -> F32:
             continue
         here = _slices(rows, columns, -dx * step, -dy * step)
         there = _slices(rows, columns, dx * step, dy * step)
-        over = height[there] - height[here] - np.float32(step * spacing * LIGHT_RISE)
+        over = height[there] - height[here] - step * spacing * LIGHT_RISE
         np.maximum(hidden[here], over, out=hidden[here])
     return hidden
 
@@ -129,13 +129,13 @@ def specular(planes: F32, nx: F32, ny: F32) -> F32:
     Source: Blinn's half-vector lobe, exponent 8, at most 22 grey levels. The reflection of flat gel is already in its
     colour, so only the change is added. The strength is estimated by eye on real threads.
     """
-    nz = cv2.sqrt(np.float32(1) - nx * nx - ny * ny)
+    nz = cv2.sqrt(1 - nx * nx - ny * ny)
     half_z = np.float32((1 - GLOSS_TILT**2) ** 0.5)
     flat = float(half_z) ** (2**GLOSS_DOUBLINGS)
     for plane, (dx, dy) in zip(planes, LIGHTS, strict=True):
-        towards = nx * np.float32(dx) if dx else ny * np.float32(dy)
-        lobe = np.maximum(towards * np.float32(GLOSS_TILT) + nz * half_z, np.float32(0))
+        towards = nx * dx if dx else ny * dy
+        lobe = np.maximum(towards * GLOSS_TILT + nz * half_z, 0)
         for _ in range(GLOSS_DOUBLINGS):
             lobe *= lobe
-        plane += np.float32(_GLOSS_LEVEL) * (lobe - np.float32(flat))
+        plane += _GLOSS_LEVEL * (lobe - flat)
     return planes

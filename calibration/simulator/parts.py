@@ -41,16 +41,16 @@ def _thread(turn: float) -> HeightField:
     """An external thread with its axis vertical in the picture, after a turn (in revolutions) about that axis."""
 
     def height(x_mm: F32, y_mm: F32) -> F32:
-        side = np.clip(x_mm / np.float32(_THREAD_RADIUS_MM), -1, 1)
-        angle = reproducible_math.arcsin(side) / np.float32(2 * math.pi)
-        phase = y_mm / np.float32(_THREAD_PITCH_MM) - angle + np.float32(turn)
-        from_crest = np.abs(phase - np.round(phase)) * np.float32(_THREAD_PITCH_MM)
-        flat = np.float32(_THREAD_PITCH_MM / 16)
-        cut = np.clip((from_crest - flat) * np.float32(_FLANK), 0, np.float32(0.6134 * _THREAD_PITCH_MM))
-        radius = np.float32(_THREAD_RADIUS_MM) - cut
+        side = np.clip(x_mm / _THREAD_RADIUS_MM, -1, 1)
+        angle = reproducible_math.arcsin(side) / (2 * math.pi)
+        phase = y_mm / _THREAD_PITCH_MM - angle + turn
+        from_crest = np.abs(phase - np.round(phase)) * _THREAD_PITCH_MM
+        flat = _THREAD_PITCH_MM / 16
+        cut = np.clip((from_crest - flat) * _FLANK, 0, 0.6134 * _THREAD_PITCH_MM)
+        radius = _THREAD_RADIUS_MM - cut
         # The point of the bolt is chamfered at 45 degrees, so the first crest is cut short.
-        radius = np.minimum(radius, np.float32(_THREAD_RADIUS_MM - _THREAD_START_MM) + y_mm)
-        top = radius * np.sqrt(1 - side * side) - np.float32(_THREAD_RADIUS_MM)
+        radius = np.minimum(radius, (_THREAD_RADIUS_MM - _THREAD_START_MM) + y_mm)
+        top = radius * np.sqrt(1 - side * side) - _THREAD_RADIUS_MM
         return f32(np.maximum(np.where(np.abs(side) < 1, top, FLOOR_MM), FLOOR_MM))
 
     return height
@@ -59,17 +59,17 @@ def _thread(turn: float) -> HeightField:
 def _connector(x_mm: F32, y_mm: F32) -> F32:
     """A round fitting: a flat sealing face with an O-ring groove, two bayonet slots and three contact pins."""
     height = plateau(disc(x_mm, y_mm, 6.2), 0.0, FLOOR_MM, 0.25)
-    groove = np.abs(disc(x_mm, y_mm, 4.9)) - np.float32(0.45)
-    height = np.minimum(height, -np.float32(0.7) * ramp(-groove / np.float32(0.2)))
+    groove = np.abs(disc(x_mm, y_mm, 4.9)) - 0.45
+    height = np.minimum(height, -0.7 * ramp(-groove / 0.2))
     bore = plateau(disc(x_mm, y_mm, 3.3), 1.0, 0.0, 0.2)
-    height = np.where(bore > 0, np.minimum(height, -np.float32(1.6) * ramp(bore)), height)
+    height = np.where(bore > 0, np.minimum(height, -1.6 * ramp(bore)), height)
     for angle in (0.6, 0.6 + math.pi):
         along, across = rotate(x_mm, y_mm, angle)
-        slot = box(along - np.float32(5.9), across, 0.9, 0.55, 0.3)
-        height = np.minimum(height, -np.float32(1.2) * ramp(-slot / np.float32(0.15)))
+        slot = box(along - 5.9, across, 0.9, 0.55, 0.3)
+        height = np.minimum(height, -1.2 * ramp(-slot / 0.15))
     for angle in (math.pi / 2, math.pi / 2 + 2.1, math.pi / 2 - 2.1):
-        px, py = x_mm - np.float32(1.75 * math.cos(angle)), y_mm - np.float32(1.75 * math.sin(angle))
-        dome = np.sqrt(np.maximum(0.55**2 - px * px - py * py, 0)) - np.float32(0.62)
+        px, py = x_mm - 1.75 * math.cos(angle), y_mm - 1.75 * math.sin(angle)
+        dome = np.sqrt(np.maximum(0.55**2 - px * px - py * py, 0)) - 0.62
         height = np.maximum(height, np.where(disc(px, py, 0.54) < 0, dome, FLOOR_MM))
     return f32(height)
 
@@ -79,16 +79,16 @@ def _grooves(offset: tuple[float, float], half_turn: bool) -> HeightField:
 
     def height(x_mm: F32, y_mm: F32) -> F32:
         x, y = (-x_mm, -y_mm) if half_turn else (x_mm, y_mm)
-        x, y = x + np.float32(offset[0]), y + np.float32(offset[1])
+        x, y = x + offset[0], y + offset[1]
         solid = plateau(box(x, y, 8.0, 5.6, 0.4), 0.0, FLOOR_MM, 0.15)
         for k in range(-2, 3):
-            groove = box(x + np.float32(1.6), y - np.float32(1.9 * k), 4.6, 0.42, 0.1)
-            solid = np.minimum(solid, -np.float32(0.8) * ramp(-groove / np.float32(0.16)))
-        slot = box(x - np.float32(4.4), y, 0.45, 4.4, 0.2)
-        solid = np.minimum(solid, -np.float32(1.0) * ramp(-slot / np.float32(0.14)))
-        tooth = box(x - np.float32(6.3), y, 0.9, 1.1, 0.1)
-        pocket = box(x - np.float32(6.6), y, 1.5, 2.4, 0.3)
-        solid = np.minimum(solid, -np.float32(0.9) * ramp(-pocket / np.float32(0.15)))
+            groove = box(x + 1.6, y - 1.9 * k, 4.6, 0.42, 0.1)
+            solid = np.minimum(solid, -0.8 * ramp(-groove / 0.16))
+        slot = box(x - 4.4, y, 0.45, 4.4, 0.2)
+        solid = np.minimum(solid, -1.0 * ramp(-slot / 0.14))
+        tooth = box(x - 6.3, y, 0.9, 1.1, 0.1)
+        pocket = box(x - 6.6, y, 1.5, 2.4, 0.3)
+        solid = np.minimum(solid, -0.9 * ramp(-pocket / 0.15))
         return f32(np.maximum(solid, plateau(tooth, -0.02, FLOOR_MM, 0.3)))
 
     return height
@@ -96,17 +96,15 @@ def _grooves(offset: tuple[float, float], half_turn: bool) -> HeightField:
 
 def _bracket(x_mm: F32, y_mm: F32) -> F32:
     """A stepped plate 7 mm long with an eye, two notches and a raised rib."""
-    plate = np.minimum(box(x_mm, y_mm, 3.4, 2.1, 0.5), box(x_mm + np.float32(2.4), y_mm, 1.4, 2.8, 0.6))
+    plate = np.minimum(box(x_mm, y_mm, 3.4, 2.1, 0.5), box(x_mm + 2.4, y_mm, 1.4, 2.8, 0.6))
     height = plateau(plate, -0.15, FLOOR_MM, 0.15)
-    eye = disc(x_mm + np.float32(2.3), y_mm, 0.95)
-    height = np.maximum(
-        height, plateau(np.abs(eye - np.float32(0.3)) - np.float32(0.35), 0.0, FLOOR_MM, 0.12)
-    )
-    height = np.where(eye < 0, np.minimum(height, -np.float32(1.2)), height)
-    rib = box(x_mm - np.float32(1.2), y_mm, 1.7, 0.3, 0.1)
+    eye = disc(x_mm + 2.3, y_mm, 0.95)
+    height = np.maximum(height, plateau(np.abs(eye - 0.3) - 0.35, 0.0, FLOOR_MM, 0.12))
+    height = np.where(eye < 0, np.minimum(height, -1.2), height)
+    rib = box(x_mm - 1.2, y_mm, 1.7, 0.3, 0.1)
     height = np.maximum(height, plateau(rib, 0.0, FLOOR_MM, 0.12))
     for side in (-1.0, 1.0):
-        notch = box(x_mm - np.float32(1.3), y_mm - np.float32(side * 2.1), 0.4, 0.5, 0.15)
+        notch = box(x_mm - 1.3, y_mm - side * 2.1, 0.4, 0.5, 0.15)
         height = np.minimum(height, np.where(notch < 0, np.float32(-1.2), np.float32(0)))
     return f32(height)
 
@@ -116,12 +114,12 @@ def _pinion(x_mm: F32, y_mm: F32) -> F32:
     radius = np.sqrt(x_mm * x_mm + y_mm * y_mm)
     angle = reproducible_math.arctan2(y_mm, x_mm)
     wave = np.clip(reproducible_math.cos(12 * angle) * 2.2, -1, 1)
-    outline = radius - np.float32(3.1) - np.float32(0.42) * wave
+    outline = radius - 3.1 - 0.42 * wave
     height = plateau(f32(outline), 0.0, FLOOR_MM, 0.12)
-    web = np.abs(radius - np.float32(1.95)) - np.float32(0.45)
-    height = np.minimum(height, -np.float32(0.35) * ramp(-web / np.float32(0.12)))
-    bore = np.maximum(disc(x_mm, y_mm, 0.75), x_mm - np.float32(0.5))
-    return f32(np.where(bore < 0, np.minimum(height, -np.float32(1.5)), height))
+    web = np.abs(radius - 1.95) - 0.45
+    height = np.minimum(height, -0.35 * ramp(-web / 0.12))
+    bore = np.maximum(disc(x_mm, y_mm, 0.75), x_mm - 0.5)
+    return f32(np.where(bore < 0, np.minimum(height, -1.5), height))
 
 
 # A hand repeats a part's place within a few tenths of a millimetre.
@@ -162,10 +160,10 @@ class Specimen:
     """(x, y wave number in rad/mm, phase in rad, amplitude in mm) of shallow waves."""
 
     def __call__(self, x_mm: F32, y_mm: F32) -> F32:
-        height = self.nominal(x_mm * np.float32(self.scale), y_mm * np.float32(self.scale))
+        height = self.nominal(x_mm * self.scale, y_mm * self.scale)
         for kx, ky, phase, amplitude in self.marks:
-            wave = reproducible_math.sin(np.float32(kx) * x_mm + np.float32(ky) * y_mm + np.float32(phase))
-            height = f32(height + np.float32(amplitude) * wave)
+            wave = reproducible_math.sin(kx * x_mm + ky * y_mm + phase)
+            height = f32(height + amplitude * wave)
         return height
 
 

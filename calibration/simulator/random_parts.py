@@ -32,8 +32,8 @@ class RandomPart:
     place: Pose
 
     def __call__(self, x_mm: F32, y_mm: F32) -> F32:
-        x = x_mm - np.float32(self.place.shift_mm[0])
-        y = y_mm - np.float32(self.place.shift_mm[1])
+        x = x_mm - self.place.shift_mm[0]
+        y = y_mm - self.place.shift_mm[1]
         x, y = rotate(x, y, self.place.turn_rad)
         height = self.body(x, y)
         for feature in self.features:
@@ -79,10 +79,10 @@ def _barrel(half: Half, rng: np.random.Generator) -> HeightField:
     radius, length, bow = float(rng.uniform(2, 15)), half[1], float(rng.choice([0.0, 0.0, 0.02, 0.05]))
 
     def height(x: F32, y: F32) -> F32:
-        inside = np.maximum(np.float32(radius * radius) - x * x, 0)
-        round_top = np.sqrt(inside) - np.float32(radius) - np.float32(bow) * y * y
-        ends = ramp((np.float32(length) - np.abs(y)) / np.float32(0.3))
-        return f32(np.where(ends > 0, round_top - np.float32(0.3) * (1 - ends), FLOOR_MM))
+        inside = np.maximum(radius * radius - x * x, 0)
+        round_top = np.sqrt(inside) - radius - bow * y * y
+        ends = ramp((length - np.abs(y)) / 0.3)
+        return f32(np.where(ends > 0, round_top - 0.3 * (1 - ends), FLOOR_MM))
 
     return height
 
@@ -96,7 +96,7 @@ def _polygon(half: Half, rng: np.random.Generator) -> HeightField:
 
     def height(x: F32, y: F32) -> F32:
         planes = [
-            np.float32(math.cos(a)) * x + np.float32(math.sin(a)) * y - np.float32(d)
+            math.cos(a) * x + math.sin(a) * y - d
             for a, d in zip(angles.tolist(), distances.tolist(), strict=True)
         ]
         outline = np.maximum.reduce([*planes, box(x, y, half[0], half[1])])
@@ -114,9 +114,7 @@ def _boss(half: Half, rng: np.random.Generator) -> Relief:
 
     def relief(x: F32, y: F32) -> F32:
         u, v = rotate(x - np.float32(at[0]), y - np.float32(at[1]), turn)
-        return f32(
-            np.float32(rise) * ramp(-box(u, v, float(size[0]), float(size[1]), corner) / np.float32(flank))
-        )
+        return f32(rise * ramp(-box(u, v, float(size[0]), float(size[1]), corner) / flank))
 
     return relief
 
@@ -130,11 +128,11 @@ def _bumps(half: Half, rng: np.random.Generator) -> Relief:
 
     def relief(x: F32, y: F32) -> F32:
         v = y - np.float32(pitch[1]) * np.round(y / np.float32(pitch[1]))
-        u = x + np.float32(skew) * (y - v)
+        u = x + skew * (y - v)
         u = u - np.float32(pitch[0]) * np.round(u / np.float32(pitch[0]))
-        dome = np.maximum(1 - (u * u + v * v) / np.float32(radius * radius), 0)
+        dome = np.maximum(1 - (u * u + v * v) / (radius * radius), 0)
         within = (np.abs(x) < np.float32(reach[0])) & (np.abs(y) < np.float32(reach[1]))
-        return f32(np.float32(rise) * dome * within)
+        return f32(rise * dome * within)
 
     return relief
 
@@ -148,12 +146,10 @@ def _ridges(half: Half, rng: np.random.Generator) -> Relief:
 
     def relief(x: F32, y: F32) -> F32:
         u, v = rotate(x, y, turn)
-        phase = (u + np.float32(wave) * reproducible_math.sin(v * np.float32(bend))) * np.float32(
-            2 * math.pi / wavelength
-        )
+        phase = (u + wave * reproducible_math.sin(v * bend)) * (2 * math.pi / wavelength)
         crest = reproducible_math.power(0.5 + 0.5 * reproducible_math.cos(phase), power)
-        patch = ramp(-box(x, y, float(reach[0]), float(reach[1])) / np.float32(0.3))
-        return f32(np.float32(depth) * (crest - 1) * patch)
+        patch = ramp(-box(x, y, float(reach[0]), float(reach[1])) / 0.3)
+        return f32(depth * (crest - 1) * patch)
 
     return relief
 
@@ -175,12 +171,10 @@ def _strokes(half: Half, rng: np.random.Generator) -> Relief:
         for x0, y0, x1, y1 in ends.tolist():
             dx, dy = x1 - x0, y1 - y0
             square = max(dx * dx + dy * dy, 1e-6)
-            t = np.clip(
-                ((x - np.float32(x0)) * np.float32(dx) + (y - np.float32(y0)) * np.float32(dy)) / square, 0, 1
-            )
-            away = (x - x0 - t * np.float32(dx)) ** 2 + (y - y0 - t * np.float32(dy)) ** 2
+            t = np.clip(((x - x0) * dx + (y - y0) * dy) / square, 0, 1)
+            away = (x - x0 - t * dx) ** 2 + (y - y0 - t * dy) ** 2
             nearest = np.minimum(nearest, f32(away))
-        return f32(np.float32(rise) * ramp(f32(1.5 - np.sqrt(nearest) / np.float32(width))))
+        return f32(rise * ramp(f32(1.5 - np.sqrt(nearest) / width)))
 
     return relief
 
@@ -193,9 +187,7 @@ def _step(half: Half, rng: np.random.Generator) -> Relief:
 
     def relief(x: F32, y: F32) -> F32:
         u, v = rotate(x, y, turn)
-        return f32(
-            -np.float32(drop) * ramp((u - np.float32(at) + np.float32(bend) * v * v) / np.float32(run))
-        )
+        return f32(-drop * ramp((u - at + bend * v * v) / run))
 
     return relief
 
@@ -210,9 +202,7 @@ def _ripple(half: Half, rng: np.random.Generator) -> Relief:
     def relief(x: F32, y: F32) -> F32:
         total = np.zeros_like(x)
         for (kx, ky), phase, rise in waves:
-            total += np.float32(rise) * (
-                reproducible_math.sin(np.float32(kx) * x + np.float32(ky) * y + np.float32(phase)) - 1
-            )
+            total += rise * (reproducible_math.sin(kx * x + ky * y + phase) - 1)
         return total
 
     return relief

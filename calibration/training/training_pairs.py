@@ -137,7 +137,7 @@ def _draw_part(rng: np.random.Generator, scale: float) -> HeightField:
 
 
 def _draw_jitter(rng: np.random.Generator, scale: float) -> Jitter:
-    """How much the presses of one part differ: some are held well, some badly."""
+    """Draw how much the presses of one part differ: some are held well, some badly."""
     shift = _log_uniform(rng, 0.02, 0.2) * scale
     turn, tilt, depth = (_log_uniform(rng, *ends) for ends in ((0.15, 2.0), (0.1, 0.6), (0.02, 0.08)))
     return Jitter(shift, turn, tilt, depth)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from station import Motion, press_recording
 
-from calibration.demo import _inspected
+from calibration.demo import _inspect
 from edge.core.errors import PressesMissed
 from edge.messaging.local_broker import LocalBroker
 
@@ -21,7 +21,7 @@ def test_the_demo_inspects_over_a_broker(
     heatmaps = tmp_path / "heatmaps"
     heatmaps.mkdir()
     with LocalBroker() as broker:
-        tally = _inspected(tmp_path, bundle, recording, heatmaps, broker)
+        tally = _inspect(tmp_path, bundle, recording, heatmaps, broker)
     if not hold:
         with pytest.raises(PressesMissed, match="it holds 2 presses and the run saw 0"):
             tally.check(recording)
