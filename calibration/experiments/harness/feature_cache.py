@@ -17,15 +17,16 @@ from numpy.typing import NDArray
 from calibration.experiments.harness.pictures import PressPictures
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.trunks import Trunk
+from calibration.folders import claim
 from edge.core.detector import Features, Grid, Progress
-from edge.core.errors import ConfigError, GelgateError, StoreError
+from edge.core.errors import ConfigError, StoreError
 from edge.model.manifest import GridEntry
 from edge.model.session import open_session
 
-__all__ = ["CACHE_FORMAT", "FeatureCache", "Taken"]
+__all__ = ["Taken", "take_features"]
 
 CACHE_FORMAT = 1
-_VERSION_FILE, _GRID_FILE = "cache.json", "grid.json"
+_GRID_FILE = "grid.json"
 
 # Pictures decoded at once: memory stays small also for 1280x720.
 _AT_ONCE = 16
@@ -51,87 +52,50 @@ class Taken:
         return Grid(grid.frame, {tap: grid.taps[tap] for tap in taps}, grid.pixels_per_mm, grid.tiles)
 
 
-class FeatureCache:
-    """A folder of feature maps. Several processes may use it at once: an entry appears complete or not at all.
+def take_features(
+    folder: Path,
+    trunk: Trunk,
+    taps: Sequence[str],
+    pictures: PressPictures,
+    progress: Progress = lambda fraction: None,
+    threads: int = 1,
+) -> Taken:
+    """Return the trunk's taps for the pictures from a folder of features, where they are extracted once.
 
-    Errors: ConfigError for a cache of another format, or a folder that is none.
+    An entry is of one trunk, taps, pictures and runtime. Several processes may use the folder: an entry appears
+    complete or not at all. Errors: ConfigError for a cache of another format, or a folder that is none; FitError,
+    DatasetError; StoreError for a full disk.
     """
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        _check_version(folder)
-
-    def features(
-        self,
-        trunk: Trunk,
-        taps: Sequence[str],
-        pictures: PressPictures,
-        progress: Progress = lambda fraction: None,
-        threads: int = 1,
-    ) -> Taken:
-        """The trunk's taps for the pictures, extracted if no entry has the same trunk, taps, pictures and runtime.
-
-        Errors: FitError, DatasetError; StoreError for a full disk.
-        """
-        entry = self.folder / _key(trunk, taps, pictures)
+    way_on = "choose an empty --cache"
+    claim(folder, "cache.json", {"format": CACHE_FORMAT}, "cache of features", ConfigError, way_on)
+    entry = folder / _key(trunk, taps, pictures)
+    found = _open_entry(entry)
+    if found is None:
+        _add(entry, lambda part: _write(part, trunk, taps, pictures, progress, threads))
         found = _open_entry(entry)
-        if found is None:
-            self._add(entry, lambda part: _write(part, trunk, taps, pictures, progress, threads))
-            found = _open_entry(entry)
-        if found is None:
-            raise StoreError(
-                f"'{entry}' was written and cannot be read; see to the disk, or choose another --cache"
-            )
-        progress(1.0)
-        return found
-
-    def _add(self, entry: Path, write: Callable[[Path], None]) -> None:
-        """Write an entry under another name, then give it its own."""
-        shutil.rmtree(entry, ignore_errors=True)
-        part = Path(tempfile.mkdtemp(prefix="part-", dir=self.folder))
-        try:
-            write(part)
-            os.rename(part, entry)
-        except GelgateError:
-            raise
-        except OSError as error:
-            if not entry.is_dir():  # else another process was faster
-                raise StoreError(
-                    f"the features cannot be written to '{self.folder}': {error.strerror}; "
-                    "free some space or choose another folder with --cache, and give the same command again"
-                ) from error
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
-
-
-def _check_version(folder: Path) -> None:
-    path = folder / _VERSION_FILE
-    try:
-        if not path.is_file():
-            folder.mkdir(parents=True, exist_ok=True)
-            if any(folder.iterdir()):
-                raise ConfigError(
-                    f"'{folder}' has other files and is no cache of features; choose an empty --cache"
-                )
-            _write_atomically(path, json.dumps({"format": CACHE_FORMAT}).encode())
-        found = json.loads(path.read_bytes()).get("format")
-    except (ValueError, AttributeError):
-        found = None
-    except OSError as error:
+    if found is None:
         raise StoreError(
-            f"the cache '{folder}' cannot be used: {error.strerror}; choose another --cache"
-        ) from error
-    if found != CACHE_FORMAT:
-        raise ConfigError(
-            f"the cache '{folder}' has format {found!r}, this program reads format {CACHE_FORMAT}; "
-            "remove the folder, or choose another with --cache"
+            f"'{entry}' was written and cannot be read; see to the disk, or choose another --cache"
         )
+    progress(1.0)
+    return found
 
 
-def _write_atomically(path: Path, data: bytes) -> None:
-    part = path.with_name(f"{path.name}.{os.getpid()}")
-    part.write_bytes(data)
-    os.replace(part, path)
+def _add(entry: Path, write: Callable[[Path], None]) -> None:
+    """Write an entry under another name, then give it its own."""
+    shutil.rmtree(entry, ignore_errors=True)
+    part = Path(tempfile.mkdtemp(prefix="part-", dir=entry.parent))
+    try:
+        write(part)
+        os.rename(part, entry)
+    except OSError as error:
+        if not entry.is_dir():  # else another process was faster
+            raise StoreError(
+                f"the features cannot be written to '{entry.parent}': {error.strerror}; "
+                "free some space or choose another folder with --cache, and give the same command again"
+            ) from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def _key(trunk: Trunk, taps: Sequence[str], pictures: PressPictures) -> str:

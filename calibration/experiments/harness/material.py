@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calibration.dataset.remarks import empty_masks, repeated_pictures
 from calibration.experiments.harness.cells import Cell
-from calibration.experiments.harness.feature_cache import FeatureCache, Taken
+from calibration.experiments.harness.feature_cache import Taken, take_features
 from calibration.experiments.harness.presses import StudyPresses, open_presses, presses_of
 from calibration.experiments.harness.scoring import Scored, TestPresses, fit_and_score
 from calibration.fitting.trunks import Trunk, open_trunk
@@ -58,8 +58,7 @@ class Place:
     def take(self, presses: StudyPresses, progress: Progress, threads: int) -> tuple[Trunk, Taken]:
         """Return the trunk, and the features that it gives of the presses."""
         trunk = self.show(open_trunk(self.backbone, self.taps))
-        features = FeatureCache(self.cache).features
-        return trunk, features(trunk, self.taps, presses.pictures, progress, threads)
+        return trunk, take_features(self.cache, trunk, self.taps, presses.pictures, progress, threads)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from edge.core.errors import FitError, NotScorable
 from edge.model.packing import Packed, pack, unpack
 from edge.model.session import RUNTIME_ERRORS, open_session
 
-__all__ = ["MEASURES", "Scored", "TestPresses", "fit_and_score", "measures", "run_head", "score_each"]
+__all__ = ["MEASURES", "Scored", "TestPresses", "fit_and_score", "measures", "run_head"]
 
 MEASURES = ("aupro_001", "aupro_005", "auprc", "pixel_auroc", "image_auroc", "recall_001")
 """AU-PRO up to 1 % and 5 % false positives, average precision, AUROC by pixel and by press, and the share of defective
@@ -92,14 +92,15 @@ def fit_and_score(
     Errors: FitError, NotScorable.
     """
     parameters = detector.parameters(mode, **(overrides or {}))
-    stages = _Stages()
-    with stages.time_stage("fit_s"):
+    seconds: dict[str, float] = {}
+    with _time(seconds, "fit_s"):
         bank = detector.fit(nominal, grid, parameters, np.random.default_rng(seed), lambda fraction: None)
-    with stages.time_stage("score_s"):
+    with _time(seconds, "score_s"):
         packed = _pack_arrays(bank)
-        head = detector.head(grid, bank, parameters)
-        result = score_each(head, _unpack_arrays(bank, packed), test, detector.name)
-    with stages.time_stage("measure_s"):
+        stored = {key: unpack(array, bank.packing.get(key, "none")) for key, array in packed.items()}
+        session = _session(detector.head(grid, bank, parameters), detector.name)
+        result = run_head(session, stored, test.features, detector.name)
+    with _time(seconds, "measure_s"):
         found = {**measures(result, test), **also(result)}
     return {
         **found,
@@ -108,31 +109,18 @@ def fit_and_score(
         "test_defective": int(test.is_defective.sum()),
         "bank_bytes": sum(_bytes(array) for array in packed.values()),
         "score_ms": round(median(result.milliseconds), 4),
-        **stages.seconds,
+        **seconds,
         "scores_sha256": result.digest,
     }
 
 
-class _Stages:
-    """Seconds of each stage, by the clock and of the processor."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def time_stage(self, stage: str) -> Iterator[None]:
-        start, spent = time.perf_counter(), time.process_time()
-        yield
-        self.seconds[stage] = round(time.perf_counter() - start, 4)
-        self.seconds[f"cpu_{stage}"] = round(time.process_time() - spent, 4)
-
-
-def score_each(head: bytes, arrays: Mapping[str, NDArray[Any]], test: TestPresses, name: str) -> Scored:
-    """Score each press alone, as the gateway does. arrays: the bank as it is read from a bundle.
-
-    Errors: FitError where the head does not run; NotScorable for a map that is not finite.
-    """
-    return run_head(_session(head, name), arrays, test.features, name)
+@contextmanager
+def _time(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    """Add the seconds of a stage, by the clock and of the processor."""
+    start, spent = time.perf_counter(), time.process_time()
+    yield
+    seconds[stage] = round(time.perf_counter() - start, 4)
+    seconds[f"cpu_{stage}"] = round(time.process_time() - spent, 4)
 
 
 def run_head(
@@ -141,7 +129,11 @@ def run_head(
     features: Mapping[str, Sequence[NDArray[np.float32]]],
     name: str,
 ) -> Scored:
-    """Score presses of which each has a map (1, c, h, w) for every tap. Errors: as `scored`."""
+    """Score each press alone, as the gateway does: it has a map (1, c, h, w) for every tap.
+
+    arrays: the bank as it is read from a bundle. Errors: FitError where the head does not run; NotScorable for a map
+    that is not finite.
+    """
     wanted = {given.name for given in session.get_inputs()}
     bank = {key: array for key, array in arrays.items() if key in wanted}
     used = {tap: maps for tap, maps in features.items() if tap in wanted}
@@ -173,10 +165,6 @@ def _pack_arrays(bank: Bank) -> dict[str, Packed]:
         return {key: pack(array, bank.packing.get(key, "none")) for key, array in bank.arrays.items()}
     except ValueError as error:
         raise FitError(f"the bank cannot be stored: {error}") from error
-
-
-def _unpack_arrays(bank: Bank, packed: Mapping[str, Packed]) -> dict[str, NDArray[Any]]:
-    return {key: unpack(array, bank.packing.get(key, "none")) for key, array in packed.items()}
 
 
 def _bytes(array: Packed) -> int:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from calibration.experiments.harness.evidence import Sample, Standing, rank, sample, subtract
 from calibration.experiments.harness.page import Page, by_setup, only_scored, render
-from calibration.experiments.harness.published import judgements, no_fixture
+from calibration.experiments.harness.published import published
 from calibration.fitting.candidates import DEFAULT_METHOD
 from edge.core.errors import ConfigError
 
@@ -57,7 +57,7 @@ class Question:
     @property
     def judgements(self) -> Mapping[str, str]:
         """The paper's word on each method."""
-        return {} if self.column is None else judgements(self.column)
+        return dict(published()["judgements"].get(self.column, {}))
 
     @property
     def command(self) -> str:
@@ -171,6 +171,8 @@ def _head_time(rows: "pd.DataFrame") -> Samples:
 
 _GAIN = (-1.0, 1.0)
 
+_NO_FIXTURE = tuple(published()["no_fixture"])
+
 QUESTIONS = (
     Question(
         "few-presses",
@@ -212,8 +214,8 @@ QUESTIONS = (
     ),
     Question(
         "no-fixture",
-        f"No fixture: AU-PRO@0.01 on {', '.join(no_fixture())} with the largest share of presses",
-        "good-fraction", _at_all, parts=no_fixture(),
+        f"No fixture: AU-PRO@0.01 on {', '.join(_NO_FIXTURE)} with the largest share of presses",
+        "good-fraction", _at_all, parts=_NO_FIXTURE,
     ),
     Question(
         "bad-presses",

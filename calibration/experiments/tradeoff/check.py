@@ -8,7 +8,7 @@ from calibration.experiments.tradeoff.machine import is_same_machine
 from calibration.experiments.tradeoff.rows import Row
 from edge.core.errors import ConfigError
 
-__all__ = ["check", "same_front"]
+__all__ = ["check"]
 
 ACCURACY_NOISE: Final = 0.005
 """Presses and seeds are the same, so what remains is arithmetic: the difference that a packed bank may have as well."""
@@ -38,13 +38,6 @@ def check(before: Sequence[Row], after: Sequence[Row]) -> tuple[list[str], list[
     found = {row["key"]: row for row in after}
     losses = [loss for row in before for loss in _losses(row, found.get(row["key"]), is_same)]
     return losses, remarks
-
-
-def same_front(before: Sequence[Row], after: Sequence[Row]) -> float:
-    """Return the share of points on the front in both runs or in neither, 0 to 1; a point of one run alone differs."""
-    first, second = ({row["key"]: bool(row["is_on_front"]) for row in rows} for rows in (before, after))
-    keys = first.keys() | second.keys()
-    return sum(first.get(key) == second.get(key) for key in keys) / len(keys)
 
 
 def _losses(before: Row, after: Row | None, is_same_machine: bool) -> Iterator[str]:

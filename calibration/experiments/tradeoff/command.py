@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calibration.evaluate.report import write_atomically
-from calibration.experiments.tradeoff.check import check, same_front
+from calibration.experiments.tradeoff.check import check
 from calibration.experiments.tradeoff.chosen_bundle import bundle_of
 from calibration.experiments.tradeoff.figure import svg
 from calibration.experiments.tradeoff.page import table, write_page
@@ -154,9 +154,6 @@ def _check(rows: list[Row], earlier: Path) -> None:
     losses, remarks = check(before, rows)
     for line in (*remarks, *losses):
         typer.echo(line, err=True)
-    typer.echo(
-        f"{100 * same_front(before, rows):.0f} % of the points are on the front in both runs or in neither"
-    )
     if losses:
         typer.echo(f"{len(losses)} {'loss' if len(losses) == 1 else 'losses'} against {earlier}", err=True)
         raise typer.Exit(LOSS)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["figure", "front_sentence", "svg"]
+__all__ = ["figure", "list_front", "name_point", "svg"]
 
 COLOURS: Final = ("#2f6db3", "#c8621f", "#27876a", "#8257ab", "#b93a5b", "#86751c", "#5d6a75", "#1f8ea3")
 PEER = "X"
@@ -109,7 +109,7 @@ def _mark(axes: "Axes", row: Row, colour: str) -> None:
 
 def _front(axes: "Axes", rows: Sequence[Row]) -> None:
     """Draw the stairs of what is reached in a time, and each point of the front with its name and interval."""
-    front = _list_front(rows)
+    front = list_front(rows)
     times = [row["ms"]["median"] for row in front]
     values = [row["accuracy"][FIRST]["value"] for row in front]
     best = np.maximum.accumulate(values)
@@ -120,7 +120,7 @@ def _front(axes: "Axes", rows: Sequence[Row]) -> None:
         span = [row["ms"]["low"], row["ms"]["high"]]
         axes.plot(span, [value, value], color=INK, linewidth=0.8, alpha=0.5, zorder=3)
         axes.annotate(
-            _name(row),
+            name_point(row),
             (time, value),
             xytext=(0, 13 if k % 2 else 26),
             textcoords="offset points",
@@ -132,11 +132,12 @@ def _front(axes: "Axes", rows: Sequence[Row]) -> None:
         )
 
 
-def _list_front(rows: Sequence[Row]) -> list[Row]:
+def list_front(rows: Sequence[Row]) -> list[Row]:
+    """Return the points of the front, the fastest first."""
     return sorted((row for row in rows if row["is_on_front"]), key=lambda row: float(row["ms"]["median"]))
 
 
-def _name(row: Row) -> str:
+def name_point(row: Row) -> str:
     """A point for people: method, precision, settings, and the view where it is not the usual one."""
     precision = "int8" if row["work"]["int8"] > 0 else "float32"
     words = [f"{METHOD_NAMES.get(row['method'], row['method'])} {precision}"]
@@ -146,15 +147,6 @@ def _name(row: Row) -> str:
         if row["view"] == "lr"
         else [*words, "in tiles" if "tiles" in row["view"] else "high resolution"]
     )
-
-
-def front_sentence(rows: Sequence[Row]) -> str:
-    """The points of the front, the fastest first, each with its accuracy and its milliseconds."""
-    listed = [
-        f"{_name(row)}: {row['accuracy'][FIRST]['value']:.3f} in {row['ms']['median']:.0f} ms"
-        for row in _list_front(rows)
-    ]
-    return f"The front, by AU-PRO and time: {'; '.join(listed)}."
 
 
 def _legend(axes: "Axes", colours: Mapping[str, str], peers: Collection[str]) -> None:

@@ -1,8 +1,8 @@
 """The feature cache: extracted once, found by content, complete or not at all."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ from full_disk import room_for
 from tiny import tiny_trunk
 
 from calibration.dataset import LabelledPress
-from calibration.experiments.harness.feature_cache import FeatureCache
+from calibration.experiments.harness.feature_cache import Taken, take_features
 from calibration.experiments.harness.pictures import PressPictures, View
 from calibration.fitting.trunks import Trunk
 from edge.core.errors import ConfigError, StoreError
@@ -20,6 +20,16 @@ from edge.core.imaging.region import Region
 VIEW = View((48, 40), Region(8, 4, 32, 32), 15.77)
 TRUNK = Trunk("tiny", tiny_trunk())
 TAPS = ("layer2", "layer1")
+
+
+class Cache:
+    """A folder of features."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def features(self, *asked: Any) -> Taken:
+        return take_features(self.folder, *asked)
 
 
 @pytest.fixture
@@ -34,15 +44,15 @@ def presses(tmp_path: Path) -> tuple[LabelledPress, ...]:
 
 
 @pytest.fixture
-def cache(tmp_path: Path) -> FeatureCache:
-    return FeatureCache(tmp_path / "features")
+def cache(tmp_path: Path) -> Cache:
+    return Cache(tmp_path / "features")
 
 
-def entries(cache: FeatureCache) -> set[str]:
+def entries(cache: Cache) -> set[str]:
     return {path.name for path in cache.folder.iterdir() if path.is_dir()}
 
 
-def test_features_are_those_of_the_trunk(cache: FeatureCache, presses: tuple[LabelledPress, ...]) -> None:
+def test_features_are_those_of_the_trunk(cache: Cache, presses: tuple[LabelledPress, ...]) -> None:
     """The mean colour of each 8x8 cell of the region, memory-mapped, with their geometry."""
     pictures = PressPictures(presses, VIEW)
     taken = cache.features(TRUNK, TAPS, pictures)
@@ -56,25 +66,21 @@ def test_features_are_those_of_the_trunk(cache: FeatureCache, presses: tuple[Lab
     assert list(taken.grid_of(["layer2"]).taps) == ["layer2"]
 
 
-def test_a_second_call_reads_what_the_first_wrote(
-    cache: FeatureCache, presses: tuple[LabelledPress, ...]
-) -> None:
+def test_a_second_call_reads_what_the_first_wrote(cache: Cache, presses: tuple[LabelledPress, ...]) -> None:
     """Nothing is extracted: a trunk that cannot run would fail."""
     pictures = PressPictures(presses, VIEW)
     first = cache.features(TRUNK, TAPS, pictures)
     (entry,) = entries(cache)
     before = (cache.folder / entry / "layer1.npy").stat().st_mtime_ns
     shares: list[float] = []
-    again = FeatureCache(cache.folder).features(TRUNK, TAPS, PressPictures(presses, VIEW), shares.append)
+    again = cache.features(TRUNK, TAPS, PressPictures(presses, VIEW), shares.append)
 
     assert (cache.folder / entry / "layer1.npy").stat().st_mtime_ns == before
     assert shares == [1.0]
     np.testing.assert_array_equal(first.features["layer1"], again.features["layer1"])
 
 
-def test_the_entry_depends_on_all_that_matters(
-    cache: FeatureCache, presses: tuple[LabelledPress, ...]
-) -> None:
+def test_the_entry_depends_on_all_that_matters(cache: Cache, presses: tuple[LabelledPress, ...]) -> None:
     """Another picture, order, view, tap or trunk is another entry."""
     pictures = PressPictures(presses, VIEW)
     cache.features(TRUNK, TAPS, pictures)
@@ -88,9 +94,7 @@ def test_the_entry_depends_on_all_that_matters(
     assert len(entries(cache)) == 6
 
 
-def test_an_incomplete_entry_is_extracted_again(
-    cache: FeatureCache, presses: tuple[LabelledPress, ...]
-) -> None:
+def test_an_incomplete_entry_is_extracted_again(cache: Cache, presses: tuple[LabelledPress, ...]) -> None:
     """As after a power cut: a file without its end."""
     pictures = PressPictures(presses, VIEW)
     whole = np.array(cache.features(TRUNK, TAPS, pictures).features["layer1"])
@@ -101,7 +105,7 @@ def test_an_incomplete_entry_is_extracted_again(
     np.testing.assert_array_equal(cache.features(TRUNK, TAPS, pictures).features["layer1"], whole)
 
 
-def test_a_full_disk_leaves_no_entry(cache: FeatureCache, presses: tuple[LabelledPress, ...]) -> None:
+def test_a_full_disk_leaves_no_entry(cache: Cache, presses: tuple[LabelledPress, ...]) -> None:
     """One sentence; when there is room, the same call works."""
     pictures = PressPictures(presses, VIEW)
     with (
@@ -114,27 +118,21 @@ def test_a_full_disk_leaves_no_entry(cache: FeatureCache, presses: tuple[Labelle
     assert len(cache.features(TRUNK, TAPS, pictures).features["layer1"]) == 3
 
 
-def test_a_cache_of_another_format_is_refused(cache: FeatureCache) -> None:
-    """Its files may mean something else."""
-    (cache.folder / "cache.json").write_text(json.dumps({"format": 99}))
-    with pytest.raises(
-        ConfigError, match="has format 99, this program reads format 1; remove the folder, or"
-    ):
-        FeatureCache(cache.folder)
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("cache.json", '{"format": 99}', "holds another cache of features: format 99, not 1; choose an empty --cache"),
+        ("cache.json", "hello", "is not empty and holds no cache of features; choose an empty --cache"),
+        ("letter.txt", "hello", "is not empty and holds no cache of features; choose an empty --cache"),
+    ],
+)  # fmt: skip
+def test_a_folder_of_something_else_is_no_cache(
+    cache: Cache, presses: tuple[LabelledPress, ...], name: str, text: str, said: str
+) -> None:
+    """Nothing is written among the operator's files."""
+    cache.folder.mkdir()
+    (cache.folder / name).write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        cache.features(TRUNK, TAPS, PressPictures(presses, VIEW))
 
-
-@pytest.mark.parametrize("text", ["hello", "[]"])
-def test_a_version_file_of_something_else_is_refused(cache: FeatureCache, text: str) -> None:
-    """It is no cache."""
-    (cache.folder / "cache.json").write_text(text)
-    with pytest.raises(ConfigError, match="has format None"):
-        FeatureCache(cache.folder)
-
-
-def test_a_folder_with_other_files_is_no_cache(tmp_path: Path) -> None:
-    """Nothing is written among the user's files."""
-    (tmp_path / "letter.txt").write_text("hello")
-    with pytest.raises(ConfigError, match="has other files and is no cache of features"):
-        FeatureCache(tmp_path)
-
-    assert [path.name for path in tmp_path.iterdir()] == ["letter.txt"]
+    assert [path.name for path in cache.folder.iterdir()] == [name]

@@ -218,7 +218,7 @@ def test_no_damaged_picture_is_a_sentence(dataset: Path, tmp_path: Path) -> None
         (["--shots", "0"], "--shots are whole numbers of at least 1"),
         (["--fractions", "none", "--shots", "none"], "neither fractions nor shots are given"),
         (["--held-out", "8"], "has 8 nominal presses, and 8 are held out for the test"),
-        (["--cache", "DATASET"], "has other files and is no cache of features"),
+        (["--cache", "DATASET"], "is not empty and holds no cache of features"),
     ],
 )
 def test_bad_options_are_one_sentence(dataset: Path, tmp_path: Path, asked: list[str], said: str) -> None:

@@ -5,7 +5,7 @@ import copy
 import pytest
 from tradeoff_rows import MACHINE, row
 
-from calibration.experiments.tradeoff.check import check, same_front
+from calibration.experiments.tradeoff.check import check
 from edge.core.errors import ConfigError
 
 BEFORE = [row("padim.t.lr.20", 0.75, ms=20.0), row("spade.t.lr.20", 0.80, ms=24.0)]
@@ -76,9 +76,3 @@ def test_other_presses_or_another_seed_are_refused(name: str, value: object) -> 
     """Their difference would be taken for a loss."""
     with pytest.raises(ConfigError, match=f"the earlier rows have {name}"):
         check(BEFORE, after(**{name: value}))
-
-
-def test_the_share_of_points_with_the_same_place() -> None:
-    """One of two differs, or is in one run alone."""
-    assert same_front(BEFORE, after()) == 1.0
-    assert same_front(BEFORE, after(is_on_front=False)) == same_front(BEFORE, after()[1:]) == 0.5

@@ -11,7 +11,7 @@ import pytest
 from command_line import gelgate
 from tradeoff_rows import row
 
-from calibration.experiments.tradeoff.figure import front_sentence, svg
+from calibration.experiments.tradeoff.figure import list_front, name_point, svg
 from calibration.experiments.tradeoff.plan import Run, RunSettings
 from calibration.experiments.tradeoff.rows import read_rows, write_rows
 from edge.cli import EXIT_MEANINGS
@@ -171,7 +171,11 @@ def test_the_readme_shows_the_front_of_its_rows() -> None:
     rows: list[dict[str, Any]] = read_rows(ROOT / "docs/studies/tradeoff.jsonl")
     assert len(rows) >= 60
     assert f"{len(rows)} operating points" in svg_text(rows)
-    assert front_sentence(rows) in readme
+    listed = [
+        f"{name_point(one)}: {one['accuracy']['aupro_fpr01']['value']:.3f} in {one['ms']['median']:.0f} ms"
+        for one in list_front(rows)
+    ]
+    assert f"The front, by AU-PRO and time: {'; '.join(listed)}." in readme
     assert picture.read_bytes() == svg(rows)
 
 
