@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ball_presses import PLACES_MM, RADIUS_MM, UNSEEN, frames, planes, renderer
+from ball_presses import PLACES_MM, RADIUS_MM, UNSEEN, frames, planes
 
 from calibration.sensor_fit.ball import Ball, ball_height, find_circle
 from calibration.sensor_fit.prediction import predict, window_around
@@ -51,13 +51,3 @@ def test_the_prediction_is_the_renderers_picture() -> None:
 
 
 _STILL = ("deformation", "illumination", "shadows", "specular", "vignette", "lens_blur")
-
-
-def test_a_window_at_the_rim_shows_only_the_picture() -> None:
-    """The part of the prediction that lies beyond the picture is cut off."""
-    ball = Ball(9.0, 6.5, 0.3)
-    window = window_around(ball, ball.contact_radius_mm(RADIUS_MM))
-    rows, columns = window
-    assert (rows.stop, columns.stop) == LR.shape
-    seen = predict(ball, RADIUS_MM, UNSEEN.gel, planes(renderer().free_gel()), window)
-    assert seen.height_mm.shape == (rows.stop - rows.start, columns.stop - columns.start)

@@ -1,7 +1,6 @@
 """A sensor that the product does not ship, calibrated from presses of a ball; and every input that cannot serve."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from ball_presses import PLACES_MM, RADIUS_MM, UNSEEN, frames, nominal, renderer
 
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.sensor_fit.calibrate import Calibrated, calibrate_sensor, divide
-from calibration.sensor_fit.result import gain
 from calibration.simulator.sensor_appearance import SENSORS
 from edge.core.errors import FitError
 
@@ -61,27 +59,11 @@ def test_a_press_of_something_else_is_named_and_left_out(few: Calibrated) -> Non
     assert [one.name for one in few.judged] == ["0", "1", "2"]
 
 
-def test_another_scale_gives_the_same_colours(few: Calibrated, shown: list[np.ndarray]) -> None:
-    """A ball twice as large in pictures with twice the millimetres per pixel is the same picture."""
-    twice = calibrate_sensor(nominal(shown[:4]), "unseen", 2 * RADIUS_MM, 2 * 0.0634)
-    assert np.array(twice.sensor.slope_response) == pytest.approx(
-        np.array(few.sensor.slope_response), abs=0.1
-    )
-    assert twice.warnings == ()
-
-
 def test_the_diameter_in_place_of_the_radius_is_suspected(shown: list[np.ndarray]) -> None:
     """Slopes are then half as steep, so colours seem to answer twice as strongly; the sentence names the cause."""
     made = calibrate_sensor(nominal(shown[:4]), "unseen", 2 * RADIUS_MM)
     assert len(made.warnings) == 1
     assert "check the ball's radius (not its diameter)" in made.warnings[0]
-
-
-def test_the_gain_is_that_of_the_response() -> None:
-    """A shipped sensor has gain 1, one with twice the response 2."""
-    unit = SENSORS["unit_b"]
-    assert gain(unit) == pytest.approx(1)
-    assert gain(replace(unit, slope_response=2 * unit.slope_response)) == pytest.approx(2)
 
 
 def test_markers_are_left_out_of_the_fit() -> None:

@@ -77,36 +77,12 @@ def test_the_free_gel_has_the_measured_colours() -> None:
     assert np.allclose(planes.mean(axis=(1, 2)), [78, 95, 105], atol=1.5)
 
 
-def test_vignette_gives_the_measured_background_back() -> None:
-    """Lights without the lens are brighter in the corners; with the lens they are as measured."""
-    lit = Renderer(LR, ("illumination", "vignette")).free_gel().astype(np.float32)
-    bare = Renderer(LR, ("illumination",)).free_gel().astype(np.float32)
-    measured = sensor_appearance.background(SENSORS["unit_b"], LR).transpose(1, 2, 0)
-    assert np.abs(lit - measured).max() < 0.6
-    assert (bare[0, 0] > lit[0, 0]).all()
-
-
-def test_the_lamps_fall_by_four_percent_while_they_warm_up() -> None:
-    """At power on 4 % brighter than after minutes, apart from a drift below 1 %."""
-    planes = np.full((3, 8, 8), 100, np.float32)
-    rng = np.random.default_rng
-    cold = cam.led_drift(planes.copy(), 0.0, rng(1)).mean()
-    warm = cam.led_drift(planes.copy(), 600.0, rng(1)).mean()
-    assert 0.025 < cold / warm - 1 < 0.055
-
-
 def test_noise_has_the_measured_spread() -> None:
     """At level 100 the sd is 2.2, 1.5 and 2.7 in red, green and blue, and the mean is kept."""
     planes = np.full((3, 200, 200), 100, np.float32)
     noisy = cam.noise(planes.copy(), np.random.default_rng(0)) - 100
     assert np.allclose(noisy.std(axis=(1, 2)), (2.2, 1.5, 2.7), rtol=0.03)
     assert np.abs(noisy.mean(axis=(1, 2))).max() < 0.05
-
-
-def test_quantising_holds_black_and_white() -> None:
-    """Levels below 0 and above 255 are held there; halves round to even; nothing wraps."""
-    planes = np.array([-5, 0.4, 254.6, 300], np.float32)[None, None, :].repeat(3, axis=0)
-    assert cam.quantise(planes)[0, :, 0].tolist() == [0, 0, 255, 255]
 
 
 def test_markers_are_dark_dots_that_spread_from_a_bulge() -> None:
@@ -119,18 +95,6 @@ def test_markers_are_dark_dots_that_spread_from_a_bulge() -> None:
     one = (slice(112, 129), slice(172, 216))
     assert free.any()
     assert x[one][pressed[one]].mean() > x[one][free[one]].mean() + 0.02
-
-
-def test_dust_and_wear_only_grow() -> None:
-    """Every speck, scratch and stain of a young gel is still there on an old one, and there are more."""
-    dust = gel_surface.new_dust(np.random.default_rng(1))
-    scratches, stains = gel_surface.new_wear(np.random.default_rng(2))
-    young, old = (gel_surface.dust_relief(dust, n, LR) for n in (0, 900))
-    assert (old >= young - 1e-6).all()
-    assert 0 < (young > 0.005).sum() < (old > 0.005).sum()
-    assert not gel_surface.wear_relief(scratches, 0, LR).any()
-    assert (gel_surface.wear_relief(scratches, 900, LR) <= 0).all()
-    assert (gel_surface.wear_stains(stains, 900, LR) <= gel_surface.wear_stains(stains, 300, LR) + 1e-6).all()
 
 
 def test_the_native_frame_shows_the_rim_and_crops_to_the_low_resolution_frame() -> None:

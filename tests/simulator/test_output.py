@@ -79,19 +79,6 @@ def test_a_recording_is_labelled_with_the_truth(tmp_path: Path) -> None:
     assert len({frame.frame.payload for frame in holds}) == len(holds)
 
 
-def test_a_recordings_held_frames_show_the_press(tmp_path: Path) -> None:
-    """Frames in contact differ from the free gel far more than free-gel frames from each other."""
-    recording = Recording.open(simulate_recording(scene_of(tmp_path, RUNS), tmp_path / "out", 1))
-    pictures: dict[str, list[np.ndarray]] = {}
-    for frame in recording:
-        assert frame.label is not None
-        rgb = decode(frame.frame, PROFILES["cropped_lr"]).astype(np.float32)
-        pictures.setdefault(str(frame.label["phase"]), []).append(rgb)
-    free = pictures["idle"][0]
-    assert np.abs(pictures["idle"][1] - free).max() < 40
-    assert np.abs(pictures["hold"][0] - free).max() > 80
-
-
 def test_a_native_recording_decodes_to_the_low_resolution_picture(tmp_path: Path) -> None:
     """A 3280x2464 frame, read through the profile mini_lr, is the frame that the mode lr renders."""
     text = RUNS.replace("faulty = 1", "faulty = 0").replace("presses = 3", "presses = 1")
@@ -234,32 +221,3 @@ def test_the_command_makes_a_preview(tmp_path: Path) -> None:
     sheet = cv2.imread(str(tmp_path / "out" / "tiny_preview.png"))
     assert sheet is not None
     assert "effects that tiny does not use: partial_contact, residual_imprint, wear," in done.output
-
-
-def test_the_command_makes_recordings_a_folder_each(tmp_path: Path) -> None:
-    """Every run of a scene gets its folder; a single requested run goes directly into the output."""
-    app = typer.Typer()
-    app.command()(simulate)
-    (tmp_path / "tiny.toml").write_text(TINY + RUNS)
-    arguments = [str(tmp_path / "tiny.toml"), "--workers", "1", "--presses", "1"]
-    done = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "all")])
-    assert done.exit_code == 0, done.output
-    assert len(Recording.open(tmp_path / "all" / "line")) > 10
-    done = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "one"), "--run", "line"])
-    assert done.exit_code == 0, done.output
-    assert len(Recording.open(tmp_path / "one")) > 10
-
-
-def test_without_a_folder_the_output_is_named_after_the_scene(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A second scene of that name does not write into the folder of the first."""
-    scene_of(tmp_path, RUNS)
-    monkeypatch.chdir(tmp_path)
-    simulate("tiny.toml", workers=1)
-    before = digests(tmp_path / "simulated")
-    with pytest.raises(RecordingError, match=r"simulated/tiny/line holds another recording: seed 0, not 1"):
-        simulate("tiny.toml", seed=1, workers=1)
-
-    assert len(Recording.open(Path("simulated/tiny/line"))) > 0
-    assert digests(tmp_path / "simulated") == before

@@ -11,7 +11,7 @@ from calibration.simulator import defects, parts, sensor_appearance
 from calibration.simulator.field_of_view import LR, Field, grids
 from calibration.simulator.pose import Pose, sample
 from calibration.training import training_pairs
-from calibration.training.losses import cell_distances, find_changed_cells, separation, window_cells
+from calibration.training.losses import cell_distances, find_changed_cells, separation
 from calibration.training.train_config import TrainConfig
 from calibration.training.training_pairs import TRAINING_UNITS, Pairs, draw_pairs
 
@@ -21,15 +21,6 @@ SPACING = LR.mm_per_px
 def pairs(step: int = 0, **changes: object) -> Pairs:
     settings: dict[str, object] = {"pairs": 3, "side": 64, "high_resolution": 0.0}
     return draw_pairs(0, "train", step, **(settings | changes))  # type: ignore[arg-type]
-
-
-def test_a_batch_is_a_function_of_seed_purpose_and_step() -> None:
-    """Equal words give equal bytes; another step or purpose gives other frames."""
-    first = pairs(1)
-    assert torch.equal(first.frames, pairs(1).frames)
-    assert not torch.equal(first.frames, pairs(2).frames)
-    other = draw_pairs(0, "validate", 1, pairs=3, side=64, high_resolution=0.0)
-    assert not torch.equal(first.frames, other.frames)
 
 
 def test_frames_are_whole_grey_levels_with_contact_and_damage() -> None:
@@ -66,14 +57,6 @@ def test_changed_and_unfind_changed_cells_never_meet() -> None:
     assert math.isnan(separation(distance, torch.zeros_like(changed), unchanged))
 
 
-def test_euclidean_distances_are_in_units_of_the_features_own_length() -> None:
-    """Features 1 and 7 times a vector are 6 of 5 root mean squares apart, whatever the vector's length."""
-    first = torch.ones(1, 4, 2, 2)
-    for scale in (1e-3, 1.0, 1e3):
-        found = cell_distances(scale * torch.cat([first, 7 * first]))
-        assert torch.allclose(found, torch.full_like(found, 6 / 5), atol=1e-5)
-
-
 def test_a_shift_within_the_window_costs_nothing() -> None:
     """A cell moved by one column is found at distance 0 one column away, not beyond the window nor outside the map."""
     cells = torch.rand(2, 8, 6, 6, generator=torch.Generator().manual_seed(0))
@@ -97,14 +80,6 @@ def test_distances_agree_with_a_search_in_float64(reach: tuple[int, int]) -> Non
         apart = first[n, :, rows, columns] - second[n, :, row, column, None, None]
         nearest = np.sqrt((apart**2).sum(axis=0).min() + 1e-6)
         assert abs(found[n, row, column] - nearest) < 1e-5
-
-
-def test_the_window_keeps_its_width_in_mm() -> None:
-    """Half a millimetre is two cells of layer1 at 320x240, one of layer2, none of layer3; three at most anywhere."""
-    found = [window_cells(0.5, stride, (0.0634, 0.0634)) for stride in (4, 8, 16)]
-    assert found == [(2, 2), (1, 1), (0, 0)]
-    assert window_cells(0.5, 4, (0.045, 0.06)) == (2, 3)
-    assert window_cells(0.5, 4, (0.015, 0.02)) == (3, 3)
 
 
 def test_no_evaluated_part_defect_scene_or_sensor_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:

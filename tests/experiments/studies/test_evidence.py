@@ -31,13 +31,6 @@ def values(
     return drawn(found, are_drawn=are_drawn)
 
 
-def test_the_mean_and_its_interval() -> None:
-    """The mean of parts of the mean of seeds; without spread the interval is the mean."""
-    mean = summarise(drawn({("a", 0): 1.0, ("a", 1): 1.0, ("b", 0): 1.0, ("c", 0): 1.0}))
-
-    assert (mean.value, mean.low, mean.high, mean.parts, mean.draws) == (1.0, 1.0, 1.0, 3, 1)
-
-
 def test_the_interval_has_the_width_of_the_standard_error() -> None:
     """Of one part with many seeds: 1.96 standard errors to each side, within a tenth."""
     normal = np.random.default_rng(3).normal(size=400)

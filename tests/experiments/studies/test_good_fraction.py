@@ -1,8 +1,6 @@
 """Validation 1 on a small dataset: rows, continuation, both splits, the paper's mode, refusals, and Python."""
 
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -24,8 +22,7 @@ from calibration.experiments.studies.good_fraction_study import study_good_fract
 from calibration.experiments.studies.notebook import figure, study
 from calibration.experiments.studies.resolution_study import ViewPlace
 from calibration.fitting.trunks import open_trunk
-from calibration.progress import Advance
-from edge.core.errors import ConfigError, DatasetError, FitError
+from edge.core.errors import ConfigError, DatasetError
 
 METHODS = ("subspace", "padim")
 
@@ -66,12 +63,6 @@ def test_presses_and_pool_are_in_the_row(rows: list[dict[str, Any]]) -> None:
     assert {r["specimens"] for r in chosen(rows, split="specimen", fraction=1.0)} == {3}
 
 
-def test_more_shots_than_presses_are_a_refusal_in_the_row(rows: list[dict[str, Any]]) -> None:
-    """The other cells are not disturbed."""
-    for row in chosen(rows, shots=32):
-        assert row["error"] == "32 presses are asked for, the pool of PZ3/pos1 has 6"
-
-
 def test_the_seed_does_not_matter_where_nothing_is_random(dataset: Path, tmp_path: Path) -> None:
     """With all presses the published PCA subspace is one computation; with half of them it is not."""
     rows = study_good_fraction(
@@ -102,22 +93,6 @@ def test_one_and_two_processes_give_the_same_measures(dataset: Path, tmp_path: P
         found.append({row["key"]: (row["scores_sha256"], row["aupro_001"]) for row in done})
 
     assert found[0] == found[1]
-
-
-def test_features_are_extracted_once(dataset: Path, tmp_path: Path) -> None:
-    """A continued study reads them from the cache."""
-    seen: list[str] = []
-
-    @contextmanager
-    def show(what: str, total: int) -> Iterator[Advance]:
-        yield lambda done: seen.append(f"{what} {done}")
-
-    asked = options(dataset, tmp_path, seeds=1, show=show)
-    for fraction in (0.5, 1.0):
-        study_good_fraction(replace(asked, fractions=(fraction,), shots=()))
-
-    assert seen.count("features of PZ3/pos1 on tactile_resnet18 100") >= 2
-    assert len(list((tmp_path / "features").glob("*/grid.json"))) == 1
 
 
 def test_rows_of_other_pictures_are_not_continued(dataset: Path, tmp_path: Path) -> None:
@@ -194,15 +169,6 @@ def test_an_output_that_is_a_file_is_refused_before_any_work(dataset: Path, tmp_
         options(dataset, tmp_path / "rows")
 
 
-def test_no_damaged_picture_is_a_sentence(dataset: Path, tmp_path: Path) -> None:
-    """There is nothing to find."""
-    copy = Path(shutil.copytree(dataset, tmp_path / "data"))
-    shutil.rmtree(copy / "PZ3/pos1/fault")
-
-    with pytest.raises(DatasetError, match="has no defective press of PZ3/pos1"):
-        study_good_fraction(options(copy, tmp_path / "out", fractions=(1.0,), shots=()))
-
-
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -267,17 +233,6 @@ def test_the_published_inreach_reads_the_stages_of_a_smaller_backbone() -> None:
     assert changed == {"taps": ("layer1", "layer2", "layer3"), "grid_tap": "layer2"}
     assert overrides_for("padim", "paper", "tactile_resnet18") == {}
     assert overrides_for("inreach", "corrected", "tactile_resnet18") == {}
-
-
-def test_a_backbone_without_the_taps_of_a_method_is_refused(tmp_path: Path) -> None:
-    """The sentence says what it gives."""
-    from tiny import tiny_trunk
-
-    (tmp_path / "trunk.onnx").write_bytes(tiny_trunk())
-    with pytest.raises(
-        FitError, match=r"spade in paper mode reads layer1, layer2, layer3, the backbone .* gives"
-    ):
-        overrides_for("spade", "paper", str(tmp_path / "trunk.onnx"))
 
 
 def test_the_paper_mode_runs_with_the_shipped_backbone(dataset: Path, tmp_path: Path) -> None:

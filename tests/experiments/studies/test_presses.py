@@ -102,13 +102,6 @@ def test_too_few_to_hold_out_is_a_sentence(presses: StudyPresses, split: str, sa
         hold_out(presses, 20, split)  # type: ignore[arg-type]
 
 
-def test_unknown_specimens_cannot_be_split() -> None:
-    """The sentence says how specimens are named."""
-    presses = StudyPresses("P", "p", PressPictures((press("a.png"), press("b.png")), LR_VIEW), 2)
-    with pytest.raises(DatasetError, match="2 presses have no specimen id"):
-        hold_out(presses, 1, "specimen")
-
-
 def test_a_smaller_subset_is_part_of_a_larger_one() -> None:
     """Of one seed, as the prefix of one permutation; another seed draws others."""
     pool = np.arange(100, 200)
