@@ -184,7 +184,7 @@ class _Cut(NamedTuple):
         return inside
 
     def contact(self, free: U8) -> Mask:
-        """Where it touches inside, bool (240, 320)."""
+        """Find where it touches inside, bool (240, 320)."""
         levels = cv2.blur(np.abs(touch_edits.relief(self.rgb, free)).sum(axis=2), (9, 9))
         return np.asarray(levels > max(_TOUCHED_LEVELS, _TOUCHED_SHARE * float(levels.max()))) & self.inside
 

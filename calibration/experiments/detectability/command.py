@@ -2,7 +2,7 @@
 
 from datetime import date
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -63,7 +63,8 @@ def detectability(
     require_known("damage", kind or (), KINDS)
     settings = Settings(tuple(dict.fromkeys(kind or KINDS)), presses, spacing, seed, threads)
     loaded = Bundle.load(bundle)
-    found = _presses(loaded, sources, part, position, no_contact, resize, pattern)
+    how = {"no_contact": no_contact or (), "resize": resize, "pattern": pattern}
+    found = _presses(loaded, sources, part, position, **how)
     _make_folder(output)
     planned, rows = _measure(loaded, found, settings, Rows(output / TRIALS, _warn))
     curves = results(planned, rows)
@@ -82,26 +83,12 @@ def detectability(
 
 
 def _presses(
-    bundle: Bundle,
-    sources: list[Path],
-    part: str | None,
-    position: str | None,
-    no_contact: list[Path] | None,
-    resize: bool,
-    pattern: str | None,
+    bundle: Bundle, sources: list[Path], part: str | None, position: str | None, **how: Any
 ) -> NominalPresses:
-    """The presses, read as the bundle's profile says. Errors: as `read_presses` and `find_sources`."""
+    """Read presses as the bundle's profile says. how: as `read_presses`. Errors: of it and of `find_sources`."""
     own = bundle.manifest
     found = find_sources(sources, part or own.part, position or own.position, bundle.profile.size)
-    return read_presses(
-        found.paths,
-        bundle.profile,
-        bundle.region,
-        no_contact=no_contact or (),
-        resize=resize,
-        pattern=pattern,
-        specimens=found.specimens,
-    )
+    return read_presses(found.paths, bundle.profile, bundle.region, specimens=found.specimens, **how)
 
 
 def _measure(

@@ -155,59 +155,51 @@ def _shuffle(indices: Sequence[int], seed: int) -> list[int]:
 
 
 def _fold_judges(bundle: Bundle, learnt: NominalPresses, threads: int, progress: Advance) -> dict[int, Judge]:
-    """Fit banks without a fold each, as the fit made them for the threshold: the judge of each learnt press."""
-    fit = _Folds(bundle, learnt, threads)
+    """Repeat the bundle's own fit without a fold each, as for the threshold: the judge of each learnt press.
+
+    Errors: FitError.
+    """
+    learner, nominal = _learner(bundle, learnt, threads)
     specimens = learnt.specimens or (None,) * len(learnt)
-    folds, _ = divide_presses(specimens, _FOLDS, np.random.default_rng(bundle.manifest.provenance.seed or 0))
+    folds, _ = divide_presses(specimens, _FOLDS, np.random.default_rng(learner.seed))
+    tap = bundle.manifest.facts.get(MISSING, {}).get("tap", "")
+    trunks, backbone = TrunkSessions(threads), bundle.manifest.backbone
+    assert backbone is not None
     judges: dict[int, Judge] = {}
     for number, held in enumerate(folds, start=1):
-        judges |= dict.fromkeys(held.tolist(), fit.judge(held))
+        bank = learner.bank_without(nominal, held)
+        head, bank = append(learner.head(bank), bank, bundle.bank, tap)
+        manifest, files = bundle_files(
+            bundle.manifest,
+            Graphs(trunk=bundle.graphs.trunk, head=head),
+            bank,
+            backbone=backbone.id,
+            free_gel=bundle.free_gel,
+            free_view=bundle.free_view,
+            registration=bundle.registration,
+        )
+        where = f"{bundle.where} without {len(held)} presses"
+        scorer = Scorer(Bundle.in_memory(manifest, files, where, loaded=trunks), threads, trunks)
+        judges |= dict.fromkeys(held.tolist(), Judge(scorer, bundle.manifest))
         progress(number / len(folds))
     return judges
 
 
-class _Folds:
-    """The bundle's own fit, repeated without some of its presses."""
+def _learner(bundle: Bundle, learnt: NominalPresses, threads: int) -> tuple[Learner, Nominal]:
+    """The bundle's detector with its settings, and what it learnt."""
+    manifest, grid, part = bundle.manifest, bundle.grid, bundle.registration
+    assert grid is not None  # a bundle without a single graph has trunk, head and grid
+    detector = registry.detector(manifest.method)
+    settings = {name: value for name, value in manifest.parameters.items() if name != "mode"}
+    parameters = detector.parameters(manifest.mode or "corrected", **settings)
+    session = open_session(bundle.graphs.trunk or b"", threads, f"bundle {bundle.where}: trunk.onnx")
 
-    def __init__(self, bundle: Bundle, learnt: NominalPresses, threads: int) -> None:
-        manifest, grid = bundle.manifest, bundle.grid
-        assert grid is not None  # a bundle without a single graph has trunk, head and grid
-        self.bundle, self.threads, self.trunks = bundle, threads, TrunkSessions(threads)
-        detector = registry.detector(manifest.method)
-        settings = {name: value for name, value in manifest.parameters.items() if name != "mode"}
-        parameters = detector.parameters(manifest.mode or "corrected", **settings)
-        session = open_session(bundle.graphs.trunk or b"", threads, f"bundle {bundle.where}: trunk.onnx")
-        part = bundle.registration
-        frames = learnt.frames if part is None else in_pose_of(part, learnt.frames)
+    def take(frames: NDArray[np.uint8]) -> Features:
+        return extract(session, frames, grid, lambda fraction: None)
 
-        def take(frames: NDArray[np.uint8]) -> Features:
-            return extract(session, frames, grid, lambda fraction: None)
-
-        seed, each = manifest.provenance.seed or 0, copies_of_each(manifest.facts)
-        copies = Copies.of(learnt, each, grid.pixels_per_mm, seed, take)
-        self.learner = Learner(detector, grid, parameters, seed, threads, copies)
-        features = take(frames)
-        free = learnt.no_contact
-        no_contact = None if free is None else take(free)
-        self.nominal = Nominal(features, learnt.touched if part is None else None, no_contact)
-
-    def judge(self, held: NDArray[np.int64]) -> Judge:
-        """The judge of the presses held out. Errors: FitError."""
-        whole, bank = self.bundle, self.learner.bank_without(self.nominal, held)
-        tap = whole.manifest.facts.get(MISSING, {}).get("tap", "")
-        head, bank = append(self.learner.head(bank), bank, whole.bank, tap)
-        graphs = Graphs(trunk=whole.graphs.trunk, head=head)
-        assert whole.manifest.backbone is not None
-        manifest, files = bundle_files(
-            whole.manifest,
-            graphs,
-            bank,
-            backbone=whole.manifest.backbone.id,
-            free_gel=whole.free_gel,
-            free_view=whole.free_view,
-            registration=whole.registration,
-        )
-        fold = Bundle.in_memory(
-            manifest, files, f"{whole.where} without {len(held)} presses", loaded=self.trunks
-        )
-        return Judge(Scorer(fold, self.threads, self.trunks), whole.manifest)
+    seed, free = manifest.provenance.seed or 0, learnt.no_contact
+    copies = Copies.of(learnt, copies_of_each(manifest.facts), grid.pixels_per_mm, seed, take)
+    frames = learnt.frames if part is None else in_pose_of(part, learnt.frames)
+    touched = learnt.touched if part is None else None
+    nominal = Nominal(take(frames), touched, None if free is None else take(free))
+    return Learner(detector, grid, parameters, seed, threads, copies), nominal

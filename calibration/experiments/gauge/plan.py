@@ -192,12 +192,12 @@ def material(plan: StudyPlan, rows: Sequence[StudyPress]) -> Material:
         cells.setdefault((one.piece, one.operator), []).append(one)
     operators = tuple(name for name in plan.operators if any(name == one.operator for one in scored))
 
-    def pressed(repeats: int) -> tuple[str, ...]:
+    def find_pieces(repeats: int) -> tuple[str, ...]:
         names = (piece.name for piece in plan.pieces)
         return tuple(n for n in names if all(len(cells.get((n, o), ())) >= repeats for o in operators))
 
-    repeats = max(range(plan.repeats, 1, -1), key=lambda number: number * len(pressed(number)))
-    pieces = pressed(repeats)
+    repeats = max(range(plan.repeats, 1, -1), key=lambda number: number * len(find_pieces(number)))
+    pieces = find_pieces(repeats)
     if len(pieces) < 2 or len(operators) < 2:
         raise DatasetError(
             f"{len(scored)} of {len(plan.order)} presses of the study have a score, and no 2 pieces were pressed twice "

@@ -154,7 +154,7 @@ class _GelPresses:
         whole, exposure = self._piece(piece)
         return self.renderer.press(whole, _DEPTH_MM, (piece,), presses=_AGE, exposure=exposure)
 
-    def damaged(self, piece: int, kind: str, severity: float) -> tuple[U8, NDArray[np.bool_]]:
+    def press_damaged(self, piece: int, kind: str, severity: float) -> tuple[U8, NDArray[np.bool_]]:
         """Press a damaged piece: a picture, and where damage shows, bool (240, 320)."""
         whole, exposure = self._piece(piece)
         rng = self.streams("defect", piece)
@@ -165,12 +165,12 @@ class _GelPresses:
         whole = specimen(self.shape, self.streams("specimen", piece))
         return whole, Exposure(0, _POWERED_S + piece * PRESS_CYCLE_S)
 
-    def scored_presses(self, number: int) -> tuple[U8, NDArray[np.bool_]]:
+    def make_scored(self, number: int) -> tuple[U8, NDArray[np.bool_]]:
         """Regions of sound and damaged pieces in turn, uint8 (n, h, w, 3), and their masks, bool (n, h, w)."""
         kinds, rng = tuple(DEFECTS), self.streams("severities", number)
         frames, masks = [], []
         for k in range(_TESTED):
-            damaged, mask = self.damaged(4000 + k, kinds[k % len(kinds)], float(rng.uniform(0.3, 1.0)))
+            damaged, mask = self.press_damaged(4000 + k, kinds[k % len(kinds)], float(rng.uniform(0.3, 1.0)))
             frames += [self.press(3000 + k), damaged]
             masks += [np.zeros_like(mask), mask]
         return np.stack([REGION.crop(f) for f in frames]), np.stack([REGION.crop(m) for m in masks])
@@ -193,7 +193,7 @@ def measure_part(
         again = new_gel.nominal(range(1000, 1000 + _NOMINAL))
         old = old_gel.nominal(range(_NOMINAL))
         sound = np.stack([REGION.crop(old_gel.press(2000 + k)) for k in range(_TESTED)])
-        frames, masks = new_gel.scored_presses(number)
+        frames, masks = new_gel.make_scored(number)
     few = again.first(_FEW)
     detectors = {method: registry.detector(method) for method in methods}
     taps = sorted({tap for one in detectors.values() for tap in one.taps(one.parameters())})
