@@ -272,27 +272,20 @@ def _start(learner: _Learner, run: TrainingRun) -> list[dict[str, Any]]:
             raise ConfigError(
                 f"'{run.folder}' already holds a run; add --resume {run.folder} or choose another folder"
             )
-        if bool(learner.recipe.start) != bool(run.start):
+        named = "" if run.start is None else checkpoints.weights_sha256(run.start)
+        if named != learner.recipe.start:
             raise ConfigError(
-                "--start belongs to a recipe with `start` set, and such a recipe needs it; give both or neither"
+                f"the recipe starts from the weights '{learner.recipe.start[:12]}', and --start names "
+                f"'{named[:12]}'; name the folder of the run that the recipe continues"
             )
         if run.start is not None:
-            _begin(learner, run.start)
+            learner.begin_with(checkpoints.load(run.start))
         return []
     saved = checkpoints.load(run.resume, learner.recipe)
     learner.restore(saved)
     lines = run.resume / _LOG
     log = [json.loads(line) for line in lines.read_text().splitlines()] if lines.is_file() else []
     return [entry for entry in log if entry["step"] <= saved.step]
-
-
-def _begin(learner: _Learner, start: Path) -> None:
-    found = checkpoints.weights_sha256(start)
-    if found != learner.recipe.start:
-        raise ConfigError(
-            f"the weights in '{start}' are {found[:12]}, the recipe starts from {learner.recipe.start[:12]}"
-        )
-    learner.begin_with(checkpoints.load(start))
 
 
 def _save(learner: _Learner, run: TrainingRun, log: list[dict[str, Any]]) -> Path:
