@@ -3,8 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any
+from contextlib import ExitStack, contextmanager
 
 __all__ = ["Advance", "Report", "Stages", "lines", "progress"]
 
@@ -23,7 +22,7 @@ _ESTIMATED_OVER_S = 900.0
 
 @contextmanager
 def progress(what: str, total: int, unit: str = "") -> Iterator[Advance]:
-    """Show the progress of `what`; the caller reports steps done, up to `total`. unit: "%" if steps have no name.
+    """Show the progress of `what`; the caller reports steps done, up to `total`. unit: "%" where steps are hundredths.
 
     Work that continues earlier work reports first what is done already; the time left is estimated without it.
     """
@@ -65,7 +64,7 @@ def lines(what: str, total: int, unit: str = "", clock: Callable[[], float] = ti
         tenth = 10 * done // max(total, 1)
         if tenth > shown:
             shown = tenth
-            done_of = f"{done} %" if unit == "%" else f"{done} of {total}"
+            done_of = f"{done} of {total}" if unit != "%" else f"{done} %" if done < total else "done"
             left_s = (clock() - began[1]) * (total - done) / max(done - began[0], 1)
             left = f", about {left_s / 60:.0f} min left" if left_s >= _LEAST_LEFT_S else ""
             print(f"{what}: {done_of}{left}", file=sys.stderr, flush=True)
@@ -74,33 +73,20 @@ def lines(what: str, total: int, unit: str = "", clock: Callable[[], float] = ti
 
 
 class Stages:
-    """Progress of named stages: bars on a terminal, else a line at every tenth of a stage."""
+    """Progress of named stages, one after the other, by the fraction of each that is done."""
 
     def __init__(self) -> None:
-        self._bars: Any = None
-        self._tasks: dict[str, Any] = {}
-        if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import Progress
-
-            self._bars = Progress(console=Console(stderr=True), transient=True)
+        self._stage, self._advance, self._shown = "", lines("", 0), ExitStack()
 
     def __enter__(self) -> Report:
-        if self._bars:
-            self._bars.start()
         return self._show
 
     def __exit__(self, *unused: object) -> None:
-        if self._bars:
-            self._bars.stop()
+        self._shown.close()
 
     def _show(self, stage: str, fraction: float) -> None:
-        if self._bars:
-            if stage not in self._tasks:
-                self._tasks[stage] = self._bars.add_task(stage, total=1.0)
-            self._bars.update(self._tasks[stage], completed=fraction)
-            return
-        tenth = int(10 * fraction + 1e-9)
-        if tenth > self._tasks.setdefault(stage, 0):
-            self._tasks[stage] = tenth
-            print(f"{stage}: {'done' if tenth >= 10 else f'{10 * tenth} %'}", file=sys.stderr, flush=True)
+        if stage != self._stage:
+            self._shown.close()
+            self._stage = stage
+            self._advance = self._shown.enter_context(progress(stage, 100, "%"))
+        self._advance(int(100 * fraction + 1e-9))

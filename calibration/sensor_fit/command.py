@@ -1,5 +1,6 @@
 """`gelgate lab calibrate --simulator`: a real sensor's presses of a ball in, a sensor's file for the simulator out."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,7 +43,7 @@ def calibrate(
     picture next to the file shows real, simulated and difference. `gelgate lab simulate --sensor FILE` reads the file.
     """
     from calibration.fitting.presses.nominal_presses import read_presses
-    from calibration.progress import progress
+    from calibration.progress import Stages
     from calibration.sensor_fit.calibrate import calibrate_sensor
     from calibration.simulator.field_of_view import LR
     from edge.core.errors import ConfigError
@@ -56,13 +57,13 @@ def calibrate(
     presses = read_presses(
         sources, own, Region.full(own.size), no_contact=no_contact, resize=resize, pattern=pattern
     )
-    with progress("calibrate", 100, unit="%") as advance:
+    with Stages() as report:
         made = calibrate_sensor(
             presses,
             output.stem,
             ball_radius_mm,
             mm_per_px or LR.mm_per_px[0],
-            lambda share: advance(int(100 * share)),
+            partial(report, "calibrate"),
         )
     _say(made)
     _write(made, output, sheet)
@@ -102,7 +103,7 @@ def _write(made: "Calibrated", output: Path, sheet: Path) -> None:
     import cv2
 
     from calibration.evaluate.report import write_atomically
-    from calibration.sensor_fit.sheet import calibration_sheet
+    from calibration.sensor_fit.result import calibration_sheet
 
     _, data = cv2.imencode(".png", cv2.cvtColor(calibration_sheet(made.judged), cv2.COLOR_RGB2BGR))
     write_atomically(sheet, data.tobytes())

@@ -8,11 +8,13 @@ from numpy.typing import NDArray
 
 from calibration.sensor_fit.ball import ball_height
 from calibration.sensor_fit.fit import BallPress, SensorFit, fit_poses, fit_without_each
+from calibration.simulator.camera import quantise
 from calibration.simulator.field_of_view import F32, LR, grids
-from calibration.simulator.renderer import Renderer
+from calibration.simulator.preview import title_picture
+from calibration.simulator.renderer import U8, Renderer
 from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
 
-__all__ = ["Judged", "gain", "judge", "rms_of", "with_response"]
+__all__ = ["Judged", "calibration_sheet", "gain", "judge", "rms_of", "with_response"]
 
 F64 = NDArray[np.float64]
 
@@ -96,3 +98,21 @@ def gain(appearance: SensorAppearance) -> float:
         return float(np.linalg.norm(response[:, [0, 6]]))
 
     return strength(appearance.slope_response) / strength(SENSORS["unit_b"].slope_response)
+
+
+_MAGNIFIED, _SHOWN = 4, 8
+
+
+def calibration_sheet(judged: Sequence[Judged]) -> U8:
+    """Draw at most eight presses, the best to the worst: real, simulated, difference x 4 about mid grey; RGB."""
+    ranked = sorted(judged, key=lambda one: one.inside)
+    shown = np.linspace(0, len(ranked) - 1, min(_SHOWN, len(ranked))).round().astype(int)
+    rows = []
+    for one in (ranked[k] for k in shown):
+        titled = {
+            f"{one.name}: real": one.real,
+            f"simulated, {one.inside:.1f} levels rms inside contact": one.simulated,
+            f"difference x{_MAGNIFIED}": 128 + _MAGNIFIED * (one.simulated - one.real),
+        }
+        rows.append(np.hstack([title_picture(quantise(planes), title) for title, planes in titled.items()]))
+    return np.vstack(rows)

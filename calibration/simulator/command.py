@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -100,37 +101,29 @@ def simulate(
 def _dataset(
     scenes: "list[Scene]", output: Path, seed: int, presses: int | None, run: str, workers: int
 ) -> None:
-    from calibration.progress import progress
+    from calibration.progress import Stages
     from calibration.simulator.dataset_writer import simulate_dataset
     from edge.core.errors import ConfigError
 
     if run:
         raise ConfigError(f"scene '{scenes[0].name}' describes a dataset, which has no runs; leave --run out")
-    with progress("simulate", 100, unit="%") as advance:
-        simulate_dataset(
-            scenes, output, seed, presses=presses, workers=workers, progress=lambda f: advance(int(100 * f))
-        )
+    with Stages() as report:
+        show = partial(report, "simulate")
+        simulate_dataset(scenes, output, seed, presses=presses, workers=workers, progress=show)
     typer.echo(f"dataset: {output}")
 
 
 def _recordings(
     scene: "Scene", output: Path, seed: int, presses: int | None, only: str, workers: int
 ) -> None:
-    from calibration.progress import progress
+    from calibration.progress import Stages
     from calibration.simulator.record import simulate_recording
 
     for name in [only] if only else [run.name for run in scene.runs]:
         folder = output if only else output / name
-        with progress(f"simulate {name}", 100, unit="%") as advance:
-            simulate_recording(
-                scene,
-                folder,
-                seed,
-                run=name,
-                presses=presses,
-                workers=workers,
-                progress=lambda f, advance=advance: advance(int(100 * f)),  # type: ignore[misc]
-            )
+        with Stages() as report:
+            show = partial(report, f"simulate {name}")
+            simulate_recording(scene, folder, seed, run=name, presses=presses, workers=workers, progress=show)
         typer.echo(f"recording: {folder}")
 
 

@@ -15,7 +15,7 @@ from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.scene import Scene
 from calibration.simulator.streams import Streams
 
-__all__ = ["preview", "write_preview"]
+__all__ = ["preview", "title_picture", "write_preview"]
 
 _COLUMNS = 6
 _INK, _PAPER = (235, 235, 235), 24
@@ -41,7 +41,7 @@ def preview(scene: Scene, seed: int = 0) -> U8:
     tiles += [blank] * (-len(tiles) % _COLUMNS)
     tiles += _effects(scene, seed)
     tiles += [blank] * (-len(tiles) % _COLUMNS)
-    pictures = [_titled(picture, title) for picture, title in tiles]
+    pictures = [title_picture(picture, title) for picture, title in tiles]
     rows = [np.hstack(pictures[k : k + _COLUMNS]) for k in range(0, len(pictures), _COLUMNS)]
     return np.vstack(rows)
 
@@ -108,7 +108,8 @@ def _one(scene: Scene, seed: int, names: tuple[str, ...]) -> U8:
     return renderer.expose(renderer.light(surface, _WORN), key, Exposure(0, 5.0, (3.0, 2.0)))
 
 
-def _titled(picture: U8, title: str) -> U8:
+def title_picture(picture: U8, title: str) -> U8:
+    """Return the picture on paper, with its title above it."""
     tile = np.full((picture.shape[0] + 20, picture.shape[1] + 4, 3), _PAPER, dtype=np.uint8)
     tile[18:-2, 2:-2] = picture
     cv2.putText(tile, title, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, _INK, 1, cv2.LINE_AA)
