@@ -4,6 +4,7 @@ One press is the first template; the mean of all presses in its pose is the next
 presses themselves (`edge.core.registration.colours`).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -11,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import FitError
-from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.colours import FreeLight, SlopeColours
+from edge.core.registration.fine import Alignment
 from edge.core.registration.pose import Pose
 from edge.core.registration.registrar import (
-    SIDE_PX,
     PartInPose,
     PoseSearch,
     Registered,
@@ -29,17 +29,26 @@ from edge.core.registration.registrar import (
 __all__ = ["LearntPose", "completed", "in_pose_of", "learn_pose"]
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-_ROUNDS = 2
+_MOST_ROUNDS = 8
+# As many presses are tried as the first template: one may lead presses of a nearly round part to wrong turns.
+_STARTS = 3
 _SEED = 0
 # A place of the bank is learnt where at least this share of the presses shows it.
 _LEARNT_SHARE = 0.35
 # The mean press must explain this much of the presses, else there is no relief to register by.
 _LEAST_TYPICAL = 0.6
-# A part that agrees this well with itself at any turn has none: real balls 0.92 and more, a gear of 12 teeth 0.41.
-_ROUND, _ROUND_TURNS = 0.8, 72
+# A turn is the same within this angle, and a part's turns are if this share of its presses keeps them.
+_SAME_TURN_RAD, _SAME_SHARE = math.radians(5), 0.9
+# A part repeats itself at most so often in a turn; more teeth than that are as good as round.
+_MOST_SYMMETRY = 12
+# It looks the same where a press disagrees with it at most so many times as much: exact 1.7 to 2.1, nearly so from 2.2.
+_ALIKE_TIMES, _LOOKED_AT = 2.1, 8
+# Two ways to read the colours agree equally well with the presses.
+_AS_TYPICAL = 0.02
 # A press is recognised up to this many times the mismatch of the nominal one that agrees least, for damage adds to it:
 # another part agrees by up to 0.53 on five simulated parts and a real ball.
 _MISMATCH_TIMES, _LEAST_MATCH = 4.0, (0.55, 0.8)
@@ -63,17 +72,21 @@ def learn_pose(frames: U8, free: U8) -> LearntPose:
     """Learn the pose from nominal presses and the free gel, uint8 (n, h, w, 3) and (h, w, 3). Errors: FitError."""
     light = FreeLight(free)
     added = [light.find_change(rgb) for rgb in frames]
-    first = _first(added)
-    found = [_aligned(light, added, first, colours) for colours in _both(added)]
-    part, typical = max(found, key=lambda one: one[1])
-    if max(_roundness(light, one) for one, _ in found) >= _ROUND:
-        part, typical = _aligned(light, added, first, part.colours, is_turning=False)
-    if typical < _LEAST_TYPICAL:
+    firsts = _firsts(added)
+    tried = [_align(added, firsts[0], colours) for colours in _both(added)]
+    best = max(tried, key=lambda one: one.typical)
+    if any(one.symmetry == 0 and one.typical > best.typical - _AS_TYPICAL for one in tried):
+        best = _align(added, firsts[0], best.colours, is_turning=False)
+    else:
+        best = _agree([best, *(_align(added, first, best.colours) for first in firsts[1:])])
+        best = replace(best, symmetry=max(best.symmetry, _look_alike(added, best)))
+    if best.typical < _LEAST_TYPICAL:
         raise FitError(
-            f"no common relief by which presses can be registered: in the median one agrees by {typical:.2f} with the "
-            f"others, at least {_LEAST_TYPICAL} is expected; check that all presses are of one part, and that its "
+            f"no common relief by which presses can be registered: in the median one agrees by {best.typical:.2f} with "
+            f"the others, at least {_LEAST_TYPICAL} is expected; check that all presses are of one part, and that its "
             "relief lies on the gel"
         )
+    part = _average(light, added, best)
     registered = tuple(Registrar(part).register(rgb) for rgb in frames)
     lowest = min(one.match for one in registered)
     part = replace(
@@ -94,38 +107,121 @@ def _both(added: Sequence[F32]) -> tuple[SlopeColours, SlopeColours]:
     return colours, colours.mirror()
 
 
-def _first(added: Sequence[F32]) -> F32:
-    """The press with most of its relief in the middle of the field."""
+def _firsts(added: Sequence[F32]) -> list[F32]:
+    """Return the presses with most of their relief in the middle of the field, best first."""
     h, w = added[0].shape[:2]
     y, x = np.mgrid[:h, :w]
     middle = np.exp(-((3 * (y - h / 2) / h) ** 2) - (3 * (x - w / 2) / w) ** 2)[..., None]
     shares = [float((one**2 * middle).sum()) / float(np.sqrt((one**2).sum()) + 1) for one in added]
-    return added[int(np.argmax(shares))]
+    return [added[k] for k in np.argsort(shares)[::-1][:_STARTS]]
 
 
-def _aligned(
-    light: FreeLight, added: Sequence[F32], first: F32, colours: SlopeColours, is_turning: bool = True
-) -> tuple[PartInPose, float]:
-    """The mean press after some rounds, and how well a press agrees with it in the median."""
-    mean, learnt, typical = first, np.ones(first.shape[:2], np.bool_), 0.0
+@dataclass(frozen=True, eq=False)
+class _Aligned:
+    """Presses in their common pose."""
+
+    poses: Sequence[Pose]
+    """In pixels of the presses."""
+    typical: float
+    """How well a press agrees with the mean of others, in the median."""
+    symmetry: int
+    """As `PartInPose.symmetry`."""
+    colours: SlopeColours
+
+    @property
+    def turns(self) -> F64:
+        return np.array([pose.turn_rad for pose in self.poses])
+
+
+def _align(added: Sequence[F32], first: F32, colours: SlopeColours, is_turning: bool = True) -> _Aligned:
+    """Bring presses to the pose of the first, until their turns settle.
+
+    Round by round each press is found by the mean of half of the presses, without itself: a mean that holds the press
+    would keep any turn that it has. Where a part looks the same at several turns, they do not settle.
+    """
     slopes = [colours.slopes(shrunk(one)) for one in added]
     factor = max(first.shape) / max(slopes[0].shape)
-    for _ in range(_ROUNDS):
+
+    def find(mean: F32, learnt: Mask, presses: Sequence[int]) -> list[Alignment]:
         search = PoseSearch(colours.slopes(shrunk(mean * learnt[..., None])), is_turning)
-        found = [search.find(one) for one in slopes]
-        typical = float(np.median([one.match for one in found]))
+        return [search.find(slopes[k]) for k in presses]
+
+    rng, turned = np.random.default_rng(_SEED), np.zeros(len(added))
+    found = find(first, np.ones(first.shape[:2], np.bool_), range(len(added)))
+    for _ in range(_MOST_ROUNDS):
         poses = _in_the_middle([one.pose.scale(factor) for one in found])
-        mean, learnt = _mean(added, poses, colours)
+        order = rng.permutation(len(added))
+        for half, other in ((order[::2], order[1::2]), (order[1::2], order[::2])):
+            mean = _mean([added[k] for k in other], [poses[k] for k in other], colours)
+            for k, one in zip(half, find(*mean, half), strict=True):
+                turned[k] = one.pose.turn_rad - poses[k].turn_rad
+                found[k] = one
+        if _same_share(turned) == 1:
+            break
+    poses = _in_the_middle([one.pose.scale(factor) for one in found])
+    symmetry = _symmetry(turned) if is_turning else 0
+    return _Aligned(poses, float(np.median([one.match for one in found])), symmetry, colours)
+
+
+def _agree(tried: Sequence[_Aligned]) -> _Aligned:
+    """Return the trial whose turns agree with most of another one; its symmetry is what their turns differ by."""
+    pairs = [(one, one.turns - other.turns) for one in tried for other in tried if other is not one]
+    best, turned = max(pairs, key=lambda pair: (_same_share(pair[1]), pair[0].typical))
+    return replace(best, symmetry=_symmetry(turned))
+
+
+def _look_alike(added: Sequence[F32], aligned: _Aligned) -> int:
+    """Find how often the part looks the same in a full turn: a press that is turned so far differs little more.
+
+    Of two turns that fit equally well the light prefers the smaller one, so turns that repeat do not show it.
+    """
+    mean, learnt = _mean(added, aligned.poses, aligned.colours)
+    search = PoseSearch(aligned.colours.slopes(shrunk(mean * learnt[..., None])))
+    slopes = [aligned.colours.slopes(shrunk(one)) for one in added[:_LOOKED_AT]]
+    found = [search.find(one) for one in slopes]
+
+    def differs(n: int) -> float:
+        """Compute how much more a press differs that is turned by the n-th part of a turn, in the median."""
+        turns = [one.pose.turn_rad + 2 * math.pi / n for one in found]
+        again = [search.find(one, turn) for one, turn in zip(slopes, turns, strict=True)]
+        off = [
+            math.remainder(one.pose.turn_rad - turn, 2 * math.pi)
+            for one, turn in zip(again, turns, strict=True)
+        ]
+        is_there = np.abs(off) < _SAME_TURN_RAD
+        return float(
+            np.median(
+                [
+                    (1 - b.match) / (1 - a.match) if near else math.inf
+                    for a, b, near in zip(found, again, is_there, strict=True)
+                ]
+            )
+        )
+
+    return next((n for n in range(_MOST_SYMMETRY, 1, -1) if differs(n) < _ALIKE_TIMES), 1)
+
+
+def _symmetry(turned: F64) -> int:
+    """Find how often a part repeats itself in a full turn, from turns that differ by chance; 0 if they are any."""
+    return next((n for n in range(1, _MOST_SYMMETRY + 1) if _same_share(turned, n) >= _SAME_SHARE), 0)
+
+
+def _same_share(turned: F64, symmetry: int = 1) -> float:
+    """Compute the share of presses that are turned by the same angle, but for steps of the symmetry."""
+    step = 2 * math.pi / symmetry
+    apart = np.abs(np.remainder(turned[:, None] - turned + step / 2, step) - step / 2)
+    return float((apart < _SAME_TURN_RAD).mean(axis=1).max())
+
+
+def _average(light: FreeLight, added: Sequence[F32], aligned: _Aligned) -> PartInPose:
+    """Average the presses in their common pose."""
+    mean, learnt = _mean(added, aligned.poses, aligned.colours)
     free = light.picture(np.zeros_like(mean))
     template = light.picture(mean * learnt[..., None])
     # A round part shows other light towards the end of the field, and its colours are not turned with it.
-    return PartInPose(free, template, learnt, colours, is_turning, scores_relief_to_end=is_turning), typical
-
-
-def _roundness(light: FreeLight, part: PartInPose) -> float:
-    """Measure how well the part agrees with itself at any turn, by these colours of slopes."""
-    slopes = shrunk(part.colours.slopes(shrunk(light.find_change(part.template))), SIDE_PX // 2)
-    return CoarseSearch(slopes, _ROUND_TURNS).roundness(slopes)
+    return PartInPose(
+        free, template, learnt, aligned.colours, aligned.symmetry, scores_relief_to_end=aligned.symmetry > 0
+    )
 
 
 def _in_the_middle(poses: Sequence[Pose]) -> list[Pose]:

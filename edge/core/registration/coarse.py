@@ -20,7 +20,7 @@ F32 = NDArray[np.float32]
 _ROOM = 8 / 7
 
 # Candidates differ by more than this many turns, rows or columns.
-_APART = (2, 2, 2)
+_APART = (0, 2, 2)
 # A coarse match within this share of the best may become the best when it is refined.
 _NEARLY = 0.8
 
@@ -36,13 +36,15 @@ class CoarseSearch:
         turned /= np.maximum(norms, np.finfo(np.float32).tiny).astype(np.float32)
         self._spectra = np.conj(self._spectra_of(turned)).transpose(1, 0, 2, 3)
 
-    def candidates(self, slopes: F32, count: int) -> list[tuple[Pose, float]]:
+    def candidates(self, slopes: F32, count: int, near_rad: float | None = None) -> list[tuple[Pose, float]]:
         """The best poses in cells, each with the correlation of its slopes, at most 1; best first, none by another.
 
         A regular part fits nearly as well a pitch further on. Those that fit much worse than the best are left out.
-        slopes: of a press, in cells.
+        slopes: of a press, in cells. near_rad: find poses at the nearest turn alone.
         """
         matches = self._matches(slopes)
+        if near_rad is not None:
+            matches[np.arange(len(matches)) != round(near_rad / self._step_rad) % len(matches)] = -1
         best: list[tuple[Pose, float]] = []
         while len(best) < count:
             at = np.unravel_index(int(matches.argmax()), matches.shape)
@@ -59,10 +61,6 @@ class CoarseSearch:
             )
             matches[np.ix_(turns, rows, columns)] = -1
         return best
-
-    def roundness(self, slopes: F32) -> float:
-        """Measure how well a part agrees with itself at the turn where it agrees least, at most 1: a ball nearly 1."""
-        return float(self._matches(slopes).max(axis=(1, 2)).min())
 
     def _matches(self, slopes: F32) -> F32:
         """Compute the match of each turn and shift, float32 (turns, grid, grid)."""

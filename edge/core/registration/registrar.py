@@ -24,7 +24,7 @@ SIDE_PX = 112
 # presses of six simulated parts got a worse pose, with 32 to 56 cells and 36 to 72 turns at most one.
 _COARSE_CELLS, _TURNS = 32, 36
 # Poses that are refined, and how often; one more round moves none by a hundredth of a pixel.
-_CANDIDATES, _FIRST_ROUNDS, _FINE_ROUNDS = 8, 3, 2
+_CANDIDATES, _FIRST_ROUNDS, _FINE_ROUNDS = _TURNS, 3, 2
 _INSIDE_POWER = 0.05
 
 
@@ -49,10 +49,13 @@ class PoseSearch:
         self._middle = FineSearch(small, is_turning)
         self._fine = FineSearch(slopes, is_turning)
 
-    def find(self, slopes: F32) -> Alignment:
-        """The best pose, in pixels of these slopes, float32 (h, w, 2) in the size of the part's."""
+    def find(self, slopes: F32, near_rad: float | None = None) -> Alignment:
+        """Find the best pose, of those near a turn if one is given.
+
+        It is in pixels of these slopes, float32 (h, w, 2) in the size of the part's.
+        """
         small = shrunk(slopes, SIDE_PX // 2)
-        first = self._coarse.candidates(shrunk(slopes, _COARSE_CELLS), _CANDIDATES)
+        first = self._coarse.candidates(shrunk(slopes, _COARSE_CELLS), _CANDIDATES, near_rad)
         tried = self._middle.refine(small, [pose.scale(self._cell) for pose, _ in first], _FIRST_ROUNDS)
         best = max(tried, key=lambda pose: self._worth(small, pose))
         return self._fine.align(slopes, best.scale(self._factor), _FINE_ROUNDS)
@@ -88,14 +91,19 @@ class PartInPose:
     learnt: Mask
     """bool (h, w): places of the bank that enough nominal presses show."""
     colours: SlopeColours
-    is_turning: bool = True
-    """False where the part has no turn."""
+    symmetry: int = 1
+    """The part looks the same this many times in a full turn: 1 where its turn is known, 0 for a round part without."""
     least_match: float = 0.5
     """Below it a press shows no such part."""
     least_seen: float = 0.5
     """The share of the part that must lie in the field."""
     scores_relief_to_end: bool = True
     """Score relief up to the end of what a press shows; bundles of earlier fits leave the seam unscored."""
+
+    @property
+    def is_turning(self) -> bool:
+        """False for a round part, which has no turn."""
+        return self.symmetry > 0
 
     def __post_init__(self) -> None:
         if not self.free.shape == self.template.shape == (*self.learnt.shape, 3):
