@@ -297,12 +297,12 @@ class _PublishedTable(PieceTable):
 def _measure(press: Press, settled: PressSettled, inspector: Inspector) -> Imprint:
     profile, touch, found = inspector.bundle.profile, settled.touch, press.registered
     (x_mm, y_mm), (width, height) = profile.mm_per_pixel, profile.size
-    is_turning = found is not None and found.uncertainty.turn_rad is not None
+    turn = None if found is None else found.turn_rad
     return Imprint(
         strength_levels=settled.strength,
         x_mm=touch.x * width * x_mm,
         y_mm=touch.y * height * y_mm,
-        turn_deg=math.degrees(found.pose.turn_rad) if found is not None and is_turning else None,
+        turn_deg=None if turn is None else math.degrees(turn),
         noise_levels=None if settled.findings is None else settled.findings.noise_levels,
     )
 

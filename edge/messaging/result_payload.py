@@ -83,7 +83,8 @@ class PosePlace(_Part):
     x_mm: float = Field(description="shift to the right")
     y_mm: float = Field(description="shift down")
     turn_deg: float | None = Field(
-        default=None, description="turn, clockwise; null for a part without a turn, as a ball"
+        default=None,
+        description="turn, clockwise; null for a part without a turn, as a ball",
     )
     x_sd_mm: float = Field(ge=0)
     y_sd_mm: float = Field(ge=0)
@@ -96,11 +97,11 @@ class PosePlace(_Part):
     @classmethod
     def of(cls, registered: Registered, mm_per_pixel: tuple[float, float]) -> Self:
         (x_mm, y_mm), pose, sd = mm_per_pixel, registered.pose, registered.uncertainty
-        is_turning = sd.turn_rad is not None
+        turn = registered.turn_rad
         return cls(
             x_mm=round(pose.x_px * x_mm, 3),
             y_mm=round(pose.y_px * y_mm, 3),
-            turn_deg=round(math.degrees(pose.turn_rad), 2) if is_turning else None,
+            turn_deg=None if turn is None else round(math.degrees(turn), 2),
             x_sd_mm=round(sd.x_px * x_mm, 4),
             y_sd_mm=round(sd.y_px * y_mm, 4),
             turn_sd_deg=None if sd.turn_rad is None else round(math.degrees(sd.turn_rad), 3),

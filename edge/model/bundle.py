@@ -337,7 +337,7 @@ def _read_registration(
             template=read_picture(archive, entry.template, frame),
             learnt=read_picture(archive, entry.learnt, frame)[..., 0] > 127,
             colours=SlopeColours(np.array(entry.colours)),
-            is_turning=entry.is_turning,
+            symmetry=entry.symmetry if entry.is_turning else 0,
             least_match=entry.least_match,
             least_seen=entry.least_seen,
             scores_relief_to_end=entry.scores_relief_to_end,

@@ -140,6 +140,7 @@ def _registration_entry(part: PartInPose, keep: Callable[[str, bytes], FileEntry
         learnt=keep("registration/learnt.png", png_bytes(learnt)),
         colours=(red, green, blue),
         is_turning=part.is_turning,
+        symmetry=max(1, part.symmetry),
         least_match=part.least_match,
         least_seen=part.least_seen,
         scores_relief_to_end=part.scores_relief_to_end,

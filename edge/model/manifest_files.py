@@ -91,8 +91,9 @@ class RegistrationEntry(Entry):
     """`PartInPose`: free, template and learnt are pictures of the region, learnt white where the bank is learnt.
 
     colours: for red, green and blue the levels of the two slopes. is_turning: false where the part has no turn, as a
-    ball. least_match, least_seen: a press below either is rejected. scores_relief_to_end: false in bundles that do not
-    state it; they were fitted with a seam around what a press shows that is not scored.
+    ball. symmetry: how often it looks the same in a full turn; 1 in bundles that do not state it. least_match,
+    least_seen: a press below either is rejected. scores_relief_to_end: false in bundles that do not state it; they were
+    fitted with a seam around what a press shows that is not scored.
     """
 
     free: FileEntry
@@ -100,6 +101,7 @@ class RegistrationEntry(Entry):
     learnt: FileEntry
     colours: tuple[Levels, Levels, Levels]
     is_turning: bool
+    symmetry: int = Field(default=1, ge=1)
     least_match: float = Field(gt=0, lt=1)
     least_seen: float = Field(ge=0, le=1)
     scores_relief_to_end: bool = False

@@ -73,6 +73,25 @@ def test_what_is_stored_is_what_was_learnt() -> None:
     np.testing.assert_array_equal(in_pose_of(part, presses), learnt.frames)
 
 
+@pytest.mark.parametrize(
+    ("part", "symmetry"),
+    [(parts.BLOCK, 1), (parts.KEYED, 1), *((parts.ring(n), n) for n in (2, 3, 4, 6)), (parts.BALL, 0)],
+    ids=["block", "keyed", "2", "3", "4", "6", "ball"],
+)
+def test_how_often_a_part_looks_the_same_in_a_turn(part: parts.Bumps, symmetry: int) -> None:
+    """Its turn is then found but for steps of that, for each press; a nearly round part keeps all of its turn."""
+    poses, presses = parts.anywhere(part, 12)
+    learnt = learn_pose(presses, parts.free_gel())
+
+    assert learnt.part.symmetry == symmetry
+    if symmetry:
+        apart = np.array(
+            [pose.turn_rad - one.pose.turn_rad for pose, one in zip(poses, learnt.registered, strict=True)]
+        )
+        assert abs(np.exp(1j * symmetry * apart).mean()) > np.cos(symmetry * np.radians(2))
+        assert all(abs(one.turn_rad or 0) <= np.pi / symmetry for one in learnt.registered)
+
+
 @pytest.mark.parametrize(("part", "expected"), [("BLOCK", True), ("BALL", False)])
 def test_a_round_part_keeps_the_seam_unscored(part: str, expected: bool) -> None:
     """It shows other light at the end of the field; other parts are scored up to there."""

@@ -32,7 +32,18 @@ BLOCK: Bumps = (
     (-26, 20, 5, -5),
 )
 OTHER: Bumps = ((-15, 20, 5, 8), (0, -22, 4, 6), (5, 15, 12, -9), (25, -5, 6, 7))
-CROSS: Bumps = tuple((26 * math.cos(k * math.pi / 2), 26 * math.sin(k * math.pi / 2), 7, 8) for k in range(4))
+
+
+def ring(n: int, radius: float = 7.0) -> Bumps:
+    """n equal bumps around the middle: a part that looks the same n times in a full turn."""
+    return tuple(
+        (26 * math.cos(2 * math.pi * k / n), 26 * math.sin(2 * math.pi * k / n), radius, 8) for k in range(n)
+    )
+
+
+CROSS = ring(4)
+# Nearly round: only a low bump says how it is turned.
+KEYED: Bumps = (*ring(36, 4.0), (12.0, 0.0, 5.0, 8.0))
 TEETH: Bumps = (*((10.0 * k - 40, 0.0, 3.0, 5.0) for k in range(9)), (40.0, 7.0, 3.0, 4.0))
 BALL: Bumps = ((0, 0, 14, 12),)
 

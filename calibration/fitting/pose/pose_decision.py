@@ -81,7 +81,7 @@ def choose_pose(
             raise
         return PoseChoice(None, f"presses are compared as they lie: {error}")
     spread = pose_spread_mm(learnt, view[0].pixels_per_mm)
-    apart = f"in the median presses lie {spread:.2f} mm from their common pose"
+    apart = f"in the median presses lie {spread:.2f} mm from their common pose{_doubt(learnt.part.symmetry)}"
     if register == "always":
         return PoseChoice(learnt, f"presses are registered, as asked for; {apart}")
     if spread <= SPREAD_MM:
@@ -97,6 +97,18 @@ def choose_pose(
         why = f"presses are registered: {apart}; {proof} (image AUROC, out of fold)"
         return PoseChoice(learnt, why, registered)
     return PoseChoice(None, f"presses are compared as they lie: {apart}, but {proof}", still)
+
+
+def _doubt(symmetry: int) -> str:
+    """Say that a part which repeats itself has no turn of its own; empty for other parts."""
+    if symmetry == 1:
+        return ""
+    if not symmetry:
+        return ", a round part without a turn"
+    return (
+        f"; the part looks the same {symmetry} times in a full turn: it is compared as if turned by the least of "
+        f"these, and what breaks the symmetry in sound parts hides damage there"
+    )
 
 
 def _learn(presses: NominalPresses) -> LearntPose:

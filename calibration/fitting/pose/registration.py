@@ -5,7 +5,7 @@ presses themselves (`edge.core.registration.colours`).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,8 +45,8 @@ _LEAST_TYPICAL = 0.6
 _SAME_TURN_RAD, _SAME_SHARE = math.radians(5), 0.9
 # A part repeats itself at most so often in a turn; more teeth than that are as good as round.
 _MOST_SYMMETRY = 12
-# It looks the same where a press disagrees with it at most so many times as much: exact 1.7 to 2.1, nearly so from 2.2.
-_ALIKE_TIMES, _LOOKED_AT = 2.1, 8
+# It looks the same where its agreement falls by less than this: exact symmetries up to 0.011, nearly so from 0.021.
+_ALIKE, _LOOKED_AT = 0.015, 8
 # Two ways to read the colours agree equally well with the presses.
 _AS_TYPICAL = 0.02
 # A press is recognised up to this many times the mismatch of the nominal one that agrees least, for damage adds to it:
@@ -75,7 +75,7 @@ def learn_pose(frames: U8, free: U8) -> LearntPose:
     firsts = _firsts(added)
     tried = [_align(added, firsts[0], colours) for colours in _both(added)]
     best = max(tried, key=lambda one: one.typical)
-    if any(one.symmetry == 0 and one.typical > best.typical - _AS_TYPICAL for one in tried):
+    if any(_is_round(added, one) for one in tried if one.typical > best.typical - _AS_TYPICAL):
         best = _align(added, firsts[0], best.colours, is_turning=False)
     else:
         best = _agree([best, *(_align(added, first, best.colours) for first in firsts[1:])])
@@ -142,7 +142,7 @@ def _align(added: Sequence[F32], first: F32, colours: SlopeColours, is_turning: 
     slopes = [colours.slopes(shrunk(one)) for one in added]
     factor = max(first.shape) / max(slopes[0].shape)
 
-    def find(mean: F32, learnt: Mask, presses: Sequence[int]) -> list[Alignment]:
+    def find(mean: F32, learnt: Mask, presses: Iterable[int]) -> list[Alignment]:
         search = PoseSearch(colours.slopes(shrunk(mean * learnt[..., None])), is_turning)
         return [search.find(slopes[k]) for k in presses]
 
@@ -170,8 +170,12 @@ def _agree(tried: Sequence[_Aligned]) -> _Aligned:
     return replace(best, symmetry=_symmetry(turned))
 
 
+def _is_round(added: Sequence[F32], aligned: _Aligned) -> bool:
+    return not aligned.symmetry and _look_alike(added, aligned) == _MOST_SYMMETRY
+
+
 def _look_alike(added: Sequence[F32], aligned: _Aligned) -> int:
-    """Find how often the part looks the same in a full turn: a press that is turned so far differs little more.
+    """Find how often the part looks the same in a full turn: a press that is turned so far agrees hardly less.
 
     Of two turns that fit equally well the light prefers the smaller one, so turns that repeat do not show it.
     """
@@ -180,25 +184,17 @@ def _look_alike(added: Sequence[F32], aligned: _Aligned) -> int:
     slopes = [aligned.colours.slopes(shrunk(one)) for one in added[:_LOOKED_AT]]
     found = [search.find(one) for one in slopes]
 
-    def differs(n: int) -> float:
-        """Compute how much more a press differs that is turned by the n-th part of a turn, in the median."""
-        turns = [one.pose.turn_rad + 2 * math.pi / n for one in found]
-        again = [search.find(one, turn) for one, turn in zip(slopes, turns, strict=True)]
-        off = [
-            math.remainder(one.pose.turn_rad - turn, 2 * math.pi)
-            for one, turn in zip(again, turns, strict=True)
-        ]
-        is_there = np.abs(off) < _SAME_TURN_RAD
-        return float(
-            np.median(
-                [
-                    (1 - b.match) / (1 - a.match) if near else math.inf
-                    for a, b, near in zip(found, again, is_there, strict=True)
-                ]
-            )
-        )
+    def loses(n: int) -> float:
+        """Compute how much less a press agrees that is turned by the n-th part of a turn, in the median."""
+        lost = []
+        for one, press in zip(found, slopes, strict=True):
+            turn = one.pose.turn_rad + 2 * math.pi / n
+            again = search.find(press, turn)
+            is_there = abs(math.remainder(again.pose.turn_rad - turn, 2 * math.pi)) < _SAME_TURN_RAD
+            lost.append(one.match - again.match if is_there else 1.0)
+        return float(np.median(lost))
 
-    return next((n for n in range(_MOST_SYMMETRY, 1, -1) if differs(n) < _ALIKE_TIMES), 1)
+    return next((n for n in range(_MOST_SYMMETRY, 1, -1) if loses(n) < _ALIKE), 1)
 
 
 def _symmetry(turned: F64) -> int:

@@ -142,8 +142,15 @@ class Registered:
     """Correlation with the mean nominal press, at most 1."""
     seen_share: float
     """The share of the part that lies in the field."""
+    symmetry: int = 1
+    """As `PartInPose.symmetry`."""
     refusal: str | None = None
     """Why the pose cannot be trusted; None where it can."""
+
+    @property
+    def turn_rad(self) -> float | None:
+        """The least turn at which the part looks as it does; None where the part has no turn."""
+        return math.remainder(self.pose.turn_rad, 2 * math.pi / self.symmetry) if self.symmetry else None
 
     def score(self, score_map: F32) -> float:
         """The highest score of a map in the bank's pose, of places that are seen."""
@@ -212,6 +219,7 @@ class Registrar:
             PoseUncertainty(self._factor * x, self._factor * y, turn if self.part.is_turning else None),
             alignment.match,
             seen_share,
+            self.part.symmetry,
             self._refusal(alignment.match, seen_share),
         )
 
