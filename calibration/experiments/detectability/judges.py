@@ -2,22 +2,22 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.damage.damage import KINDS, Damage, Spot, surroundings
 from calibration.fitting.damage.rendering import EditedPress
-from calibration.fitting.features import extract
 from calibration.fitting.limits.appended import append
 from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.pose.registration import in_pose_of
 from calibration.fitting.presses.augmentation import Copies
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.tap_reader import TapReader
 from edge import registry
-from edge.core.detector import Features, Nominal
+from edge.core.detector import Nominal
 from edge.core.errors import DatasetError, PoseNotFound
 from edge.core.verdict import Kind as Result
 from edge.model.bundle import Bundle, Graphs
@@ -26,7 +26,7 @@ from edge.model.detectability import JudgedBy
 from edge.model.manifest import Manifest
 from edge.model.manifest_facts import MISSING, copies_of_each
 from edge.model.scorer import Scored, Scorer
-from edge.model.session import TrunkSessions, open_session
+from edge.model.session import TrunkSessions
 
 __all__ = ["MIN_PRESSES", "Judge", "choose_judges", "sizes_mm", "smallest_found"]
 
@@ -187,19 +187,14 @@ def _fold_judges(bundle: Bundle, learnt: NominalPresses, threads: int, progress:
 
 def _learner(bundle: Bundle, learnt: NominalPresses, threads: int) -> tuple[Learner, Nominal]:
     """The bundle's detector with its settings, and what it learnt."""
-    manifest, grid, part = bundle.manifest, bundle.grid, bundle.registration
-    assert grid is not None  # a bundle without a single graph has trunk, head and grid
-    detector = registry.detector(manifest.method)
+    manifest, part, scale = bundle.manifest, bundle.registration, bundle.profile.pixels_per_mm
+    detector, seed = registry.detector(manifest.method), manifest.provenance.seed or 0
     settings = {name: value for name, value in manifest.parameters.items() if name != "mode"}
     parameters = detector.parameters(manifest.mode or "corrected", **settings)
-    session = open_session(bundle.graphs.trunk or b"", threads, f"bundle {bundle.where}: trunk.onnx")
-
-    def take(frames: NDArray[np.uint8]) -> Features:
-        return extract(session, frames, grid, lambda fraction: None)
-
-    seed, free = manifest.provenance.seed or 0, learnt.no_contact
-    copies = Copies.of(learnt, copies_of_each(manifest.facts), grid.pixels_per_mm, seed, take)
-    frames = learnt.frames if part is None else in_pose_of(part, learnt.frames)
-    touched = learnt.touched if part is None else None
-    nominal = Nominal(take(frames), touched, None if free is None else take(free))
-    return Learner(detector, grid, parameters, seed, threads, copies), nominal
+    trunk, frame = bundle.graphs.trunk or b"", learnt.frames.shape[1:3]
+    where = f"bundle {bundle.where}: trunk.onnx"
+    reader = TapReader(trunk, detector.taps(parameters), frame, scale, threads, where)
+    copies = Copies.of(learnt, copies_of_each(manifest.facts), scale, seed, reader.take)
+    posed = learnt if part is None else replace(learnt, frames=in_pose_of(part, learnt.frames), touched=None)
+    learner = replace(reader.learner(detector, parameters, seed), copies=copies)
+    return learner, reader.nominal(posed)
