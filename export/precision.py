@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import cost_card, measure_tolerance
-from calibration.metrics.aupro import aupro
+from calibration.metrics import aupro
 from calibration.quantise import halved, layers, quantise_graph
 from edge.core.detector import Bank
 from edge.core.errors import BundleMismatch, FitError

@@ -4,14 +4,12 @@ A score is raw and higher is more anomalous. A measure that is undefined (no def
 with a reason.
 """
 
-from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo, aupimo_means
-from calibration.metrics.aupro import AUPRO_LIMIT, Regions, aupro, label_regions
-from calibration.metrics.pixel import PixelMeasures, pixel_measures
+from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo_means
+from calibration.metrics.pixel import AUPRO_LIMIT, PixelMeasures, aupro, pixel_measures
 from calibration.metrics.summary import (
     REPLICATES,
     Measure,
     auroc,
-    average_precision,
     image_weights,
     interval,
     limit_name,
@@ -25,15 +23,11 @@ __all__ = [
     "REPLICATES",
     "Measure",
     "PixelMeasures",
-    "Regions",
-    "aupimo",
     "aupimo_means",
     "aupro",
     "auroc",
-    "average_precision",
     "image_weights",
     "interval",
-    "label_regions",
     "limit_name",
     "measure",
     "pixel_measures",

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.metrics.aupro import Maps, Masks, check_pairs
+from calibration.metrics.pixel import Maps, Masks, check_pairs
 
-__all__ = ["AUPIMO_BOUNDS", "aupimo", "aupimo_means"]
+__all__ = ["AUPIMO_BOUNDS", "aupimo_means"]
 
 # The bounds of the AUPIMO paper: one to ten false pixels in a hundred thousand.
 AUPIMO_BOUNDS = (1e-5, 1e-4)
@@ -23,19 +23,6 @@ AUPIMO_BOUNDS = (1e-5, 1e-4)
 _SPARE = 2
 
 Float = NDArray[np.float64]
-
-
-def aupimo(maps: Maps, masks: Masks, bounds: tuple[float, float] = AUPIMO_BOUNDS) -> Float | None:
-    """The averaged recall of each defective image, float64 (defective,), in the order of `maps`.
-
-    None when there is no good image (no rate) or no defective one. Errors: ValueError for bounds out of order.
-    """
-    table = _recall_table(maps, masks, bounds)
-    if table is None:
-        return None
-    recalls, shares, _, _ = table
-    ones = np.ones((1, shares.shape[1]))
-    return (recalls @ _log_spans(shares, ones, bounds).T)[:, 0]
 
 
 def aupimo_means(

@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo_means
-from calibration.metrics.aupro import AUPRO_LIMIT, Maps, Masks
-from calibration.metrics.pixel import pixel_measures
+from calibration.metrics.pixel import AUPRO_LIMIT, Maps, Masks, pixel_measures
 
 __all__ = [
     "CONFIDENCE",
     "REPLICATES",
     "Measure",
     "auroc",
-    "average_precision",
     "image_auroc_of",
     "image_weights",
     "interval",
@@ -63,7 +61,7 @@ def measure(
 ) -> tuple[Measure, ...]:
     """Image AUROC, pixel AUROC, AUPRC, AU-PRO to `limit` and AUPIMO of scored presses.
 
-    maps, masks: one (h, w) per press, as in `calibration.metrics.aupro`. anomaly_scores: (presses,). specimens: the
+    maps, masks: one (h, w) per press, as in `calibration.metrics.pixel`. anomaly_scores: (presses,). specimens: the
     id of each press's part; None leaves that interval out. is_defective: from the masks unless given
     (a defect that left no imprint has an empty mask but a bad part). replicates 0 leaves both intervals out.
     Errors: ValueError for shapes that do not pair or non-finite scores.
@@ -179,22 +177,6 @@ def auroc(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) ->
         return None
     lower = np.searchsorted(sound, defective, "left") + np.searchsorted(sound, defective, "right")
     return float(lower.mean() / (2 * sound.size))
-
-
-def average_precision(scores: NDArray[np.floating[Any]], is_defective: NDArray[np.bool_]) -> float | None:
-    """AUPRC as average precision: the step-wise sum, not the trapezoid, which overestimates coarse scores.
-
-    None when nothing is defective or nothing is sound. Its base rate is the defective share, so values from different
-    fields of view cannot be compared. Errors: ValueError.
-    """
-    _check(scores, is_defective)
-    if is_defective.all() or not is_defective.any():
-        return None
-    order = np.argsort(scores)[::-1]
-    falling = scores[order]
-    last_of_tie = np.flatnonzero(np.append(falling[1:] != falling[:-1], True))
-    found = np.cumsum(is_defective[order])[last_of_tie]
-    return float(np.sum(np.diff(found, prepend=0) * found / (last_of_tie + 1)) / found[-1])
 
 
 def recall_at(

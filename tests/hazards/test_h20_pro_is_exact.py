@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calibration.metrics import aupro, label_regions, pixel_measures
+from calibration.metrics import aupro, pixel_measures
 
 
 def test_sampled_thresholds_would_differ() -> None:
@@ -29,8 +29,12 @@ def test_sampled_thresholds_would_differ() -> None:
 
 
 def test_a_thin_scratch_is_one_region() -> None:
-    """Twelve diagonal pixels are one region; four-connectivity would make them twelve."""
-    assert label_regions(np.eye(12, dtype=bool)).areas.tolist() == [12]
+    """Twenty diagonal pixels are one region, and with a single pixel there are two; else there would be 21."""
+    mask = np.eye(20, dtype=bool)
+    mask[19, 0] = True  # a region of its own
+    scores = np.zeros((20, 20))
+    scores[19, 0] = 1.0
+    assert abs((aupro([scores], [mask], 1e-4) or 0) - 0.5) < 1e-4
 
 
 def test_ties_are_one_threshold_in_both_counts() -> None:
