@@ -54,7 +54,7 @@ def inspect(
     if as_json:
         typer.echo(manifest.model_dump_json(indent=2))
         return
-    signature = Trust(keys=trusted_keys(keys) if keys else {}).check(archive, raw).text
+    signature = Trust(keys=trusted_keys(keys) if keys else {}).check(archive, raw)
     rows = [*_rows(manifest), ("bundle id", hashlib.sha256(raw).hexdigest()), ("signature", signature)]
     width = max(len(label) for label, _ in rows)
     for label, value in rows:
@@ -163,7 +163,7 @@ def verify(
     try:
         try_bundle(bundle, trunks, threads)
         checked = Bundle.load(bundle, trunks, trust=trust)
-        typer.echo(f"signature: {checked.signature.text}")
+        typer.echo(f"signature: {checked.signature}")
         typer.echo(f"manifest schema {checked.manifest.schema_version}: known")
         typer.echo(f"{len(checked.manifest.files)} files: every SHA-256 is correct")
         scorer = Scorer(checked, threads)

@@ -151,7 +151,7 @@ def _describe_bundles(one: OpenBundle) -> str:
     return (
         f"{one.part}, {manifest.method} ({manifest.mode}), threshold "
         f"{manifest.threshold.value:.4g}; {len(bundle.golden)} golden frames score as at the fit "
-        f"(within {one.golden_difference:.1e}); {bundle.signature.text}{f'; {licence}' if licence else ''}"
+        f"(within {one.golden_difference:.1e}); {bundle.signature}{f'; {licence}' if licence else ''}"
     )
 
 

@@ -42,7 +42,7 @@ from edge.model.manifest import (
 from edge.model.manifest_files import RegistrationEntry
 from edge.model.onnx_validation import GraphRefused
 from edge.model.packing import Packed, unpack
-from edge.model.signature import UNSIGNED, SignatureFinding, Trust
+from edge.model.signature import UNSIGNED, Trust
 
 __all__ = [
     "Bundle",
@@ -163,8 +163,8 @@ class Bundle:
     """The region without contact, (h, w, 3), where tiles may be skipped."""
     free_view: NDArray[np.uint8] | None = None
     """The whole gel without contact, as contact detection sees it, (120, 160, 3)."""
-    signature: SignatureFinding = UNSIGNED
-    """Who made it, as far as that was checked."""
+    signature: str = UNSIGNED
+    """Who made it, as far as that was checked, in words."""
     registration: PartInPose | None = None
     """The part in the bank's pose; None for a bundle that scores presses without registration."""
 
@@ -243,7 +243,7 @@ class Bundle:
     @property
     def free_reference(self) -> Reference | None:
         """The untouched gel of the sensor that the bundle was fitted on."""
-        return None if self.free_view is None else Reference(self.free_view.astype(np.float32), 1, 0)
+        return None if self.free_view is None else Reference(self.free_view.astype(np.float32))
 
     @property
     def grid(self) -> Grid | None:

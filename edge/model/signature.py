@@ -25,7 +25,6 @@ __all__ = [
     "SIGNATURE",
     "UNSIGNED",
     "Policy",
-    "SignatureFinding",
     "Trust",
     "fingerprint",
     "read_public_key",
@@ -56,18 +55,7 @@ class SignatureFile(BaseModel):
     signature: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9+/]{86}==$")]
 
 
-@dataclass(frozen=True)
-class SignatureFinding:
-    """What is known of a bundle's maker."""
-
-    text: str
-    key: str | None = None
-    """Fingerprint, None if unsigned."""
-    is_trusted: bool = False
-    """Signed with a trusted key."""
-
-
-UNSIGNED: Final = SignatureFinding("not signed")
+UNSIGNED: Final = "not signed"
 
 
 @dataclass(frozen=True)
@@ -78,8 +66,8 @@ class Trust:
     keys: Mapping[str, tuple[str, "Ed25519PublicKey"]] = field(default_factory=dict)
     """Fingerprint to (name, public key)."""
 
-    def check(self, archive: Archive, manifest: bytes) -> SignatureFinding:
-        """Who signed these bytes of the manifest.
+    def check(self, archive: Archive, manifest: bytes) -> str:
+        """Say who signed these bytes of the manifest.
 
         A signature by a trusted key that does not fit is refused under every policy. Errors: BundleCorrupt for such a
         signature and for an unreadable file, BundleMismatch where a trusted signature is required and there is none.
@@ -89,7 +77,7 @@ class Trust:
         file = _parse(archive.read(SIGNATURE, _MAX_BYTES), archive.where)
         if file.key not in self.keys:
             text = f"signed with key {file.key}, which is not among the trusted keys: not checked"
-            return self._refuse_unsigned(archive, SignatureFinding(text, file.key))
+            return self._refuse_unsigned(archive, text)
         name, key = self.keys[file.key]
         if not _fits(key, base64.b64decode(file.signature), manifest):
             raise BundleCorrupt(
@@ -97,13 +85,13 @@ class Trust:
                 "bundle was changed after it was signed; copy it again from its maker, or sign it again if the change "
                 "is yours"
             )
-        return SignatureFinding(f"signed by '{name}' ({file.key})", file.key, is_trusted=True)
+        return f"signed by '{name}' ({file.key})"
 
-    def _refuse_unsigned(self, archive: Archive, finding: SignatureFinding) -> SignatureFinding:
+    def _refuse_unsigned(self, archive: Archive, finding: str) -> str:
         if self.policy == "required":
             known = ", ".join(f"'{name}' ({key})" for key, (name, _) in self.keys.items()) or "none"
             raise BundleMismatch(
-                f'bundle {archive.where} is {finding.text}, and inspection.signed = "required"; trusted keys: {known}; '
+                f'bundle {archive.where} is {finding}, and inspection.signed = "required"; trusted keys: {known}; '
                 "sign it with `gelgate bundle sign`, or add its maker's key to inspection.trusted_keys"
             )
         return finding

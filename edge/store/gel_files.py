@@ -102,7 +102,7 @@ class GelFiles:
 def _reference(view: NDArray[Any]) -> Reference:
     if view.shape != (*reversed(VIEW_SIZE), 3):
         raise ValueError(f"it is {view.shape}")
-    return Reference(view, frames=1, learnt_ns=0)
+    return Reference(view)
 
 
 def _scars(planes: NDArray[Any]) -> ScarRecord:

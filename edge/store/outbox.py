@@ -64,7 +64,6 @@ class OutboxRow:
     """A waiting message. `row_id` rises with every row and is never used again."""
 
     row_id: int
-    created_ns: int
     message: Message
 
 
@@ -184,14 +183,14 @@ class Outbox:
         """The oldest rows after row `after` that this sink has not acknowledged or refused, in order."""
         with self._database.reading("reading the outbox") as connection:
             rows = connection.execute(
-                "SELECT row_id, created_ns, topic, payload, qos, retain, content_type, expiry_s FROM outbox "
+                "SELECT row_id, topic, payload, qos, retain, content_type, expiry_s FROM outbox "
                 "WHERE row_id > ? AND NOT EXISTS "
                 "(SELECT 1 FROM settled WHERE settled.row_id = outbox.row_id AND sink = ?) ORDER BY row_id LIMIT ?",
                 (after, sink, limit),
             ).fetchall()
         return [
-            OutboxRow(row_id, created, Message(topic, payload, qos, bool(retain), content_type, expiry))
-            for row_id, created, topic, payload, qos, retain, content_type, expiry in rows
+            OutboxRow(row_id, Message(topic, payload, qos, bool(retain), content_type, expiry))
+            for row_id, topic, payload, qos, retain, content_type, expiry in rows
         ]
 
     def acknowledge(self, row_id: int, sink: str) -> None:

@@ -15,7 +15,7 @@ def test_a_picture_comes_back(tmp_path: Path) -> None:
     """The first of a gel stays the first, the last is the newest."""
     folder = GelFiles(tmp_path)
     for level in (1.0, 2.0):
-        folder.save_picture("S1", "gel/1", Reference(np.full((120, 160, 3), level, np.float32), 10, 0))
+        folder.save_picture("S1", "gel/1", Reference(np.full((120, 160, 3), level, np.float32)))
     first, last = (folder.load_picture("S1", "gel/1", which) for which in ("first", "last"))
 
     assert first is not None
@@ -45,7 +45,7 @@ def test_a_file_that_cannot_be_written_or_removed_is_in_the_log_and_ends_nothing
 ) -> None:
     """A file is in the place of the folder."""
     (tmp_path / "S1").write_text("")
-    GelFiles(tmp_path).save_picture("S1", "g", Reference(np.zeros((120, 160, 3), np.float32), 10, 0))
+    GelFiles(tmp_path).save_picture("S1", "g", Reference(np.zeros((120, 160, 3), np.float32)))
     GelFiles(tmp_path).forget("S1", "g", "last")
 
     assert [word in caplog.text for word in ("was not kept", "was not removed")] == [True, True]
@@ -54,7 +54,7 @@ def test_a_file_that_cannot_be_written_or_removed_is_in_the_log_and_ends_nothing
 def test_pictures_of_gels_of_long_ago_are_removed(tmp_path: Path) -> None:
     """The newest are kept, with the first picture of each; another sensor's are not touched."""
     folder = GelFiles(tmp_path)
-    view = Reference(np.zeros((120, 160, 3), np.float32), 10, 0)
+    view = Reference(np.zeros((120, 160, 3), np.float32))
     folder.save_picture("S2", "g0", view)
     for number in range(KEPT_GELS + 2):
         folder.save_picture("S1", f"g{number}", view)

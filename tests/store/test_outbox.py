@@ -34,7 +34,7 @@ def test_a_message_comes_back_as_it_was_put_in(store: Store, outbox: Outbox) -> 
     put(store, make_press(1), message)
 
     (row,) = outbox.pending("mqtt")
-    assert (row.message, row.created_ns) == (message, make_press(1).time_ns)
+    assert row.message == message
 
 
 def test_a_row_leaves_when_every_sink_has_it(store: Store, outbox: Outbox) -> None:

@@ -181,7 +181,7 @@ class Run:
             rgb = line.press(press.imprint, piece, age, self._scars_at(number))
             if (scored := self.station.score(rgb)) is not None:
                 self.presses += 1
-                contact = touched_mask(Reference(free, 1, 0).difference(as_view(rgb)))
+                contact = touched_mask(Reference(free).difference(as_view(rgb)))
                 self._add(press, self._record.judge(self.station.press(scored, rgb, contact), free, left))
             before, left = press.imprint, as_view(rgb) - free
         return self

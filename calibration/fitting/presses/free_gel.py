@@ -100,7 +100,7 @@ class FreeGel:
 
     def _compare(self, picture: U8) -> tuple[float, float]:
         """Return by how many levels a picture differs in the median, and over which share as a touch does."""
-        difference, free = Reference(view_of(self.picture), 1, 0).difference(view_of(picture)), ~self.filled
+        difference, free = Reference(view_of(self.picture)).difference(view_of(picture)), ~self.filled
         levels = np.sqrt(squared_distance(difference)[free])
         return float(np.median(levels)), float(touched_mask(difference)[free].mean())
 
@@ -128,7 +128,7 @@ def _fill(gel: F32, views: Sequence[View]) -> tuple[F32, Mask, int]:
     seen = view_of(gel)
     weights = _fit_light(seen)
     light = _light(weights, seen.shape[:2])
-    touching = np.mean([touched_mask(Reference(light, 1, 0).difference(view)) for view in views], axis=0)
+    touching = np.mean([touched_mask(Reference(light).difference(view)) for view in views], axis=0)
     _, labels, areas, _ = cv2.connectedComponentsWithStats((touching > _TOUCHED_SHARE).astype(np.uint8))
     is_part = areas[:, cv2.CC_STAT_AREA] >= _DOT_PX
     is_part[0] = False

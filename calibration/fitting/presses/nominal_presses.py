@@ -373,7 +373,7 @@ def _contacts(free: Sequence[NDArray[np.uint8]]) -> Callable[[NDArray[np.uint8]]
     if not free:
         return lambda picture: None
     mean = np.stack([view_of(picture) for picture in free]).mean(axis=0, dtype=np.float64)
-    reference = Reference(np.asarray(mean, np.float32), len(free), 0)
+    reference = Reference(np.asarray(mean, np.float32))
     structure = ReliefOfReference(reference.view)
 
     def contact(picture: NDArray[np.uint8]) -> _Mask:

@@ -50,29 +50,27 @@ class Levels:
 
 @dataclass(frozen=True)
 class Reference:
-    """The untouched gel: the mean of `frames` still views."""
+    """The untouched gel: the mean of still views."""
 
     view: View
     """float32 (h, w, 3), RGB, 0 to 255."""
-    frames: int
-    learnt_ns: int
 
     def __post_init__(self) -> None:
         if self.view.ndim != 3 or self.view.shape[2] != 3 or self.view.dtype != np.float32:
             raise ValueError(f"a reference is float32 (h, w, 3), found {self.view.dtype} {self.view.shape}")
-        if not np.isfinite(self.view).all() or self.frames < 1:
-            raise ValueError(f"a reference is finite and the mean of at least one frame, found {self.frames}")
+        if not np.isfinite(self.view).all():
+            raise ValueError("a reference is finite, found NaN or infinity")
 
     def difference(self, view: View) -> View:
         """The view at this reference's level minus the reference: signed float32 (h, w, 3), levels."""
         return fit_levels(view, self.view).applied(view) - self.view
 
-    def refresh(self, view: View, weight: float, timestamp_ns: int) -> "Reference":
+    def refresh(self, view: View, weight: float) -> "Reference":
         """A new reference, moved towards a fresh mean view by `weight` (0 to 1)."""
         if not 0 <= weight <= 1:
             raise ValueError(f"the weight of a refresh lies in [0, 1], found {weight}")
         moved = self.view + np.float32(weight) * (view - self.view)
-        return Reference(moved, self.frames + 1, timestamp_ns)
+        return Reference(moved)
 
 
 def fit_levels(view: View, reference: View) -> Levels:

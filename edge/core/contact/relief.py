@@ -163,7 +163,7 @@ def find_expected_reach(
             max(4, round(region.width * VIEW_SIZE[0] / size[0])),
         )
         whole = np.asarray(cv2.resize(free, size), np.uint8)
-        gel = Reference(_view(region.crop(whole), small), 1, 0)
+        gel = Reference(_view(region.crop(whole), small))
         structure = ReliefOfReference(gel.view)
         for press in presses:
             added = gel.difference(_view(press, small))

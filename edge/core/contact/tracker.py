@@ -138,7 +138,7 @@ class ContactTracker:
         ]
         if any(isinstance(event, ReferenceCorrected) for event in events):
             views = [self._recent[number].level for number in self.candidates if number in self._recent]
-            self._refer_to(Reference(np.mean(views, axis=0, dtype=np.float32), len(views), timestamp_ns))
+            self._refer_to(Reference(np.mean(views, axis=0, dtype=np.float32)))
         self.level = level
         if self._track.still_ns == timestamp_ns:
             self._rest = level
@@ -270,7 +270,7 @@ class ContactTracker:
                 self._baseline.add(view, timestamp_ns)
             case State.BASELINE, State.NO_CONTACT:
                 self._baseline.add(view, timestamp_ns)
-                self._refer_to(Reference(self._baseline.view(), self._baseline.frames, timestamp_ns))
+                self._refer_to(Reference(self._baseline.view()))
                 self._is_lent = False
                 self._baseline.clear()
         return self._refresh(view, timestamp_ns)
@@ -291,7 +291,7 @@ class ContactTracker:
         if timestamp_ns - self._free.since_ns < self.settings.refresh_s * 1e9:
             return []
         old = self.reference
-        new = old.refresh(self._free.view(), self.settings.refresh_weight, timestamp_ns)
+        new = old.refresh(self._free.view(), self.settings.refresh_weight)
         self._refer_to(new)
         self._free.clear()
         return [ReferenceRefreshed(timestamp_ns, float(np.abs(new.view - old.view).mean()))]

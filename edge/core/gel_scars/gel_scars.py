@@ -46,8 +46,6 @@ class Judged:
 
     masked: Mask
     """bool (h, w) of the map: places that were not judged, under scars or beyond the part's reach."""
-    highest: float
-    """The highest score of the map elsewhere."""
     blind_mm2: float
     """Area under scars where the press touches."""
     blind_share: float
@@ -94,7 +92,6 @@ class GelScars:
         blind = scarred & contact
         return Judged(
             masked,
-            float(rest.max()),
             press.area_mm2(blind),
             float(blind.sum()) / max(1, int(contact.sum())),
             together(blames),

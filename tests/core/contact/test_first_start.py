@@ -71,7 +71,7 @@ def test_a_pressed_first_start_recovers_by_itself(part: str) -> None:
 @pytest.mark.parametrize("gel", ["clear", "marker"])
 def test_the_bundles_free_gel_shows_a_pressed_first_start(gel: str) -> None:
     """With the picture that the bundle was fitted with, it is noticed before anything is learnt."""
-    witness = Reference(free_view("PZ3", gel), 1, 0)
+    witness = Reference(free_view("PZ3", gel))
     station = Station(ContactTracker(witness=witness), "PZ3", gel)
     station.show(3.0, 12)
     if gel == "clear":
@@ -87,7 +87,7 @@ def test_the_bundles_free_gel_shows_a_pressed_first_start(gel: str) -> None:
 def test_the_free_gel_of_another_unit_is_no_witness() -> None:
     """A bundle from elsewhere: the gel differs all over, so it is learnt as if there were no picture."""
     other = np.ascontiguousarray(free_view("PZ3")[::-1, ::-1])
-    station = Station(ContactTracker(witness=Reference(other, 1, 0)), "PZ3")
+    station = Station(ContactTracker(witness=Reference(other)), "PZ3")
     station.show(2.0, 0)
     station.press()
     assert station.of(StartedTouched) == []
@@ -96,7 +96,7 @@ def test_the_free_gel_of_another_unit_is_no_witness() -> None:
 
 def test_a_stored_picture_that_was_learnt_pressed_is_given_up() -> None:
     """The last run began pressed and kept that picture: a free start looks touched, and is the free gel."""
-    wrong = Reference(series("PZ3", "clear")[12], 1, 0)
+    wrong = Reference(series("PZ3", "clear")[12])
     station = Station(ContactTracker(stored=wrong), "PZ3")
     station.show(2.5, 0)
     assert station.of(PressSettled) == []

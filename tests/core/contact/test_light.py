@@ -17,7 +17,7 @@ def other_light(view: View) -> View:
 
 
 def contacts(part: str, free: View) -> tuple[list[Touch], list[float]]:
-    reference = Reference(free, 1, 0)
+    reference = Reference(free)
     differences = [reference.difference(view) for view in series(part, "clear")[9:14]]
     structure = ReliefOfReference(free)
     return (
@@ -43,10 +43,10 @@ def test_a_free_gel_of_the_same_light_is_not() -> None:
 def test_a_start_in_another_light_is_named() -> None:
     """The free gel is compared with the one at the fit: the same is silent, another light is said, a part is not."""
     views = series("PZ3", "clear")
-    free = Reference(views[0], 1, 0)
+    free = Reference(views[0])
     assert foreign_start(free, free) is None
-    assert foreign_start(Reference(views[0] * np.float32(0.85), 1, 0), free) is None
-    assert foreign_start(Reference(views[12], 1, 0), free) is None
-    said = foreign_start(Reference(other_light(views[0]), 1, 0), free)
+    assert foreign_start(Reference(views[0] * np.float32(0.85)), free) is None
+    assert foreign_start(Reference(views[12]), free) is None
+    said = foreign_start(Reference(other_light(views[0])), free)
     assert said is not None
     assert "another light" in said

@@ -23,7 +23,7 @@ def pressed(*patches: tuple[tuple[int, int], tuple[int, int], float], noise: int
 
 
 def reached(*patches: tuple[tuple[int, int], tuple[int, int], float]) -> NDArray[np.bool_]:
-    gel = Reference(GEL, 1, 0)
+    gel = Reference(GEL)
     added = gel.difference(pressed(*patches))
     return reach(touched_mask(added), ReliefOfReference(GEL).of(added, 3.5))
 

@@ -33,7 +33,7 @@ def ball(view: View, radius: float = 20, x: float = 80, y: float = 60) -> View:
 
 def reference() -> Reference:
     mean = np.mean([free_gel(seed) for seed in range(10)], axis=0).astype(np.float32)
-    return Reference(mean, 10, 0)
+    return Reference(mean)
 
 
 def disc_share(mask: NDArray[np.bool_]) -> float:
@@ -108,11 +108,11 @@ def test_flat_views_give_finite_differences(value: float) -> None:
     flat = np.full((120, 160, 3), value, np.float32)
     for view, ref in (
         (flat, reference()),
-        (free_gel(), Reference(flat, 1, 0)),
-        (flat, Reference(flat, 1, 0)),
+        (free_gel(), Reference(flat)),
+        (flat, Reference(flat)),
     ):
         assert np.isfinite(ref.difference(view)).all()
-    assert np.abs(Reference(flat, 1, 0).difference(flat)).max() < 1e-3
+    assert np.abs(Reference(flat).difference(flat)).max() < 1e-3
 
 
 def test_differences_are_signed() -> None:
@@ -130,11 +130,9 @@ def test_differences_are_signed() -> None:
 def test_uint8_never_gets_in() -> None:
     """A uint8 reference is refused, because its differences would wrap."""
     with pytest.raises(ValueError, match="float32"):
-        Reference(np.zeros((120, 160, 3), np.uint8), 1, 0)  # type: ignore[arg-type]
+        Reference(np.zeros((120, 160, 3), np.uint8))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="finite"):
-        Reference(np.full((4, 4, 3), np.nan, np.float32), 1, 0)
-    with pytest.raises(ValueError, match="frame"):
-        Reference(np.zeros((4, 4, 3), np.float32), 0, 0)
+        Reference(np.full((4, 4, 3), np.nan, np.float32))
 
 
 def test_specks_and_noise_are_no_area() -> None:
@@ -160,12 +158,11 @@ def test_the_centroid_is_where_the_part_is() -> None:
 
 def test_a_refresh_moves_part_of_the_way() -> None:
     """By its weight, and by nothing outside 0 to 1."""
-    old = Reference(np.zeros((2, 2, 3), np.float32), 5, 0)
-    new = old.refresh(np.full((2, 2, 3), 10, np.float32), 0.3, 7)
+    old = Reference(np.zeros((2, 2, 3), np.float32))
+    new = old.refresh(np.full((2, 2, 3), 10, np.float32), 0.3)
     assert new.view == pytest.approx(np.full((2, 2, 3), 3.0))
-    assert (new.frames, new.learnt_ns) == (6, 7)
     with pytest.raises(ValueError, match="weight"):
-        old.refresh(old.view, 1.5, 8)
+        old.refresh(old.view, 1.5)
 
 
 def test_black_is_told_from_dim() -> None:
@@ -196,7 +193,7 @@ def test_every_real_press_is_a_touch_whatever_the_exposure(real_tactile: Path, s
         return np.ascontiguousarray(small[..., ::-1]).astype(np.float32)
 
     free = view(real_tactile / source / free_name)
-    known = Reference(free, 1, 0)
+    known = Reference(free)
     paths = sorted((real_tactile / source).glob(pattern))
     assert len(paths) == count
     for path, gain in zip(paths, np.linspace(0.8, 1.2, count), strict=True):

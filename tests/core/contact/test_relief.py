@@ -21,7 +21,7 @@ def noisy(view: View, seed: int) -> View:
 def first_depth(part: str, *, by_relief: bool) -> float:
     """The depth at which a part counts as contact, as a share of its full depth; 2 where it never does."""
     views = series(part, "clear")
-    reference = Reference(np.mean([noisy(views[0], k) for k in range(10)], axis=0, dtype=np.float32), 10, 0)
+    reference = Reference(np.mean([noisy(views[0], k) for k in range(10)], axis=0, dtype=np.float32))
     structure = ReliefOfReference(reference.view)
     for depth, view in zip(DEPTHS, views, strict=True):
         difference = reference.difference(noisy(view, 99))
@@ -44,7 +44,7 @@ def test_relief_finds_a_contact_no_later_than_area(part: str) -> None:
 def test_the_free_gel_has_no_relief(gel: str, gain: float) -> None:
     """Noise and a change of exposure, on a gel with dust, scratches and markers: far below a contact."""
     view = series("PZ1", gel)[0]
-    reference = Reference(np.mean([noisy(view, k) for k in range(10)], axis=0, dtype=np.float32), 10, 0)
+    reference = Reference(np.mean([noisy(view, k) for k in range(10)], axis=0, dtype=np.float32))
     structure = ReliefOfReference(reference.view)
     for seed in range(20):
         difference = reference.difference(noisy(view * np.float32(gain), 50 + seed))
@@ -80,6 +80,6 @@ def test_a_press_adds_structure_and_a_lift_takes_it_away() -> None:
     """The sign by which a reference that was learnt pressed is known."""
     free, pressed = (noisy(view, 1) for view in series("PZ3", "clear")[[0, 12]])
     for seen, learnt, sign in ((pressed, free, 1), (free, pressed, -1)):
-        difference = Reference(learnt, 1, 0).difference(seen)
+        difference = Reference(learnt).difference(seen)
         gain = ReliefOfReference(learnt).of(difference, LEVELS).gain(touched_mask(difference))
         assert sign * gain > 0.7

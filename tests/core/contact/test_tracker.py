@@ -176,7 +176,7 @@ def test_no_refresh_before_the_imprint_has_faded() -> None:
 
 def test_a_stored_reference_shows_that_the_start_was_touched() -> None:
     """A part on the gel at the start is reported, not learnt; after its lift presses count as usual."""
-    camera = Camera(ContactTracker(stored=Reference(free_gel(), 10, 0)), free_gel())
+    camera = Camera(ContactTracker(stored=Reference(free_gel())), free_gel())
     camera.wait(3, depth=1.0)
     camera.wait(4)
     camera.wait(1, depth=1.0)
@@ -188,7 +188,7 @@ def test_a_stored_reference_shows_that_the_start_was_touched() -> None:
 
 def test_a_stored_reference_is_replaced_by_a_free_start() -> None:
     """When the start is free the fresh reference holds."""
-    camera = Camera(ContactTracker(stored=Reference(free_gel() * np.float32(0.9), 10, 0)), free_gel())
+    camera = Camera(ContactTracker(stored=Reference(free_gel() * np.float32(0.9))), free_gel())
     camera.wait(2)
     assert camera.names() == ["ReferenceReady"]
     assert camera.tracker.reference is not None
@@ -252,7 +252,7 @@ def video_views(path: Path) -> list[View]:
     [
         (np.zeros((120, 160, 3), np.uint8), None, "uint8"),  # it would wrap
         (np.zeros((120, 160), np.float32), None, r"\(120, 160\)"),
-        (free_gel(), Reference(np.zeros((60, 80, 3), np.float32), 1, 0), r"60, 80.*120, 160"),
+        (free_gel(), Reference(np.zeros((60, 80, 3), np.float32)), r"60, 80.*120, 160"),
     ],
 )
 def test_other_arrays_are_refused(view: View, stored: Reference | None, words: str) -> None:
