@@ -8,7 +8,7 @@ from contextvars import ContextVar
 from datetime import UTC, datetime
 from typing import Final, Literal
 
-__all__ = ["LogFormat", "about_press", "press_event", "start"]
+__all__ = ["about_press", "press_event", "start"]
 
 LogFormat = Literal["text", "json"]
 

@@ -7,15 +7,7 @@ from dataclasses import dataclass
 
 from edge.core.ports import Message
 
-__all__ = [
-    "TOPIC_VERSION",
-    "OnCommand",
-    "OnRefused",
-    "PageRequests",
-    "Place",
-    "Station",
-    "topic_level",
-]
+__all__ = ["TOPIC_VERSION", "PageRequests", "Place", "Station", "topic_level"]
 
 # The version of topics and payloads together; it rises only when a subscriber of the old one would misread the new.
 TOPIC_VERSION = "v1"

@@ -16,7 +16,7 @@ from typing import Final, Literal, Self
 
 from edge.core.errors import SinkUnavailable
 
-__all__ = ["BrokerKind", "LocalBroker", "available_brokers"]
+__all__ = ["LocalBroker", "available_brokers"]
 
 BrokerKind = Literal["mosquitto", "amqtt"]
 

@@ -35,7 +35,7 @@ from edge.messaging.mqtt_broker import (
     Received,
 )
 
-__all__ = ["Connection", "OnReceived"]
+__all__ = ["Connection"]
 
 log = logging.getLogger(__name__)
 

@@ -19,7 +19,6 @@ from edge.messaging.status_payloads import GelPayload
 from edge.store.gel_ledger import GelRecord
 
 __all__ = [
-    "CHARTED",
     "MOST_DEFECTS",
     "ChartEntry",
     "DefectPlace",

@@ -18,15 +18,7 @@ from edge.messaging.alarm_payload import ALARMS, alarm_cleared
 from edge.messaging.payload_base import as_replayed
 from edge.store.outbox import Outbox, OutboxRow
 
-__all__ = [
-    "IDLE_S",
-    "OFFER_REFUSED_S",
-    "RefusedRows",
-    "RetainedState",
-    "SinkCounters",
-    "SinkWorker",
-    "kind_of",
-]
+__all__ = ["IDLE_S", "OFFER_REFUSED_S", "RetainedState", "SinkCounters", "SinkWorker"]
 
 # Refused rows are offered again this often, this number of them at a time. When one is accepted, all rows of its kind
 # are offered at once.

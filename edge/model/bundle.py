@@ -44,15 +44,7 @@ from edge.model.onnx_validation import GraphRefused
 from edge.model.packing import Packed, unpack
 from edge.model.signature import UNSIGNED, Trust
 
-__all__ = [
-    "Bundle",
-    "GoldenFrame",
-    "Graphs",
-    "parse_manifest",
-    "read_picture",
-    "read_trunk",
-    "read_verified",
-]
+__all__ = ["Bundle", "GoldenFrame", "Graphs", "parse_manifest", "read_trunk", "read_verified"]
 
 
 def read_verified(archive: Archive, entry: FileEntry) -> bytes:

@@ -24,15 +24,7 @@ from edge.model.manifest import ArrayEntry, BackboneEntry, Facts, FileEntry, Gol
 from edge.model.manifest_files import RegistrationEntry
 from edge.model.packing import pack
 
-__all__ = [
-    "add_file",
-    "bundle_files",
-    "facts_of",
-    "manifest_bytes",
-    "png_bytes",
-    "write_bundle",
-    "write_file",
-]
+__all__ = ["add_file", "bundle_files", "facts_of", "manifest_bytes", "write_bundle", "write_file"]
 
 # Zip knows no time zone and no year before 1980: every member carries this time, so equal content gives equal bytes.
 ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)

@@ -43,7 +43,6 @@ __all__ = [
     "Provenance",
     "RatePromise",
     "ThresholdEntry",
-    "TilesEntry",
     "ToleranceEntry",
 ]
 

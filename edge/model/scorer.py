@@ -19,7 +19,7 @@ from edge.model.bundle import Bundle
 from edge.model.session import RUNTIME_ERRORS, TrunkSessions, open_session
 from edge.model.tile_runner import FreeGel, TiledMaps, TileRunner
 
-__all__ = ["MAP_BLOCKS", "Scored", "Scorer", "map_peaks"]
+__all__ = ["Scored", "Scorer", "map_peaks"]
 
 FRAMES, SCORE_MAP, SCORE = "frames", "score_map", "score"
 

@@ -25,7 +25,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
 from edge.core.ports import DeviceIdentity
 
-__all__ = ["DELIVERED_SHARE", "VERSION", "RecordedFrame", "Recording", "RecordingHeader", "RecordingWriter"]
+__all__ = ["DELIVERED_SHARE", "Recording", "RecordingHeader", "RecordingWriter"]
 
 VERSION = 1
 # Independent reports agree on 18.75 fps delivered where 25 are advertised (firmware_notes/gelsight_mini.md).

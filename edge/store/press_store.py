@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol, Self, TypeVar
 
+from edge.core.digital_io import VERDICTS
 from edge.core.errors import StoreError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION
 from edge.core.part_position import PartPosition
@@ -30,17 +31,12 @@ __all__ = [
     "KEPT_PRESSES",
     "VERDICTS",
     "GelRecord",
-    "History",
     "MakeMessages",
     "PressRecord",
     "PressTable",
     "Recorded",
     "Store",
-    "cut_history",
-    "find_number",
 ]
-
-VERDICTS: Final = ("pass", "fail", "unsure", "rejected", "error")
 
 
 @dataclass(frozen=True)

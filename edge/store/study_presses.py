@@ -12,7 +12,7 @@ from edge.store import ledger_chain
 from edge.store.database import insert, open_read_only
 from edge.store.press_store import PressRecord
 
-__all__ = ["StudyPress", "StudyTable", "begin_study", "of_study", "plan_of", "read_study", "studies", "void"]
+__all__ = ["StudyPress", "StudyTable", "begin_study", "of_study", "read_study", "studies", "void"]
 
 _COLUMNS: Final = (
     "press_id, time_ns, serial, gel_id, part, position, bundle_id, step, piece, operator, repeat, verdict, reason, "

@@ -20,7 +20,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import Freshness
 from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["GAP_S", "Look", "PressDetector"]
+__all__ = ["Look", "PressDetector"]
 
 # Frames further apart than this are an interruption: five frames at the 18.75 fps that the sensor delivers.
 GAP_S: Final = 0.27

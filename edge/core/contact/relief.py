@@ -20,7 +20,7 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region
 
-__all__ = ["Relief", "ReliefOfReference", "find_expected_reach", "fine_structure", "reach", "with_relief"]
+__all__ = ["Relief", "ReliefOfReference", "find_expected_reach", "reach", "with_relief"]
 
 # Half-size pixels of 0.23 mm on a Mini: structure finer than 7 of them passes, and its energy is taken over 5.
 _BAND_PX = 7

@@ -15,7 +15,6 @@ from edge.core.gel_scars.record import Repeats
 __all__ = ["SEVERAL", "Blame", "Cause", "blame", "is_explained", "remaining", "together"]
 
 F32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 
 class Cause(StrEnum):

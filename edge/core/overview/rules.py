@@ -13,7 +13,7 @@ from edge.core.imaging.quality import Reason, Rejection
 from edge.core.overview.codes import Code, CodeKind, TagFamily, read_codes
 from edge.core.part_position import PartPosition
 
-__all__ = ["NamedBy", "OverviewRules", "OverviewView", "Zone", "share_of_change"]
+__all__ = ["OverviewRules", "OverviewView", "Zone", "share_of_change"]
 
 # Both pictures are compared at about this width: a part that matters is larger than 1/160 of the view.
 COMPARED_PX: Final = 160

@@ -17,7 +17,7 @@ from enum import StrEnum
 from itertools import pairwise
 from typing import Final, Literal, Self
 
-__all__ = ["MEASURES", "RUN_LENGTH", "Imprint", "Limits", "Measure", "Signal", "signals"]
+__all__ = ["MEASURES", "Imprint", "Limits", "Measure", "Signal", "signals"]
 
 Scope = Literal["bundle", "gel", "place"]
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from edge.messaging.descriptions.station import DescribedStation, read_template
 
-__all__ = ["DISCOVERY_PREFIX", "discovery", "discovery_topic"]
+__all__ = ["discovery", "discovery_topic"]
 
 DISCOVERY_PREFIX: Final = "homeassistant"
 
