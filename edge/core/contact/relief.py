@@ -43,10 +43,6 @@ def fine_structure(view: View) -> View:
     return np.asarray(half - cv2.blur(half, (_BAND_PX, _BAND_PX)), np.float32)
 
 
-def _energy(structure: View) -> Energy:
-    return squared_distance(structure)
-
-
 def _nearby(energy: Energy) -> Energy:
     return np.asarray(cv2.blur(energy, (_NEAR_PX, _NEAR_PX)), np.float32)
 
@@ -60,13 +56,13 @@ class ReliefOfReference:
     def __init__(self, view: View) -> None:
         self._quiet = float("inf")
         self.structure = fine_structure(view)
-        self.energy = _energy(self.structure)
+        self.energy = squared_distance(self.structure)
         self._own = _OWN_SHARE**2 * _nearby(self.energy)
 
     def of(self, difference: View, light_levels: float) -> "Relief":
         """The relief that a view adds. difference: float32 (h, w, 3), view minus reference, at its level."""
         added = fine_structure(difference)
-        near = _nearby(_energy(added))
+        near = _nearby(squared_distance(added))
         usual = float(np.partition(near, near.size // 2, axis=None)[near.size // 2])
         self._quiet = min(self._quiet, usual)
         bound = max(light_levels**2, _NOISE_TIMES**2 * self._quiet)
@@ -103,7 +99,7 @@ class Relief:
         where |= self.mask
         if not where.any():
             return 0.0
-        seen = _energy(self.added + self.reference.structure)[where].mean()
+        seen = squared_distance(self.added + self.reference.structure)[where].mean()
         learnt = self.reference.energy[where].mean()
         return float(np.log((seen + _NOISE_ENERGY) / (learnt + _NOISE_ENERGY)))
 
