@@ -5,11 +5,11 @@ of its group (`edge.core.plugins`) is refused here, so that no other code has to
 """
 
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from edge.core.errors import ConfigError
 from edge.core.suggest import suggestion
@@ -57,16 +57,6 @@ Group: TypeAlias = Literal[
 PluginGroup: TypeAlias = Literal["devices", "overviews", "sinks", "triggers", "actuators"]
 """The groups with a table in the configuration."""
 
-P = TypeVar("P")
-
-
-class HasOptions(Protocol):
-    """What the plugins of every `PluginGroup` have."""
-
-    @property
-    def Options(self) -> "type[BaseModel]": ...
-
-
 Verb: TypeAlias = "typer.Typer | Callable[..., None]"
 
 
@@ -75,89 +65,12 @@ def names(group: Group) -> list[str]:
     return sorted(_points(group))
 
 
-def device(name: str) -> "DevicePlugin[BaseModel]":
-    """The device plugin of that name.
-
-    Errors, here and below: ConfigError for an unknown name, with the nearest known one; for a name of two packages; for
-    a plugin that cannot be loaded; and for an object without the protocol of this group.
-    """
-    from edge.core.plugins import DevicePlugin
-
-    return _plugin("devices", name, DevicePlugin)
-
-
-def overview(name: str) -> "DevicePlugin[BaseModel]":
-    """The overview camera's plugin of that name. Errors: as `device`."""
-    from edge.core.plugins import DevicePlugin
-
-    return _plugin("overviews", name, DevicePlugin)
-
-
-def sink(name: str) -> "SinkPlugin[BaseModel]":
-    """The sink plugin of that name. Errors: as `device`."""
-    from edge.core.plugins import SinkPlugin
-
-    return _plugin("sinks", name, SinkPlugin)
-
-
-def trigger(name: str) -> "TriggerPlugin[BaseModel]":
-    """The plugin of pedals and buttons of that name. Errors: as `device`."""
-    from edge.core.plugins import TriggerPlugin
-
-    return _plugin("triggers", name, TriggerPlugin)
-
-
-def actuator(name: str) -> "ActuatorPlugin[BaseModel]":
-    """The plugin of lights and relays of that name. Errors: as `device`."""
-    from edge.core.plugins import ActuatorPlugin
-
-    return _plugin("actuators", name, ActuatorPlugin)
-
-
-def detector(name: str) -> "Detector":
-    """The detector of that name. Errors: as `device`."""
-    from edge.core.detector import Detector
-
-    return _plugin("detectors", name, Detector)
-
-
-def backbone(name: str) -> "Backbone":
-    """The backbone of that name. Errors: as `device`."""
-    from edge.core.plugins import Backbone
-
-    return _plugin("backbones", name, Backbone)
-
-
-def importer(name: str) -> object:
-    """The importer of that name; `export.importers.contract` checks its protocol. Errors: as `device`."""
-    return _load("importers", name)
-
-
-def feature(name: str) -> object:
-    """The feature of that name; `edge.gateway.features` checks its class. Errors: as `device`."""
-    return _load("features", name)
-
-
 def command(name: str) -> Verb:
     """The verb of that name: a function, or a group of them. Errors: as `device`."""
     found = _load("commands", name)
     if callable(found):
         return found
     raise ConfigError(f"the entry point '{name}' of gelgate.commands is not a function; correct its package")
-
-
-def options(group: PluginGroup, name: str) -> "type[BaseModel]":
-    """The model of a plugin's TOML table. Errors: as `device`."""
-    return _PLUGINS[group](name).Options
-
-
-_PLUGINS: "dict[PluginGroup, Callable[[str], HasOptions]]" = {
-    "devices": device,
-    "overviews": overview,
-    "sinks": sink,
-    "triggers": trigger,
-    "actuators": actuator,
-}
 
 
 @cache
@@ -170,8 +83,8 @@ def _points(group: Group) -> Mapping[str, list[EntryPoint]]:
     return found
 
 
-def _plugin(group: Group, name: str, protocol: type[P]) -> P:
-    found = _load(group, name)
+def _plugin(group: Group, name: str) -> Any:
+    found, protocol = _load(group, name), _protocol(group)
     if isinstance(found, protocol):
         return found
     members = {*vars(protocol), *vars(protocol).get("__annotations__", {})}
@@ -180,6 +93,22 @@ def _plugin(group: Group, name: str, protocol: type[P]) -> P:
         f"the {group} plugin '{name}' is a {type(found).__name__} without {', '.join(lacking)}; "
         f"an entry point of gelgate.{group} names an object that has them (docs/plugins.md)"
     )
+
+
+def _protocol(group: Group) -> type:
+    """What the plugins of a group have. It is imported at use: a start without plugins must be quick."""
+    from edge.core import plugins
+    from edge.core.detector import Detector
+
+    return {
+        "devices": plugins.DevicePlugin,
+        "overviews": plugins.DevicePlugin,
+        "sinks": plugins.SinkPlugin,
+        "triggers": plugins.TriggerPlugin,
+        "actuators": plugins.ActuatorPlugin,
+        "detectors": Detector,
+        "backbones": plugins.Backbone,
+    }[group]
 
 
 def _load(group: Group, name: str) -> object:
@@ -222,3 +151,27 @@ def hidden_package(module: str) -> str | None:
 
 def _package(point: EntryPoint) -> str:
     return point.dist.name if point.dist is not None else "an unknown package"
+
+
+device: "Callable[[str], DevicePlugin[BaseModel]]" = partial(_plugin, "devices")
+"""The device plugin of a name.
+
+Errors, here and below: ConfigError for an unknown name, with the nearest known one; for a name of two packages; for a
+plugin that cannot be loaded; and for an object without the protocol of its group.
+"""
+overview: "Callable[[str], DevicePlugin[BaseModel]]" = partial(_plugin, "overviews")
+sink: "Callable[[str], SinkPlugin[BaseModel]]" = partial(_plugin, "sinks")
+trigger: "Callable[[str], TriggerPlugin[BaseModel]]" = partial(_plugin, "triggers")
+actuator: "Callable[[str], ActuatorPlugin[BaseModel]]" = partial(_plugin, "actuators")
+detector: "Callable[[str], Detector]" = partial(_plugin, "detectors")
+backbone: "Callable[[str], Backbone]" = partial(_plugin, "backbones")
+importer: Callable[[str], object] = partial(_load, "importers")
+"""The importer of a name; `export.importers.contract` checks its protocol."""
+feature: Callable[[str], object] = partial(_load, "features")
+"""The feature of a name; `edge.gateway.features` checks its class."""
+
+
+def options(group: PluginGroup, name: str) -> "type[BaseModel]":
+    """The model of a plugin's TOML table. Errors: as `device`."""
+    model: type[BaseModel] = _plugin(group, name).Options
+    return model
