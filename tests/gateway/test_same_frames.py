@@ -113,7 +113,7 @@ def scored_by_the_gateway(folder: Path, device: str = "recorded", pace: float = 
     clock, listener = ManualClock(), Listener()
     plugin = registry.device(device)
     sensor = plugin.open(plugin.Options.model_validate({"recording": folder, "pace": pace}), clock)
-    references = Mock(load=Mock(return_value=None))
+    references = Mock(load_picture=Mock(return_value=None))
     gel, recorder, status = Mock(serial="S", gel_id="S-1"), Mock(), Mock()
     session = InspectionSession(gel, listener, ContactSettings(), references, recorder, status, clock, ())  # type: ignore[arg-type]
     while True:
