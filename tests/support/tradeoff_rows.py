@@ -9,7 +9,7 @@ from calibration.experiments.harness.rows import ROW_FORMAT
 from calibration.experiments.tradeoff.accuracy import MEASURES
 from calibration.experiments.tradeoff.plan import BACKBONES, usual_points
 from calibration.experiments.tradeoff.point import OperatingPoint
-from calibration.experiments.tradeoff.run import with_front
+from calibration.experiments.tradeoff.run import mark_front
 
 METHODS = ("padim", "spade", "fapm", "inreach", "patchcore", "subspace")
 
@@ -87,7 +87,7 @@ def rows_of_a_run() -> list[dict[str, Any]]:
     points = usual_points(BACKBONES, METHODS)
     made = [_row_of(point) for point in points]
     ratios = np.array([one["ratio"]["median"] for one in made])[None] * np.linspace(0.99, 1.01, 50)[:, None]
-    return with_front(made, ratios)
+    return mark_front(made, ratios)
 
 
 def _row_of(point: OperatingPoint) -> dict[str, Any]:

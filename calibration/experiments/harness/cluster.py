@@ -38,8 +38,12 @@ def on_cluster(
         keys = [f"gelgate-{cell.key}" for cell in cells]
         futures = client.map(partial(evaluate_cell, evaluate), list(cells), key=keys, pure=False)
         try:
-            for future in _as_done(client, futures):
-                yield _result(client, future)
+            done: SimpleQueue[Any] = SimpleQueue()
+            for future in futures:
+                future.add_done_callback(done.put)
+            for _ in futures:
+                future = _wait(client, lambda timeout: done.get(timeout=timeout))
+                yield _wait(client, future.result, future)
         except (CancelledError, OSError, TimeoutError) as error:
             raise StoreError(
                 f"the Dask scheduler at '{address}' is lost; the rows so far are kept; "
@@ -65,37 +69,20 @@ def check_address(address: str) -> None:
         ) from error
 
 
-def _as_done(client: Any, futures: Sequence[Any]) -> Iterator[Any]:
-    """The futures as they are done. Errors: TimeoutError where the scheduler is lost: Dask alone waits without end."""
-    done: SimpleQueue[Any] = SimpleQueue()
-    for future in futures:
-        future.add_done_callback(done.put)
-    left, silent = len(futures), 0
-    while left:
-        try:
-            future = done.get(timeout=_LOOK_EVERY_S)
-        except Empty:
-            silent = 0 if client.status == "running" else silent + 1
-            if silent * _LOOK_EVERY_S >= ANSWER_WITHIN_S:
-                raise TimeoutError(client.status) from None
-        else:
-            left -= 1
-            yield future
+def _wait(client: Any, look: Callable[[float], Any], future: Any = None) -> Any:
+    """Return what a look gives, which waits some seconds for it, as long as the cluster runs.
 
-
-def _result(client: Any, future: Any) -> Result:
-    """The result of a future that was done. A worker that dies with it has it computed again, which may take as long.
-
-    Errors: those of the cell; TimeoutError where the scheduler is lost.
+    future: whose result it is; a worker that dies with a result has it computed again, which may take as long. Errors:
+    those of the look; TimeoutError where the scheduler is lost: Dask alone waits without end.
     """
     silent = 0
     while True:
         try:
-            return future.result(timeout=_LOOK_EVERY_S)  # type: ignore[no-any-return]
-        except TimeoutError:
+            return look(_LOOK_EVERY_S)
+        except (Empty, TimeoutError):
             silent = 0 if client.status == "running" else silent + 1
-            if future.status == "error" or silent * _LOOK_EVERY_S >= ANSWER_WITHIN_S:
-                raise
+            if getattr(future, "status", "") == "error" or silent * _LOOK_EVERY_S >= ANSWER_WITHIN_S:
+                raise TimeoutError(client.status) from None
 
 
 def _client(address: str) -> Any:

@@ -7,7 +7,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from calibration.experiments.harness.evidence import COMPARED, are_drawn, count_agreements
-from calibration.experiments.harness.published import paper_medians, published
+from calibration.experiments.harness.published import paper_medians, read_published
 from calibration.experiments.harness.rows import TIMES
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def _templates() -> "Environment":
     loader = PackageLoader("calibration.experiments", "studies/pages")
     made = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     made.filters |= {"table": table, "percent": percent, "count_agreements": count_agreements}
-    made.globals |= {"source": published()["source"], "compared": COMPARED}
+    made.globals |= {"source": read_published()["source"], "compared": COMPARED}
     return made
 
 

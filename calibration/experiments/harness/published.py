@@ -6,11 +6,11 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-__all__ = ["paper_medians", "published", "stable_fraction"]
+__all__ = ["paper_medians", "read_published", "stable_fraction"]
 
 
 @cache
-def published() -> Mapping[str, Any]:
+def read_published() -> Mapping[str, Any]:
     """Return what the paper says: its source, parts without a fixture (its Table 1), and judgements (Table 4)."""
     file = resources.files("calibration.experiments.harness").joinpath("published.json")
     found: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
@@ -19,7 +19,7 @@ def published() -> Mapping[str, Any]:
 
 def stable_fraction(method: str) -> float | None:
     """Return the share of the nominal presses at which the paper fixes a method; None for one that it does not have."""
-    found: float | None = published()["stable_fraction"].get(method)
+    found: float | None = read_published()["stable_fraction"].get(method)
     return found
 
 
@@ -28,6 +28,6 @@ def paper_medians(study: str) -> Mapping[tuple[str, str, str], Mapping[str, floa
     """Return by (method, part, measure) the paper's median at each condition of a study, such as `0.05` or `hr`."""
     return {
         (row["method"], row["part"], row["measure"]): row["values"]
-        for row in published()["medians"]
+        for row in read_published()["medians"]
         if row["study"] == study
     }

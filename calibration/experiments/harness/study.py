@@ -151,7 +151,7 @@ class Evaluation:
         """Return every place that the cell needs."""
         return (self.place(cell),)
 
-    def check(self, cell: Cell, *materials: Material) -> None:
+    def check(self, cell: Cell, *materials: Any) -> None:
         """Check that presses can be held out, before any cell runs. Errors: DatasetError."""
         for found in materials:
             hold_out(found.presses, int(cell.setting("held_out")), cell.split)

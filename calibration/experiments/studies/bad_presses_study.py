@@ -22,13 +22,13 @@ from calibration.experiments.harness.study import (
     make_cells,
     run_study,
 )
-from calibration.experiments.studies.good_fraction_study import presses_in
+from calibration.experiments.studies.good_fraction_study import count_presses
 from edge.core.errors import DatasetError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["BAD_SHARES", "STUDY", "BadPresses", "halves", "mixed", "page", "study_bad_presses"]
+__all__ = ["BAD_SHARES", "STUDY", "BadPresses", "halve", "mix_presses", "page", "study_bad_presses"]
 
 STUDY = "bad-presses"
 
@@ -41,19 +41,19 @@ class BadPresses(Evaluation):
 
     def check(self, cell: Cell, *materials: Material) -> None:
         super().check(cell, *materials)
-        halves(materials[0].presses.defective)
+        halve(materials[0].presses.defective)
 
     def measure(self, cell: Cell, *materials: Material) -> dict[str, Any]:
         (found,) = materials
         held = hold_out(found.presses, int(cell.setting("held_out")), cell.split)
-        nominal = subset(held.pool, presses_in(cell, len(held.pool)), cell.seed)
-        bad, tested = halves(found.presses.defective)
-        rows = mixed(nominal, bad, float(cell.setting("bad")), cell.seed)
+        nominal = subset(held.pool, count_presses(cell, len(held.pool)), cell.seed)
+        bad, tested = halve(found.presses.defective)
+        rows = mix_presses(nominal, bad, float(cell.setting("bad")), cell.seed)
         measured = fit_cell(cell, Drawn(found, rows, np.concatenate([held.test, tested])))
         return {**measured, "bad_presses": int(np.isin(rows, bad).sum())}
 
 
-def halves(defective: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def halve(defective: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The defective presses that may be learnt, and those that are scored. Errors: DatasetError for one alone."""
     if len(defective) < 2:
         raise DatasetError(
@@ -64,7 +64,9 @@ def halves(defective: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.
     return np.sort(order[: len(order) // 2]), np.sort(order[len(order) // 2 :])
 
 
-def mixed(nominal: NDArray[np.int64], bad: NDArray[np.int64], share: float, seed: int) -> NDArray[np.int64]:
+def mix_presses(
+    nominal: NDArray[np.int64], bad: NDArray[np.int64], share: float, seed: int
+) -> NDArray[np.int64]:
     """The nominal presses with a share of them replaced by damaged ones, drawn by the seed.
 
     Errors: DatasetError where that takes more damaged presses than there are, or leaves no nominal one.

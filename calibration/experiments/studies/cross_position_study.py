@@ -63,11 +63,11 @@ class CrossPosition(Evaluation):
 
     def check(self, cell: Cell, *materials: Material) -> None:
         source, target = materials
-        both_held_out(source, target, cell)
+        hold_out_both(source, target, cell)
 
     def measure(self, cell: Cell, *materials: Material) -> dict[str, Any]:
         source, target = materials
-        held = both_held_out(source, target, cell)
+        held = hold_out_both(source, target, cell)
         shares = (float(cell.setting(name)) for name in ("fraction", "target_fraction"))
         counts = [round(share * len(one.pool)) for share, one in zip(shares, held, strict=True)]
         drawn = [
@@ -82,7 +82,7 @@ class CrossPosition(Evaluation):
         }
 
 
-def both_held_out(source: Material, target: Material, cell: Cell) -> tuple[HeldOut, HeldOut]:
+def hold_out_both(source: Material, target: Material, cell: Cell) -> tuple[HeldOut, HeldOut]:
     """The test presses and the pool of each position.
 
     Where complete specimens are held out, one that is tested at either position is learnt at none.

@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 __all__ = [
     "STUDY",
     "GoodFraction",
+    "find_repeated",
     "page",
-    "same_in_every_seed",
     "study_good_fraction",
 ]
 
@@ -69,7 +69,7 @@ class GoodFraction(Evaluation):
     def measure(self, cell: Cell, *materials: Material) -> dict[str, Any]:
         (found,) = materials
         held = hold_out(found.presses, int(cell.setting("held_out")), cell.split)
-        rows = subset(held.pool, presses_in(cell, len(held.pool)), cell.seed)
+        rows = subset(held.pool, count_presses(cell, len(held.pool)), cell.seed)
         specimens = found.presses.specimens
         return {
             **fit_cell(cell, Drawn(found, rows, found.presses.tested(held))),
@@ -78,7 +78,7 @@ class GoodFraction(Evaluation):
         }
 
 
-def presses_in(cell: Cell, pool: int) -> int:
+def count_presses(cell: Cell, pool: int) -> int:
     """Return how many presses a cell learns from. Errors: DatasetError for more shots than the pool has."""
     settings = dict(cell.settings)
     if "fraction" in settings:
@@ -184,7 +184,7 @@ def _write_level(at: "pd.Series[float]") -> str:
 
 def _tabulate_repeated(rows: "pd.DataFrame") -> "pd.DataFrame":
     """Return the cells of which all seeds are one computation."""
-    same = same_in_every_seed(rows)
+    same = find_repeated(rows)
     same["at"] = [
         f"{shots:g} presses" if np.isnan(share) else percent(share)
         for share, shots in same.reindex(columns=["fraction", "shots"]).to_numpy()
@@ -235,7 +235,7 @@ def _spread(values: list[float]) -> list[float]:
     return [values[round(k * (len(values) - 1) / max(1, count - 1))] for k in range(count)]
 
 
-def same_in_every_seed(rows: "pd.DataFrame") -> "pd.DataFrame":
+def find_repeated(rows: "pd.DataFrame") -> "pd.DataFrame":
     """Cells of several seeds whose scores are identical: one computation, whose lack of scatter says nothing.
 
     Columns part, method, fraction, shots (NaN where not varied) and seeds.

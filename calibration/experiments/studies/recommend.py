@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from calibration.experiments.harness.evidence import Sample, Standing, rank, sample, subtract
 from calibration.experiments.harness.page import Page, by_setup, only_scored, render
-from calibration.experiments.harness.published import published
+from calibration.experiments.harness.published import read_published
 from calibration.fitting.candidates import DEFAULT_METHOD
 from edge.core.errors import ConfigError
 
@@ -57,7 +57,7 @@ class Question:
     @property
     def judgements(self) -> Mapping[str, str]:
         """The paper's word on each method."""
-        return dict(published()["judgements"].get(self.column, {}))
+        return dict(read_published()["judgements"].get(self.column, {}))
 
     @property
     def command(self) -> str:
@@ -171,7 +171,7 @@ def _head_time(rows: "pd.DataFrame") -> Samples:
 
 _GAIN = (-1.0, 1.0)
 
-_NO_FIXTURE = tuple(published()["no_fixture"])
+_NO_FIXTURE = tuple(read_published()["no_fixture"])
 
 QUESTIONS = (
     Question(

@@ -54,7 +54,7 @@ __all__ = [
     "STUDY",
     "ResolutionStudy",
     "ViewPlace",
-    "capped_presses",
+    "cap_presses",
     "page",
     "study_resolution",
 ]
@@ -95,7 +95,7 @@ class ViewPlace(Place):
         trunk = self.show(open_trunk(self.backbone, self.taps))
         session = open_session(trunk.graph, 1, f"trunk '{trunk.id}'")
         grid = trunk_grid(session, self.taps, view.view.shape, view.view.pixels_per_mm)
-        presses = len(capped_presses(self)[0].pictures)
+        presses = len(cap_presses(self)[0].pictures)
         needed = 4 * presses * sum(math.prod(shape) for shape in grid.taps.values())
         self.cache.mkdir(parents=True, exist_ok=True)
         free = shutil.disk_usage(self.cache).free
@@ -106,7 +106,7 @@ class ViewPlace(Place):
             )
 
     def extract(self, progress: Progress = lambda fraction: None, threads: int = 1) -> "Seen":
-        presses, held, pool = capped_presses(self)
+        presses, held, pool = cap_presses(self)
         return Seen(self, presses, *self.take(presses, progress, threads), held, pool)
 
 
@@ -140,11 +140,6 @@ class Seen(Material):
             )
         return masks
 
-    @property
-    def remarks(self) -> list[str]:
-        assert self.common.any()  # refused before any cell runs
-        return super().remarks
-
 
 class ResolutionStudy(Evaluation):
     """Evaluates a cell."""
@@ -158,8 +153,8 @@ class ResolutionStudy(Evaluation):
             most=int(cell.setting("most_presses")),
         )
 
-    def check(self, cell: Cell, *materials: Material) -> None:
-        pass  # the presses are held out with their features
+    def check(self, cell: Cell, *materials: "Seen") -> None:
+        assert materials[0].common.any()  # else refused
 
     def measure(self, cell: Cell, *materials: "Seen") -> dict[str, Any]:
         (seen,) = materials
@@ -183,7 +178,7 @@ def _in_common(
     return {f"{name}_common": found[name] for name in ("aupro_001", "aupro_005", "auprc", "pixel_auroc")}
 
 
-def capped_presses(place: ViewPlace) -> tuple[StudyPresses, HeldOut, int]:
+def cap_presses(place: ViewPlace) -> tuple[StudyPresses, HeldOut, int]:
     """The presses that the study looks at, which of them are for the test, and the size of the pool without the cap."""
     view = VIEWS[place.view]
     every = presses_of(open_presses(place.dataset, view.resolution), place.part, place.position)

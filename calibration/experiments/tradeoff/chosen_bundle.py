@@ -59,10 +59,10 @@ def bundle_of(
     scored = [scorer.score(frame) for frame in seen.frames]
     maps = [on_common_grid(one.score_map) for one in scored]
     accuracy = measure_accuracy(maps, np.array([one.anomaly_score for one in scored]), run.truth)
-    return with_cards(fitted, accuracy, point, row)
+    return add_cards(fitted, accuracy, point, row)
 
 
-def with_cards(
+def add_cards(
     fitted: Fitted, accuracy: dict[str, dict[str, float | None]], point: OperatingPoint, row: Row | None
 ) -> Fitted:
     """The bundle with the accuracy card, and, from a measured row, the cost card; its scores are the same."""

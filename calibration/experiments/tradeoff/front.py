@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MARGIN", "dominators"]
+__all__ = ["MARGIN", "find_dominators"]
 
 MARGIN: Final = 0.02
 """A difference of 2 % of a press's time is no difference: runs on one machine differ by about that."""
@@ -22,7 +22,7 @@ SURE: Final = 97.5
 Float = NDArray[np.float64]
 
 
-def dominators(accuracy: Float, ratios: Float) -> list[list[int]]:
+def find_dominators(accuracy: Float, ratios: Float) -> list[list[int]]:
     """Return for each point the points that dominate it; empty on the front.
 
     accuracy: float64 (n,), NaN where undefined: such a point is dominated by every point with a value. ratios: float64

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from calibration.evaluate.report import write_atomically
+from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.tradeoff.accuracy import MEASURES
 from calibration.experiments.tradeoff.front import MARGIN
 from calibration.experiments.tradeoff.machine import busy
@@ -144,20 +145,15 @@ def _notes(first: Row) -> Sequence[str]:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Write one line per point on the front, fastest first."""
+    """Write the points of the front, the fastest first."""
     front = sorted((row for row in rows if row["is_on_front"]), key=lambda row: float(row["ms"]["median"]))
-    width = max((len(row["key"]) for row in front), default=5)
-    lines = [
-        f"{'on the front':<{width}}  {'AU-PRO':>7} {'interval':>14} {'ms':>8} {'p95':>8} {'floor':>7} {'bank MB':>8}"
-    ]
-    return "\n".join([*lines, *(_line(row, width) for row in front)])
+    heading = ["on the front", "AU-PRO", "interval", "ms", "p95", "floor", "bank MB"]
+    return markdown_table(heading, map(_list_costs, front)).rstrip()
 
 
-def _line(row: Row, width: int) -> str:
-    accuracy, ms = row["accuracy"]["aupro_fpr01"], row["ms"]
+def _list_costs(row: Row) -> list[str]:
+    accuracy, ms = row["accuracy"][FIRST], row["ms"]
     interval = "-" if accuracy["low"] is None else f"{accuracy['low']:.3f} to {accuracy['high']:.3f}"
     value = "-" if accuracy["value"] is None else f"{accuracy['value']:.3f}"
-    return (
-        f"{row['key']:<{width}}  {value:>7} {interval:>14} {ms['median']:>8.1f} {ms['p95']:>8.1f} "
-        f"{row['floor']['ms']:>7.1f} {row['bank_bytes'] / 1e6:>8.2f}"
-    )
+    times = [f"{time:.1f}" for time in (ms["median"], ms["p95"], row["floor"]["ms"])]
+    return [row["key"], value, interval, *times, f"{row['bank_bytes'] / 1e6:.2f}"]

@@ -143,12 +143,14 @@ def see(chosen: Chosen, view: View) -> Seen:
         [press if is_low else chosen.high[press.path] for press in presses]
         for presses in (chosen.fitted, chosen.scored)
     )
-    nominal = read_presses(
+    found = read_presses(
         [press.path for press in fitted],
         view.profile,
         view.region,
         specimens={press.path: press.specimen for press in fitted},
     )
+    # Without the free gel, which is estimated where no picture shows it: no bank leaves out cells.
+    nominal = NominalPresses(found.frames, found.names, found.specimens)
     return Seen(nominal, np.stack([view.region.crop(press.rgb()) for press in scored]))
 
 

@@ -17,7 +17,7 @@ from calibration.experiments.harness.runner import Show
 from calibration.experiments.tradeoff.accuracy import Truth, measure_accuracy
 from calibration.experiments.tradeoff.fitting import FittedPoint, content_sha256, fit_points
 from calibration.experiments.tradeoff.floor import Work, floor_ms
-from calibration.experiments.tradeoff.front import dominators
+from calibration.experiments.tradeoff.front import find_dominators
 from calibration.experiments.tradeoff.machine import best, fingerprint, probe
 from calibration.experiments.tradeoff.memory import peak_bytes
 from calibration.experiments.tradeoff.plan import LEAST_ROUNDS, Run, RunSettings
@@ -112,7 +112,7 @@ def measure(run: Run, folder: Path, show: Show, others: Others = lambda run, fra
     for row, columns in zip(rows, times, strict=True):
         floor, binds = floor_ms(Work(**row["work"]), peak)
         row |= {**columns, "floor": {"ms": floor, "binds": binds}, **common}
-    return with_front(rows, ratios)
+    return mark_front(rows, ratios)
 
 
 def require_same_run(rows: Sequence[Row], run: Run, file: Path) -> None:
@@ -228,10 +228,10 @@ def _frames(points: Sequence[OperatingPoint], chosen: Chosen) -> dict[str, list[
     return {name: camera_frames(view, see(last, view).frames) for name, view in views.items()}
 
 
-def with_front(rows: Sequence[Row], ratios: NDArray[np.float64]) -> list[Row]:
+def mark_front(rows: Sequence[Row], ratios: NDArray[np.float64]) -> list[Row]:
     """Rows with the keys of the points that dominate each, and whether it is on the front."""
     values = [row["accuracy"]["aupro_fpr01"]["value"] for row in rows]
-    found = dominators(np.array(values, np.float64), ratios)  # None is NaN
+    found = find_dominators(np.array(values, np.float64), ratios)  # None is NaN
     return [
         row | {"is_on_front": not others, "dominated_by": [rows[k]["key"] for k in others]}
         for row, others in zip(rows, found, strict=True)

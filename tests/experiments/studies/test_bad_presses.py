@@ -10,8 +10,8 @@ from study_dataset import study_dataset
 from calibration.experiments.harness.study import Options
 from calibration.experiments.studies.bad_presses_study import (
     BAD_SHARES,
-    halves,
-    mixed,
+    halve,
+    mix_presses,
     page,
     study_bad_presses,
 )
@@ -20,29 +20,31 @@ from edge.core.errors import DatasetError
 
 def test_no_damaged_press_is_learnt_and_scored() -> None:
     """The halves are the same in every cell, and together they are all."""
-    bad, tested = halves(np.arange(100, 107))
+    bad, tested = halve(np.arange(100, 107))
 
     assert set(bad) & set(tested) == set()
     assert sorted([*bad, *tested]) == list(range(100, 107))
     assert (len(bad), len(tested)) == (3, 4)
     with pytest.raises(DatasetError, match="needs two defective presses"):
-        halves(np.array([100]))
+        halve(np.array([100]))
 
 
 @pytest.mark.parametrize(("share", "count"), [(0.0, 0), (0.001, 1), (0.05, 1), (0.10, 2)])
 def test_damaged_presses_take_the_place_of_nominal_ones(share: float, count: int) -> None:
     """20 presses, whatever the share; at least one is damaged where any is."""
-    rows = mixed(np.arange(20), np.arange(100, 103), share, seed=1)
+    rows = mix_presses(np.arange(20), np.arange(100, 103), share, seed=1)
 
     assert len(set(rows)) == 20
     assert int((rows >= 100).sum()) == count
-    assert not np.array_equal(rows, mixed(np.arange(20), np.arange(100, 103), share, seed=2)) or not count
+    assert (
+        not np.array_equal(rows, mix_presses(np.arange(20), np.arange(100, 103), share, seed=2)) or not count
+    )
 
 
 def test_more_than_there_are_is_refused() -> None:
     """With what would do."""
     with pytest.raises(DatasetError, match="50% of 20 presses are 10 damaged ones; 3 can be learnt from"):
-        mixed(np.arange(20), np.arange(100, 103), 0.5, seed=0)
+        mix_presses(np.arange(20), np.arange(100, 103), 0.5, seed=0)
 
 
 def test_the_study_has_rows_and_a_page(tmp_path: Path) -> None:

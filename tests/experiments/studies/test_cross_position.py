@@ -14,7 +14,7 @@ from calibration.experiments.harness.rows import read_rows
 from calibration.experiments.harness.study import Options, make_cells
 from calibration.experiments.studies.cross_position_study import (
     CrossPosition,
-    both_held_out,
+    hold_out_both,
     study_cross_position,
 )
 from calibration.experiments.studies.notebook import study
@@ -102,7 +102,7 @@ def test_a_specimen_that_is_tested_at_one_position_is_learnt_at_none(tmp_path: P
     cell = make_cells("cross-position", asked, ("PZ3", "pos1"), [settings])[0]
     evaluate = CrossPosition(root, asked.features, asked.taps())
     found = [material(place) for place in evaluate.places(cell)]
-    held = both_held_out(found[0], found[1], cell)
+    held = hold_out_both(found[0], found[1], cell)
     tested = [specimens(one, apart.test) for one, apart in zip(found, held, strict=True)]
     learnt = [specimens(one, apart.pool) for one, apart in zip(found, held, strict=True)]
 

@@ -9,7 +9,7 @@ import pytest
 from command_line import gelgate
 
 from calibration.experiments.harness.figures import find_curves
-from calibration.experiments.studies.good_fraction_study import page, same_in_every_seed
+from calibration.experiments.studies.good_fraction_study import find_repeated, page
 from calibration.experiments.studies.report import write_report
 from edge.core.errors import ConfigError, StoreError
 
@@ -64,7 +64,7 @@ def test_seeds_that_are_one_computation_are_named() -> None:
     """`flat` with all presses gives the same scores in every seed: its lack of scatter is no robustness. One seed is no
     repetition."""
     assert "| flat | PZ1, PZ3 | 100 % | 4 |" in page(rows()).text
-    assert set(same_in_every_seed(rows())["method"]) == {"flat"}
+    assert set(find_repeated(rows())["method"]) == {"flat"}
     assert "One computation" not in page(rows()[lambda r: r["seed"] == 0]).text
 
 

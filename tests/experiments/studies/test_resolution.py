@@ -12,7 +12,7 @@ from study_cells import quiet
 from study_dataset import study_dataset
 
 from calibration.experiments.harness.study import Options
-from calibration.experiments.studies.resolution_study import ViewPlace, capped_presses, study_resolution
+from calibration.experiments.studies.resolution_study import ViewPlace, cap_presses, study_resolution
 from calibration.experiments.studies.views import COMMON, VIEWS, common_map
 from edge.core.errors import DatasetError
 
@@ -64,7 +64,7 @@ def test_a_view_has_a_row_with_common_measures(dataset: Path, tmp_path: Path) ->
 def test_the_cap_keeps_the_test_presses(dataset: Path, tmp_path: Path) -> None:
     """Both resolutions have the same presses, whatever the cap."""
     kept = {
-        (view, most): capped_presses(
+        (view, most): cap_presses(
             ViewPlace(dataset, tmp_path, "PZ3", "pos1", "tiny", (), view, "press", 3, most)
         )
         for view in ("lr", "hr_tiled")

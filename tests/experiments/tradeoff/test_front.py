@@ -4,14 +4,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.experiments.tradeoff.front import MARGIN, dominators
+from calibration.experiments.tradeoff.front import MARGIN, find_dominators
 
 
 def front(accuracy: list[float], times: list[float], noise: float = 0.001) -> list[int]:
     """The points on the front; every time varies by `noise` on its own in each of 200 replicates."""
     rng = np.random.default_rng(0)
     ratios = np.array(times) * (1 + noise * rng.normal(size=(200, len(times))))
-    return [k for k, others in enumerate(dominators(np.array(accuracy), ratios)) if not others]
+    return [k for k, others in enumerate(find_dominators(np.array(accuracy), ratios)) if not others]
 
 
 def test_a_point_that_is_worse_in_both_is_dominated() -> None:
@@ -35,7 +35,7 @@ def test_a_slow_phase_that_hits_all_points_changes_nothing() -> None:
     """Points are compared within a replicate: a common factor cancels, however large it is."""
     rng = np.random.default_rng(1)
     common = rng.uniform(1, 5, size=(200, 1))
-    found = dominators(np.array([0.5, 0.8]), common * np.array([[0.9, 1.0]]))
+    found = find_dominators(np.array([0.5, 0.8]), common * np.array([[0.9, 1.0]]))
     assert found == [[], []]
 
 
