@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset import SIZES, LabelledPress
+from calibration.fitting.trunks import Trunk
 from edge.core.errors import DatasetError
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.core.imaging.region import Region
+from edge.core.imaging.tiles import Tiles
 
-__all__ = ["LR_VIEW", "PressPictures", "View"]
+__all__ = ["LR_VIEW", "PressPictures", "View", "tile"]
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,8 @@ class View:
     pixels_per_mm: float
     """The scale of the picture that the trunk sees."""
     scaled_to: tuple[int, int] | None = None
+    is_tiled: bool = field(default=False, repr=False)
+    """Whether the trunk sees it in the paper's tiles, of 224 with 56 pixels in common; not part of the hash."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -60,6 +64,13 @@ class View:
 
 LR_VIEW = View(SIZES["lr"], Region.centre(SIZES["lr"]), LR_PIXELS_PER_MM)
 """The paper's low resolution: the central 224x224 of 320x240."""
+
+
+def tile(trunk: Trunk, layout: Tiles) -> Trunk:
+    """Return a trunk that sees a picture in tiles. Errors: ConfigError for a trunk that cannot be tiled."""
+    from plugins.backbones.tiled import tile_trunk
+
+    return replace(trunk, graph=tile_trunk(trunk.graph, layout))
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset import LabelledPress
+from calibration.dataset import LabelledPress, resolution_of
 from calibration.experiments.harness.cells import Cell, Split
 from calibration.experiments.harness.evidence import COMPARED, effects
 from calibration.experiments.harness.figures import draw_conditions
 from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell
 from calibration.experiments.harness.page import Figures, Page, figure_file, make_page, tabulate_medians
-from calibration.experiments.harness.pictures import PressPictures
+from calibration.experiments.harness.pictures import PressPictures, tile
 from calibration.experiments.harness.presses import (
     TEST_SEED,
     HeldOut,
@@ -40,11 +40,12 @@ from calibration.experiments.harness.study import (
     require_known,
     run_study,
 )
-from calibration.experiments.studies.views import COMMON, VIEWS, common_map, tiled
+from calibration.experiments.studies.views import COMMON, VIEWS, common_map
 from calibration.fitting.features import trunk_grid
 from calibration.fitting.trunks import Trunk, open_trunk
 from edge.core.detector import Progress
 from edge.core.errors import DatasetError, StoreError
+from edge.core.imaging.tiles import tiling
 from edge.model.session import open_session
 
 if TYPE_CHECKING:
@@ -84,7 +85,8 @@ class ViewPlace(Place):
         return f"{self.part}/{self.position}, {self.view}, on {self.backbone}"
 
     def show(self, trunk: Trunk) -> Trunk:
-        return tiled(trunk, VIEWS[self.view])
+        view = VIEWS[self.view]
+        return tile(trunk, tiling(view.shape)) if view.is_tiled else trunk
 
     def covers(self, row: Mapping[str, Any]) -> bool:
         own = {"view": self.view, "split": self.split, "held_out": self.held_out, "most_presses": self.most}
@@ -94,7 +96,7 @@ class ViewPlace(Place):
         view = VIEWS[self.view]
         trunk = self.show(open_trunk(self.backbone, self.taps))
         session = open_session(trunk.graph, 1, f"trunk '{trunk.id}'")
-        grid = trunk_grid(session, self.taps, view.view.shape, view.view.pixels_per_mm)
+        grid = trunk_grid(session, self.taps, view.shape, view.pixels_per_mm)
         presses = len(cap_presses(self)[0].pictures)
         needed = 4 * presses * sum(math.prod(shape) for shape in grid.taps.values())
         self.cache.mkdir(parents=True, exist_ok=True)
@@ -181,12 +183,12 @@ def _in_common(
 def cap_presses(place: ViewPlace) -> tuple[StudyPresses, HeldOut, int]:
     """The presses that the study looks at, which of them are for the test, and the size of the pool without the cap."""
     view = VIEWS[place.view]
-    every = presses_of(open_presses(place.dataset, view.resolution), place.part, place.position)
+    every = presses_of(open_presses(place.dataset, resolution_of(view.size)), place.part, place.position)
     held = hold_out(every, place.held_out, place.split)
     pool = subset(held.pool, place.most, TEST_SEED)
     rows = np.sort(np.concatenate([held.test, pool]))
     chosen = [every.pictures.presses[row] for row in (*rows, *every.defective)]
-    presses = StudyPresses(place.part, place.position, PressPictures(tuple(chosen), view.view), len(rows))
+    presses = StudyPresses(place.part, place.position, PressPictures(tuple(chosen), view), len(rows))
     kept = HeldOut(np.searchsorted(rows, held.test), np.searchsorted(rows, pool))
     return presses, kept, len(held.pool)
 
@@ -254,12 +256,12 @@ def _draw(rows: "pd.DataFrame") -> Figures:
 
 def _describe_view(name: str) -> tuple[str, str, str, str]:
     view = VIEWS[name]
-    scaled = view.view.scaled_to
-    picture = "{}x{}".format(*view.view.size) + ("" if scaled is None else " scaled to {}x{}".format(*scaled))
+    scaled = view.scaled_to
+    picture = "{}x{}".format(*view.size) + ("" if scaled is None else " scaled to {}x{}".format(*scaled))
     return (
         f"`{name}`",
         picture,
-        f"{view.view.shape[1]}x{view.view.shape[0]}",
+        f"{view.shape[1]}x{view.shape[0]}",
         "yes" if view.is_tiled else "no",
     )
 

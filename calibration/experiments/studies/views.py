@@ -13,21 +13,19 @@ the field of view of `lr`, on the pixels and masks of 1280x720, for every view.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset import SIZES, Resolution
+from calibration.dataset import SIZES
 from calibration.experiments.harness.pictures import LR_VIEW, View
-from calibration.fitting.trunks import Trunk
 from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
 from edge.core.imaging.region import Region
-from edge.core.imaging.tiles import Tiles, tiling
 
-__all__ = ["COMMON", "PAPER_VIEWS", "VIEWS", "StudyView", "common_map", "tiled"]
+__all__ = ["COMMON", "VIEWS", "common_map"]
 
 _LR, _HR = SIZES["lr"], SIZES["hr"]
 _ACROSS, _DOWN = _HR[0] // _LR[0], _HR[1] // _LR[1]
@@ -35,51 +33,28 @@ _ACROSS, _DOWN = _HR[0] // _LR[0], _HR[1] // _LR[1]
 _HR_PIXELS_PER_MM = LR_PIXELS_PER_MM * _ACROSS
 
 
-@dataclass(frozen=True)
-class StudyView:
-    """A view with its pictures and whether the trunk sees it in tiles."""
+_HR_FULL, _HR_TILED = (
+    View(_HR, Region.full(_HR), _HR_PIXELS_PER_MM, is_tiled=tiled) for tiled in (False, True)
+)
 
-    resolution: Resolution
-    """The resolution of the files that are read."""
-    view: View
-    is_tiled: bool = False
-
-    @property
-    def tiles(self) -> Tiles | None:
-        """The paper's layout, tiles of 224 with 56 pixels in common; None without tiles."""
-        return tiling(self.view.shape) if self.is_tiled else None
-
-
-_HR_FULL = View(_HR, Region.full(_HR), _HR_PIXELS_PER_MM)
-
-VIEWS: Mapping[str, StudyView] = {
-    "lr": StudyView("lr", LR_VIEW),
-    "hr_tiled": StudyView("hr", _HR_FULL, is_tiled=True),
-    "lr_tiled": StudyView("lr", View(_LR, Region.full(_HR), _HR_PIXELS_PER_MM, scaled_to=_HR), is_tiled=True),
-    "hr_full": StudyView("hr", _HR_FULL),
-    "lr_full": StudyView("lr", View(_LR, Region.full(_LR), LR_PIXELS_PER_MM)),
+VIEWS: Mapping[str, View] = {
+    "lr": LR_VIEW,
+    "hr_tiled": _HR_TILED,
+    "lr_tiled": replace(_HR_TILED, size=_LR, scaled_to=_HR),
+    "hr_full": _HR_FULL,
+    "lr_full": View(_LR, Region.full(_LR), LR_PIXELS_PER_MM),
 }
-
-PAPER_VIEWS = ("lr", "hr_tiled")
 
 _CENTRE = LR_VIEW.region
 COMMON = Region(_CENTRE.x * _ACROSS, _CENTRE.y * _DOWN, _CENTRE.width * _ACROSS, _CENTRE.height * _DOWN)
 """The field of view of `lr` in pixels of 1280x720."""
 
 
-def common_map(pixels: NDArray[Any], view: StudyView) -> NDArray[np.float32]:
+def common_map(pixels: NDArray[Any], view: View) -> NDArray[np.float32]:
     """A score map (h, w) of a view in the common field of view: float32 (COMMON.height, COMMON.width)."""
     found = np.asarray(pixels, np.float32)
-    if view.view.region == _CENTRE:
+    if view.region == _CENTRE:
         return np.asarray(cv2.resize(found, (COMMON.width, COMMON.height)), np.float32)
     if found.shape != (_HR[1], _HR[0]):
         found = np.asarray(cv2.resize(found, _HR), np.float32)
     return np.ascontiguousarray(COMMON.crop(found))
-
-
-def tiled(trunk: Trunk, view: StudyView) -> Trunk:
-    """The trunk as the view shows pictures to it. Errors: ConfigError for a trunk that cannot be tiled."""
-    from plugins.backbones.tiled import tile_trunk
-
-    tiles = view.tiles
-    return trunk if tiles is None else Trunk(trunk.id, tile_trunk(trunk.graph, tiles), trunk.facts)

@@ -4,12 +4,13 @@ import hashlib
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.experiments.harness.pictures import tile
 from calibration.experiments.harness.scoring import run_head
 from calibration.experiments.tradeoff.floor import Work, work_of
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint, View
@@ -61,7 +62,7 @@ def trunk_of(point: OperatingPoint) -> Trunk:
     Errors: ConfigError, FitError.
     """
     detector, parameters = detector_of(point)
-    return _tiled(open_trunk(point.backbone, detector.taps(parameters)), VIEWS[point.view])
+    return _tile(open_trunk(point.backbone, detector.taps(parameters)), VIEWS[point.view])
 
 
 def detector_of(point: OperatingPoint) -> tuple[Detector, Any]:
@@ -70,13 +71,10 @@ def detector_of(point: OperatingPoint) -> tuple[Detector, Any]:
     return detector, detector.parameters(point.mode, **point.overrides)
 
 
-def _tiled(trunk: Trunk, view: View) -> Trunk:
+def _tile(trunk: Trunk, view: View) -> Trunk:
     if view.overlap is None:
         return trunk
-    from plugins.backbones.tiled import tile_trunk
-
-    layout = tiling((view.region.height, view.region.width), TILE, view.overlap)
-    return replace(trunk, graph=tile_trunk(trunk.graph, layout))
+    return tile(trunk, tiling((view.region.height, view.region.width), TILE, view.overlap))
 
 
 def fit_points(
@@ -93,7 +91,7 @@ def fit_points(
     """
     view, nominal = VIEWS[points[0].view], seen.nominal.first(max(point.presses for point in points))
     taps = sorted({tap for point in points for tap in detector_of(point)[0].taps(detector_of(point)[1])})
-    trunk = _tiled(open_trunk(points[0].backbone, taps), view)
+    trunk = _tile(open_trunk(points[0].backbone, taps), view)
     frame = view.region.height, view.region.width
     reader = TapReader(trunk.graph, taps, frame, view.profile.pixels_per_mm, threads)
     frames = np.concatenate([nominal.frames, seen.frames])

@@ -37,9 +37,9 @@ def options(dataset: Path, output: Path, **changed: Any) -> Options:
 def test_a_bright_place_is_at_its_place_in_the_common_map(name: str) -> None:
     """The middle of row 100, column 50 of the low resolution's crop, in every view."""
     view = VIEWS[name]
-    across, down = (1, 1) if view.view.shape[0] <= 240 else (4, 3)
-    x, y = (50 + 48 - view.view.region.x // across) * across, (100 + 8 - view.view.region.y // down) * down
-    score_map = np.zeros(view.view.shape, np.float32)
+    across, down = (1, 1) if view.shape[0] <= 240 else (4, 3)
+    x, y = (50 + 48 - view.region.x // across) * across, (100 + 8 - view.region.y // down) * down
+    score_map = np.zeros(view.shape, np.float32)
     score_map[y : y + down, x : x + across] = 1
     found = common_map(score_map, view)
     rows, columns = np.indices(found.shape)
