@@ -222,10 +222,10 @@ def add_outputs(data: bytes, values: Sequence[str]) -> bytes:
 
 
 def run_values(
-    data: bytes, values: Sequence[str], feeds: Mapping[str, NDArray[Any]], where: str, threads: int = 2
+    data: bytes, values: Sequence[str], feeds: Mapping[str, NDArray[Any]], where: str
 ) -> list[NDArray[Any]]:
     """These values of a graph for these inputs. Errors: ConfigError where the runtime refuses, BundleCorrupt."""
-    session = open_session(add_outputs(data, values), threads, where)
+    session = open_session(add_outputs(data, values), 2, where)
     try:
         return [np.asarray(array) for array in session.run(list(values), dict(feeds))]
     except RUNTIME_ERRORS as error:

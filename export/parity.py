@@ -190,9 +190,9 @@ def compare(
     return ParityReport(tuple(stages), frames, title, dict(facts or {}))
 
 
-def order_stage(expected: Array, found: Array, least: float = ORDER_LEAST) -> Stage:
+def order_stage(expected: Array, found: Array) -> Stage:
     """Make the stage that compares the order of the presses. expected, found: scores (n,)."""
-    return Stage("order of the presses", expected, found, "order", least)
+    return Stage("order of the presses", expected, found, "order")
 
 
 def rank_correlation(a: Array, b: Array) -> float:

@@ -12,6 +12,7 @@ from edge.core.errors import ConfigError
 from plugins.backbones.topology import State
 from plugins.reading.foreign import describe, float32
 from plugins.reading.isolated import read_foreign
+from plugins.reading.tensors import widen
 
 __all__ = ["MOST_BYTES", "file_sha256", "is_onnx", "read_checkpoint", "read_safetensors", "read_weights"]
 
@@ -121,8 +122,7 @@ def _array(entry: Mapping[str, Any]) -> NDArray[np.float32]:
     """Read a tensor as float32. Errors: ValueError for a dtype that no weights have."""
     dtype, data, shape = entry["dtype"], bytes(entry["data"]), entry["shape"]
     if dtype == "BF16":
-        # A bfloat16 is the upper half of a float32.
-        return (np.frombuffer(data, "<u2").astype("<u4") << 16).view("<f4").reshape(shape).astype(np.float32)
+        return float32(widen(np.frombuffer(data, "<u2"), is_bfloat16=True).reshape(shape))
     if dtype not in _DTYPES:
         raise ValueError(f"its dtype {dtype} is not one of {', '.join(_DTYPES)}, BF16")
     return np.frombuffer(data, _DTYPES[dtype]).reshape(shape).astype(np.float32)

@@ -19,7 +19,7 @@ from edge.core.detector import Bank, Grid
 from edge.core.errors import ConfigError
 from edge.model.session import open_session
 from export.importers.anomalib_file import AnomalibFile, read_anomalib
-from export.importers.contract import Imported, Recognised, Settings
+from export.importers.contract import Imported, Recognised, Settings, require
 from export.importers.framing import Framing
 from export.importers.heads import MapSteps, dfkde_head, dfm_head, patchcore_head
 from export.importers.padim_parts import Gaussians, padim_parts
@@ -56,11 +56,7 @@ class Anomalib:
 
     def imported(self, file: Foreign, settings: Settings) -> Imported:
         """The parts of a bundle. Errors: as `Importer`."""
-        stored = read_anomalib(file)
-        if stored is None:
-            raise ConfigError(
-                f"{file.path} is no PaDiM, PatchCore, DFM or DFKDE of anomalib; see `gelgate export detect`"
-            )
+        stored = require(read_anomalib(file), file, "PaDiM, PatchCore, DFM or DFKDE of anomalib")
         return _METHODS[stored.method](_Model(stored, settings))
 
 

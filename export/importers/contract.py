@@ -7,7 +7,7 @@ An importer is an object behind an entry point of `gelgate.importers`. It gets t
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,9 @@ from edge.model.onnx_validation import GraphRefused
 from edge.model.session import open_session
 from plugins.reading.foreign import Foreign, describe
 
-__all__ = ["Imported", "Importer", "Recognised", "Settings", "importer_of", "importers"]
+__all__ = ["Imported", "Importer", "Recognised", "Settings", "importer_of", "importers", "require"]
+
+PartsT = TypeVar("PartsT")
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,13 @@ class Importer(Protocol):
     def imported(self, file: Foreign, settings: Settings) -> Imported:
         """The parts of a bundle. Errors: ConfigError that names the file, the field, found and expected."""
         ...
+
+
+def require(parts: PartsT | None, file: Foreign, what: str) -> PartsT:
+    """Give what an importer has recognised. Errors: ConfigError where the file holds nothing of it."""
+    if parts is None:
+        raise ConfigError(f"{file.path} holds no {what}; see `gelgate export detect`")
+    return parts
 
 
 def importers() -> list[Importer]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Grid, Nominal
 from edge.core.errors import ConfigError, FitError
-from export.importers.contract import Imported, Recognised, Settings
+from export.importers.contract import Imported, Recognised, Settings, require
 from plugins.detectors.common.descriptor import BINS
 from plugins.detectors.fapm import fapm
 from plugins.detectors.inreach import inreach
@@ -51,9 +51,7 @@ class SpadeFeatures:
 
     def imported(self, file: Foreign, settings: Settings) -> Imported:
         """The parts of a bundle. Settings: `is_normalised`, `neighbours`. Errors: as `Importer`."""
-        layers = _layers(file.table())
-        if not layers:
-            raise ConfigError(f"{file.path} holds no features by layer; see `gelgate export detect`")
+        layers = require(_layers(file.table()) or None, file, "features by layer")
         taps = (*layers, "avgpool") if "avgpool" in file.table() else layers
         trunk, grid = settings.cut_trunk(file.path, taps, "features of presses alone")
         features = {tap: _features(file.path, tap, file.table()[tap], grid) for tap in taps}
@@ -135,11 +133,7 @@ class InreachPoints:
 
     def imported(self, file: Foreign, settings: Settings) -> Imported:
         """The parts of a bundle. Settings: `position_weight`. Errors: as `Importer`."""
-        points = _points(file)
-        if points is None:
-            raise ConfigError(
-                f"{file.path} holds no points of {BINS} or {BINS + 2} numbers; see `gelgate export detect`"
-            )
+        points = require(_points(file), file, f"points of {BINS} or {BINS + 2} numbers")
         points = float32(check_array(file.path, "nominal points", points, None, points.shape[1]))
         weight = settings.value("position_weight", float, PLACE_WEIGHT if points.shape[1] > BINS else 0.0)
         if (weight > 0) != (points.shape[1] > BINS):

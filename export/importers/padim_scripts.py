@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
-from export.importers.contract import Imported, Recognised, Settings
+from export.importers.contract import Imported, Recognised, Settings, require
 from export.importers.framing import Framing
 from export.importers.heads import MapSteps
 from export.importers.padim_parts import Gaussians, padim_parts
@@ -46,11 +46,7 @@ class PadimPickle:
 
     def imported(self, file: Foreign, settings: Settings) -> Imported:
         """The parts of a bundle. Settings: `layers`, `ridge_again`. Errors: as `Importer`."""
-        parts = _parts(file)
-        if parts is None:
-            raise ConfigError(
-                f"{file.path} holds no mean and covariance of PaDiM; see `gelgate export detect`"
-            )
+        parts = require(_parts(file), file, "mean and covariance of PaDiM")
         mean = check_array(file.path, "mean", parts[0], None, None)
         cov = check_array(file.path, "covariance", parts[1], None, None, None)
         d, places = mean.shape
@@ -122,9 +118,9 @@ def _ridge_again(path: Path, settings: Settings) -> float:
     return again
 
 
-def draw_channels(total: int, count: int, seed: int = PORT_SEED) -> NDArray[np.int64]:
+def draw_channels(total: int, count: int) -> NDArray[np.int64]:
     """Draw channels as the port does: Python's `sample(range(total), count)` after `seed(1024)`."""
-    return np.array(random.Random(seed).sample(range(total), count), np.int64)
+    return np.array(random.Random(PORT_SEED).sample(range(total), count), np.int64)
 
 
 def _channels(

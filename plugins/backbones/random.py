@@ -10,8 +10,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from plugins.backbones.input_steps import IMAGENET
 from plugins.backbones.reference import forward
-from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD, NORM_EPS, TAPS, build_trunk
+from plugins.backbones.resnet import NORM_EPS, TAPS, build_trunk
 from plugins.backbones.topology import Conv, State, list_shapes, topology
 
 __all__ = ["RandomBackbone", "random_state", "wide_resnet50_2_random"]
@@ -36,8 +37,8 @@ class RandomBackbone:
         return {
             "topology": self.topology,
             "weights": f"random weights, seed {self.seed}",
-            "mean": list(IMAGENET_MEAN),
-            "std": list(IMAGENET_STD),
+            "mean": list(IMAGENET.mean),
+            "std": list(IMAGENET.std),
         }
 
     def trunk(self, taps: Sequence[str] = TAPS) -> bytes:

@@ -6,22 +6,14 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD, NORM_EPS, TAPS
+from plugins.backbones.resnet import NORM_EPS, TAPS
 from plugins.backbones.topology import Conv, State, last_block, topology
 
-__all__ = ["Norm", "batch_norm", "forward", "normalise"]
+__all__ = ["Norm", "batch_norm", "forward"]
 
 Array = NDArray[np.floating]
 Norm = Callable[[Conv, Array], Array]
 """The operation after a convolution: takes the convolution and its output (n, c, h, w)."""
-
-
-def normalise(
-    frames: NDArray[np.uint8], mean: Sequence[float] = IMAGENET_MEAN, std: Sequence[float] = IMAGENET_STD
-) -> NDArray[np.float64]:
-    """uint8 RGB (n, h, w, 3) to float64 (n, 3, h, w), each channel (x / 255 - mean) / std."""
-    planes = (frames.astype(np.float64) / 255 - np.asarray(mean)) / np.asarray(std)
-    return np.ascontiguousarray(planes.transpose(0, 3, 1, 2))
 
 
 def batch_norm(state: State) -> Norm:

@@ -12,15 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
-from plugins.backbones.input_steps import InputSteps, input_planes
+from plugins.backbones.input_steps import IMAGENET, InputSteps, input_planes
 from plugins.backbones.topology import Conv, State, Topology, check_state, last_block, topology
 from plugins.onnx_builder import Graph, Value
 
-__all__ = ["IMAGENET_MEAN", "IMAGENET_STD", "NORM_EPS", "TAPS", "build_trunk", "folded", "store_weights"]
+__all__ = ["NORM_EPS", "TAPS", "build_trunk", "folded", "store_weights"]
 
-# The usual normalisation of ImageNet-trained networks, RGB in 0..1 (torchvision's published transforms).
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
 # torch.nn.BatchNorm2d's default; a state dict does not carry it.
 NORM_EPS = 1e-5
 # What PaDiM, FAPM and PatchCore read.
@@ -32,9 +29,7 @@ def build_trunk(
     topology_name: str,
     taps: Sequence[str] = TAPS,
     *,
-    mean: Sequence[float] = IMAGENET_MEAN,
-    std: Sequence[float] = IMAGENET_STD,
-    steps: InputSteps | None = None,
+    steps: InputSteps = IMAGENET,
     frame: tuple[int, int] | None = None,
     weights: Literal["float32", "float16"] = "float32",
     facts: Mapping[str, str] | None = None,
@@ -42,10 +37,9 @@ def build_trunk(
     """The trunk as serialised ONNX.
 
     Input `frames` uint8 RGB (n, h, w, 3) of any size from 32x32 on; one output float32 (n, c, h', w') per tap, named as
-    the tap (a stage `layer2`, a block `layer4.0`, or `avgpool`). mean, std: of RGB in 0..1. steps: other preprocessing,
-    in place of mean and std. frame: (h, w) where it is fixed, as these steps may need. weights: how they are stored;
-    float16 halves the file and is widened once when the graph is loaded. facts: further entries for the graph's
-    metadata, which always has topology, mean and std.
+    the tap (a stage `layer2`, a block `layer4.0`, or `avgpool`). frame: (h, w) where it is fixed, as these steps may
+    need. weights: how they are stored; float16 halves the file and is widened once when the graph is loaded. facts:
+    further entries for the graph's metadata, which always has topology, mean and std.
 
     Errors: ConfigError for an unknown topology or tap, weights that are not this network's, or no tap at all.
     """
@@ -55,7 +49,6 @@ def build_trunk(
     wanted = {tap: last_block(net, tap) for tap in taps}
     check_state(state, net, until=taps)
     builder = _TrunkBuilder(net, state, weights)
-    steps = steps or InputSteps(_three(mean), _three(std))
     outputs = builder.run(input_planes(builder.graph, steps, frame), set(wanted.values()))
     for tap, block in wanted.items():
         value, channels = outputs[block]
@@ -92,11 +85,6 @@ def store_weights(graph: Graph, weight: NDArray[np.floating], dtype: np.dtype[An
     if most > float(np.finfo(np.float16).max):
         raise ConfigError(f"a weight of {most:.3g} exceeds float16; store this trunk as float32")
     return graph.op("Cast", graph.constant(np.asarray(weight, np.float16)), to=1)
-
-
-def _three(values: Sequence[float]) -> tuple[float, float, float]:
-    red, green, blue = values
-    return red, green, blue
 
 
 class _TrunkBuilder:

@@ -10,7 +10,8 @@ from functools import cache, partial
 from importlib import resources
 
 from edge.core.errors import ConfigError
-from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD, TAPS
+from plugins.backbones.input_steps import IMAGENET
+from plugins.backbones.resnet import TAPS
 
 __all__ = ["FixedTrunk", "read_file", "tactile_resnet18", "tactile_resnet18_int8"]
 
@@ -59,8 +60,8 @@ def _facts() -> dict[str, object]:
             f"trained on simulated presses: {known['trained_steps']} steps, {known['pairs_seen']} pairs of "
             f"{recipe['side']}x{recipe['side']} frames, seed {recipe['seed']}"
         ),
-        "mean": list(IMAGENET_MEAN),
-        "std": list(IMAGENET_STD),
+        "mean": list(IMAGENET.mean),
+        "std": list(IMAGENET.std),
         "licence": "Apache-2.0",
     }
 

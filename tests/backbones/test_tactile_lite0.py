@@ -16,7 +16,7 @@ from calibration.training.package import MOST_BYTES
 from edge import registry
 from edge.core.errors import ConfigError
 from plugins.backbones.efficientnet_lite0 import efficientnet_lite0
-from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD
+from plugins.backbones.input_steps import IMAGENET
 from plugins.backbones.tactile import tactile_resnet18
 from plugins.backbones.tactile_lite0 import tactile_lite0
 
@@ -63,7 +63,7 @@ def test_its_tactile_channels_are_those_of_a_residual_block() -> None:
     """Within 1e-4 of torch's own operations with the same weights, after the first residual block."""
     import torch
 
-    planes = (FRAMES / np.float32(255) - np.float32(IMAGENET_MEAN)) / np.float32(IMAGENET_STD)
+    planes = (FRAMES / np.float32(255) - np.float32(IMAGENET.mean)) / np.float32(IMAGENET.std)
     expected = _first_block(torch, torch.from_numpy(planes.transpose(0, 3, 1, 2).astype(np.float32))).numpy()
 
     found = run(tactile_lite0.trunk())[0][:, :64] / FACTS["tactile_scale"]

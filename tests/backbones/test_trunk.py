@@ -8,8 +8,9 @@ import onnxruntime
 import pytest
 
 from edge.core.errors import ConfigError
+from plugins.backbones.input_steps import IMAGENET, apply_steps
 from plugins.backbones.random import random_state
-from plugins.backbones.reference import forward, normalise
+from plugins.backbones.reference import forward
 from plugins.backbones.resnet import build_trunk
 from plugins.backbones.topology import State, list_shapes, list_taps, topology
 
@@ -41,7 +42,7 @@ def test_a_trunk_is_the_network(name: str) -> None:
     state = random_state(name)
     rgb = frames(2, 32, 48)
     found = run(build_trunk(state, name, taps), rgb)
-    expected = forward(state, name, normalise(rgb), taps)
+    expected = forward(state, name, apply_steps(IMAGENET, rgb), taps)
     assert list(found) == list(taps)
     for tap in taps:
         assert found[tap].shape == expected[tap].shape
@@ -68,7 +69,7 @@ def test_the_oracle_is_the_frameworks_network() -> None:
             y + (conv(x, f"{name}.downsample.0", f"{name}.downsample.1", stride, 0) if stride > 1 else x)
         )
 
-    planes = normalise(frames(1, 40, 36))
+    planes = apply_steps(IMAGENET, frames(1, 40, 36))
     x = f.max_pool2d(f.relu(conv(torch.from_numpy(planes), "conv1", "bn1", 2, 3)), 3, 2, 1)
     for name, stride in (("layer1.0", 1), ("layer1.1", 1), ("layer2.0", 2), ("layer2.1", 1)):
         x = block(x, name, stride)
@@ -90,7 +91,7 @@ def test_borders_and_dead_channels_are_the_oracles(change: dict[str, np.ndarray]
     the norm adds its epsilon."""
     state = {**resnet18(), **change}
     found = run(build_trunk(state, "resnet18", ("relu",)), frame)["relu"]
-    expected = forward(state, "resnet18", normalise(frame), ("relu",))["relu"]
+    expected = forward(state, "resnet18", apply_steps(IMAGENET, frame), ("relu",))["relu"]
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * expected.max())
     assert change or np.abs(expected[..., 0, 0] - expected[..., 5, 5]).max() > 0.01
 
@@ -179,7 +180,10 @@ def test_taps_are_named_in_the_order_of_computation() -> None:
 def test_random_weights_keep_their_scale() -> None:
     """Through all stages the activations neither vanish nor explode, and the seed determines the weights."""
     features = forward(
-        resnet18(), "resnet18", normalise(frames(1, 64, 64)), ("layer1", "layer2", "layer3", "layer4")
+        resnet18(),
+        "resnet18",
+        apply_steps(IMAGENET, frames(1, 64, 64)),
+        ("layer1", "layer2", "layer3", "layer4"),
     )
     assert all(0.3 < value.std() < 30 for value in features.values())
     again = random_state("resnet18", 3)

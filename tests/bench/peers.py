@@ -189,9 +189,9 @@ def _normaliser() -> Callable[[NDArray[np.uint8]], Any]:
     """Return what makes uint8 (h, w, 3) a normalised float32 tensor (1, 3, h, w), as the trunk's graph does."""
     import torch
 
-    from plugins.backbones.resnet import IMAGENET_MEAN, IMAGENET_STD
+    from plugins.backbones.input_steps import IMAGENET
 
-    mean, std = (torch.tensor(values).view(1, 3, 1, 1) for values in (IMAGENET_MEAN, IMAGENET_STD))
+    mean, std = (torch.tensor(values).view(1, 3, 1, 1) for values in (IMAGENET.mean, IMAGENET.std))
 
     def normalise(rgb: NDArray[np.uint8]) -> Any:
         planes = torch.from_numpy(np.ascontiguousarray(rgb)).permute(2, 0, 1)[None]

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from export.backbone import BackboneOptions, export_backbone, read_checkpoint, weights_sha256
+from plugins.backbones.input_steps import IMAGENET, apply_steps
 from plugins.backbones.random import random_state
-from plugins.backbones.reference import forward, normalise
+from plugins.backbones.reference import forward
 
 RESNET18 = BackboneOptions("own", "resnet18")
 ANOMALIB = Path(__file__).parent / "importers" / "anomalib_2_7_0" / "padim.ckpt"
@@ -47,7 +48,7 @@ def test_a_checkpoint_becomes_its_trunk(tmp_path: Path) -> None:
     facts = export_backbone(saved(tmp_path, tensors() | classifier), tmp_path / "trunk.onnx", RESNET18).facts
     rgb = np.random.default_rng(0).integers(0, 256, (1, 40, 40, 3), dtype=np.uint8)
     session = onnxruntime.InferenceSession(tmp_path / "trunk.onnx", providers=["CPUExecutionProvider"])
-    expected = forward(tensors(), "resnet18", normalise(rgb), ("layer3",))["layer3"]
+    expected = forward(tensors(), "resnet18", apply_steps(IMAGENET, rgb), ("layer3",))["layer3"]
     np.testing.assert_allclose(
         session.run(["layer3"], {"frames": rgb})[0], expected, atol=1e-4 * expected.max()
     )

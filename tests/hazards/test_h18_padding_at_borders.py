@@ -13,8 +13,9 @@ import pytest
 from heads import fit
 
 from edge.core.detector import Features, Grid, Nominal
+from plugins.backbones.input_steps import IMAGENET, apply_steps
 from plugins.backbones.random import random_state
-from plugins.backbones.reference import forward, normalise
+from plugins.backbones.reference import forward
 from plugins.detectors.baselines.patchcore import patchcore
 from plugins.detectors.baselines.subspace import subspace
 from plugins.detectors.fapm import fapm
@@ -27,7 +28,9 @@ from plugins.detectors.spade import spade
 def flat_frames(n: int, seed: int) -> Features:
     """Features of an even grey with faint noise, 96x96: the content is the same everywhere."""
     rgb = np.random.default_rng(seed).normal(128, 4, (n, 96, 96, 3)).astype(np.uint8)
-    taps = forward(random_state("resnet18"), "resnet18", normalise(rgb), ("layer1", "layer2", "layer3"))
+    taps = forward(
+        random_state("resnet18"), "resnet18", apply_steps(IMAGENET, rgb), ("layer1", "layer2", "layer3")
+    )
     return {tap: value.astype(np.float32) for tap, value in taps.items()}
 
 

@@ -9,7 +9,6 @@ squared distances are never negative. The nearest rows are computed again as a s
 from plugins.onnx_builder import Graph, Value
 
 __all__ = [
-    "FORBIDDEN",
     "PRODUCT_LIMIT",
     "SHORTLIST",
     "HalvedBank",
@@ -19,9 +18,6 @@ __all__ = [
     "emit_ranked",
 ]
 
-# Added to the squared distance of a row that a query may not use: far above any feature distance, far below the end
-# of float32.
-FORBIDDEN = 1e30
 # Rows measured exactly for each query.
 SHORTLIST = 4
 # Distances that one product may hold, which limits the rows at a time in a large bank (64 MB of float32).
@@ -44,28 +40,20 @@ def emit_group_nearest(
     width: int,
     k: int = 1,
     shortlist: int = SHORTLIST,
-    bias: Value | None = None,
 ) -> Value:
     """Plain distances (g, q, min(k, m)), rising, from queries (g, q, width) to rows of their own bank.
 
-    ranked: (g, m, width + 1), from `emit_ranked`. Both are float32, with the same centre. bias: broadcastable to
-    (g, q, m), 0 where a row may be used and `FORBIDDEN` where not. A query with fewer than k usable rows gets 1e15 for
-    the missing ones.
+    ranked: (g, m, width + 1), from `emit_ranked`. Both are float32, with the same centre.
     """
     rows_there = graph.op("Shape", ranked, start=1, end=2)
     padded = graph.op("Pad", queries, graph.ints(0, 0, 0, 0, 0, 1), graph.scalar(1.0))
     closeness = graph.op("MatMul", padded, graph.transpose(ranked, 0, 2, 1))
-    if bias is not None:
-        closeness = graph.op("Sub", closeness, bias)
-    short, rows = graph.ops("TopK", 2, closeness, graph.op("Min", graph.ints(shortlist), rows_there), axis=2)
+    _, rows = graph.ops("TopK", 2, closeness, graph.op("Min", graph.ints(shortlist), rows_there), axis=2)
     chosen = graph.op("GatherND", ranked, graph.reshape(rows, 0, -1, 1), batch_dims=1)
     chosen = graph.slice(chosen, 0, width, 2)
     shape = graph.op("Concat", graph.op("Shape", rows), graph.ints(width), axis=0)
     difference = graph.op("Sub", graph.op("Reshape", chosen, shape), graph.unsqueeze(queries, 2))
     exact = graph.op("ReduceSum", graph.op("Mul", difference, difference), graph.ints(3), keepdims=0)
-    if bias is not None:
-        forbidden = graph.op("Less", short, graph.scalar(-FORBIDDEN / 2))
-        exact = graph.op("Where", forbidden, graph.scalar(FORBIDDEN), exact)
     if k == 1:
         nearest = graph.op("ReduceMin", exact, graph.ints(2), keepdims=1)
     else:

@@ -16,6 +16,8 @@ __all__ = ["Nearest", "nearest"]
 
 # Rows of queries compared at once: bounds the memory at `CHUNK * rows of the bank` numbers.
 CHUNK = 1024
+# Candidates above k whose distances are also computed exactly.
+SPARE = 4
 
 
 class Nearest(NamedTuple):
@@ -28,17 +30,16 @@ class Nearest(NamedTuple):
 
 
 def nearest(
-    queries: NDArray[np.floating], bank: NDArray[np.floating], k: int = 1, spare: int = 4, chunk: int = CHUNK
+    queries: NDArray[np.floating], bank: NDArray[np.floating], k: int = 1, chunk: int = CHUNK
 ) -> Nearest:
     """The k nearest rows of `bank` (m, c) to each of `queries` (q, c), in float64: the oracle.
 
-    k is clamped to m. spare: candidates above k whose distances are also computed exactly. The result does not depend
-    on `chunk`. Errors: ValueError for an empty bank or unequal widths.
+    k is clamped to m. The result does not depend on `chunk`. Errors: ValueError for an empty bank or unequal widths.
     """
     if bank.ndim != 2 or queries.ndim != 2 or bank.shape[1] != queries.shape[1] or not len(bank):
         raise ValueError(f"queries (q, c) need a bank (m >= 1, c), found {queries.shape} and {bank.shape}")
     k = min(k, len(bank))
-    candidates = min(k + spare, len(bank))
+    candidates = min(k + SPARE, len(bank))
     centre = bank.mean(axis=0, dtype=np.float64)
     rows = bank.astype(np.float64) - centre
     half_norms = 0.5 * np.einsum("mc,mc->m", rows, rows)

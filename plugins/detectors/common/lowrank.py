@@ -39,7 +39,7 @@ class Spectrum(NamedTuple):
     """Orthonormal rows (..., r, d), 0 where the value is 0."""
 
 
-def spectrum(samples: NDArray[np.floating], rank: int | None = None, ddof: int = 1) -> Spectrum:
+def spectrum(samples: NDArray[np.floating], rank: int | None = None) -> Spectrum:
     """Mean and leading eigenpairs of the covariance of `samples` (..., n, d), through the smaller Gram matrix.
 
     rank: the most directions (None: all that exist, n-1 or d). One sample has no covariance: rank 0. Directions below
@@ -55,7 +55,7 @@ def spectrum(samples: NDArray[np.floating], rank: int | None = None, ddof: int =
     keep = most if rank is None else min(rank, most)
     if keep == 0:
         return Spectrum(mean, np.zeros((*x.shape[:-2], 0)), np.zeros((*x.shape[:-2], 0, d)))
-    x /= np.sqrt(max(n - ddof, 1))
+    x /= np.sqrt(n - 1)
     if n > d:
         return covariance_spectrum(mean, np.swapaxes(x, -1, -2) @ x, keep)
     values, vectors = _leading(x @ np.swapaxes(x, -1, -2), keep)

@@ -11,11 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.detectors.common.batched_nearest import FORBIDDEN, PRODUCT_LIMIT, emit_range
+from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, emit_range
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["Blocks", "Tables", "emit_window_nearest", "window_nearest"]
 
+# Subtracted from the closeness of a cell that a query may not use: far above any feature distance, far below the end
+# of float32.
+FORBIDDEN = 1e30
 # Cells along one side of a block, at most.
 MOST_SIDE = 10
 # The cost of gathering one number of a row, in multiplications with one query: measured on two cores with

@@ -34,7 +34,7 @@ from plugins.devices.virtual.descriptors import (
     Board,
     string_descriptor,
 )
-from plugins.devices.virtual.faults import Fault, FaultKind, FaultScript
+from plugins.devices.virtual.faults import Fault, FaultKind
 
 __all__ = ["VirtualCamera", "VirtualPacketStream", "usb_error"]
 
@@ -84,7 +84,7 @@ class VirtualCamera:
         self.frames_sent = 0
         self._frames, self._clock, self._pace, self._loop = frames, clock, pace, loop
         self._gaps_ns = gaps_ns
-        self._script = FaultScript(faults)
+        self._script = {fault.frame: fault for fault in faults}
         self._guard = RLock()
         self._position = 0
         self._number = 0
@@ -131,10 +131,10 @@ class VirtualCamera:
         """True when the time of an unplugging is over."""
         return self._return_ns is not None and self._clock.monotonic_ns() >= self._return_ns
 
-    def inject(self, kind: FaultKind, seconds: float = 0.0) -> None:
+    def inject(self, kind: FaultKind) -> None:
         """Make the next frame faulty."""
         with self._guard:
-            self._script.add(Fault(kind, self._number, seconds))
+            self._script[self._number] = Fault(kind, self._number)
 
     # Control pipe
 
@@ -233,7 +233,7 @@ class VirtualCamera:
             self._silent_until_ns = None
             if self._position >= len(self._frames):
                 self._rewind()
-            fault = self._script.take(self._number)
+            fault = self._script.pop(self._number, None)
             if fault is not None and fault.kind in ("stall", "unplug"):
                 return self._go_away(fault)
             payload = self._frames[self._position]

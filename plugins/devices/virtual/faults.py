@@ -1,10 +1,9 @@
 """The faults of a virtual sensor, scripted by frame number or injected while it runs."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, Self, get_args
+from typing import Literal, Self, cast, get_args
 
-__all__ = ["Fault", "FaultKind", "FaultScript"]
+__all__ = ["Fault", "FaultKind"]
 
 FaultKind = Literal["drop", "stall", "error_bit", "lost_packet", "truncate", "stale", "unplug"]
 
@@ -38,21 +37,4 @@ class Fault:
         frame, _, seconds = rest.partition(":")
         if not at or not frame.isdigit():
             raise ValueError(f"a fault is written kind@frame or kind@frame:seconds, found '{text}'")
-        kind = next((known for known in get_args(FaultKind) if known == name), None)
-        if kind is None:
-            raise ValueError(f"a fault is one of {', '.join(get_args(FaultKind))}, found '{name}'")
-        return cls(kind, int(frame), float(seconds or 0))
-
-
-class FaultScript:
-    """The faults still to come."""
-
-    def __init__(self, faults: Iterable[Fault] = ()) -> None:
-        self._by_frame = {fault.frame: fault for fault in faults}
-
-    def add(self, fault: Fault) -> None:
-        self._by_frame[fault.frame] = fault
-
-    def take(self, frame: int) -> Fault | None:
-        """The fault of this frame; each fault occurs once."""
-        return self._by_frame.pop(frame, None)
+        return cls(cast(FaultKind, name), int(frame), float(seconds or 0))
