@@ -17,15 +17,7 @@ from numpy.typing import NDArray
 from edge.core.errors import ConfigError
 from edge.model.scorer import FRAMES, SCORE, SCORE_MAP
 from export.normalised_scores import SUFFIX, Normalisation, constants, raw_scores
-from export.onnx_values import (
-    PIXELS,
-    PictureInput,
-    append,
-    load_model,
-    picture_input,
-    read_frames,
-    run_each,
-)
+from export.onnx_values import PIXELS, PictureInput, append, load_model, picture_input, read_frames, run_each
 from export.parity import ParityReport, Stage, compare, order_stage
 from plugins.backbones.input_steps import IMAGENET, InputSteps, apply_steps, linear_matrix
 from plugins.onnx_builder import Graph

@@ -62,26 +62,51 @@ class Kernel:
         return os.path.exists(chip)
 
 
-class GpioButton:
+class _Lines:
+    """Open lines of a chip."""
+
+    def __init__(self, kernel: Kernel, chip: str, name: str, request: Callable[[], Any]) -> None:
+        self.name = name
+        self._kernel, self._chip = kernel, chip
+        self._request: Any = _call(name, request)
+
+    @property
+    def lines(self) -> Any:
+        """The requested lines. Errors: DeviceLost once they are closed."""
+        if self._request is None:
+            raise DeviceLost(f"{self.name} was closed")
+        return self._request
+
+    def is_present(self) -> bool:
+        return self._request is not None and self._kernel.has_chip(self._chip)
+
+    def close(self) -> None:
+        request, self._request = self._request, None
+        if request is not None:
+            request.release()
+
+
+class GpioButton(_Lines):
     """An open line with a button."""
 
     def __init__(self, kernel: Kernel, options: ButtonOptions, clock: Clock) -> None:
         gpiod = _gpiod()
-        self.name = f"line {options.line} of {options.chip}"
-        self._kernel, self._options, self._clock = kernel, options, clock
         settings = gpiod.LineSettings(
             direction=gpiod.line.Direction.INPUT,
             edge_detection=gpiod.line.Edge.BOTH,
             bias=gpiod.line.Bias[options.bias.upper()],
             active_low=options.active_low,
         )
-        self._rising = gpiod.EdgeEvent.Type.RISING_EDGE
-        self._request: Any = _call(self.name, lambda: kernel.request(options.chip, {options.line: settings}))
+        name = f"line {options.line} of {options.chip}"
+        super().__init__(
+            kernel, options.chip, name, lambda: kernel.request(options.chip, {options.line: settings})
+        )
+        self._clock, self._rising = clock, gpiod.EdgeEvent.Type.RISING_EDGE
         self._changes: deque[bool] = deque()
         self._is_down = False
 
     def read(self, deadline_ns: int) -> bool | None:
-        request = _require_open(self._request, self.name)
+        request = self.lines
         if not self._changes:
             wait_s = max(0, deadline_ns - self._clock.monotonic_ns()) / 1e9
             if _call(self.name, lambda: request.wait_edge_events(timedelta(seconds=wait_s))):
@@ -94,28 +119,19 @@ class GpioButton:
                 return is_down
         return None
 
-    def is_present(self) -> bool:
-        return self._request is not None and self._kernel.has_chip(self._options.chip)
 
-    def close(self) -> None:
-        request, self._request = self._request, None
-        if request is not None:
-            request.release()
-
-
-class GpioRelays:
+class GpioRelays(_Lines):
     """Open lines with relays. Each write is read back."""
 
     def __init__(self, kernel: Kernel, options: RelaysOptions) -> None:
-        self.name = f"lines {', '.join(map(str, options.lines))} of {options.chip}"
-        self.channels = len(options.lines)
-        self._kernel, self._options = kernel, options
-        self._request: Any = _call(self.name, self._requested)
+        self.channels, self._options = len(options.lines), options
+        name = f"lines {', '.join(map(str, options.lines))} of {options.chip}"
+        super().__init__(kernel, options.chip, name, lambda: _request_outputs(kernel, options))
 
     def write(self, channel: int, is_on: bool) -> None:
         if not 1 <= channel <= self.channels:
             raise ValueError(f"{self.name} are channels 1 to {self.channels}, found {channel}")
-        request, line = _require_open(self._request, self.name), self._options.lines[channel - 1]
+        request, line = self.lines, self._options.lines[channel - 1]
         value = _gpiod().line.Value(int(is_on))
         _call(self.name, lambda: request.set_value(line, value))
         if _call(self.name, lambda: request.get_value(line)) != value:
@@ -123,39 +139,25 @@ class GpioRelays:
                 f"line {line} of {self._options.chip} does not take its level; is it short-circuited?"
             )
 
-    def is_present(self) -> bool:
-        return self._request is not None and self._kernel.has_chip(self._options.chip)
 
-    def close(self) -> None:
-        request, self._request = self._request, None
-        if request is not None:
-            request.release()
-
-    def _requested(self) -> Any:
-        """Lines that are outputs keep their level; others start from off."""
-        gpiod, options = _gpiod(), self._options
-        active_low = options.active_low
-        as_is = gpiod.LineSettings(direction=gpiod.line.Direction.AS_IS, active_low=active_low)
-        driven = [self._kernel.is_output(options.chip, line) for line in options.lines]
-        request = self._kernel.request(options.chip, dict.fromkeys(options.lines, as_is))
-        levels = [
-            request.get_value(line) if is_driven else gpiod.line.Value.INACTIVE
-            for line, is_driven in zip(options.lines, driven, strict=True)
-        ]
-        request.reconfigure_lines(
-            {
-                line: gpiod.LineSettings(
-                    direction=gpiod.line.Direction.OUTPUT, active_low=active_low, output_value=level
-                )
-                for line, level in zip(options.lines, levels, strict=True)
-            }
-        )
-        return request
-
-
-def _require_open(request: Any, name: str) -> Any:
-    if request is None:
-        raise DeviceLost(f"{name} was closed")
+def _request_outputs(kernel: Kernel, options: RelaysOptions) -> Any:
+    """Request the lines: outputs keep their level, others start from off."""
+    gpiod, active_low = _gpiod(), options.active_low
+    as_is = gpiod.LineSettings(direction=gpiod.line.Direction.AS_IS, active_low=active_low)
+    driven = [kernel.is_output(options.chip, line) for line in options.lines]
+    request = kernel.request(options.chip, dict.fromkeys(options.lines, as_is))
+    levels = [
+        request.get_value(line) if is_driven else gpiod.line.Value.INACTIVE
+        for line, is_driven in zip(options.lines, driven, strict=True)
+    ]
+    request.reconfigure_lines(
+        {
+            line: gpiod.LineSettings(
+                direction=gpiod.line.Direction.OUTPUT, active_low=active_low, output_value=level
+            )
+            for line, level in zip(options.lines, levels, strict=True)
+        }
+    )
     return request
 
 

@@ -54,8 +54,7 @@ class BrokerOptions(BaseModel):
         description="MQTT level; auto: 5, or 3.1.1 if the broker proves that it does not support 5. A plant sets `5`",
     )
     client_id: PlainText | None = Field(
-        default=None,
-        description="unique in the plant; made from the station's names by default",
+        default=None, description="unique in the plant; made from the station's names by default"
     )
     username: PlainText | None = Field(default=None, description="user name for the broker")
     password_file: Path | None = Field(default=None, description="file that holds only the password")

@@ -18,7 +18,7 @@ from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Pro
 from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.coreset import k_centre
 from plugins.detectors.common.descriptor import Descriptor
-from plugins.detectors.common.parameters import Parameters, choose, list_repairs
+from plugins.detectors.common.parameters import Parameters, Rng, choose, list_repairs
 from plugins.detectors.common.patchbank import PatchBank, draw_rows
 from plugins.detectors.common.smoothing import (
     PAPER_SIGMA_MM,
@@ -129,12 +129,7 @@ class Patchcore:
         return parameters.layers
 
     def fit(
-        self,
-        nominal: Nominal,
-        grid: Grid,
-        parameters: PatchcoreParameters,
-        rng: np.random.Generator,
-        progress: Progress,
+        self, nominal: Nominal, grid: Grid, parameters: PatchcoreParameters, rng: Rng, progress: Progress
     ) -> Bank:
         """Keep the coreset: `bank` (rows, width), and `mean`, `basis` and `scales`. Errors: FitError."""
         p = parameters
@@ -189,7 +184,7 @@ patchcore = Patchcore()
 
 
 def _coreset(
-    points: NDArray[np.float32], count: int, p: PatchcoreParameters, rng: np.random.Generator
+    points: NDArray[np.float32], count: int, p: PatchcoreParameters, rng: Rng
 ) -> tuple[NDArray[np.int64], dict[str, Any]]:
     """The rows kept, and the random choices made."""
     start = int(rng.integers(len(points)))

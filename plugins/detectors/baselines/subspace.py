@@ -18,7 +18,7 @@ from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, Sc
 from plugins.detectors.common import parameters as shared
 from plugins.detectors.common.embedding import Embedded, Embedding, blocks, learn_embedding
 from plugins.detectors.common.lowrank import RELATIVE_CUT
-from plugins.detectors.common.parameters import EmbeddingParameters, choose
+from plugins.detectors.common.parameters import EmbeddingParameters, Rng, choose
 from plugins.detectors.common.smoothing import PAPER_SIGMA_PX, emit_scores
 from plugins.detectors.common.validation import require_fittable, require_scorable
 from plugins.onnx_builder import Graph
@@ -72,12 +72,7 @@ class Subspace:
         return parameters.taps
 
     def fit(
-        self,
-        nominal: Nominal,
-        grid: Grid,
-        parameters: SubspaceParameters,
-        rng: np.random.Generator,
-        progress: Progress,
+        self, nominal: Nominal, grid: Grid, parameters: SubspaceParameters, rng: Rng, progress: Progress
     ) -> Bank:
         """centre (d,) and basis (r, d) of all cells of all presses. Errors: FitError."""
         require_fittable(self.name, nominal, grid, parameters.taps)

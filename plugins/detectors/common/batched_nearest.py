@@ -34,12 +34,7 @@ def emit_ranked(graph: Graph, bank: Value) -> Value:
 
 
 def emit_group_nearest(
-    graph: Graph,
-    queries: Value,
-    ranked: Value,
-    width: int,
-    k: int = 1,
-    shortlist: int = SHORTLIST,
+    graph: Graph, queries: Value, ranked: Value, width: int, k: int = 1, shortlist: int = SHORTLIST
 ) -> Value:
     """Plain distances (g, q, min(k, m)), rising, from queries (g, q, width) to rows of their own bank.
 

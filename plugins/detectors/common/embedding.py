@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.errors import FitError
-from plugins.detectors.common.parameters import EmbeddingParameters
+from plugins.detectors.common.parameters import EmbeddingParameters, Rng
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["Embedding", "blocks", "learn_embedding", "require_touched", "split_channels", "touched_cells"]
@@ -172,11 +172,7 @@ def blocks(count: int) -> Iterator[slice]:
 
 
 def learn_embedding(
-    choice: EmbeddingParameters,
-    grid: Grid,
-    nominal: Nominal,
-    touched: NDArray[np.bool_],
-    rng: np.random.Generator,
+    choice: EmbeddingParameters, grid: Grid, nominal: Nominal, touched: NDArray[np.bool_], rng: Rng
 ) -> Embedding:
     """Draw the channels and measure the scales. touched: flat bool over the grid's cells, where scales are measured.
 

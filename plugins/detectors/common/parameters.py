@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self, TypeVar
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from edge.core.detector import Grid, Mode
@@ -13,9 +14,11 @@ from plugins.detectors.common.smoothing import PAPER_SIGMA_MM, UPSAMPLING, Smoot
 
 __all__ = [
     "Balanced", "ChannelProjection", "Channels", "DescriptorKind", "Dims", "EmbeddingParameters", "GridTap", "MarginMm",
-    "Parameters",
+    "Parameters", "Rng",
     "Sampled", "Sigma", "SigmaUnit", "Squared", "Taps", "choose", "list_repairs",
 ]  # fmt: skip
+
+Rng = np.random.Generator
 
 Projection = Literal["all", "random", "semi_orthogonal"]
 """all: every channel. random: the given number, drawn once (PaDiM). semi_orthogonal: a random orthonormal frame of the
@@ -42,8 +45,7 @@ Dims = Annotated[
     Field(ge=1, description="leading directions kept, in addition to the length of the rest; null: all"),
 ]
 Balanced = Annotated[
-    bool,
-    Field(description="divide each tap by its nominal deviation, so that no tap dominates by its scale"),
+    bool, Field(description="divide each tap by its nominal deviation, so that no tap dominates by its scale")
 ]
 Sampled = Annotated[
     bool, Field(description="draw a cell at its top left pixel, where its convolution looks, not as a square")

@@ -19,6 +19,7 @@ from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, HalvedBank
 from plugins.detectors.common.descriptor import Descriptor
 from plugins.detectors.common.distances import nearest
 from plugins.detectors.common.free_gel import touched_places
+from plugins.detectors.common.parameters import Rng
 from plugins.detectors.common.pca import Rotation, emit_rotation, fit_rotation
 from plugins.detectors.common.tile_layout import emit_join, join, layout, split
 from plugins.onnx_builder import Graph, Value
@@ -50,7 +51,7 @@ class PatchBank:
     """Two more numbers, the place on the grid (0 to 1, down and across) times this; 0 leaves them out."""
 
     def learn(
-        self, features: Features, grid: Grid, rng: np.random.Generator
+        self, features: Features, grid: Grid, rng: Rng
     ) -> tuple[dict[str, NDArray[Any]], NDArray[np.float32]]:
         """`scales` (taps,), `mean` (c,) and `basis` (dims, c), and the rows (n, cells of all tiles, width)."""
         arrays: dict[str, NDArray[Any]] = {}
@@ -84,7 +85,7 @@ class PatchBank:
         grid: Grid,
         arrays: Mapping[str, NDArray[Any]],
         rows: NDArray[np.float32],
-        rng: np.random.Generator,
+        rng: Rng,
     ) -> NDArray[np.float32]:
         """Rows (m, width) of gel that nothing touches: from the presses' untouched cells and frames without contact.
 
@@ -186,7 +187,7 @@ def _press(features: Features, taps: tuple[str, ...], press: int) -> Features:
     return {tap: features[tap][press : press + 1] for tap in taps}
 
 
-def of_every_place(rows: NDArray[np.floating], most: int, rng: np.random.Generator) -> NDArray[np.floating]:
+def of_every_place(rows: NDArray[np.floating], most: int, rng: Rng) -> NDArray[np.floating]:
     """Rows of presses (n, places, width) as (m, width): equally many of each place, at most `most` or one each."""
     n, places, width = rows.shape
     count = min(n, max(1, most // max(1, places)))
@@ -195,7 +196,7 @@ def of_every_place(rows: NDArray[np.floating], most: int, rng: np.random.Generat
     return drawn
 
 
-def draw_rows(rows: NDArray[np.floating], most: int | None, rng: np.random.Generator) -> NDArray[np.float32]:
+def draw_rows(rows: NDArray[np.floating], most: int | None, rng: Rng) -> NDArray[np.float32]:
     """Draw at most `most` of the rows, in their order; None: all."""
     if most is not None and len(rows) > most:
         rows = rows[np.sort(rng.choice(len(rows), most, replace=False))]

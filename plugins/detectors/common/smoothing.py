@@ -101,11 +101,7 @@ def gaussian_matrix(pixels: int, sigma_px: float, border: Border = "symmetric") 
 
 @cache
 def smoothing_matrix(
-    cells: int,
-    pixels: int,
-    sigma_px: float,
-    kind: Upsampling = "bilinear",
-    border: Border = "symmetric",
+    cells: int, pixels: int, sigma_px: float, kind: Upsampling = "bilinear", border: Border = "symmetric"
 ) -> NDArray[np.float64]:
     """Upsampling then blur of one axis: R = G U, float64 (pixels, cells)."""
     matrix = gaussian_matrix(pixels, sigma_px, border) @ upsampling_matrix(cells, pixels, kind)

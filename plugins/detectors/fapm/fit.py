@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
 from plugins.detectors.common.free_gel import gel_mean, gel_weight, touched_places
-from plugins.detectors.common.parameters import choose, list_repairs
+from plugins.detectors.common.parameters import Rng, choose, list_repairs
 from plugins.detectors.common.tile_layout import join, split, tile_grid
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
 from plugins.detectors.fapm.head import coarse_of_fine, fapm_head, fewest, is_unweighted, shape_of
@@ -64,12 +64,7 @@ class Fapm:
         return parameters.layers
 
     def fit(
-        self,
-        nominal: Nominal,
-        grid: Grid,
-        parameters: FapmParameters,
-        rng: np.random.Generator,
-        progress: Progress,
+        self, nominal: Nominal, grid: Grid, parameters: FapmParameters, rng: Rng, progress: Progress
     ) -> Bank:
         """Prototypes per group of sub-patches. Arrays per layer and kind, near and far: `<tap>_near` (groups,
         prototypes, c), centred; `<tap>_near_mean` (groups, c); `<tap>_near_places` int64 (groups, s). Per layer:

@@ -71,11 +71,7 @@ def _emit_layer(graph: Graph, tap: str, grid: Grid, bank: Bank, p: FapmParameter
     maps = emit_split(graph, graph.input(tap, ("n", *grid.taps[tap])), grid.taps[tap], grid)
     if p.pooling > 1:
         maps = graph.op(
-            "AveragePool",
-            maps,
-            kernel_shape=[p.pooling] * 2,
-            pads=[p.pooling // 2] * 4,
-            count_include_pad=1,
+            "AveragePool", maps, kernel_shape=[p.pooling] * 2, pads=[p.pooling // 2] * 4, count_include_pad=1
         )
     rows = graph.transpose(graph.reshape(maps, -1, c, h * w), 0, 2, 1)
     rows = graph.reshape(rows, -1, tiles * h * w, c)

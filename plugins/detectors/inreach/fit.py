@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, ScoreMaps
 from edge.core.errors import FitError
 from plugins.detectors.common.coreset import k_centre
-from plugins.detectors.common.parameters import choose, list_repairs
+from plugins.detectors.common.parameters import Rng, choose, list_repairs
 from plugins.detectors.common.smoothing import emit_scores
 from plugins.detectors.common.tile_layout import layout
 from plugins.detectors.common.validation import require_fittable, require_scorable
@@ -47,12 +47,7 @@ class Inreach:
         return parameters.taps
 
     def fit(
-        self,
-        nominal: Nominal,
-        grid: Grid,
-        parameters: InreachParameters,
-        rng: np.random.Generator,
-        progress: Progress,
+        self, nominal: Nominal, grid: Grid, parameters: InreachParameters, rng: Rng, progress: Progress
     ) -> Bank:
         """Find the channels and keep their members: `bank` (rows, width), and `mean`, `basis` and `scales`.
         Errors: FitError, also for an empty bank where there is no fallback.
@@ -126,7 +121,7 @@ inreach = Inreach()
 
 
 def _taking_part(
-    touched: NDArray[np.bool_], tiles: int, presses: int, p: InreachParameters, rng: np.random.Generator
+    touched: NDArray[np.bool_], tiles: int, presses: int, p: InreachParameters, rng: Rng
 ) -> tuple[NDArray[np.int64], list[slice]]:
     """The cells of each press that take part, int64 (presses, m), and the indices of each tile's cells among them.
 

@@ -29,7 +29,7 @@ from plugins.detectors.common.embedding import (
     touched_cells,
 )
 from plugins.detectors.common.lowrank import Spectrum, covariance_spectrum, mahalanobis_squared, spectrum
-from plugins.detectors.common.parameters import choose, list_repairs
+from plugins.detectors.common.parameters import Rng, choose, list_repairs
 from plugins.detectors.common.tile_layout import cell_blocks, layout, neighbourhood
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
 from plugins.detectors.padim.head import padim_head
@@ -54,12 +54,7 @@ class Padim:
         return parameters.taps
 
     def fit(
-        self,
-        nominal: Nominal,
-        grid: Grid,
-        parameters: PadimParameters,
-        rng: np.random.Generator,
-        progress: Progress,
+        self, nominal: Nominal, grid: Grid, parameters: PadimParameters, rng: Rng, progress: Progress
     ) -> Bank:
         """Means per cell, eigenpairs per touched block of cells, one shared set elsewhere. Errors: FitError."""
         require_fittable(self.name, nominal, grid, parameters.taps)

@@ -20,7 +20,7 @@ from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Pro
 from plugins.detectors.common.coreset import k_centre
 from plugins.detectors.common.distances import nearest
 from plugins.detectors.common.free_gel import gel_weight
-from plugins.detectors.common.parameters import choose, list_repairs
+from plugins.detectors.common.parameters import Rng, choose, list_repairs
 from plugins.detectors.common.tile_layout import join
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
 from plugins.detectors.spade.head import spade_head
@@ -47,12 +47,7 @@ class Spade:
         return (*parameters.layers, "avgpool") if parameters.descriptor == "avgpool" else parameters.layers
 
     def fit(
-        self,
-        nominal: Nominal,
-        grid: Grid,
-        parameters: SpadeParameters,
-        rng: np.random.Generator,
-        progress: Progress,
+        self, nominal: Nominal, grid: Grid, parameters: SpadeParameters, rng: Rng, progress: Progress
     ) -> Bank:
         """Store the presses. Arrays per layer: `<tap>_bank` (presses, cells, width), `<tap>_mean`, `<tap>_basis`,
         `<tap>_weight`, `<tap>_floor`; for the complete press: `press_descriptors` (presses, d), `press_mean`. Where no

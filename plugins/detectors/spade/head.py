@@ -47,11 +47,7 @@ def _emit_press_order(
         size = grid.taps[tap][0] * len(down) * len(across)
         means.append(graph.reshape(graph.between(down, taps[tap], across), -1, size))
         width += size
-    described = graph.op(
-        "Sub",
-        graph.concat(means, 1),
-        graph.input("press_mean", (width,)),
-    )
+    described = graph.op("Sub", graph.concat(means, 1), graph.input("press_mean", (width,)))
     presses = graph.input("press_descriptors", ("presses", width))
     difference = graph.op("Sub", graph.unsqueeze(described, 1), presses)
     squared = graph.op("ReduceSum", graph.op("Mul", difference, difference), graph.ints(2), keepdims=0)

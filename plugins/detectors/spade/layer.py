@@ -15,6 +15,7 @@ from edge.core.detector import Grid, Nominal
 from plugins.detectors.common.descriptor import resampling_matrix
 from plugins.detectors.common.distances import nearest
 from plugins.detectors.common.free_gel import gel_distances, gel_mean, touched_places
+from plugins.detectors.common.parameters import Rng
 from plugins.detectors.common.pca import Rotation, fit_rotation
 from plugins.detectors.common.smoothing import UPSAMPLING, Smoothing
 from plugins.detectors.common.tile_layout import layout, split, stacked, tile_grid
@@ -128,11 +129,7 @@ class Layer:
         return {"queries": tables.queries, "reached": tables.reached, "order": order}
 
     def fit(
-        self,
-        maps: NDArray[np.floating],
-        stored: NDArray[np.bool_],
-        dims: int | None,
-        rng: np.random.Generator,
+        self, maps: NDArray[np.floating], stored: NDArray[np.bool_], dims: int | None, rng: Rng
     ) -> dict[str, NDArray[Any]]:
         """Learn the layer's arrays from its averaged nominal features (n, c, h, w). stored: cells that keep rows."""
         arrays: dict[str, NDArray[Any]] = {}

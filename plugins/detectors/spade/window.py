@@ -172,11 +172,7 @@ class _Search:
         # |query - row|^2 falls as query . row - |row|^2 / 2 rises.
         ranking = graph.op("Pad", asked, graph.ints(0, 0, 0, 0, 0, 0, 0, 1), graph.scalar(-0.5))
         here = graph.op("Min", reached, self.last)
-        numbers = graph.op(
-            "Add",
-            graph.unsqueeze(self.first, 1, 3),
-            graph.unsqueeze(here, 1),
-        )
+        numbers = graph.op("Add", graph.unsqueeze(self.first, 1, 3), graph.unsqueeze(here, 1))
         # The rows as the left side of the product need no repacking: (n, blocks, k * r, width + 1).
         rows = self._shaped(
             graph.op("Gather", self.ranked, numbers, axis=0),
