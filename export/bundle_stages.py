@@ -14,7 +14,7 @@ from edge.core.errors import ConfigError
 from edge.model.bundle import Bundle
 from edge.model.scorer import FRAMES, Scorer
 from export.onnx_values import first_conv_input, run_values
-from export.parity import Kind, ParityReport, Stage, compare, order_stage
+from export.parity import Kind, ParityReport, Stage, compare, order_stage, score_frames
 
 __all__ = ["bundle_stages", "compare_bundle", "read_stages"]
 
@@ -65,12 +65,8 @@ def bundle_stages(
     inner = [name for name in names if name not in ("map", "score")]
     if inner:
         arrays |= _inside(bundle, frames, inner)
-    scored = [Scorer(bundle, is_skipping=False).score(frame) for frame in frames]
-    last = {
-        "map": np.stack([press.score_map for press in scored]),
-        "score": np.array([press.anomaly_score for press in scored]),
-    }
-    return arrays | {name: last[name] for name in last if name in names}
+    last = zip(("map", "score"), score_frames(Scorer(bundle, is_skipping=False), frames), strict=True)
+    return arrays | {name: array for name, array in last if name in names}
 
 
 def _inside(bundle: Bundle, frames: NDArray[np.uint8], names: list[str]) -> dict[str, NDArray[Any]]:

@@ -12,7 +12,7 @@ from edge.core.errors import ConfigError
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from export.merge import merged_graph
-from export.parity import ParityReport, Stage, compare
+from export.parity import ParityReport, compare, score_frames, score_stages
 
 __all__ = ["write_openvino"]
 
@@ -57,19 +57,12 @@ def _compare(openvino: Any, model: Any, bundle: Bundle) -> ParityReport:
     frames = np.stack(
         [golden.rgb for golden in bundle.golden] or [np.full((*bundle.manifest.frame, 3), 128, np.uint8)]
     )
-    expected = [Scorer(bundle, is_skipping=False).score(frame) for frame in frames]
+    expected = score_frames(Scorer(bundle, is_skipping=False), frames)
     compiled = openvino.Core().compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
     answers = [compiled(frame[None]) for frame in frames]
-    maps = np.concatenate([answer["score_map"] for answer in answers])
-    scores = np.concatenate([answer["score"] for answer in answers])
-    return compare(
-        [
-            Stage("map", np.stack([answer.score_map for answer in expected]), maps, "map"),
-            Stage("score", np.array([answer.anomaly_score for answer in expected]), scores, "score"),
-        ],
-        frames=frames,
-        title=f"{bundle.where} and its OpenVINO model",
-    )
+    maps, scores = (np.concatenate([answer[name] for answer in answers]) for name in ("score_map", "score"))
+    title = f"{bundle.where} and its OpenVINO model"
+    return compare(score_stages(expected, (maps, scores)), frames=frames, title=title)
 
 
 def _save(openvino: Any, model: Any, output: Path) -> None:

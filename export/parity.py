@@ -11,11 +11,11 @@ by its largest difference, relative to its largest expected value; the order of 
 
 import base64
 import html
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import cv2
 import numpy as np
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import BundleCorrupt
 from edge.model.bundle_writer import write_file
+from edge.model.scorer import Scorer
 from edge.pictures.heatmap import FULL_SCALE, paint_scores
 from edge.pictures.png import encode
 
@@ -35,9 +36,13 @@ __all__ = [
     "compare",
     "order_stage",
     "rank_correlation",
+    "score_frames",
+    "score_stages",
 ]
 
 Array = NDArray[Any]
+Maps = tuple[Array, Array]
+"""Score maps (n, h, w) and scores (n,)."""
 
 TOLERANCES: Mapping[str, float] = {
     "input": 1e-5,
@@ -188,6 +193,20 @@ def compare(
     if not stages:
         raise ValueError("no stage was given; give at least the map and the score")
     return ParityReport(tuple(stages), frames, title, dict(facts or {}))
+
+
+def score_frames(scorer: Scorer, frames: Iterable[NDArray[np.uint8]]) -> Maps:
+    """Score frames (h, w, 3): maps (n, h, w) and scores (n,)."""
+    scored = [scorer.score(frame) for frame in frames]
+    return np.stack([press.score_map for press in scored]), np.array(
+        [press.anomaly_score for press in scored]
+    )
+
+
+def score_stages(expected: Maps, found: Maps, tolerance: float | None = None) -> list[Stage]:
+    """Make the stages that compare maps and scores."""
+    pairs = zip(("map", "score"), expected, found, strict=True)
+    return [Stage(name, one, other, cast(Kind, name), tolerance) for name, one, other in pairs]
 
 
 def order_stage(expected: Array, found: Array) -> Stage:

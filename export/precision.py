@@ -25,6 +25,7 @@ from edge.model.scorer import Scorer
 from edge.model.session import saturates
 from export.finish import paint_square
 from export.merge import score_again
+from export.parity import score_frames
 
 __all__ = [
     "LIMIT",
@@ -213,22 +214,19 @@ class _Comparison:
     def __init__(self, bundle: Bundle, frames: NDArray[np.uint8], masked: Masked, threads: int) -> None:
         self._bundle, self._frames, self._masked, self._threads = bundle, frames, masked, threads
         self._plain = Scorer(bundle, threads, is_skipping=False)
-        scored = [self._plain.score(frame) for frame in frames]
-        self._maps = np.stack([press.score_map for press in scored])
-        self._scores = np.array([press.anomaly_score for press in scored])
+        self._maps, self._scores = score_frames(self._plain, frames)
         self._aupro = self._aupro_of(self._plain)
         self._milliseconds: float | None = None
 
     def of(self, precision: Precision, graph: bytes, in_float: Sequence[str] = ()) -> Measured:
         scorer = self._scorer(graph)
-        scored = [scorer.score(frame) for frame in self._frames]
-        scores = np.array([press.anomaly_score for press in scored])
+        maps, scores = score_frames(scorer, self._frames)
         aupro = self._aupro_of(scorer)
         scale = abs(self._bundle.manifest.threshold.value) or float(np.abs(self._scores).max()) or 1.0
         return Measured(
             precision=precision,
             graph=graph,
-            map_difference=_relative(np.stack([press.score_map for press in scored]), self._maps),
+            map_difference=_relative(maps, self._maps),
             score_difference=float(np.abs(scores - self._scores).max()) / scale,
             rise=max(0.0, float((scores - self._scores).max())) if precision != "float32" else 0.0,
             aupro_change=None if aupro is None or self._aupro is None else aupro - self._aupro,
@@ -239,10 +237,8 @@ class _Comparison:
 
     def map_difference(self, graph: bytes, count: int) -> float:
         """Compare the first frames alone."""
-        scorer = self._scorer(graph)
-        return _relative(
-            np.stack([scorer.score(frame).score_map for frame in self._frames[:count]]), self._maps[:count]
-        )
+        maps, _ = score_frames(self._scorer(graph), self._frames[:count])
+        return _relative(maps, self._maps[:count])
 
     def _scorer(self, graph: bytes) -> Scorer:
         facts = facts_of(self._bundle.manifest)
@@ -251,9 +247,7 @@ class _Comparison:
 
     def _aupro_of(self, scorer: Scorer) -> float | None:
         frames, masks = self._masked
-        return (
-            aupro([scorer.score(frame).score_map for frame in frames], list(masks)) if len(frames) else None
-        )
+        return aupro(list(score_frames(scorer, frames)[0]), list(masks)) if len(frames) else None
 
     def _time(self, scorer: Scorer) -> float:
         """Milliseconds of a frame: those of the unchanged bundle, times the median ratio of neighbouring runs, so that

@@ -12,7 +12,7 @@ from calibration.fitting.features import extract
 from calibration.fitting.fit import Fitted
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.progress import Report
-from edge.core.detector import Bank, ScoreMaps
+from edge.core.detector import Bank
 from edge.core.errors import BundleCorrupt
 from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files, facts_of
@@ -21,7 +21,7 @@ from edge.model.scorer import Scorer
 from edge.model.session import open_session
 from export.finish import Parts, WrapConfig, finish_bundle
 from export.importers.contract import Imported
-from export.parity import Stage, compare, rank_correlation
+from export.parity import compare, rank_correlation, score_frames, score_stages
 from export.weights_file import file_sha256
 
 __all__ = ["Losses", "import_files"]
@@ -103,20 +103,16 @@ def _measure_losses(
     reduction = _measure_reduction(model, frames, threads, source)
     if not packing:
         return Losses(reduction, 0.0, 0.0, 1.0, stored, used)
-    full = _score(Scorer(_unpack_bank(model, scorer.bundle), threads), frames)
-    packed = _score(scorer, frames)
-    stages = [
-        Stage("map of the packed bank", full.score_map, packed.score_map, "map", PACKED_MOST),
-        Stage("score of the packed bank", full.score, packed.score, "score", PACKED_MOST),
-    ]
-    report = compare(stages)
+    full = score_frames(Scorer(_unpack_bank(model, scorer.bundle), threads), frames)
+    packed = score_frames(scorer, frames)
+    report = compare(score_stages(full, packed, PACKED_MOST))
     if report.first_different is not None:
         raise BundleCorrupt(
             f"the packed bank of {source} differs from the full one: {report.first_different.sentence()}; "
             "store it with --packing none, or float16 in place of int8; nothing is imported"
         )
     of_map, of_score = (result.difference for result in report.results)
-    order = rank_correlation(full.score, packed.score)
+    order = rank_correlation(full[1], packed[1])
     return Losses(reduction, of_score, of_map, order, stored, used)
 
 
@@ -126,14 +122,6 @@ def _unpack_bank(model: Imported, bundle: Bundle) -> Bundle:
         facts_of(bundle.manifest), bundle.graphs, Bank(model.bank.arrays), backbone=model.trunk.id
     )
     return Bundle.in_memory(*files)
-
-
-def _score(scorer: Scorer, frames: NDArray[np.uint8]) -> ScoreMaps:
-    scored = [scorer.score(frame) for frame in frames]
-    return ScoreMaps(
-        np.stack([press.score_map for press in scored]).astype(np.float64),
-        np.array([press.anomaly_score for press in scored]),
-    )
 
 
 def _measure_reduction(
