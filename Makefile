@@ -102,7 +102,7 @@ ROUNDS ?= 60
 soak: $(VENV)/.test
 	$(BIN)/python tests/support/soak.py --rounds $(ROUNDS)
 
-# The tables of docs/acquire.md: 1,000 simulated acquisitions, half an hour. ACQUISITIONS_CACHE keeps finished rows.
+# The tables of docs/acquire.md: 1,000 simulated acquisitions, half an hour.
 acquisitions: $(VENV)/.test
 	$(BIN)/pytest tests/bench/test_acquisitions.py -m bench -s
 

@@ -13,7 +13,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -70,22 +70,18 @@ def demo(
     shutil.rmtree(heatmaps, ignore_errors=True)
     heatmaps.mkdir(parents=True)
     # The broker first: if none is installed, the error comes before a minute of work, not after it.
-    with LocalBroker() as broker, _recordings_folder(output if keep else None) as folder:
-        nominal, test = _simulate(folder, seed)
+    kept = (
+        nullcontext(str(output / "recordings"))
+        if keep
+        else tempfile.TemporaryDirectory(prefix="gelgate-demo-")
+    )
+    with LocalBroker() as broker, kept as folder:
+        nominal, test = _simulate(Path(folder), seed)
         _fit(nominal, output / "bundle")
         tally = _inspect(output, output / "bundle", test, heatmaps, broker)
         tally.show(heatmaps)
         tally.check(test)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s; try it again with --seed {seed + 1}")
-
-
-@contextmanager
-def _recordings_folder(kept: Path | None) -> Iterator[Path]:
-    if kept is not None:
-        yield kept / "recordings"
-        return
-    with tempfile.TemporaryDirectory(prefix="gelgate-demo-") as folder:
-        yield Path(folder)
 
 
 def _simulate(folder: Path, seed: int) -> tuple[Path, Path]:

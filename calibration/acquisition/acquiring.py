@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.acquisition.arguments import AcquireArguments
-from calibration.acquisition.coverage import Goal, PlaceDistances, Standing
+from calibration.acquisition.coverage import PlaceDistances, Standing
 from calibration.acquisition.folder import AcquisitionFolder, KeptPress, Keys, Pieces
 from calibration.acquisition.report import coverage_png
 from calibration.acquisition.sources import Found
@@ -32,7 +32,7 @@ class Acquiring:
     """
 
     def __init__(self, plan: AcquireArguments, profile: SensorProfile) -> None:
-        self.goal = Goal(plan.promise, plan.confidence)
+        self._wanted = plan.promise, plan.confidence
         self.left_out: list[str] = []
         self._profile, self._region = profile, Region.parse(plan.region, profile.size)
         # Presses are compared by the usual ones; which ones are best is known when there are presses.
@@ -69,7 +69,7 @@ class Acquiring:
         numbers = [kept.piece for kept in self.folder.presses]
         known = set(numbers) - {None}
         pieces = None if not known else len(known) + numbers.count(None)
-        return Standing(len(numbers), pieces, self._distances.coverage(), self.goal)
+        return Standing(len(numbers), pieces, self._distances.coverage(), *self._wanted)
 
     def take(self, found: Found) -> KeptPress | None:
         """Keep what was found; returns the press if it is a new one. Errors: StoreError."""

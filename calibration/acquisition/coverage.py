@@ -26,7 +26,6 @@ __all__ = [
     "PAYS",
     "ROUND",
     "Coverage",
-    "Goal",
     "PlaceDistances",
     "Standing",
     "fall",
@@ -208,19 +207,6 @@ EARLIEST = 8
 
 
 @dataclass(frozen=True)
-class Goal:
-    """What is wanted: at most this rate of false alarms by press, with this confidence."""
-
-    rate: float = 0.1
-    confidence: float = CONFIDENCE
-
-    @property
-    def presses(self) -> int:
-        """The number of presses without an alarm that promises it."""
-        return trials_needed(self.rate, 0, self.confidence)
-
-
-@dataclass(frozen=True)
 class Standing:
     """Where an acquisition is."""
 
@@ -228,15 +214,22 @@ class Standing:
     pieces: int | None
     """The number of pieces; None where it is not known which press is of which piece."""
     coverage: Coverage | None
-    goal: Goal = Goal()
+    promise: float = 0.1
+    """What is wanted: at most this rate of false alarms by press."""
+    confidence: float = CONFIDENCE
 
     def rate(self, trials: int) -> float:
         """The false alarms that this number of presses, or pieces, without an alarm still allow."""
-        return upper_rate(0, trials, self.goal.confidence)
+        return upper_rate(0, trials, self.confidence)
+
+    @property
+    def promised_at(self) -> int:
+        """The number of presses without an alarm that promises it."""
+        return trials_needed(self.promise, 0, self.confidence)
 
     @property
     def is_promised(self) -> bool:
-        return self.presses >= self.goal.presses
+        return self.presses >= self.promised_at
 
     @property
     def fall(self) -> float | None:
@@ -270,4 +263,4 @@ class Standing:
         """The forecast of presses still needed, for the promise and the coverage; None while it is unknown."""
         if self.covered_at is None:
             return None
-        return max(self.goal.presses, self.covered_at, self.presses) - self.presses
+        return max(self.promised_at, self.covered_at, self.presses) - self.presses

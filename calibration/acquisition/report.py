@@ -29,14 +29,14 @@ def press_line(standing: Standing, piece: int | None) -> str:
 
 def promise_line(standing: Standing) -> str:
     """Say what is promised by press and by piece, and what the next smaller rate needs."""
-    sure = f"{100 * standing.goal.confidence:g} % sure"
+    sure = f"{100 * standing.confidence:g} % sure"
     counted = f"{standing.presses} presses"
     if _is_by_piece(standing):
         counted += f" of {standing.pieces} pieces"
     smaller = next((rate for rate in _RATES if rate < standing.rate(standing.presses) - 1e-9), None)
     more = ""
     if smaller is not None:
-        needed = trials_needed(smaller, 0, standing.goal.confidence) - standing.presses
+        needed = trials_needed(smaller, 0, standing.confidence) - standing.presses
         more = f"; {needed} more give {_percent(smaller)}" + " by press" * _is_by_piece(standing)
     return f"{counted}: at most {_promised(standing)}, {sure}{more}"
 
@@ -63,12 +63,12 @@ def forecast_lines(standing: Standing, gel_limit: int) -> list[str]:
         return [f"forecast: none before there are {LEAST} {what}"]
     if standing.is_enough:
         return []
-    for_promise = max(standing.goal.presses - standing.presses, 0)
+    for_promise = max(standing.promised_at - standing.presses, 0)
     for_coverage = max(standing.covered_at - standing.presses, 0)
     gel = standing.still_needed / gel_limit
     return [
         f"forecast: {standing.still_needed} more presses, {standing.presses + standing.still_needed} in all "
-        f"({for_promise} for the promise of {_percent(standing.goal.rate)}, about {for_coverage} for the coverage); "
+        f"({for_promise} for the promise of {_percent(standing.promise)}, about {for_coverage} for the coverage); "
         f"{_percent(gel)} of a gel rated for {gel_limit} presses"
     ]
 
@@ -135,7 +135,7 @@ def signals(standing: Standing, file: str, source: str) -> dict[str, object]:
         "pieces": standing.pieces,
         "by_press": standing.rate(standing.presses),
         "by_piece": None if standing.pieces is None else standing.rate(standing.pieces),
-        "confidence": standing.goal.confidence,
+        "confidence": standing.confidence,
         "unseen": None if seen is None else seen.unseen,
         "new": None if seen is None else seen.newest,
         "fall": standing.fall,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.acquisition.command import alpha
-from calibration.acquisition.coverage import Coverage, Goal, Standing
+from calibration.acquisition.coverage import Coverage, Standing
 from calibration.acquisition.report import forecast_lines, promise_line
 from calibration.fitting.limits.threshold import conformal_threshold
 
@@ -21,7 +21,7 @@ def coverage(presses: int, unseen: int) -> Coverage:
 )
 def test_what_a_goal_needs(rate: float, confidence: float, presses: int) -> None:
     """Presses without an alarm."""
-    assert Goal(rate, confidence).presses == presses
+    assert Standing(0, None, None, rate, confidence).promised_at == presses
 
 
 @pytest.mark.parametrize(

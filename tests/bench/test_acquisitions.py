@@ -3,35 +3,36 @@
 Run with `make acquisitions`, about half an hour on one quiet core. Twenty random parts; of each 40 nominal presses, of
 40 pieces or of 10 pieces with 4 presses each, taken in 25 random orders; 100 presses of 100 other pieces for the true
 rate of false alarms; and damaged presses. An acquisition takes presses until `gelgate bundle acquire` calls them
-enough; then they are fitted as `gelgate fit` does. With ACQUISITIONS_CACHE naming a folder pictures and finished rows
-are kept there, and a run that was cut goes on.
+enough; then they are fitted as `gelgate fit` does.
 
 The settings (PAYS, ROUND, EARLIEST, MOST_CELLS, the rule of near) were chosen on parts of another seed, 99, and the
 parts of this one were opened once, after everything was settled.
 """
 
-import json
-import os
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from acquisition_pools import SIZES, Pool, pool
 from acquisition_tables import tables, write_rows
 from numpy.typing import NDArray
+from random_part_presses import RandomPartPresses
 
 from calibration.acquisition.coverage import ROUND, PlaceDistances, Standing
+from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.limits.covering import covering_bank
 from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.held_out import Learner, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
+from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
+from calibration.fitting.trunks import open_trunk
 from calibration.metrics import aupro
 from edge import registry
 from edge.core.detector import Bank, Features, Grid, Nominal
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
 from edge.model.packing import pack, unpack
 from edge.model.session import open_session
 
@@ -41,6 +42,80 @@ SHAPES, PARTS, ORDERS = 8128, 20, 25
 METHOD, ALPHA, FOLDS = "padim", 0.05, 5
 # Sound presses beside the damaged ones for AU-PRO.
 SOUND = 20
+
+
+PROFILE = profile("cropped_lr")
+SIDE = 80
+TAPS = ("layer1", "layer2")
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """nominal: presses that an acquisition may take. each: presses of each piece. fresh: sound presses of other pieces
+    for the true rate of false alarms. damaged: presses with a mask."""
+
+    nominal: int = 40
+    each: int = 1
+    fresh: int = 100
+    damaged: int = 16
+    free: int = 4
+
+
+SIZES = {"presses": Sizes(), "pieces": Sizes(each=4)}
+
+
+@dataclass(frozen=True)
+class Pool:
+    """One part. nominal: all presses that may be taken. fresh, damaged: features of presses that are only scored."""
+
+    presses: NominalPresses
+    nominal: Nominal
+    grid: Grid
+    fresh: Features
+    damaged: Features
+    masks: NDArray[np.bool_]
+
+
+def _draw_frames(shapes: int, number: int, sizes: Sizes) -> dict[str, NDArray[np.generic]]:
+    """The pictures of one part, uint8 (n, h, w, 3) of the whole sensor, and the masks, bool (n, h, w)."""
+    part = RandomPartPresses(shapes, number, sizes.nominal + sizes.fresh + sizes.damaged)
+    orders = iter(range(sizes.nominal + sizes.fresh + sizes.damaged))
+    nominal = [part.press(k // sizes.each, 1 + k % sizes.each, next(orders)) for k in range(sizes.nominal)]
+    fresh = [part.press(1000 + k, 1, next(orders)) for k in range(sizes.fresh)]
+    damaged = [part.damaged(2000 + k, next(orders)) for k in range(sizes.damaged)]
+    return {
+        "nominal": np.stack(nominal),
+        "fresh": np.stack(fresh),
+        "damaged": np.stack([rgb for rgb, _ in damaged]),
+        "masks": np.stack([mask for _, mask in damaged]),
+        "free": np.stack([part.free_gel(k) for k in range(sizes.free)]),
+    }
+
+
+def make_pool(shapes: int, number: int, sizes: Sizes) -> Pool:
+    """The part's presses with their features."""
+    frames = _draw_frames(shapes, number, sizes)
+    names = [f"part_pos_s{k // sizes.each:03d}_p{1 + k % sizes.each:02d}.png" for k in range(sizes.nominal)]
+    pictures, free = dict(zip(names, frames["nominal"], strict=True)), list(frames["free"])
+    region = _around(gather_presses(pictures, PROFILE, Region.full(PROFILE.size), no_contact=free))
+    presses = gather_presses(pictures, PROFILE, region, no_contact=free)
+    session = open_session(open_trunk("tactile_resnet18", TAPS).graph, 1, "trunk")
+    grid = trunk_grid(session, TAPS, (SIDE, SIDE), PROFILE.pixels_per_mm)
+
+    def features(pictures: NDArray[np.uint8]) -> Features:
+        return extract(session, np.stack([region.crop(rgb) for rgb in pictures]), grid, lambda done: None)
+
+    nominal = Nominal(features(frames["nominal"]), presses.touched, features(frames["free"]))
+    masks = np.stack([region.crop(mask) for mask in frames["masks"]])
+    return Pool(presses, nominal, grid, features(frames["fresh"]), features(frames["damaged"]), masks)
+
+
+def _around(presses: NominalPresses) -> Region:
+    """A square of SIDE pixels around the middle of the contacts, inside the picture."""
+    width, height = PROFILE.size
+    x = round(float(np.mean([touch.x for touch in presses.touches])) * width - SIDE / 2)
+    y = round(float(np.mean([touch.y for touch in presses.touches])) * height - SIDE / 2)
+    return Region(min(max(x, 0), width - SIDE), min(max(y, 0), height - SIDE), SIDE, SIDE)
 
 
 class Part:
@@ -156,25 +231,15 @@ def orders(design: str, number: int) -> Iterator[NDArray[np.int64]]:
 
 
 def rows(parts: Sequence[int] = range(PARTS)) -> list[dict[str, Any]]:
-    """A row per part, design and order; those in the cache are not measured again."""
-    folder = os.environ.get("ACQUISITIONS_CACHE")
-    cache = Path(folder) if folder else None
-    file = cache / "acquisitions.jsonl" if cache else None
-    found = [json.loads(line) for line in file.read_text().splitlines()] if file and file.exists() else []
-    known = {(row["design"], row["part"], row["order"]) for row in found}
+    """A row per part, design and order."""
+    found = []
     for number in parts:
         for design, sizes in SIZES.items():
-            part = None
+            part = Part(make_pool(SHAPES, number, sizes))
             for count, order in enumerate(orders(design, number)):
-                if (design, number, count) in known:
-                    continue
-                part = part or Part(pool(SHAPES, number, sizes, cache))
                 taken = acquisition(part.pool, order.tolist())
                 row = {"design": design, "part": number, "order": count, **taken}
                 found.append({**row, **part.fitted(np.sort(order[: taken["stop"]]))})
-                if file:
-                    with file.open("a") as out:
-                        out.write(json.dumps(found[-1]) + "\n")
     return found
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.acquisition.coverage import ROUND, Goal
+from calibration.acquisition.coverage import ROUND, Standing
 
 ROWS = Path(__file__).resolve().parents[1] / "bench" / "acquisitions.jsonl"
-PROMISED = Goal().presses
+PROMISED = Standing(0, None, None).promised_at
 POOL = 40
 """Presses that an acquisition may take."""
 FRESH = 100
