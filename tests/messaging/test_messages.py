@@ -158,7 +158,7 @@ HANDLERS = {
     [
         ("ping", b'{"transaction":"7","arguments":{"text":"hi"}}', "7", "ok", ""),
         ("ping", b'{"transaction":"7"}', "7", "ok", ""),
-        ("pong", b'{"transaction":"7"}', "7", "error", "named 'pong'; known: break, ping, refuse"),
+        ("pong", b'{"transaction":"7"}', "7", "error", "the command 'pong' is off at this station"),
         ("refuse", b'{"transaction":"7"}', "7", "error", "no bundle is named 'x'"),
         ("break", b'{"transaction":"7"}', "7", "error", "it failed with an internal error"),
         ("ping", b"not json", None, "error", "docs/mqtt.md"),
