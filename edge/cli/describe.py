@@ -17,8 +17,7 @@ from edge.core.printable import printable
 from edge.gateway.description import broker_of, describe_station
 from edge.messaging.descriptions.access_rules import access_rules
 from edge.messaging.descriptions.asyncapi import document
-from edge.messaging.descriptions.home_assistant import discovery
-from edge.messaging.descriptions.node_red import flow
+from edge.messaging.descriptions.dashboards import discovery, flow
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.mqtt_broker import Broker
 from edge.messaging.subscriber import broker_at, listening, next_message, station_filter

@@ -27,7 +27,7 @@ from edge.core.errors import SinkError, SinkRejected, SinkUnavailable
 from edge.core.plugins import SinkPlugin
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from edge.messaging.descriptions.home_assistant import discovery, discovery_topic
+from edge.messaging.descriptions.dashboards import discovery, discovery_topic
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.mqtt_broker import Broker, Level, LevelRefused, Received
 from edge.messaging.mqtt_connection import Connection

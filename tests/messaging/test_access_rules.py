@@ -8,7 +8,7 @@ import pytest
 from edge.core.errors import SinkRejected
 from edge.core.ports import Message
 from edge.messaging.descriptions.access_rules import access_rules
-from edge.messaging.descriptions.home_assistant import discovery_topic
+from edge.messaging.descriptions.dashboards import discovery_topic
 from edge.messaging.descriptions.station import DescribedStation, SparkplugNode
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Received

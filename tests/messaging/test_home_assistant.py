@@ -16,7 +16,7 @@ from edge.core.gel_scars.causes import Cause
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.core.verdict import Kind
-from edge.messaging.descriptions.home_assistant import discovery, discovery_topic
+from edge.messaging.descriptions.dashboards import discovery, discovery_topic
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.result_payload import press_messages

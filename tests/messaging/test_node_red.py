@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from edge.messaging.descriptions.node_red import flow
+from edge.messaging.descriptions.dashboards import flow
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.topics import TOPICS
 

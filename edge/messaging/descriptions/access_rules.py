@@ -3,7 +3,7 @@
 Ref: mosquitto.conf(5), acl_file.
 """
 
-from edge.messaging.descriptions.home_assistant import discovery_topic
+from edge.messaging.descriptions.dashboards import discovery_topic
 from edge.messaging.descriptions.station import PUBLISHED, REQUESTED, DescribedStation, SparkplugNode
 from edge.messaging.topics import TOPICS
 

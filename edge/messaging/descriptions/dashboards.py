@@ -1,6 +1,11 @@
-"""A flow for Node-RED: a page with the last press, made of the nodes that every Node-RED has.
+"""A station on the dashboards of others: as a device of Home Assistant, and as a page of Node-RED.
 
-Imported (menu, Import) and deployed, it shows verdict, picture, gel and state at `/gelgate/` of the Node-RED server.
+Home Assistant reads a discovery message, which names topics and nothing else; it can ask the station for nothing. The
+station is available by `state`, not by `availability`: a broker may not allow the second connection that this needs.
+Ref: home-assistant.io, MQTT integration, "Device discovery payload" (since 2024.12).
+
+The flow is made of the nodes that every Node-RED has. Imported (menu, Import) and deployed, it shows verdict, picture,
+gel and state at `/gelgate/` of the Node-RED server.
 Ref: nodered.org, "Storing flows"; mqtt in, template and http nodes of Node-RED 3 to 5.
 """
 
@@ -12,7 +17,7 @@ from urllib.parse import quote
 
 from edge.messaging.descriptions.station import DescribedStation, read_template
 
-__all__ = ["PAGE", "flow"]
+__all__ = ["PAGE", "discovery", "discovery_topic", "flow"]
 
 PAGE: Final = "/gelgate/{place}"
 """The path of the page at the Node-RED server."""
@@ -43,3 +48,20 @@ def flow(
         if node["type"] == "mqtt-broker":
             node["usetls"] = has_tls
     return nodes
+
+
+DISCOVERY_PREFIX: Final = "homeassistant"
+
+
+def discovery_topic(station: DescribedStation, prefix: str = DISCOVERY_PREFIX) -> str:
+    """The topic on which the message is retained; an empty message there removes the device."""
+    return f"{prefix}/device/{station.id}/config"
+
+
+def discovery(station: DescribedStation) -> dict[str, Any]:
+    """The message, plain JSON."""
+    values = {name: getattr(station, name) for name in ("id", "place", "root", "version")}
+    message: dict[str, Any] = read_template(
+        "home_assistant.json", lambda text: Template(text).substitute(values)
+    )
+    return message
