@@ -24,8 +24,8 @@ F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-MOST_PRESSES = 48
-"""Of more presses as many are taken, evenly spread, for the time that it takes."""
+MOST_PRESSES, _FEW_PRESSES, _PRESSES_PX = 48, 12, 48 * 320 * 240
+"""Of more presses as many are taken, evenly spread, and of large pictures fewer, for the time that it takes."""
 
 _ROUNDS = 3
 _DEGREE = 4
@@ -112,7 +112,9 @@ def view_of(picture: U8 | F32) -> View:
 
 def estimate_free_gel(pictures: Sequence[U8]) -> FreeGel:
     """Estimate the free gel from pictures of presses, uint8 (h, w, 3) each."""
-    rows = np.linspace(0, len(pictures) - 1, min(len(pictures), MOST_PRESSES)).round().astype(int)
+    height, width = pictures[0].shape[:2]
+    most = max(_FEW_PRESSES, min(MOST_PRESSES, _PRESSES_PX // (height * width)))
+    rows = np.linspace(0, len(pictures) - 1, min(len(pictures), most)).round().astype(int)
     some = [pictures[k] for k in rows]
     views = [view_of(picture) for picture in some]
     gel = np.median(some, axis=0).astype(np.float32)
