@@ -7,14 +7,13 @@
 """
 
 import re
-from collections.abc import Sequence
 from typing import Final
 
 from pydantic import BaseModel, Field
 
 from edge.core.digital_io import DiscoveredPort
 from edge.core.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceStalled
-from edge.core.ports import Clock
+from plugins.digital_io import PortPlugin
 from plugins.digital_io.hid_bus import HidBus, HidInfo, HidPort, SystemHidBus
 
 __all__ = ["RELAY_IDS", "DcttechRelay", "RelayOptions", "discover_relays", "open_relay", "plugin"]
@@ -115,16 +114,8 @@ def open_relay(bus: HidBus, options: RelayOptions) -> DcttechRelay:
     return DcttechRelay(bus, usable[0][0])
 
 
-class DcttechRelayPlugin:
-    """The plugin."""
-
-    Options = RelayOptions
-
-    def discover(self, options: RelayOptions) -> Sequence[DiscoveredPort]:
-        return [port for _, port in discover_relays(SystemHidBus(), options)]
-
-    def open(self, options: RelayOptions, clock: Clock) -> DcttechRelay:
-        return open_relay(SystemHidBus(), options)
-
-
-plugin = DcttechRelayPlugin()
+plugin = PortPlugin(
+    RelayOptions,
+    discover=lambda options: [port for _, port in discover_relays(SystemHidBus(), options)],
+    open=lambda options, clock: open_relay(SystemHidBus(), options),
+)

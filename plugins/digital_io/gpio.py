@@ -7,7 +7,7 @@
 import errno
 import os
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from datetime import timedelta
 from typing import Any, Literal, TypeVar
 
@@ -16,6 +16,7 @@ from pydantic import BaseModel, Field
 from edge.core.digital_io import DiscoveredPort
 from edge.core.errors import ConfigError, DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, DeviceStalled
 from edge.core.ports import Clock
+from plugins.digital_io import PortPlugin
 
 __all__ = ["ButtonOptions", "GpioButton", "GpioRelays", "Kernel", "RelaysOptions", "actuator", "trigger"]
 
@@ -194,29 +195,13 @@ def _discovered(kernel: Kernel, chip: str, product: str) -> list[DiscoveredPort]
     return [DiscoveredPort(chip, product)] if kernel.has_chip(chip) else []
 
 
-class GpioTrigger:
-    """The plugin of a button."""
-
-    Options = ButtonOptions
-
-    def discover(self, options: ButtonOptions) -> Sequence[DiscoveredPort]:
-        return _discovered(Kernel(), options.chip, f"button at line {options.line}")
-
-    def open(self, options: ButtonOptions, clock: Clock) -> GpioButton:
-        return GpioButton(Kernel(), options, clock)
-
-
-class GpioActuator:
-    """The plugin of relays."""
-
-    Options = RelaysOptions
-
-    def discover(self, options: RelaysOptions) -> Sequence[DiscoveredPort]:
-        return _discovered(Kernel(), options.chip, f"{len(options.lines)} relays")
-
-    def open(self, options: RelaysOptions, clock: Clock) -> GpioRelays:
-        return GpioRelays(Kernel(), options)
-
-
-trigger = GpioTrigger()
-actuator = GpioActuator()
+trigger = PortPlugin(
+    ButtonOptions,
+    discover=lambda options: _discovered(Kernel(), options.chip, f"button at line {options.line}"),
+    open=lambda options, clock: GpioButton(Kernel(), options, clock),
+)
+actuator = PortPlugin(
+    RelaysOptions,
+    discover=lambda options: _discovered(Kernel(), options.chip, f"{len(options.lines)} relays"),
+    open=lambda options, clock: GpioRelays(Kernel(), options),
+)

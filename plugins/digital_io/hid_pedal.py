@@ -6,7 +6,6 @@
 A pedal types its key into whatever has the keyboard's focus as well. Program a key that nothing uses, such as F13.
 """
 
-from collections.abc import Sequence
 from typing import Final
 
 from pydantic import BaseModel, Field
@@ -14,6 +13,7 @@ from pydantic import BaseModel, Field
 from edge.core.digital_io import DiscoveredPort
 from edge.core.errors import DeviceNotFound
 from edge.core.ports import Clock
+from plugins.digital_io import PortPlugin
 from plugins.digital_io.hid_bus import HidBus, HidInfo, HidPort, SystemHidBus
 
 __all__ = ["PEDALS", "HidPedal", "PedalOptions", "discover_pedals", "open_pedal", "plugin"]
@@ -99,16 +99,8 @@ def open_pedal(bus: HidBus, options: PedalOptions, clock: Clock) -> HidPedal:
     return HidPedal(bus, usable[0], clock, options.key)
 
 
-class HidPedalPlugin:
-    """The plugin."""
-
-    Options = PedalOptions
-
-    def discover(self, options: PedalOptions) -> Sequence[DiscoveredPort]:
-        return [port for _, port in discover_pedals(SystemHidBus(), options)]
-
-    def open(self, options: PedalOptions, clock: Clock) -> HidPedal:
-        return open_pedal(SystemHidBus(), options, clock)
-
-
-plugin = HidPedalPlugin()
+plugin = PortPlugin(
+    PedalOptions,
+    discover=lambda options: [port for _, port in discover_pedals(SystemHidBus(), options)],
+    open=lambda options, clock: open_pedal(SystemHidBus(), options, clock),
+)

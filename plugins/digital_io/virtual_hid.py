@@ -5,19 +5,18 @@ What it does not simulate: the time that a report takes, the pedal's typing, and
 
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
 from edge.clock import SystemClock
-from edge.core.digital_io import DiscoveredPort
 from edge.core.errors import DeviceLost
 from edge.core.ports import Clock
-from plugins.digital_io.dcttech_relay import ON, DcttechRelay, RelayOptions, discover_relays, open_relay
+from plugins.digital_io import PortPlugin
+from plugins.digital_io.dcttech_relay import ON, RelayOptions, discover_relays, open_relay
 from plugins.digital_io.hid_bus import HidHandle, HidInfo
-from plugins.digital_io.hid_pedal import KEYBOARD, HidPedal, PedalOptions, discover_pedals, open_pedal
+from plugins.digital_io.hid_pedal import KEYBOARD, PedalOptions, discover_pedals, open_pedal
 
 __all__ = ["VirtualHidBus", "VirtualHidOptions", "actuator", "bus_of", "trigger"]
 
@@ -165,29 +164,13 @@ def bus_of(options: VirtualHidOptions, clock: Clock | None = None) -> VirtualHid
     return options._bus
 
 
-class VirtualTrigger:
-    """The plugin of the pedal."""
-
-    Options = VirtualHidOptions
-
-    def discover(self, options: VirtualHidOptions) -> Sequence[DiscoveredPort]:
-        return [port for _, port in discover_pedals(bus_of(options), PedalOptions())]
-
-    def open(self, options: VirtualHidOptions, clock: Clock) -> HidPedal:
-        return open_pedal(bus_of(options, clock), PedalOptions(), clock)
-
-
-class VirtualActuator:
-    """The plugin of the board."""
-
-    Options = VirtualHidOptions
-
-    def discover(self, options: VirtualHidOptions) -> Sequence[DiscoveredPort]:
-        return [port for _, port in discover_relays(bus_of(options), RelayOptions())]
-
-    def open(self, options: VirtualHidOptions, clock: Clock) -> DcttechRelay:
-        return open_relay(bus_of(options, clock), RelayOptions())
-
-
-trigger = VirtualTrigger()
-actuator = VirtualActuator()
+trigger = PortPlugin(
+    VirtualHidOptions,
+    discover=lambda options: [port for _, port in discover_pedals(bus_of(options), PedalOptions())],
+    open=lambda options, clock: open_pedal(bus_of(options, clock), PedalOptions(), clock),
+)
+actuator = PortPlugin(
+    VirtualHidOptions,
+    discover=lambda options: [port for _, port in discover_relays(bus_of(options), RelayOptions())],
+    open=lambda options, clock: open_relay(bus_of(options, clock), RelayOptions()),
+)

@@ -34,7 +34,7 @@ class Match(NamedTuple):
 
     @property
     def is_mutual(self) -> NDArray[np.bool_]:
-        """Whether the nearest patch of a press's nearest patch is that one, (cells,)."""
+        """Tell whether the nearest patch of a press's nearest patch is that one, (cells,)."""
         mutual: NDArray[np.bool_] = self.back[self.there] == np.arange(len(self.there))
         return mutual
 
@@ -128,7 +128,7 @@ class InreachParameters(Parameters):
 
     @property
     def has_fallback(self) -> bool:
-        """Whether every patch is the bank where no channel remains."""
+        """Tell whether every patch is the bank where no channel remains."""
         return True
 
     def prefer(
