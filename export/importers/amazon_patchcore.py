@@ -9,8 +9,7 @@ from typing import Any
 
 from edge.core.errors import ConfigError
 from export.importers.contract import Imported, Recognised, Settings
-from export.importers.framing import Framing
-from export.importers.heads import MapSteps, patchcore_head
+from export.importers.heads import Framing, MapSteps, patchcore_head
 from plugins.detectors.common.descriptor import BINS, Descriptor
 from plugins.reading.foreign import Foreign, check_array, describe, float32
 from plugins.reading.isolated import read_foreign

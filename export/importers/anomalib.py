@@ -20,8 +20,7 @@ from edge.core.errors import ConfigError
 from edge.model.session import open_session
 from export.importers.anomalib_file import AnomalibFile, read_anomalib
 from export.importers.contract import Imported, Recognised, Settings, require
-from export.importers.framing import Framing
-from export.importers.heads import MapSteps, dfkde_head, dfm_head, patchcore_head
+from export.importers.heads import Framing, MapSteps, dfkde_head, dfm_head, patchcore_head
 from export.importers.padim_parts import Gaussians, padim_parts
 from plugins.backbones.input_steps import InputSteps
 from plugins.backbones.resnet import build_trunk

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
-from export.importers.framing import Framing
+from export.importers.heads import Framing
 from plugins.reading.foreign import Content, Foreign, Record, attributes, check_array, describe
 
 __all__ = ["AnomalibFile", "read_anomalib"]

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from export.importers.contract import Imported, Recognised, Settings, require
-from export.importers.framing import Framing
-from export.importers.heads import MapSteps
+from export.importers.heads import Framing, MapSteps
 from export.importers.padim_parts import Gaussians, padim_parts
 from plugins.reading.foreign import Foreign, check_array
 

@@ -34,7 +34,7 @@ from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.model.session import open_session
 from export.importers.api import ImportedBundle, ImportOptions, import_detector
-from export.importers.framing import Framing
+from export.importers.heads import Framing
 from export.parity import rank_correlation
 
 pytestmark = [pytest.mark.bench, pytest.mark.importers]

@@ -24,7 +24,7 @@ from edge.core.errors import ConfigError
 from export.graph_file import read_graph
 from export.importers.anomalib import anomalib
 from export.importers.contract import Imported, Settings
-from export.importers.framing import Framing
+from export.importers.heads import Framing
 from export.onnx_values import run_values
 from export.parity import Stage, compare, order_stage
 from export.single_graph import adapt
