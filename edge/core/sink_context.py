@@ -35,10 +35,6 @@ class PageRequests:
     """Records and answers one that is not."""
 
 
-def _no_messages() -> Sequence[Message]:
-    return ()
-
-
 def topic_level(text: str) -> str:
     """The text, if it can be one level of a topic. Errors: ValueError."""
     if not _LEVEL.fullmatch(text):
@@ -88,7 +84,7 @@ class Station:
     """Left with the broker, which publishes it when this gateway disappears."""
     offline: Message | None = None
     """A second will, where a receiver can hold one."""
-    birth: Callable[[], Sequence[Message]] = _no_messages
+    birth: Callable[[], Sequence[Message]] = tuple
     """The first messages of every connection, requested each time."""
     on_command: OnCommand | None = None
     """Answers requests; None where commands are not served."""

@@ -88,7 +88,8 @@ def _fields(title: str, schema: dict[str, Any], definitions: dict[str, Any]) -> 
     yield f"\n{title}\n\n{schema.get('description', '')}\n"
     yield "| field | type | meaning |\n| --- | --- | --- |"
     for name, field in schema["properties"].items():
-        yield f"| `{name}` | {_kind(field, definitions)} | {_meaning(field)} |"
+        meaning = str(field.get("description", "")).replace("|", "or").replace("\n", " ")
+        yield f"| `{name}` | {_kind(field, definitions)} | {meaning} |"
 
 
 def _kind(field: dict[str, Any], definitions: dict[str, Any]) -> str:
@@ -104,7 +105,3 @@ def _kind(field: dict[str, Any], definitions: dict[str, Any]) -> str:
         inner = field.get("additionalProperties")
         return f"object of {_kind(inner, definitions)}" if isinstance(inner, dict) and inner else "object"
     return str(field.get("type", "any"))
-
-
-def _meaning(field: dict[str, Any]) -> str:
-    return str(field.get("description", "")).replace("|", "or").replace("\n", " ")

@@ -60,8 +60,9 @@ def open_session(graph: bytes, threads: int, where: str) -> ort.InferenceSession
     except GraphRefused as error:
         raise BundleCorrupt(f"{where} is refused: {error}; export it again") from error
     except RUNTIME_ERRORS as error:
+        first_line = str(error).strip().partition("\n")[0][:300] or type(error).__name__
         raise BundleCorrupt(
-            f"{where} cannot be run by onnxruntime {ort.__version__}: {_first_line(error)}"
+            f"{where} cannot be run by onnxruntime {ort.__version__}: {first_line}"
         ) from error
 
 
@@ -80,10 +81,6 @@ def saturates() -> bool:
 
 # 8 channels and 3x3 places of one times one.
 _PROBE_SUM = 72
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0][:300] if str(error).strip() else type(error).__name__
 
 
 class TrunkSessions:

@@ -85,8 +85,8 @@ def mount(
     limit_presses: int,
     note: str,
     time_ns: int,
-) -> str:
-    """Replace the mounted gel by this one; returns its id. `gel_id` None gives it a number.
+) -> None:
+    """Replace the mounted gel by this one. `gel_id` None gives it a number.
 
     Errors: StoreError if this sensor has had a gel of that id: the count would then be of two gels; for an id or a note
     with control characters.
@@ -108,7 +108,6 @@ def mount(
         (serial, gel_id, limit_presses, time_ns, note),
     )
     ledger_chain.append_gels(connection, serial)
-    return gel_id
 
 
 def count_press(connection: sqlite3.Connection, serial: str, time_ns: int, presses: int = 1) -> None:

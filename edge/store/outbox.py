@@ -116,7 +116,8 @@ def enforce(connection: sqlite3.Connection, bounds: Bounds, running_ns: int) -> 
     ).fetchall()
     _drop(connection, aged)
     _count_drops(connection, "dropped_by_age", aged)
-    while (excess := _bytes(connection) - bounds.max_bytes) > 0:
+    size = "SELECT bytes FROM outbox_size"
+    while (excess := connection.execute(size).fetchone()[0] - bounds.max_bytes) > 0:
         victims = connection.execute(
             "SELECT row_id, worth, bytes FROM outbox WHERE worth < ? ORDER BY worth, row_id LIMIT 64",
             (DropPriority.RETAINED,),
@@ -147,10 +148,6 @@ def _count_drops(connection: sqlite3.Connection, table: str, victims: Iterable[t
         "ON CONFLICT (worth) DO UPDATE SET rows = rows + 1, bytes = bytes + excluded.bytes",
         [(priority, size) for _, priority, size in victims],
     )
-
-
-def _bytes(connection: sqlite3.Connection) -> int:
-    return int(connection.execute("SELECT bytes FROM outbox_size").fetchone()[0])
 
 
 class Outbox:

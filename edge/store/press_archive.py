@@ -142,12 +142,11 @@ class PressArchive:
         record = press.encode()
         _write(self._folder / PRESSES / f"{press.press_id}.json", record)
         self._add(press.press_id, press.objects)
-        while len(self._presses) > 1 and self._is_over():
+        while len(self._presses) > 1 and (
+            len(self._presses) > self._most_presses or sum(self._sizes.values()) > self._most_bytes
+        ):
             self._remove_oldest()
         return hashlib.sha256(record).digest()
-
-    def _is_over(self) -> bool:
-        return len(self._presses) > self._most_presses or sum(self._sizes.values()) > self._most_bytes
 
     def _open(self) -> None:
         """Read what is there, and remove objects without a press: a killed process left them."""

@@ -133,12 +133,10 @@ def ask(connection: sqlite3.Connection, wish: ReferenceRequest) -> None:
 
 def take(store: Store) -> ReferenceRequest | None:
     """Take the waiting request out of the database; without one, nothing is written. Errors: StoreError."""
-    doing = "reading what the command line asks for"
-    return store.write(doing, take_request) if store.read(doing, _has_request) else None
-
-
-def _has_request(connection: sqlite3.Connection) -> bool:
-    return connection.execute("SELECT 1 FROM reference_request").fetchone() is not None
+    doing, waiting = "reading what the command line asks for", "SELECT 1 FROM reference_request"
+    if store.read(doing, lambda connection: connection.execute(waiting).fetchone()) is None:
+        return None
+    return store.write(doing, take_request)
 
 
 def take_request(connection: sqlite3.Connection) -> ReferenceRequest | None:
