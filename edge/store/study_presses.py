@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Final
 
+from edge.core.press import StudyLabel
 from edge.store import ledger_chain
 from edge.store.database import insert, open_read_only
 from edge.store.press_store import PressRecord
@@ -50,17 +51,14 @@ class StudyPress:
 class StudyTable:
     """A press of this step of this study, as `PressTable`."""
 
-    study_id: str
-    step: int
-    piece: str
-    operator: str
-    repeat: int
+    label: StudyLabel
     bundle_id: str
     reason: str | None
     name: ClassVar = "study_presses"
 
     def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
-        row = {"gel_id": gel_id, "running_ns": running_ns, **vars(self), "position": press.position or ""}
+        row = {"gel_id": gel_id, "running_ns": running_ns, "position": press.position or ""}
+        row |= {**vars(self.label), "bundle_id": self.bundle_id, "reason": self.reason}
         names = ("press_id", "time_ns", "serial", "part", "verdict", "score", "threshold")
         return insert(connection, "study_presses", {**row, **{name: getattr(press, name) for name in names}})
 

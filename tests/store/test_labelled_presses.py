@@ -9,6 +9,7 @@ import pytest
 from recorded_presses import count, make_press
 
 from edge.core.errors import StoreError
+from edge.core.press import StudyLabel
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.control_chart import Imprint
 from edge.store import reference_presses, study_presses
@@ -99,7 +100,7 @@ def test_a_study_keeps_its_plan_and_its_presses(store: Store, path: Path) -> Non
         "beginning", partial(study_presses.begin_study, study_id="s1", plan="other", time_ns=9)
     )
     for n in range(3):
-        table = StudyTable("s1", n, f"P{n}", "A", 1, "b1", None)
+        table = StudyTable(StudyLabel("s1", n, f"P{n}", "A", 1), "b1", None)
         store.record_press(make_press(n), lambda recorded: [], table)
     gone = make_press(1).press_id
     assert store.write("voiding", partial(study_presses.void, press_id=gone))

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded_presses import SERIAL, T0, make_press, record
 
+from edge.core.press import StudyLabel
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.control_chart import Imprint
 from edge.store import acts, integrity, press_store, reference_presses, study_presses
@@ -303,7 +304,9 @@ def labelled(path: Path) -> None:
             )
             store.record_press(press, lambda recorded: [], ReferenceTable(key, one))
         press = make_press(32)
-        store.record_press(press, lambda recorded: [], StudyTable("s1", 1, "p1", "ann", 1, "b", None))
+        store.record_press(
+            press, lambda recorded: [], StudyTable(StudyLabel("s1", 1, "p1", "ann", 1), "b", None)
+        )
         assert store.write("void", lambda connection: study_presses.void(connection, press.press_id))
 
 

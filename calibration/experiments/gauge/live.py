@@ -81,8 +81,7 @@ class StudyLabels(PressStage):
     def table(self, press: Press, row: PressRecord) -> StudyTable | None:
         if not isinstance(label := press.label, StudyLabel):
             return None
-        step = (label.study_id, label.step, label.piece, label.operator, label.repeat)
-        return StudyTable(*step, press.bundle_id, press.reason or press.error)
+        return StudyTable(label, press.bundle_id, press.reason or press.error)
 
     def record(self, press: Press, gel: GelRecord) -> None:
         if not isinstance(label := press.label, StudyLabel):
