@@ -41,10 +41,6 @@ def _line(act: Act) -> str:
         *(f"{key}={value!r}" for key, value in act.arguments.items() if value not in (None, "")),
     ]
     if act.before is not None and act.after is not None:
-        words += [f"{key}: {act.before.get(key)!r} -> {act.after[key]!r}" for key in _changes(act)]
+        changes = ((key, act.before.get(key), value) for key, value in act.after.items())
+        words += [f"{key}: {before!r} -> {after!r}" for key, before, after in changes if before != after]
     return printable("  ".join([*words, *([act.sentence] if act.sentence else [])]))
-
-
-def _changes(act: Act) -> list[str]:
-    before, after = act.before or {}, act.after or {}
-    return [key for key in after if after[key] != before.get(key)]

@@ -14,11 +14,11 @@ from edge.cli.options import CONFIG, ConfigOption
 from edge.config import Config, load_config
 from edge.core.errors import ConfigError
 from edge.core.printable import printable
-from edge.gateway.description import broker_of, describe_station
+from edge.gateway.command_table import describe_station
 from edge.messaging.descriptions.access_rules import access_rules
 from edge.messaging.descriptions.asyncapi import document
 from edge.messaging.descriptions.dashboards import discovery, flow
-from edge.messaging.descriptions.station import DescribedStation
+from edge.messaging.descriptions.station import DescribedStation, SparkplugNode
 from edge.messaging.mqtt_broker import Broker
 from edge.messaging.subscriber import broker_at, listening, next_message, station_filter
 
@@ -89,11 +89,23 @@ def text_at(broker: Broker, topic_filter: str, form: Format) -> str:
 
 
 def describe_config(config: Config, form: Format) -> str:
-    """The file, from a configuration. Errors: ConfigError."""
-    station, broker = describe_station(config), broker_of(config)
+    """Write the file from a configuration, with the broker of its first `mqtt` sink, or the usual one of this machine.
+    Errors: ConfigError."""
+    station = describe_station(config)
+    broker = next((sink.options for sink in config.sinks if sink.plugin == "mqtt"), {})
     if form is Format.MOSQUITTO:
-        return access_rules(station, broker.user, discovery_prefix=broker.discovery_prefix, node=broker.node)
-    return _text(form, station, document(station), broker.host, broker.port, broker.has_tls)
+        nodes = (sink.options for sink in config.sinks if sink.plugin == "sparkplug")
+        return access_rules(
+            station,
+            str(broker.get("username") or config.station.station),
+            discovery_prefix=broker.get("home_assistant"),
+            node=next(
+                (SparkplugNode.of(station.root, one.get("group"), one.get("node")) for one in nodes), None
+            ),
+        )
+    has_tls = broker.get("tls") is not None
+    port = int(broker.get("port") or (8883 if has_tls else 1883))
+    return _text(form, station, document(station), str(broker.get("host", "localhost")), port, has_tls)
 
 
 def _text(

@@ -1,7 +1,7 @@
 """`gelgate devices`: sensors, overview cameras, pedals and relays that are plugged in, and why one is refused."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Annotated, Any, Final
 
@@ -24,6 +24,14 @@ Reset = Annotated[
 ]
 
 
+_KINDS: Final[dict[str, tuple[registry.PluginGroup, Callable[[str], Any]]]] = {
+    "sensor": ("devices", registry.device),
+    "overview": ("overviews", registry.overview),
+    "trigger": ("triggers", registry.trigger),
+    "actuator": ("actuators", registry.actuator),
+}
+
+
 def devices(
     as_json: AsJson = False, device: DeviceName = None, option: OptionTexts = None, reset: Reset = False
 ) -> None:
@@ -32,12 +40,17 @@ def devices(
     They are listed by plugin; a device that is refused with the reason. --device names the plugin of a sensor."""
     if (option or reset) and device is None:
         raise ConfigError("--option and --reset belong to one plugin; name it with --device")
-    if reset and device is not None:
-        _reset(device, option or [])
+    plugins = [(kind, name) for kind, (group, _) in _KINDS.items() for name in registry.names(group)]
     if device is not None:
-        registry.device(device)  # a wrong name is refused; a plugin that cannot search is reported
-    groups: Sequence[tuple[registry.PluginGroup, str]] = [("devices", device)] if device else _every_plugin()
-    reports = [_report(group, name, option or []) for group, name in groups]
+        sensor, plugins = registry.device(device), [("sensor", device)]
+        if reset:
+            if not isinstance(sensor, Resettable):
+                raise ConfigError(f"the device plugin '{device}' has nothing to reset")
+            options = plugin_options("devices", device, sensor.Options, option or [])
+            typer.echo(f"reset {sensor.reset(options)}")
+    # A plugin that is a sensor and an overview camera is listed as a sensor.
+    wanted = [(kind, name) for kind, name in plugins if kind != "overview" or ("sensor", name) not in plugins]
+    reports = [_report(kind, name, option or []) for kind, name in wanted]
     if as_json:
         typer.echo(json.dumps(reports, indent=2, ensure_ascii=False))
     else:
@@ -45,34 +58,18 @@ def devices(
             typer.echo(_as_text(report))
 
 
-_KINDS: Final[dict[registry.PluginGroup, str]] = {
-    "devices": "sensor",
-    "overviews": "overview",
-    "triggers": "trigger",
-    "actuators": "actuator",
-}
-_FINDERS: Final[dict[registry.PluginGroup, Callable[[str], Any]]] = {
-    "devices": registry.device,
-    "overviews": registry.overview,
-    "triggers": registry.trigger,
-    "actuators": registry.actuator,
-}
-
-
-def _every_plugin() -> Sequence[tuple[registry.PluginGroup, str]]:
-    """Group and name; a plugin that is a sensor and an overview camera is listed as a sensor."""
-    plugins = [(group, name) for group in _KINDS for name in registry.names(group)]
-    return [plugin for plugin in plugins if plugin[0] != "overviews" or ("devices", plugin[1]) not in plugins]
-
-
-def _report(group: registry.PluginGroup, name: str, given: list[str]) -> dict[str, Any]:
+def _report(kind: str, name: str, given: list[str]) -> dict[str, Any]:
     """Search with a plugin; say why where it cannot (a missing option, a missing package)."""
-    report: dict[str, Any] = {"plugin": name, "kind": _KINDS[group], "seen": [], "note": ""}
+    group, find = _KINDS[kind]
+    report: dict[str, Any] = {"plugin": name, "kind": kind, "seen": [], "note": ""}
     try:
-        plugin = _FINDERS[group](name)
+        plugin = find(name)
         missing = [key for key, field in plugin.Options.model_fields.items() if field.is_required()]
         if missing and not given:
-            return {**report, "note": _needs(group, missing[0])}
+            if kind == "sensor":
+                return {**report, "note": f"needs --option {missing[0]}=..."}
+            why = f"needs options.{missing[0]}; `gelgate check` looks for the configured one"
+            return {**report, "note": why}
         options = plugin_options(group, name, plugin.Options, given)
         seen = [asdict(device) for device in plugin.discover(options)]
         return {**report, "seen": seen, "note": "" if seen else "nothing found"}
@@ -80,12 +77,6 @@ def _report(group: registry.PluginGroup, name: str, given: list[str]) -> dict[st
         if given:
             raise
         return {**report, "note": str(error)}
-
-
-def _needs(group: registry.PluginGroup, option: str) -> str:
-    if group == "devices":
-        return f"needs --option {option}=..."
-    return f"needs options.{option}; `gelgate check` looks for the configured one"
 
 
 def _as_text(report: dict[str, Any]) -> str:
@@ -108,10 +99,3 @@ def _description(found: dict[str, Any]) -> str:
         rate = f" at nominal {found['nominal_fps']:g} fps" if found["nominal_fps"] else ""
         words.append(f"{found['mode'][0]}x{found['mode'][1]}{rate}")
     return ", ".join(words)
-
-
-def _reset(name: str, given: list[str]) -> None:
-    plugin = registry.device(name)
-    if not isinstance(plugin, Resettable):
-        raise ConfigError(f"the device plugin '{name}' has nothing to reset")
-    typer.echo(f"reset {plugin.reset(plugin_options('devices', name, plugin.Options, given))}")

@@ -24,7 +24,9 @@ def docs(
         raise ConfigError("this installation has no manual; install gelgate from its wheel")
     if not page:
         for name, path in pages.items():
-            typer.echo(f"{name:44} {_title(path)}")
+            lines = path.read_text(encoding="utf-8").splitlines()
+            title = next((line for line in lines if line.startswith("# ")), "")
+            typer.echo(f"{name:44} {title.removeprefix('# ')}")
     elif page not in pages:
         raise ConfigError(f"no page is named '{page}'; {suggestion(page, pages)}")
     else:
@@ -51,8 +53,3 @@ def _installed() -> list[Path]:
         return []
     readme = [file for file in files if file.as_posix().endswith("share/doc/gelgate/README.md")]
     return [Path(str(file.locate())).resolve().parent for file in readme]
-
-
-def _title(path: Path) -> str:
-    lines = path.read_text(encoding="utf-8").splitlines()
-    return next((line.removeprefix("# ") for line in lines if line.startswith("# ")), "")

@@ -72,10 +72,8 @@ def history(
     rows = read_history(database_path(config, database), query)
     if output is not None:
         typer.echo(f"{write_history(output, rows)} presses in {output}")
-    elif as_json:
-        _print_json(rows)
     else:
-        _print_lines(rows)
+        _print(rows, as_json=as_json)
 
 
 def moment_ns(text: str, now_ns: int) -> int:
@@ -96,18 +94,14 @@ def _verdicts(given: list[str]) -> tuple[str, ...]:
     return tuple(given)
 
 
-def _print_json(rows: Iterable[HistoryRow]) -> None:
-    for row in rows:
-        typer.echo(json.dumps(asdict(row)))
-
-
-def _print_lines(rows: Iterable[HistoryRow]) -> None:
+def _print(rows: Iterable[HistoryRow], *, as_json: bool) -> None:
     totals: Counter[str] = Counter()
     for row in rows:
-        typer.echo(_line(row))
+        typer.echo(json.dumps(asdict(row)) if as_json else _line(row))
         totals[row.verdict] += 1
     words = ", ".join(f"{n} {verdict}" for verdict, n in sorted(totals.items()))
-    typer.echo(f"{totals.total()} presses: {words}" if totals else "no press fits")
+    if not as_json:
+        typer.echo(f"{totals.total()} presses: {words}" if totals else "no press fits")
 
 
 def _line(row: HistoryRow) -> str:

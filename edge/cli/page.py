@@ -64,7 +64,8 @@ def page(
     start("text", is_verbose=False)
     try:
         shown.start()
-        typer.echo(f"gelgate: the page is at http://{_url_host(settings.bind)}:{server.port}/", err=True)
+        at = f"[{settings.bind}]" if ":" in settings.bind else settings.bind
+        typer.echo(f"gelgate: the page is at http://{at}:{server.port}/", err=True)
         for warning in settings.warnings():
             typer.echo(f"gelgate: {warning}", err=True)
         threading.Event().wait()
@@ -91,8 +92,3 @@ def _requests(shown: BrokerStation, settings: PageSettings, secret_file: Path | 
     if secret_file is None:
         return None
     return page_requests(shown, read_secret(secret_file, "--secret-file", SHORTEST_SECRET), SystemClock())
-
-
-def _url_host(address: str) -> str:
-    """Write an address as a browser's address line has it."""
-    return f"[{address}]" if ":" in address else address

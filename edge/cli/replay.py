@@ -27,7 +27,7 @@ __all__ = ["DIFFERS", "replay"]
 
 DIFFERS = 8
 
-_InspectorOf = Callable[[ArchivedPress], Inspector | None]
+_FindInspector = Callable[[ArchivedPress], Inspector | None]
 
 
 def replay(
@@ -65,98 +65,100 @@ def replay(
     Exit code 8 when one differs, 1 when one cannot be made again."""
     path, places = _places(config, database, [*(bundles or []), *([bundle] if bundle else [])])
     wanted = _select_presses(path, press_id, is_all, since)
-    folder = ArchiveFolder(archive or path.with_suffix(".archive"))
-    run = _Run(folder, picture, as_json, is_many=press_id is None)
-    if bundle is None:
-        run.again(wanted, places)
+    folder, counts = ArchiveFolder(archive or path.with_suffix(".archive")), Counter[str]()
+    find = Bundles(places, SystemClock()).inspector if bundle is None else _only_of_its_part(bundle)
+    made_again = _make_again(wanted, folder, find, picture, counts, is_many=press_id is None)
+    if bundle is not None:
+        _print_changes(made_again, as_json=as_json)
     else:
-        run.otherwise(wanted, bundle)
-    if run.differing and bundle is None:
+        _print_differences(made_again, counts, as_json=as_json, is_many=press_id is None)
+    if counts["differ"]:
         raise typer.Exit(DIFFERS)
-    if run.impossible:
+    if counts["impossible"]:
         raise typer.Exit(1)
 
 
-class _Run:
-    """One call: what is printed, and how it ends. differing, impossible: presses."""
-
-    def __init__(self, folder: ArchiveFolder, picture: Path | None, as_json: bool, is_many: bool) -> None:
-        self.differing = self.impossible = self.equal = self.never = 0
-        self._folder, self._picture, self._as_json, self._is_many = folder, picture, as_json, is_many
-
-    def again(self, wanted: Iterable[KnownPress], places: list[Path]) -> None:
-        """Judge again with the bundles that judged."""
-        bundles = Bundles(places, SystemClock())
-        for press, replayed_press in self._each(wanted, bundles.inspector):
-            self.equal += replayed_press.is_equal
-            self.differing += not replayed_press.is_equal
-            self._print(press, replayed_press)
-        if self._is_many and not self._as_json:
-            typer.echo(
-                f"{self.equal + self.differing + self.impossible} presses: {self.equal} equal, {self.differing} "
-                f"differ, {self.impossible} not made again; {self.never} others were never archived"
-            )
-
-    def otherwise(self, wanted: Iterable[KnownPress], path: Path) -> None:
-        """Judge with another bundle: print the verdicts that change, and how many of each kind."""
-        inspector = Inspector(Scorer(Bundle.load(path)), SystemClock())
-        counts: Counter[tuple[str, str]] = Counter()
-        for press, replayed_press in self._each(wanted, _same_part(inspector)):
-            counts[replayed_press.then.verdict, replayed_press.now.word] += 1
-            if self._as_json:
-                self._print(press, replayed_press)
-            elif replayed_press.now.word != replayed_press.then.verdict:
-                self.differing += 1
-                typer.echo(printable(f"{press.press_id}  {_side(replayed_press)}"))
-        if not self._as_json:
-            _print_table(counts)
-
-    def _each(
-        self, wanted: Iterable[KnownPress], inspector_of: _InspectorOf
-    ) -> Iterator[tuple[KnownPress, Replayed]]:
-        for press in wanted:
-            if press.evidence is None and self._is_many:
-                self.never += 1
+def _make_again(
+    wanted: Iterable[KnownPress],
+    folder: ArchiveFolder,
+    find_inspector: _FindInspector,
+    picture: Path | None,
+    counts: Counter[str],
+    *,
+    is_many: bool,
+) -> Iterator[tuple[KnownPress, Replayed]]:
+    """Judge the presses again; counts those that were `never` archived, and those where it is `impossible`."""
+    for press in wanted:
+        if press.evidence is None and is_many:
+            counts["never"] += 1
+            continue
+        try:
+            then = folder.press(press.press_id, press.evidence)
+            inspector = find_inspector(then)
+            if inspector is None:
                 continue
-            try:
-                then = self._folder.press(press.press_id, press.evidence)
-                inspector = inspector_of(then)
-                if inspector is None:
-                    continue
-                replayed_press = replayed(then, self._folder, inspector)
-                self._write_picture(replayed_press, inspector)
-            except (ArchiveError, BundleError) as error:
-                if not self._is_many:
-                    raise
-                self.impossible += 1
-                typer.echo(printable(f"{press.press_id}  not made again: {error}"), err=True)
-                continue
-            yield press, replayed_press
+            made_again = replayed(then, folder, inspector)
+            if picture is not None:
+                _write_picture(
+                    made_again, inspector, picture / f"{then.press_id}.png" if is_many else picture
+                )
+        except (ArchiveError, BundleError) as error:
+            if not is_many:
+                raise
+            counts["impossible"] += 1
+            typer.echo(printable(f"{press.press_id}  not made again: {error}"), err=True)
+            continue
+        yield press, made_again
 
-    def _print(self, press: KnownPress, found: Replayed) -> None:
-        if self._as_json:
-            typer.echo(_as_json(press, found))
-            return
-        typer.echo(printable(_line(found)))
-        for sentence in found.differences:
+
+def _print_differences(
+    made_again: Iterable[tuple[KnownPress, Replayed]], counts: Counter[str], *, as_json: bool, is_many: bool
+) -> None:
+    """Print each press, and count those that are `equal`, and that `differ`."""
+    for press, found in made_again:
+        counts["equal" if found.is_equal else "differ"] += 1
+        typer.echo(_as_json(press, found) if as_json else printable(_line(found)))
+        for sentence in (
+            () if as_json else (*found.differences, *(f"may be why: {why}" for why in found.machine))
+        ):
             typer.echo(printable(f"    {sentence}"))
-        for sentence in found.machine:
-            typer.echo(printable(f"    may be why: {sentence}"))
+    if is_many and not as_json:
+        total = counts["equal"] + counts["differ"] + counts["impossible"]
+        typer.echo(
+            f"{total} presses: {counts['equal']} equal, {counts['differ']} differ, {counts['impossible']} not made "
+            f"again; {counts['never']} others were never archived"
+        )
 
-    def _write_picture(self, found: Replayed, inspector: Inspector) -> None:
-        if self._picture is None:
-            return
 
-        then = found.then
-        press = replace(found.now, press_id=then.press_id, time_ns=then.time_ns)
-        png = heatmap_png(press, inspector.bundle, then.station)
-        if png is None:
-            typer.echo(f"{then.press_id}  has no score, so no picture", err=True)
-            return
-        if self._is_many:
-            self._picture.mkdir(parents=True, exist_ok=True)
-        path = self._picture / f"{then.press_id}.png" if self._is_many else self._picture
-        path.write_bytes(png)
+def _print_changes(made_again: Iterable[tuple[KnownPress, Replayed]], *, as_json: bool) -> None:
+    """Print the verdicts that change, and a table: rows are the verdicts then, columns those now."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for press, found in made_again:
+        counts[found.then.verdict, found.now.word] += 1
+        if as_json:
+            typer.echo(_as_json(press, found))
+        elif found.now.word != found.then.verdict:
+            typer.echo(printable(f"{press.press_id}  {_compare(found)}"))
+    if as_json:
+        return
+    words = sorted({word for pair in counts for word in pair})
+    changed = sum(n for (then, now), n in counts.items() if then != now)
+    typer.echo(f"{counts.total()} presses of this part: {changed} verdicts change")
+    if words:
+        typer.echo("then \\ now".ljust(12) + "".join(word.rjust(10) for word in words))
+    for then in words:
+        typer.echo(then.ljust(12) + "".join(str(counts[then, now]).rjust(10) for now in words))
+
+
+def _write_picture(made_again: Replayed, inspector: Inspector, path: Path) -> None:
+    then = made_again.then
+    press = replace(made_again.now, press_id=then.press_id, time_ns=then.time_ns)
+    png = heatmap_png(press, inspector.bundle, then.station)
+    if png is None:
+        typer.echo(f"{then.press_id}  has no score, so no picture", err=True)
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(png)
 
 
 def _places(config: Path, database: Path | None, bundles: list[Path]) -> tuple[Path, list[Path]]:
@@ -189,8 +191,9 @@ def _select_presses(
     return presses_since(database, None if since is None else moment_ns(since, time.time_ns()))
 
 
-def _same_part(inspector: Inspector) -> _InspectorOf:
-    """The inspector for presses of its own part and position, none for others."""
+def _only_of_its_part(path: Path) -> _FindInspector:
+    """Judge presses of the part and position of this bundle with it, and no others. Errors: BundleError."""
+    inspector = Inspector(Scorer(Bundle.load(path)), SystemClock())
     part = (inspector.bundle.manifest.part, inspector.bundle.manifest.position)
     return lambda press: inspector if (press.part, press.position) == part else None
 
@@ -204,7 +207,7 @@ def _line(found: Replayed) -> str:
     )
 
 
-def _side(found: Replayed) -> str:
+def _compare(found: Replayed) -> str:
     then, verdict = found.then, found.now.verdict
     now = (verdict.score, verdict.threshold) if verdict else (None, None)
     return f"{then.verdict:8} {_ratio(then.score, then.threshold)}  ->  {found.now.word:8} {_ratio(*now)}"
@@ -213,17 +216,6 @@ def _side(found: Replayed) -> str:
 def _ratio(score: float | None, threshold: float | None) -> str:
     """Give the ratio of a score to its limit, by which bundles can be compared."""
     return "   -  " if score is None or not threshold else f"{score / threshold:6.3f}"
-
-
-def _print_table(counts: dict[tuple[str, str], int]) -> None:
-    """Rows: the verdict then; columns: the verdict now."""
-    words = sorted({word for pair in counts for word in pair})
-    changed = sum(n for (then, now), n in counts.items() if then != now)
-    typer.echo(f"{sum(counts.values())} presses of this part: {changed} verdicts change")
-    if words:
-        typer.echo("then \\ now".ljust(12) + "".join(word.rjust(10) for word in words))
-    for then in words:
-        typer.echo(then.ljust(12) + "".join(str(counts.get((then, now), 0)).rjust(10) for now in words))
 
 
 def _as_json(press: KnownPress, found: Replayed) -> str:

@@ -77,7 +77,11 @@ def run(
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, lambda *_: stop.set())
         out = Lines()
-        on_press = log_press if log_json else lambda report: out.put(_line_with_time(report))
+
+        def print_press(report: PressReport) -> None:
+            out.put(f"{local_time(report.result.time_ns)}  {press_line(report)}")
+
+        on_press = log_press if log_json else print_press
         read_again = partial(load_config, config, state_dir)
         with open_station(loaded, clock, on_press, checked, read_again) as station:
             if is_service:
@@ -174,10 +178,6 @@ def log_summary(summary: Summary) -> None:
     fields = {"event": "summary", "presses": summary.presses, "verdicts": dict(summary.verdicts)}
     log = logging.getLogger(__name__)
     log.info("%s", summary_text(summary).replace("\n", "; "), extra={"fields": fields})
-
-
-def _line_with_time(report: PressReport) -> str:
-    return f"{local_time(report.result.time_ns)}  {press_line(report)}"
 
 
 def press_line(report: PressReport) -> str:

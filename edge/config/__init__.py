@@ -5,31 +5,17 @@ Paths are relative to the file. Plugin options are validated by the plugin's own
 
 from edge.config.loading import load_config, sink_names
 from edge.config.overview_table import OverviewTable
-from edge.config.plugin_tables import (
-    ActuatorTable,
-    OutputTable,
-    PlainText,
-    PluginTable,
-    SinkTable,
-    Table,
-    TriggerTable,
-)
-from edge.config.tables import BundleTable, CommandTable, Config, ContactTable, InspectionTable, StationTable
+from edge.config.plugin_tables import ActuatorTable, PluginTable, TriggerTable
+from edge.config.tables import BundleTable, Config, ContactTable, InspectionTable
 
 __all__ = [
     "ActuatorTable",
     "BundleTable",
-    "CommandTable",
     "Config",
     "ContactTable",
     "InspectionTable",
-    "OutputTable",
     "OverviewTable",
-    "PlainText",
     "PluginTable",
-    "SinkTable",
-    "StationTable",
-    "Table",
     "TriggerTable",
     "load_config",
     "sink_names",

@@ -334,7 +334,7 @@ class Config(Table):
 
     @property
     def features(self) -> Mapping[str, bool]:
-        """Whether each feature is wanted, in the order in which a press goes through them."""
+        """Say of each feature whether it is wanted, in the order in which a press goes through them."""
         commands = self.commands
         served = {*commands.unsigned, *commands.signed, *commands.page}
         return {

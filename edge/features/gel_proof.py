@@ -4,7 +4,6 @@ import logging
 from functools import partial
 from typing import Final, Literal, Self
 
-from edge.core.gel_proof import GelProof
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
 from edge.core.press import Press, ReferenceLabel
@@ -67,7 +66,9 @@ class GelProofWatch(PressStage):
         """Count a press where a part, or a master piece that must pass, was judged. Errors:
         StoreError."""
         mounted = self._mounted
-        if self._sentence is None or mounted is None or not _is_counted(press):
+        label = press.label
+        is_sound = label is None or (isinstance(label, ReferenceLabel) and label.expected == Kind.PASS.value)
+        if self._sentence is None or mounted is None or not is_sound or press.score is None:
             return
         is_alarm = press.word != Kind.PASS.value
         key = GelBundle(mounted.serial, gel.gel_id, press.bundle_id)
@@ -76,7 +77,7 @@ class GelProofWatch(PressStage):
         )
         self._look(mounted)
 
-    def prove(self) -> GelProof:
+    def prove(self, arguments: NoArguments) -> Data:
         """A person says that all presses on this gel were of sound parts. Errors: ValueError with what is missing;
         StoreError."""
         mounted = self._mounted
@@ -87,17 +88,13 @@ class GelProofWatch(PressStage):
         change = partial(gel_proofs.prove, key=_key(mounted), part=mounted.part)
         proof = self._store.write("proving a bundle on a gel", change)
         self._look(mounted)
-        return proof
-
-    def _answer_prove(self, arguments: NoArguments) -> Data:
-        proof = self.prove()
         return {"presses": proof.presses, "alarms": proof.alarms, "rate": proof.rate}
 
     commands = (
         Command(
             "prove_gel",
             NoArguments,
-            _answer_prove,
+            prove,
             "a person says that every press on this gel was of a sound part: with enough presses and few alarms the "
             "bundle in use is proven on it. `rate`: the false alarms that they still allow",
             "what the bundle is trusted with",
@@ -131,9 +128,3 @@ class GelProofWatch(PressStage):
 
 def _key(mounted: Mounted) -> GelBundle:
     return GelBundle(mounted.serial, mounted.gel_id, mounted.bundle_id)
-
-
-def _is_counted(press: Press) -> bool:
-    label = press.label
-    is_sound = label is None or (isinstance(label, ReferenceLabel) and label.expected == Kind.PASS.value)
-    return is_sound and press.score is not None

@@ -165,19 +165,15 @@ class Overview(PressStage):
 
     def _newest(self) -> CameraFrame | None:
         """The next frame of those made on demand, else the newest. Waits only for a camera that may soon give one."""
-        waiting = self.camera.next(0) or self._frame_of_before()
-        if waiting is not None and self._is_fresh(waiting):
+        waiting = self.camera.next(0)
+        if waiting is None and self._frame is not None and not self._frame.is_on_demand:
+            waiting = self._frame  # of an earlier press: the camera has given no newer one
+        now_ns, longest_ns = self._clock.monotonic_ns(), self._max_age_s * 1e9
+        if waiting is not None and (waiting.is_on_demand or now_ns - waiting.timestamp_ns <= longest_ns):
             return waiting
         if self.camera.status.state not in (AcquisitionState.CONNECTING, AcquisitionState.STREAMING):
             return None
         return self.camera.next(WAIT_S)
-
-    def _frame_of_before(self) -> CameraFrame | None:
-        """The still of an earlier press, while the camera has given no newer one."""
-        return None if self._frame is None or self._frame.is_on_demand else self._frame
-
-    def _is_fresh(self, frame: CameraFrame) -> bool:
-        return frame.is_on_demand or self._clock.monotonic_ns() - frame.timestamp_ns <= self._max_age_s * 1e9
 
 
 def _find_camera(table: OverviewTable) -> str:

@@ -34,6 +34,7 @@ log = logging.getLogger(__name__)
 LOOK_S: Final = 0.5
 # A request of the command line that is older was made while no gateway ran.
 OLDEST_REQUEST_S: Final = 60.0
+WAITING: Final = "the next press is the reference press of %s: press it within %g s"
 
 
 @dataclass(frozen=True)
@@ -251,7 +252,7 @@ class ReferenceGuard(PressStage):
     def _say(self) -> None:
         """The alarm `reference`; where parts are refused it halts the station."""
         is_refusing = self._table.enforce == "refuse" and bool(self._faults)
-        waits = [] if self._armed is None else [_waiting(self._armed.label, self._table.within_s)]
+        waits = [] if self._armed is None else [WAITING % (self._armed.label.piece, self._table.within_s)]
         text = "; ".join([*waits, *self._faults, *self._warnings()])
         if self._said == (is_refusing, text):
             return
@@ -317,7 +318,3 @@ def _newest_with(scored: list[ReferencePress], mounted: Mounted) -> int | None:
     if newest is None or (newest.gel_id, newest.bundle_id) != (mounted.gel_id, mounted.bundle_id):
         return None
     return newest.time_ns
-
-
-def _waiting(label: ReferenceLabel, within_s: float) -> str:
-    return f"the next press is the reference press of {label.piece}: press it within {within_s:g} s"

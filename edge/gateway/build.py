@@ -16,9 +16,8 @@ from edge.config import Config, sink_names
 from edge.core.ports import Clock, Device, Message, Sink
 from edge.core.sink_context import PageRequests, Station
 from edge.gateway.bundle_set import BundleSet
-from edge.gateway.command_table import station_commands, station_handlers, trigger_by_pedal
+from edge.gateway.command_table import describe_station, station_commands, station_handlers, trigger_by_pedal
 from edge.gateway.commands import Commands, policy_of
-from edge.gateway.description import describe_station
 from edge.gateway.features import load_features
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.opening import BundleOpener, device_opener, first_part
@@ -34,7 +33,6 @@ from edge.messaging.status_payloads import StatePayload, availability_message
 from edge.press_stage import PressStage, StageParts
 from edge.store.backup import migrate
 from edge.store.database import SCHEMA_VERSION
-from edge.store.gel_files import GelFiles
 from edge.store.outbox import Bounds
 from edge.store.press_store import Store
 
@@ -74,15 +72,19 @@ def _build(
     stages: Mapping[str, PressStage],
 ) -> Parts:
     """Build the parts. closing: gets the calls that close them."""
-    calls, retained_state = LoopCalls[StationLoop](), _retained_state(config)
+    calls, retained_state = LoopCalls[StationLoop](), RetainedState()
+    retained_state.announce(asyncapi_message(describe_station(config)))
     # The lock first: a second gateway must not migrate the tables of this one, or take its place at the broker.
     lock = PublisherLock(config.store.path)
     closing.callback(lock.close)
     store = closing.enter_context(_open_store(config, clock))
     opener, bundles = _open_bundles(config, clock, store, checked)
     part = first_part(config.inspection, bundles, store.read_selected())
-    commands = _commands(config, calls, store, clock)
-    publisher = _publisher(config, clock, retained_state, commands, closing, lock)
+    handlers = station_handlers(calls, station_commands(config))
+    commands = Commands(handlers, policy_of(config), store, clock, config.commands.requests_per_minute)
+    sinks = _open_sinks(config, _sink_context(config, clock, retained_state, commands), closing)
+    path, before = config.store.path, _names_before(config)
+    publisher = Publisher(path, sinks, retained_state, clock, random.Random(), lock=lock, before=before)
     listeners: list[Callable[[Message], object]] = [publisher.announce]
     status = StationStatus(lambda message: [hear(message) for hear in listeners], clock)
     closing.callback(publisher.stop)
@@ -108,75 +110,32 @@ def _build(
         trigger=partial(calls.post, trigger_by_pedal),
         listen=listeners.append,
     )
-    return Parts(
-        stages=_open_stages(stage_parts, stages, closing),
-        selection=selection,
-        contact=config.contact.settings(is_external=config.inspection.trigger == "command"),
-        place=config.station.place,
-        store=store,
-        references=GelFiles(config.store.path.with_suffix(".references")),
-        publisher=publisher,
-        status=status,
-        acquisition=acquisition,
-        free_space=free_space,
-        calls=calls,
-        clock=clock,
-        stats_s=config.station.stats_s,
-    )
+    opened = _open_stages(stage_parts, stages, closing)
+    return Parts(config, opened, selection, store, publisher, status, acquisition, free_space, calls, clock)
 
 
 def _open_stages(
     parts: StageParts, instead: Mapping[str, PressStage], closing: ExitStack
 ) -> list[PressStage]:
     """Open the features that are configured. instead: of features of these names. Errors: ConfigError."""
-    features = load_features(parts.config)
-    stages = [stage for name, stage in instead.items() if name not in features]
-    for name, feature in features.items():
-        stage = instead.get(name) or feature.open(parts)
+    features, stages = load_features(parts.config), []
+    for name in (*(name for name in instead if name not in features), *features):
+        stage = instead.get(name) or features[name].open(parts)
         if stage is not None:
             closing.callback(stage.close)
             stages.append(stage)
     return stages
 
 
-def _commands(config: Config, calls: LoopCalls[StationLoop], store: Store, clock: Clock) -> Commands:
-    handlers = station_handlers(calls, station_commands(config))
-    return Commands(handlers, policy_of(config), store, clock, config.commands.requests_per_minute)
-
-
-def _publisher(
-    config: Config,
-    clock: Clock,
-    retained_state: RetainedState,
-    commands: Commands,
-    closing: ExitStack,
-    lock: PublisherLock,
-) -> Publisher:
-    """Return the publisher with its sinks, not yet started. Errors: ConfigError."""
-    sinks = _open_sinks(config, _sink_context(config, clock, retained_state, commands), closing)
-    before = _names_before(config)
-    return Publisher(
-        config.store.path, sinks, retained_state, clock, random.Random(), lock=lock, before=before
-    )
-
-
-def _retained_state(config: Config) -> RetainedState:
-    """Return the retained state with the station's description, which does not change while it runs."""
-    retained_state = RetainedState()
-    retained_state.announce(asyncapi_message(describe_station(config)))
-    return retained_state
-
-
 def _open_bundles(
     config: Config, clock: Clock, store: Store, checked: Preflight | None
 ) -> tuple[BundleOpener, BundleSet]:
     """Return the bundles of the check, or open them. Errors: BundleError, ConfigError: all must be usable."""
-    if checked is not None and checked.bundles.bundles:
-        opener, bundles = checked.opener, checked.bundles
-        opener.newest = store.newest_revision
-        return opener, bundles
-    opener = BundleOpener(None, config.inspection.threads, clock)
+    is_open = checked is not None and bool(checked.bundles.bundles)
+    opener = checked.opener if checked and is_open else BundleOpener(None, config.inspection.threads, clock)
     opener.newest = store.newest_revision
+    if checked and is_open:
+        return opener, checked.bundles
     opened = opener.open(config.inspection)
     for error in opened.faults.values():
         raise error

@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib.metadata import version
 from typing import Any, Final
 
 from edge.config import Config
@@ -22,9 +23,10 @@ from edge.messaging.command_payloads import (
     ReplaceGelArguments,
     SelectPartArguments,
 )
+from edge.messaging.descriptions.station import DescribedStation
 from edge.press_stage import Command, Data, PressStage
 
-__all__ = ["every_command", "station_commands", "station_handlers", "trigger_by_pedal"]
+__all__ = ["describe_station", "every_command", "station_commands", "station_handlers", "trigger_by_pedal"]
 
 log = logging.getLogger(__name__)
 
@@ -96,10 +98,6 @@ def _acknowledge_alarm(loop: StationLoop, arguments: AcknowledgeAlarmArguments) 
     return {"alarms": _alarms(loop)}
 
 
-def _self_test(loop: StationLoop, arguments: NoArguments) -> Callable[[], Data]:
-    return self_test(loop.parts)
-
-
 COMMANDS: Final[Sequence[LoopCommand]] = (
     Command(
         "trigger",
@@ -147,7 +145,7 @@ COMMANDS: Final[Sequence[LoopCommand]] = (
     Command(
         "self_test",
         NoArguments,
-        _self_test,
+        lambda loop, arguments: self_test(loop.parts),
         "score the golden frames now, check the database, the sensor, the receivers and the disk; `parts` has each "
         "outcome, `is_ok` all of them together. Other requests wait for its end, up to 15 s",
     ),
@@ -169,6 +167,19 @@ def station_commands(config: Config) -> Sequence[LoopCommand]:
             known = sorted(command.verb for command in every_command())
             raise ConfigError(f"commands: no command is named '{verb}'; {suggestion(verb, known)}")
     return commands
+
+
+def describe_station(config: Config) -> DescribedStation:
+    """Describe the station of this configuration, with the commands that it serves."""
+    commands = config.commands
+    served = {*commands.unsigned, *commands.signed}
+    return DescribedStation(
+        root=config.station.place.root,
+        place=str(config.station.place),
+        version=version("gelgate"),
+        commands=[one for one in station_commands(config) if one.verb in served],
+        signed=commands.signed,
+    )
 
 
 def _commands_of(features: Iterable[type[PressStage]]) -> list[LoopCommand]:

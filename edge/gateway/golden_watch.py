@@ -57,16 +57,13 @@ class GoldenWatch:
         self._number = 0
         self._next_ns = self._clock.monotonic_ns() + round((AFTER_FAULT_S if fault else GOLDEN_EVERY_S) * 1e9)
         before, self.fault = self.fault, fault
-        self._answer()
+        for asked in self._asked:
+            if asked.set_running_or_notify_cancel():
+                asked.set_result(fault)
+        self._asked.clear()
         return before != fault
 
     def close(self) -> None:
         """Nothing is scored any more."""
         for asked in self._asked:
             asked.cancel()
-
-    def _answer(self) -> None:
-        for asked in self._asked:
-            if asked.set_running_or_notify_cancel():
-                asked.set_result(self.fault)
-        self._asked.clear()

@@ -10,10 +10,10 @@ from typing import Final
 
 from edge import registry
 from edge.config import BundleTable, InspectionTable, PluginTable
-from edge.core.errors import ConfigError, GelgateError
+from edge.core.errors import BundleMismatch, ConfigError, GelgateError
 from edge.core.part_position import PartPosition
 from edge.core.plugins import PlaysRecording
-from edge.core.ports import Clock, Device
+from edge.core.ports import Clock, Device, DeviceIdentity
 from edge.gateway.bundle_set import BundleSet, OpenBundle, part_of
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
@@ -29,6 +29,7 @@ __all__ = [
     "BundleOpener",
     "Opened",
     "bundle_tables",
+    "check_mode",
     "device_opener",
     "first_part",
     "played_recording",
@@ -180,6 +181,16 @@ def device_opener(table: PluginTable, controls: Mapping[str, int], clock: Clock)
     options = plugin.Options.model_validate(given)
 
     return lambda: plugin.open(options, clock)
+
+
+def check_mode(bundle: Bundle, sensor: DeviceIdentity) -> None:
+    """Check that a sensor sends what a bundle was made from. Errors: BundleMismatch."""
+    (w, h), (found_w, found_h) = bundle.profile.native, sensor.mode
+    if sensor.mode != bundle.profile.native:
+        raise BundleMismatch(
+            f"bundle {bundle.where} was made from {w}x{h} frames (profile {bundle.profile.name}), sensor "
+            f"{sensor.serial} sends {found_w}x{found_h}; use a bundle made for this sensor's mode"
+        )
 
 
 def played_recording(table: PluginTable) -> Recording | None:

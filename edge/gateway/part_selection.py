@@ -9,7 +9,7 @@ from edge.background import Background
 from edge.core.errors import GelgateError, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
-from edge.gateway.bundle_set import BundleSet, OpenBundle
+from edge.gateway.bundle_set import BundleSet
 from edge.gateway.golden_watch import GoldenWatch
 from edge.gateway.opening import Opened
 from edge.gateway.status import StationStatus
@@ -149,18 +149,15 @@ class PartSelection:
         if isinstance(staged, Opened):
             if {self.part, self._wanted} <= set(staged.bundles.bundles):
                 self.bundles = staged.bundles
-                self._in_use = self._same_in(staged.bundles)
+                new = staged.bundles[self.part]
+                if new.inspector is self.inspector:  # under its new names; another one waits to be changed
+                    self._in_use = new
             else:
                 faults.append(
                     f"there is no bundle for the selected {self._wanted} any more, so those in use stay; add one, or "
                     "select another part and reload again"
                 )
         self._report(faults)
-
-    def _same_in(self, bundles: BundleSet) -> OpenBundle:
-        """The bundle in use under its new names, where it is still the same; otherwise it waits to be changed."""
-        new = bundles[self.part]
-        return new if new.inspector is self.inspector else self._in_use
 
     def _report(self, faults: list[str]) -> None:
         """Say it in the log and by the alarm; `step` writes it into the table of acts."""

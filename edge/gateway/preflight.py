@@ -28,7 +28,7 @@ from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_table import station_commands
 from edge.gateway.commands import policy_of
 from edge.gateway.features import load_features
-from edge.gateway.opening import BundleOpener, device_opener, first_part
+from edge.gateway.opening import BundleOpener, check_mode, device_opener, first_part
 from edge.model.manifest_facts import licence_sentence
 from edge.store import bundles_in_use, gel_ledger
 from edge.store.database import SCHEMA_VERSION, open_read_only, quick_check, schema_version
@@ -109,13 +109,12 @@ class Preflight:
         self.open_device = device_opener(config.device, bundle.profile.controls if bundle else {}, clock)
         self._device = self.open_device()
         sensor = self._device.identity
-        if bundle is not None and sensor.mode != bundle.profile.native:
-            native = bundle.profile.native
-            self.close()
-            raise BundleMismatch(
-                f"sensor {sensor.serial} sends {sensor.mode[0]}x{sensor.mode[1]} frames, the bundle was made from "
-                f"{native[0]}x{native[1]}; use a bundle made for this sensor's mode"
-            )
+        if bundle is not None:
+            try:
+                check_mode(bundle, sensor)
+            except BundleMismatch:
+                self.close()
+                raise
         return f"{sensor.product}, serial {sensor.serial}, {sensor.mode[0]}x{sensor.mode[1]}"
 
 

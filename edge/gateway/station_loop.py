@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
 from edge.acquisition import Acquisition
-from edge.core.contact.settings import ContactSettings
-from edge.core.errors import BundleMismatch, DeviceNotFound, RecordingEnded, StoreError
+from edge.config import Config
+from edge.core.errors import DeviceNotFound, RecordingEnded, StoreError
 from edge.core.imaging.frames import CameraFrame
-from edge.core.ports import Clock, DeviceIdentity
-from edge.core.sink_context import Place
+from edge.core.ports import Clock
 from edge.gateway.inspection_session import InspectionSession
 from edge.gateway.loop_calls import LoopCalls
+from edge.gateway.opening import check_mode
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.report import FreeSpace, Report, Summary
@@ -46,13 +46,11 @@ S = TypeVar("S", bound=PressStage)
 class Parts:
     """The parts of a station, built by `edge.gateway.build` and not yet started. Their builder closes them."""
 
+    config: Config
     stages: Sequence[PressStage]
     """What a press goes through, in this order."""
     selection: PartSelection
-    contact: ContactSettings
-    place: Place
     store: Store
-    references: GelFiles
     publisher: Publisher
     status: StationStatus
     acquisition: Acquisition
@@ -60,8 +58,6 @@ class Parts:
     calls: LoopCalls[Any]
     """Calls of other threads, with the loop that has these parts."""
     clock: Clock
-    stats_s: float = 10.0
-    """Seconds between two reports."""
 
 
 class StationLoop:
@@ -180,7 +176,7 @@ class StationLoop:
         view = parts.status.view()
         for stage in parts.stages:
             stage.show(view)
-        if parts.clock.monotonic_ns() - self._last_stats_ns > parts.stats_s * 1e9:
+        if parts.clock.monotonic_ns() - self._last_stats_ns > parts.config.station.stats_s * 1e9:
             self.publish_stats()
 
     def publish_stats(self) -> None:
@@ -204,11 +200,11 @@ class StationLoop:
 
     def _start_session(self) -> InspectionSession:
         """The first frame: now the sensor is known, and with it the gel. Errors: StoreError."""
-        parts = self.parts
+        parts, config = self.parts, self.parts.config
         identity = parts.acquisition.status.identity
         if identity is None:
             raise DeviceNotFound("a frame arrived from a sensor without an identity")
-        self._check_mode(identity)
+        check_mode(parts.selection.inspector.bundle, identity)
         gel = parts.store.gel(identity.serial, parts.clock.time_ns())
         parts.status.counts(parts.store.findings)
         parts.status.clear_fault("store")
@@ -216,23 +212,14 @@ class StationLoop:
         self.session = InspectionSession(
             gel,
             parts.selection.inspector,
-            parts.contact,
-            parts.references,
-            Recorder(parts.store, identity.serial, parts.place, parts.clock, parts.stages),
+            config.contact.settings(is_external=config.inspection.trigger == "command"),
+            GelFiles(config.store.path.with_suffix(".references")),
+            Recorder(parts.store, identity.serial, config.station.place, parts.clock, parts.stages),
             parts.status,
             parts.clock,
             parts.stages,
         )
         return self.session
-
-    def _check_mode(self, identity: DeviceIdentity) -> None:
-        bundle = self.parts.selection.inspector.bundle
-        (w, h), (found_w, found_h) = bundle.profile.native, identity.mode
-        if identity.mode != bundle.profile.native:
-            raise BundleMismatch(
-                f"bundle {bundle.where} was made from {w}x{h} frames (profile {bundle.profile.name}), sensor "
-                f"{identity.serial} sends {found_w}x{found_h}; use a bundle made for this sensor's mode"
-            )
 
     def _record(self) -> None:
         """Write the presses that wait. Errors: StoreError; no press is lost."""

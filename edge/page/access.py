@@ -34,7 +34,7 @@ class Access:
 
     def refusal(self, client: str, reached: str, host: str) -> Refused | None:
         """client: address of the asker. reached: our address to which he is connected. host: the header `Host`."""
-        if not (_is_own(client) or any(_address(client) in network for network in self.allow_from)):
+        if not (_is_own(client) or any(ip_address(_plain(client)) in network for network in self.allow_from)):
             return Refused(
                 403,
                 f"this page is not shown to {client}; name its address in allow_from of the page on the gateway",
@@ -58,10 +58,6 @@ def _plain(address: str) -> str:
     plain = ip_address(address.partition("%")[0])
     mapped = getattr(plain, "ipv4_mapped", None)
     return str(mapped or plain)
-
-
-def _address(text: str) -> object:
-    return ip_address(_plain(text))
 
 
 def _is_own(address: str) -> bool:

@@ -4,7 +4,6 @@ import json
 import logging
 import threading
 from contextlib import suppress
-from functools import partial
 from typing import Any, Final
 
 from edge.core.errors import GelgateError, SinkError
@@ -64,8 +63,8 @@ class BrokerStation:
     def ask(self, verb: str, payload: bytes) -> bytes:
         """Publish the request, and return the station's answer. Errors: GelgateError, one sentence."""
         transaction = str(json.loads(payload)["transaction"])
-        connection, root = self._connection, self._root
-        if connection is None or root is None:
+        connection, root = self._connection, self.root
+        if connection is None:
             raise GelgateError(f"nothing was asked: {self.shown.station()['away']}")
         with self._changed:
             self._answers[transaction] = None
@@ -96,15 +95,12 @@ class BrokerStation:
             try:
                 self.listen()
             except SinkError as error:
-                self._note_away(f"{error}; trying again")
+                why = f"{error}; trying again"
+                if why != self._why_away:  # once, and not with each attempt
+                    log.warning("%s", why)
+                self._why_away = why
+                self.shown.set_away(why)
                 self._closing.wait(RETURN_S)
-
-    def _note_away(self, why: str) -> None:
-        """Log why the station is away, once and not with each attempt."""
-        if why != self._why_away:
-            log.warning("%s", why)
-        self._why_away = why
-        self.shown.set_away(why)
 
     def listen(self) -> None:
         """Listen until `close`. Errors: SinkError when there is no connection, or when it is lost."""
@@ -179,29 +175,23 @@ def _read_answer(payload: bytes) -> CommandResponse:
 def page_requests(station: BrokerStation, secret: bytes, clock: Clock) -> PageRequests:
     """Requests from the page to the station, signed with its secret. What the page refuses is in the log alone: the
     table of acts is the station's."""
-    return PageRequests(VERBS, partial(_do, station, secret, clock), partial(_refuse, clock))
 
+    def answer(verb: str, error: str) -> bytes:
+        refused: dict[str, Any] = {"transaction": None, "verb": verb[:64], "status": "error", "error": error}
+        return CommandResponse(time_ns=clock.time_ns(), **refused).encode()
 
-def _do(station: BrokerStation, secret: bytes, clock: Clock, verb: str, payload: bytes) -> bytes:
-    try:
-        asked = CommandRequest.model_validate_json(payload)
-        return station.ask(verb, _sign(station.root, verb, asked, secret, clock.time_ns()))
-    except (GelgateError, ValueError) as error:
-        return _answer(clock, verb, str(error))
+    def do(verb: str, payload: bytes) -> bytes:
+        try:
+            asked = CommandRequest.model_validate_json(payload)
+            by, now_ns = f"{asked.by}, at a page"[:64] if asked.by else "page", clock.time_ns()
+            text = signed_text(station.root, verb, asked.transaction, now_ns, by, asked.arguments)
+            signed = {"by": by, "time_ns": now_ns, "signature": signature_of(secret, text)}
+            return station.ask(verb, asked.model_copy(update=signed).model_dump_json().encode())
+        except (GelgateError, ValueError) as error:
+            return answer(verb, str(error))
 
+    def refuse(verb: str, payload: bytes, why: str) -> bytes:
+        log.warning("command %.64r was refused at the page: %s", verb, why)
+        return answer(verb, why)
 
-def _sign(root: str, verb: str, asked: CommandRequest, secret: bytes, time_ns: int) -> bytes:
-    by = f"{asked.by}, at a page"[:64] if asked.by else "page"
-    text = signed_text(root, verb, asked.transaction, time_ns, by, asked.arguments)
-    request = asked.model_copy(update={"by": by, "time_ns": time_ns, "signature": signature_of(secret, text)})
-    return request.model_dump_json().encode()
-
-
-def _refuse(clock: Clock, verb: str, payload: bytes, why: str) -> bytes:
-    log.warning("command %.64r was refused at the page: %s", verb, why)
-    return _answer(clock, verb, why)
-
-
-def _answer(clock: Clock, verb: str, error: str) -> bytes:
-    answer: dict[str, Any] = {"transaction": None, "verb": verb[:64], "status": "error", "error": error}
-    return CommandResponse(time_ns=clock.time_ns(), **answer).encode()
+    return PageRequests(VERBS, do, refuse)

@@ -10,7 +10,7 @@ from edge.cli.describe import Format, describe, describe_config
 from edge.config import load_config
 from edge.core.errors import ConfigError
 from edge.core.ports import Message
-from edge.gateway.description import describe_station
+from edge.gateway.command_table import describe_station
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_broker import Broker

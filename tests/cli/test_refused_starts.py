@@ -124,7 +124,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], Path], int, tuple[str, ...]]] = {
     ),
     "wrong hash": (changed_head, 3, ("head.onnx has SHA-256", "copy the complete bundle again")),
     "another sensor's bundle": (
-        another_sensor, 3, ("sends 48x40 frames", "made from 96x40", "use a bundle made for this sensor's mode"),
+        another_sensor, 3, ("sends 48x40", "made from 96x40", "use a bundle made for this sensor's mode"),
     ),
     "no sensor": (
         lambda bench: bench.config(device="recorded", recording="absent"), 4,

@@ -9,6 +9,7 @@ from stepped_station import SteppedStation
 
 from edge.core.verdict import Kind
 from edge.features.gel_proof import GelProofWatch
+from edge.messaging.command_payloads import NoArguments
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +83,7 @@ def test_the_word_of_a_person_ends_it_once_presses_are_enough(
     """Before, the request is refused with what is missing."""
     with replaced(presses_since=1) as station:
         with pytest.raises(ValueError, match="Press 21 more sound parts"):
-            station.find(GelProofWatch).prove()
+            station.find(GelProofWatch).prove(NoArguments())
         monkeypatch.setattr("edge.core.gel_proof.PROVEN_RATE", 0.95)
-        station.find(GelProofWatch).prove()
+        station.find(GelProofWatch).prove(NoArguments())
         assert (station.said("state")["unproven"], station.alarm("gel_proof")) == (None, None)

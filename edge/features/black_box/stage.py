@@ -49,7 +49,9 @@ class BlackBox(PressStage):
         is_late = (press.reason or "").startswith(f"{Reason.STALE.value}:")
         if judged is None or press.label is not None or inspector.fault is not None or is_late:
             return press
-        frame, machine = _name_by_hash(judged.frame.payload), self._machine_now()
+        if self._machine is None:
+            self._machine = _name_by_hash(fingerprint_bytes(fingerprint(self._threads)))
+        frame, machine = _name_by_hash(judged.frame.payload), self._machine
         reference = None if judged.reference is None else self._reference_now(judged.reference)
         score_map = None if press.score_map is None else _name_by_hash(map_bytes(press.score_map))
         scars, again, manifest = press.scars, press.again, inspector.bundle.manifest
@@ -85,11 +87,6 @@ class BlackBox(PressStage):
         fault = self._archive.fault
         self._alarms.say("archive", fault and f"presses are judged and not archived: {fault}", "warning")
         return replace(press, evidence=evidence)
-
-    def _machine_now(self) -> tuple[str, bytes]:
-        if self._machine is None:
-            self._machine = _name_by_hash(fingerprint_bytes(fingerprint(self._threads)))
-        return self._machine
 
     def _reference_now(self, view: View) -> tuple[str, bytes]:
         """Hashed once while it stays the same."""

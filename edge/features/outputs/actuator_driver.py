@@ -111,8 +111,8 @@ class ActuatorDriver:
 
     def _turn(self, actuator: Actuator) -> None:
         self._check_channels(actuator)
-        while (pulse := self._take_waiting()) is not None:
-            self._give(actuator, pulse)
+        while self._asked:  # this thread alone takes from it
+            self._give(actuator, self._asked.popleft())
         now_ns = self._clock.monotonic_ns()
         for channel, is_on in levels(self._rules, self._present_view(), now_ns).items():
             self._write(actuator, channel, is_on or self._on_until_ns.get(channel, 0) > now_ns)
@@ -149,10 +149,6 @@ class ActuatorDriver:
         if self._written.get(channel) != is_on:
             actuator.write(channel, is_on)
             self._written[channel] = is_on
-
-    def _take_waiting(self) -> _Pulse | None:
-        with self._changed:
-            return self._asked.popleft() if self._asked else None
 
     def _present_view(self) -> StationView:
         with self._changed:
