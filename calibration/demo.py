@@ -13,7 +13,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -70,18 +70,20 @@ def demo(
     shutil.rmtree(heatmaps, ignore_errors=True)
     heatmaps.mkdir(parents=True)
     # The broker first: if none is installed, the error comes before a minute of work, not after it.
-    kept = (
-        nullcontext(str(output / "recordings"))
-        if keep
-        else tempfile.TemporaryDirectory(prefix="gelgate-demo-")
-    )
-    with LocalBroker() as broker, kept as folder:
+    with LocalBroker() as broker, _open_folder(output if keep else None) as folder:
         nominal, test = _simulate(Path(folder), seed)
         _fit(nominal, output / "bundle")
         tally = _inspect(output, output / "bundle", test, heatmaps, broker)
         tally.show(heatmaps)
         tally.check(test)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s; try it again with --seed {seed + 1}")
+
+
+def _open_folder(kept: Path | None) -> AbstractContextManager[str]:
+    """Open the folder of the recordings; it is removed at the end where they are not kept."""
+    return (
+        nullcontext(str(kept / "recordings")) if kept else tempfile.TemporaryDirectory(prefix="gelgate-demo-")
+    )
 
 
 def _simulate(folder: Path, seed: int) -> tuple[Path, Path]:
