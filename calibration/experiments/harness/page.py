@@ -71,39 +71,36 @@ def make_page(
     describe: Callable[["pd.DataFrame"], Mapping[str, Any]],
     draw: Callable[["pd.DataFrame"], Figures] = lambda rows: {},
     name: Callable[[Any], str] = str,
+    costed: "pd.DataFrame | None" = None,
     **more: Any,
 ) -> Page:
     """Make the page of a study from its template: cells, every setup with its figures, both splits, refusals and cost.
 
     rows: of the study. condition: the column that it varies. describe: the template's values for one backbone, mode and
-    split. name: of a value of the condition. more: further values.
+    split. name: of a value of the condition. costed: the rows whose cost is listed, None is all that are scored.
+    more: further values.
     """
     scored, figures, setups = only_scored(rows), dict[str, Callable[[], "Figure"]](), []
     for title, group in by_setup(scored):
         drawn = draw(group)
         figures |= drawn
         setups.append({"title": title, "figures": list(drawn), **describe(group)})
-    refused = rows[rows["error"].notna()] if "error" in rows else rows[:0]
+    timed = scored if costed is None else costed
+    keys = ["method", "mode", "backbone"]
+    refused = rows.reindex(columns=[*keys, "error"]).dropna().groupby([*keys, "error"]).size()
     values = {
         "rows": rows,
         "parts": ", ".join(sorted(rows["part"].unique())),
-        "seeds": _count_seeds(rows, condition) if condition in rows else "",
+        "seeds": _count_seeds(rows, condition),
         "cells": [list_cells(rows, condition)],
         "setups": setups,
         "splits": compare_splits(scored, condition),
-        "refused": count_rows(refused, ["method", "mode", "backbone", "error"]) if len(refused) else None,
-        "costs": list_costs(scored, condition, name),
-        "minutes": round(scored[list(TIMES)].sum().sum() / 60),
-        "timed": len(scored),
+        "refused": refused.reset_index(name="cells")[[*keys, "cells", "error"]],
+        "costs": list_costs(timed, condition, name) if len(timed) else None,
+        "minutes": round(timed[list(TIMES)].sum().sum() / 60),
+        "timed": len(timed),
     }
     return Page(render(study, **(values | more)), figures)
-
-
-def count_rows(rows: "pd.DataFrame", columns: list[str]) -> "pd.DataFrame":
-    """Return how many rows have each combination of values, with the last column at the end."""
-    *keys, last = columns
-    found = rows.groupby(columns).size().reset_index(name="cells")
-    return found[[*keys, "cells", last]]
 
 
 def percent(share: float) -> str:
