@@ -75,9 +75,10 @@ class Subspace:
         self, nominal: Nominal, grid: Grid, parameters: SubspaceParameters, rng: Rng, progress: Progress
     ) -> Bank:
         """centre (d,) and basis (r, d) of all cells of all presses. Errors: FitError."""
-        require_fittable(self.name, nominal, grid, parameters.taps)
-        rows, columns = grid.taps[parameters.grid_tap][1:]
-        embedding = learn_embedding(parameters, grid, nominal, np.ones(rows * columns, bool), rng)
+        p = parameters
+        require_fittable(self.name, nominal, grid, p.taps)
+        rows, columns = grid.taps[p.grid_tap][1:]
+        embedding = learn_embedding(p, grid, nominal, np.ones(rows * columns, bool), rng)
         descriptors = embedding.numpy(nominal.features, np.float32)
         centre = _average(descriptors, lambda x: x.sum(axis=(0, 1)), lambda done: progress(done / 2))
         covariance = _average(
@@ -88,7 +89,7 @@ class Subspace:
         values, vectors = np.linalg.eigh(covariance)
         values, vectors = np.maximum(values[::-1], 0), vectors[:, ::-1]
         power = float(centre @ centre + values.sum())
-        rank = _rank(values, power, parameters)
+        rank = _rank(values, power, p)
         basis = vectors[:, :rank].T if rank else np.zeros((1, embedding.width))
         arrays = {
             **embedding.arrays,
@@ -112,13 +113,14 @@ class Subspace:
         self, features: Features, grid: Grid, bank: Bank, parameters: SubspaceParameters
     ) -> ScoreMaps:
         """The oracle. Errors: NotScorable for features that are not finite."""
-        require_scorable(self.name, features, parameters.taps)
-        embedding = Embedding(parameters, grid, bank.arrays)
+        p = parameters
+        require_scorable(self.name, features, p.taps)
+        embedding = Embedding(p, grid, bank.arrays)
         basis, centre = (bank.arrays[name].astype(np.float64) for name in ("basis", "centre"))
         delta = embedding.numpy(features).at(np.arange(embedding.count)) - centre
         off = delta - delta @ basis.T @ basis
         raw = np.sqrt((off**2).sum(axis=2)).T.reshape(-1, *embedding.cells)
-        return parameters.smoothing(grid, embedding.cells).score_maps(raw)
+        return p.smoothing(grid, embedding.cells).score_maps(raw)
 
     def head(self, grid: Grid, bank: Bank, parameters: SubspaceParameters) -> bytes:
         """Taps, `centre` and `basis` in; score_map, score and raw_map out."""
@@ -137,7 +139,7 @@ class Subspace:
 subspace = Subspace()
 
 
-def _rank(values: NDArray[np.float64], power: float, parameters: SubspaceParameters) -> int:
+def _rank(values: NDArray[np.float64], power: float, p: SubspaceParameters) -> int:
     """The fewest directions that explain the wanted part of the variance.
 
     values: falling. power: mean square length of a descriptor, which separates variance from rounding. At least one
@@ -147,8 +149,8 @@ def _rank(values: NDArray[np.float64], power: float, parameters: SubspaceParamet
     if not alive:
         return 0
     explained = np.cumsum(values[:alive]) / values[:alive].sum()
-    wanted = int(np.searchsorted(explained, parameters.variance - 1e-12)) + 1
-    return min(wanted, alive, parameters.most_rank, len(values) - 1)
+    wanted = int(np.searchsorted(explained, p.variance - 1e-12)) + 1
+    return min(wanted, alive, p.most_rank, len(values) - 1)
 
 
 def _average(

@@ -19,7 +19,6 @@ __all__ = [
     "layout",
     "neighbourhood",
     "split",
-    "stacked",
     "stepped",
     "tile_grid",
 ]
@@ -44,14 +43,6 @@ def split(maps: NDArray[np.floating], grid: Grid) -> NDArray[np.floating]:
     (down, across), (n, c, height, width) = layout(grid), maps.shape
     parts = maps.reshape(n, c, down, height // down, across, width // across).transpose(0, 2, 4, 1, 3, 5)
     return parts.reshape(n * down * across, c, height // down, width // across)
-
-
-def stacked(maps: NDArray[np.floating], grid: Grid) -> NDArray[np.floating]:
-    """A mosaic (n, c, H, W) with its tiles one under the other: (n, c, tiles * h, w)."""
-    tiles = split(maps, grid)
-    count = len(tiles) // len(maps)
-    under = tiles.reshape(len(maps), count, *tiles.shape[1:]).swapaxes(1, 2)
-    return under.reshape(len(maps), tiles.shape[1], count * tiles.shape[2], tiles.shape[3])
 
 
 def join(raw: NDArray[np.float64], grid: Grid) -> NDArray[np.float64]:

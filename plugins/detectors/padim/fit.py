@@ -57,45 +57,47 @@ class Padim:
         self, nominal: Nominal, grid: Grid, parameters: PadimParameters, rng: Rng, progress: Progress
     ) -> Bank:
         """Means per cell, eigenpairs per touched block of cells, one shared set elsewhere. Errors: FitError."""
-        require_fittable(self.name, nominal, grid, parameters.taps)
-        cells = grid.taps[parameters.grid_tap][1:]
+        p = parameters
+        require_fittable(self.name, nominal, grid, p.taps)
+        cells = grid.taps[p.grid_tap][1:]
         touched = np.ones(cells[0] * cells[1], bool)
-        if parameters.is_touched_only:
-            touched = require_touched(touched_cells(nominal, grid, cells, parameters.margin_mm))
-        embedding = learn_embedding(parameters, grid, nominal, touched, rng)
-        squares = cell_blocks(cells, layout(grid), parameters.block)
+        if p.is_touched_only:
+            touched = require_touched(touched_cells(nominal, grid, cells, p.margin_mm))
+        embedding = learn_embedding(p, grid, nominal, touched, rng)
+        squares = cell_blocks(cells, layout(grid), p.block)
         squares = squares[touched[squares].any(axis=1)]
         locations = squares.ravel()
         elsewhere = np.setdiff1d(np.arange(embedding.count), locations)
         descriptors = embedding.numpy(nominal.features, np.float32)
-        affordable = _affordable(embedding, len(squares), grid, parameters)
-        local = _fit_local(descriptors, squares, parameters.model_copy(update={"rank": affordable}), progress)
-        shared = _fit_shared(embedding, descriptors, nominal, elsewhere, parameters)
+        affordable = _affordable(embedding, len(squares), grid, p)
+        local = _fit_local(descriptors, squares, p.model_copy(update={"rank": affordable}), progress)
+        shared = _fit_shared(embedding, descriptors, nominal, elsewhere, p)
         mean = np.empty((embedding.count, embedding.width), np.float32)
         mean[locations], mean[elsewhere] = local.pop("mean"), shared.pop("mean")
         arrays = {**embedding.arrays, "mean": mean, **local}
         if len(elsewhere):
             arrays |= {"elsewhere": elsewhere, **shared}
-        if len(elsewhere) or parameters.block > 1:
+        if len(elsewhere) or p.block > 1:
             # Where blocks do not fill a grid, cells at its edge are twice in `locations`; both copies are equal.
             everywhere = np.concatenate([locations, elsewhere])
             arrays |= {"locations": locations, "order": np.unique(everywhere, return_index=True)[1]}
-        packing = _packing(arrays, parameters, _loses_in_halves(embedding, descriptors, nominal))
-        return Bank(arrays, packing, _facts(nominal, embedding, arrays, parameters))
+        packing = _packing(arrays, p, _loses_in_halves(embedding, descriptors, nominal))
+        return Bank(arrays, packing, _facts(nominal, embedding, arrays, p))
 
     def reference_score(
         self, features: Features, grid: Grid, bank: Bank, parameters: PadimParameters
     ) -> ScoreMaps:
         """The oracle. Errors: NotScorable for features that are not finite."""
-        require_scorable(self.name, features, parameters.taps)
+        p = parameters
+        require_scorable(self.name, features, p.taps)
         arrays = bank.arrays
-        embedding = Embedding(parameters, grid, bank.arrays)
+        embedding = Embedding(p, grid, bank.arrays)
         descriptors = embedding.numpy(features)
         squared = np.empty((embedding.count, next(iter(features.values())).shape[0]))
         every = np.arange(embedding.count)
         locations, elsewhere = arrays.get("locations", every), arrays.get("elsewhere", every[:0])
         locations = locations.reshape(len(arrays["basis"]), -1)
-        ridge = parameters.total_ridge
+        ridge = p.total_ridge
         for part in blocks(len(locations)):
             here = locations[part].ravel()
             delta = descriptors.at(here) - arrays["mean"][here, None].astype(np.float64)
@@ -114,7 +116,7 @@ class Padim:
                 delta, values, arrays["shared_basis"].astype(np.float64), ridge
             )
         raw = np.sqrt(squared).T.reshape(-1, *embedding.cells)
-        return parameters.smoothing(grid, embedding.cells).score_maps(raw)
+        return p.smoothing(grid, embedding.cells).score_maps(raw)
 
     def head(self, grid: Grid, bank: Bank, parameters: PadimParameters) -> bytes:
         """Taps and bank in; score_map, score and raw_map out. The number of directions is free."""
@@ -124,50 +126,48 @@ class Padim:
 padim = Padim()
 
 
-def _affordable(
-    embedding: Embedding, covariances: int, grid: Grid, parameters: PadimParameters
-) -> int | None:
+def _affordable(embedding: Embedding, covariances: int, grid: Grid, p: PadimParameters) -> int | None:
     """The requested rank, or the largest with which the bank stays within `bank_mb`; at least 1."""
-    if parameters.rank is None or parameters.bank_mb is None:
-        return parameters.rank
-    itemsize = {"none": 4, "float16": 2, "int8": 1}[parameters.packing]
+    if p.rank is None or p.bank_mb is None:
+        return p.rank
+    itemsize = {"none": 4, "float16": 2, "int8": 1}[p.packing]
     # In addition to a direction's components: its weight, and with int8 its scale, float32 each.
-    direction = covariances * (embedding.width * itemsize + 4 + 4 * (parameters.packing == "int8"))
-    means = embedding.count * embedding.width * (4 if parameters.packing == "none" else 2)
-    left = bank_bytes(parameters.bank_mb, grid) - means
-    return max(1, min(parameters.rank, left // direction))
+    direction = covariances * (embedding.width * itemsize + 4 + 4 * (p.packing == "int8"))
+    means = embedding.count * embedding.width * (4 if p.packing == "none" else 2)
+    left = bank_bytes(p.bank_mb, grid) - means
+    return max(1, min(p.rank, left // direction))
 
 
 def _fit_local(
-    descriptors: Embedded, cells: NDArray[np.int64], parameters: PadimParameters, progress: Progress
+    descriptors: Embedded, cells: NDArray[np.int64], p: PadimParameters, progress: Progress
 ) -> dict[str, NDArray[np.float32]]:
     """Fit blocks of cells (m, k): mean (m * k, d), basis (m, r, d), weights (m, r) = 1 / (lambda + ridge), r >= 1."""
     mean, weights, basis = [], [], []
     for part in blocks(len(cells)):
         here = cells[part]
-        if parameters.neighbours or parameters.block > 1:
-            fitted = _of_blocks(descriptors, here, parameters)
+        if p.neighbours or p.block > 1:
+            fitted = _of_blocks(descriptors, here, p)
         else:
-            fitted = spectrum(descriptors.at(here[:, 0]), parameters.rank)
+            fitted = spectrum(descriptors.at(here[:, 0]), p.rank)
         rank = max(fitted.values.shape[1], 1)  # a single press has no direction: one of zeros is used
         values = np.zeros((len(here), rank))
         rows = np.zeros((len(here), rank, fitted.mean.shape[-1]))
         values[:, : fitted.values.shape[1]], rows[:, : fitted.values.shape[1]] = fitted.values, fitted.basis
         mean.append(fitted.mean.reshape(here.size, -1).astype(np.float32))
-        weights.append((1 / (values + parameters.total_ridge)).astype(np.float32))
+        weights.append((1 / (values + p.total_ridge)).astype(np.float32))
         basis.append(rows.astype(np.float32))
         progress(part.stop / len(cells))
     return {"mean": np.concatenate(mean), "basis": np.concatenate(basis), "weights": np.concatenate(weights)}
 
 
-def _of_blocks(descriptors: Embedded, cells: NDArray[np.int64], parameters: PadimParameters) -> Spectrum:
+def _of_blocks(descriptors: Embedded, cells: NDArray[np.int64], p: PadimParameters) -> Spectrum:
     """The means (m, k, d) of each cell of blocks (m, k), and the eigenpairs of each block's covariance.
 
     A cell's samples are those of its neighbourhood, 9n with neighbours; a block's covariance is the mean of its
     cells', made from the moments of single cells. Cells at a border, also of a tile, are repeated beyond it.
     """
     embedding = descriptors.embedding
-    near = neighbourhood(cells.ravel(), embedding.cells, layout(embedding.grid), parameters.neighbours)
+    near = neighbourhood(cells.ravel(), embedding.cells, layout(embedding.grid), p.neighbours)
     needed, place = np.unique(near, return_inverse=True)
     place = place.reshape(*cells.shape, -1)
     x = descriptors.at(needed)
@@ -182,16 +182,12 @@ def _of_blocks(descriptors: Embedded, cells: NDArray[np.int64], parameters: Padi
         scatter += scatters[column]
     freedom = cells.shape[1] * (place.shape[2] * presses - 1)
     most = max(1, min(freedom, width))
-    rank = most if parameters.rank is None else min(parameters.rank, most)
+    rank = most if p.rank is None else min(p.rank, most)
     return covariance_spectrum(mean, scatter / max(freedom, 1), rank)
 
 
 def _fit_shared(
-    embedding: Embedding,
-    pressed: Embedded,
-    nominal: Nominal,
-    cells: NDArray[np.int64],
-    parameters: PadimParameters,
+    embedding: Embedding, pressed: Embedded, nominal: Nominal, cells: NDArray[np.int64], p: PadimParameters
 ) -> dict[str, NDArray[np.float32]]:
     """Fit one covariance for all cells that no press touches, around each cell's own mean.
 
@@ -209,13 +205,13 @@ def _fit_shared(
         x -= x.mean(axis=1, keepdims=True)
         products += np.tensordot(x, x, axes=((0, 1), (0, 1)))
         freedom += len(x) * (x.shape[1] - 1)
-    rank = min(parameters.rank or SHARED_RANK, width)
+    rank = min(p.rank or SHARED_RANK, width)
     values, vectors = np.linalg.eigh(products / max(freedom, 1))
     values, vectors = np.maximum(values[::-1][:rank], 0), vectors[:, ::-1][:, :rank]
     return {
         "mean": mean,
         "shared_basis": np.ascontiguousarray(vectors.T, np.float32),
-        "shared_weights": (1 / (values + parameters.total_ridge)).astype(np.float32),
+        "shared_weights": (1 / (values + p.total_ridge)).astype(np.float32),
     }
 
 
@@ -260,38 +256,38 @@ def _half(array: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def _packing(
-    arrays: Mapping[str, NDArray[Any]], parameters: PadimParameters, loses_in_halves: bool
+    arrays: Mapping[str, NDArray[Any]], p: PadimParameters, loses_in_halves: bool
 ) -> dict[str, Packing]:
     """The eigenvectors as requested; means and projections as float16 at least (their errors do not average out)."""
-    if parameters.packing == "none":
+    if p.packing == "none":
         return {}
     fine: dict[str, Packing] = {
         name: "float16" for name in arrays if name == "mean" or name.startswith("projection_")
     }
-    return {**({} if loses_in_halves else fine), "basis": parameters.packing}
+    return {**({} if loses_in_halves else fine), "basis": p.packing}
 
 
 def _facts(
-    nominal: Nominal, embedding: Embedding, arrays: Mapping[str, NDArray[Any]], parameters: PadimParameters
+    nominal: Nominal, embedding: Embedding, arrays: Mapping[str, NDArray[Any]], p: PadimParameters
 ) -> dict[str, Any]:
     warnings = []
     if nominal.presses == 1:
         warnings.append("a single nominal press has no covariance: every deviation counts the same")
-    affordable = _affordable(embedding, len(arrays["basis"]), embedding.grid, parameters)
-    if affordable is not None and arrays["basis"].shape[1] == affordable < (parameters.rank or 0):
+    affordable = _affordable(embedding, len(arrays["basis"]), embedding.grid, p)
+    if affordable is not None and arrays["basis"].shape[1] == affordable < (p.rank or 0):
         warnings.append(
-            f"{affordable} directions per place instead of {parameters.rank} keep the bank within "
-            f"{bank_bytes(parameters.bank_mb or 0, embedding.grid) / 1e6:.0f} MB"
+            f"{affordable} directions per place instead of {p.rank} keep the bank within "
+            f"{bank_bytes(p.bank_mb or 0, embedding.grid) / 1e6:.0f} MB"
         )
     return {
         "presses": nominal.presses,
         "channels": embedding.width,
         "rank": int(arrays["basis"].shape[1]),
-        "ridge": parameters.total_ridge,
+        "ridge": p.total_ridge,
         "grid": list(embedding.cells),
         "covariances": len(arrays["basis"]),
         "locations": embedding.count - len(arrays.get("elsewhere", ())),
         "locations_shared": len(arrays.get("elsewhere", ())),
-        "repairs": list_repairs(parameters, PAPER, REPAIRS),
+        "repairs": list_repairs(p, PAPER, REPAIRS),
         "warnings": warnings,
     }

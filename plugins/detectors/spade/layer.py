@@ -18,7 +18,7 @@ from plugins.detectors.common.free_gel import gel_distances, gel_mean, touched_p
 from plugins.detectors.common.parameters import Rng
 from plugins.detectors.common.pca import Rotation, fit_rotation
 from plugins.detectors.common.smoothing import UPSAMPLING, Smoothing
-from plugins.detectors.common.tile_layout import layout, split, stacked, tile_grid
+from plugins.detectors.common.tile_layout import layout, split, tile_grid
 from plugins.detectors.spade.parameters import SpadeParameters
 from plugins.detectors.spade.window import Blocks, Tables, window_nearest
 
@@ -106,13 +106,12 @@ class Layer:
 
     def average(self, maps: NDArray[np.floating]) -> NDArray[np.floating]:
         """Average the tap to the compared cells, tiles one under the other: (n, c, tiles * h, w)."""
-        if self.averaging is None:
-            return stacked(maps, self.grid)
-        down, across = (matrix.astype(maps.dtype) for matrix in self.averaging)
-        tiles = down @ split(maps, self.grid) @ across.T
-        under = tiles.reshape(len(maps), -1, *tiles.shape[1:]).swapaxes(1, 2)
-        averaged: NDArray[np.floating] = under.reshape(len(maps), tiles.shape[1], -1, tiles.shape[3])
-        return averaged
+        tiles = split(maps, self.grid)
+        if self.averaging is not None:
+            down, across = (matrix.astype(maps.dtype) for matrix in self.averaging)
+            tiles = down @ tiles @ across.T
+        n, (_, c, h, w) = len(maps), tiles.shape
+        return tiles.reshape(n, -1, c, h, w).swapaxes(1, 2).reshape(n, c, -1, w)
 
     def find_stored(self, nominal: Nominal) -> NDArray[np.bool_]:
         """Find the cells that keep rows, flat, tile by tile."""
