@@ -54,12 +54,14 @@ def test_another_light_is_noticed() -> None:
 
 
 def test_what_is_not_seen_is_said_and_no_picture_is_refused_by_it() -> None:
-    """Dots under the part, and a part over half of the rim."""
+    """Dots, a faint texture over the whole view, and a part over half of the rim."""
     dots = (ROWS % 20 < 6) & (COLUMNS % 20 < 6)
     dotted = [np.where(dots[..., None], 20, one).astype(np.uint8) for one in presses(ONE_PLACE)]
     stripes = 60 * np.sign(np.sin(ROWS / 6.0))[..., None] * (COLUMNS < 130)[..., None]
     wide = [picture(light() + stripes) for _ in range(6)]
-    for pictures, doubt in ((dotted, "the part hides dots"), (wide, "rim not seen")):
+    faint = [picture(light() + stripes / 8) for _ in range(6)]
+    covered = "dots or parts all over it"
+    for pictures, doubt in ((dotted, covered), (faint, covered), (wide, "rim not seen")):
         found = estimate_free_gel(pictures)
         assert found.doubt == doubt
         assert str(found).endswith(doubt)

@@ -234,3 +234,6 @@ def test_a_part_that_fills_the_view_is_no_other_light(tmp_path: Path) -> None:
     presses = read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / "own"])
     assert presses.faults == ()
     assert min(touch.area for touch in presses.touches) > 0.8
+    guessed = read_presses([tmp_path / "good"], PROFILE, REGION)
+    assert "rim not seen: give a picture of it with --no-contact" in guessed.faults[0]
+    assert guessed.touches == ()

@@ -9,6 +9,7 @@ and nowhere by as much as a touch; of a finger on a marker gel by 10.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import squared_distance, touched_mask
 from edge.core.contact.reference import Reference, View, fit_levels
+from edge.core.contact.relief import fine_structure
 from edge.core.imaging.decode import VIEW_SIZE
 
 __all__ = ["FreeGel", "estimate_free_gel", "view_of"]
@@ -32,8 +34,11 @@ _DEGREE = 4
 # A place is filled from its surroundings where this share of the presses touches it, and is the median of those that do
 # not where so many are left.
 _TOUCHED_SHARE, _FREE_SHARE, _FEWEST = 0.4, 0.1, 3
-# Smaller areas of the 160x120 view are dots of a marker gel, and stay; so many are no chance: 13 on plain gels.
-_DOT_PX, _MANY_DOTS = 150, 20
+# Smaller areas of the 160x120 view are dots of a marker gel, and stay.
+_DOT_PX = 150
+# Structure of about a millimetre, in levels: 1.0 to 1.5 on plain free gels and their estimates, 7 to 16 with dots, 2.8
+# and more where a texture of 4 levels covers the view.
+_COVERED_LEVELS, _NEAR_PX = 2.0, 5
 # What surrounds a touched area bends the light too. The light there continues what is known nearby.
 _GROWN_PX, _NEARBY_PX = 9, 8.0
 # The rim of the view, and the touched share of it from which the light of the gel is a guess.
@@ -57,14 +62,16 @@ class FreeGel:
     filled: Mask
     """The places that were filled from their surroundings, bool of the view."""
     presses: int
-    has_dots: bool = False
 
-    @property
+    @cached_property
     def doubt(self) -> str:
         """The reason why it may be wrong; empty for none."""
-        if self.has_dots:
-            return "the part hides dots"
-        return "rim not seen" if self.filled[_rim(self.filled.shape)].mean() > _HARDLY_SEEN else ""
+        if self.filled[_rim(self.filled.shape)].mean() > _HARDLY_SEEN:
+            return "rim not seen"
+        structure = fine_structure(view_of(self.picture))
+        near = np.sqrt(cv2.blur(squared_distance(structure), (_NEAR_PX, _NEAR_PX)))
+        is_covered = float(np.median(near[~self.filled[::2, ::2]])) > _COVERED_LEVELS
+        return "dots or parts all over it" if is_covered else ""
 
     def __str__(self) -> str:
         share = (
@@ -120,13 +127,13 @@ def estimate_free_gel(pictures: Sequence[U8]) -> FreeGel:
     gel = np.median(some, axis=0).astype(np.float32)
     for number in range(_ROUNDS):
         gel = gel if number == 0 else _median_of_free(some, views, gel)
-        gel, filled, dots = _fill(gel, views)
+        gel, filled = _fill(gel, views)
     picture = np.clip(np.rint(gel), 0, 255).astype(np.uint8)
-    return FreeGel(picture, filled, len(pictures), dots >= _MANY_DOTS)
+    return FreeGel(picture, filled, len(pictures))
 
 
-def _fill(gel: F32, views: Sequence[View]) -> tuple[F32, Mask, int]:
-    """Continue the light into the places that most presses touch: the gel, these places, and the number of dots."""
+def _fill(gel: F32, views: Sequence[View]) -> tuple[F32, Mask]:
+    """Continue the light into the places that most presses touch, and return these too."""
     seen = view_of(gel)
     weights = _fit_light(seen)
     light = _light(weights, seen.shape[:2])
@@ -143,7 +150,7 @@ def _fill(gel: F32, views: Sequence[View]) -> tuple[F32, Mask, int]:
     share = np.minimum(2 * share, 1)
     continued = _light(weights, gel.shape[:2]) + cv2.resize(rest, size)
     mixed = np.asarray((1 - share) * gel + share * continued, np.float32)
-    return mixed, filled > 0, int((~is_part[1:]).sum())
+    return mixed, filled > 0
 
 
 def _median_of_free(pictures: Sequence[U8], views: Sequence[View], gel: F32) -> F32:

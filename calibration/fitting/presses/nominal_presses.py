@@ -146,6 +146,7 @@ class _Gathered:
     refused: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
     estimated: str = ""
+    is_doubtful: bool = False
 
     def check_free_gel(self, names: Sequence[str], pictures: Sequence[NDArray[np.uint8]]) -> None:
         """Estimate the free gel from presses where none is known, or it is of another light, and check each by it."""
@@ -156,7 +157,7 @@ class _Gathered:
         foreign = [why for why in map(gel.find_foreign, self.free) if why]
         if self.free and len(foreign) < len(self.free):
             return
-        self.free, self.estimated = [gel.picture], str(gel)
+        self.free, self.estimated, self.is_doubtful = [gel.picture], str(gel), bool(gel.doubt)
         if foreign:
             self.faults.append(
                 f"the free gel is {gel}: {foreign[0]}; take one under the light of the presses"
@@ -171,10 +172,10 @@ class _Gathered:
             self.presses.append(_Press(self.region.crop(picture).copy(), name, specimen, mask))
 
     def finish(self) -> NominalPresses:
-        """Return all presses; their contacts count where every one is known."""
+        """Return all presses; their contacts count where every one is known, by a free gel without doubt."""
         presses, free = self.presses, self.free[:MAX_NO_CONTACT]
         masks = [press.mask for press in presses if press.mask is not None]
-        is_known = len(masks) == len(presses)
+        is_known = len(masks) == len(presses) and not self.is_doubtful
         views = [view_of(picture) for picture in free]
         return NominalPresses(
             frames=np.stack([press.rgb for press in presses]),
