@@ -83,23 +83,16 @@ def _inside(bundle: Bundle, frames: NDArray[np.uint8], names: list[str]) -> dict
             f"bundle {bundle.where} has no stage '{unknown[0]}'; known are input, map, score, its taps "
             f"({', '.join(bundle.grid.taps) if bundle.grid else 'none'}) and the names of values in its graphs"
         )
-    values |= {name: name for name in in_network}
-    computed: dict[str, NDArray[Any]] = {}
-    if values:
-        arrays = run_values(network, list(values.values()), {FRAMES: frames}, "the trunk")
-        computed = dict(zip(values, arrays, strict=True))
+    asked = _inputs(head) if head and in_head else []
+    taps = [name for name in asked if bundle.grid and name in bundle.grid.taps]
+    values |= {name: name for name in (*in_network, *taps)}
+    arrays = run_values(network, list(values.values()), {FRAMES: frames}, "the trunk")
+    computed = dict(zip(values, arrays, strict=True))
     if head and in_head:
-        feeds = {
-            **_taps(bundle, network, frames),
-            **{k: v for k, v in bundle.bank.items() if k in _inputs(head)},
-        }
+        sources = {**bundle.bank, **computed}
+        feeds = {name: sources[name] for name in asked}
         computed |= dict(zip(in_head, run_values(head, in_head, feeds, "the head"), strict=True))
-    return computed
-
-
-def _taps(bundle: Bundle, network: bytes, frames: NDArray[np.uint8]) -> dict[str, NDArray[Any]]:
-    taps = [name for name in _inputs(bundle.graphs.head or b"") if bundle.grid and name in bundle.grid.taps]
-    return dict(zip(taps, run_values(network, taps, {FRAMES: frames}, "the trunk"), strict=True))
+    return {name: array for name, array in computed.items() if name in names}
 
 
 def _inputs(graph: bytes) -> list[str]:
