@@ -5,16 +5,16 @@ import tomllib
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import MISSING, fields
 from datetime import date, time
-from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_type_hints
+
+from pydantic import BaseModel, ValidationError
 
 from edge.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from pydantic import BaseModel
-
-    OptionsT = TypeVar("OptionsT", bound=BaseModel)
+from edge.validation_messages import numbered, sentences
 
 __all__ = ["flatten", "parse_values", "plugin_options"]
+
+OptionsT = TypeVar("OptionsT", bound=BaseModel)
 
 
 def flatten(verb: Callable[[Any], None], without: Collection[str] = ()) -> Callable[..., None]:
@@ -69,12 +69,8 @@ def _value(text: str) -> object:
     return text if isinstance(value, date | time) else value
 
 
-def plugin_options(kind: str, name: str, model: "type[OptionsT]", given: Sequence[str]) -> "OptionsT":
+def plugin_options(kind: str, name: str, model: type[OptionsT], given: Sequence[str]) -> OptionsT:
     """Read a plugin's `Options` from texts such as `pace=0`. Errors: ConfigError with every fault."""
-    from pydantic import ValidationError
-
-    from edge.validation_messages import numbered, sentences
-
     try:
         return model.model_validate(parse_values("--option", given))
     except ValidationError as error:

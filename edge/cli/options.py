@@ -1,13 +1,11 @@
-"""Options of several verbs: the station, its database, and a bundle.
-
-Like the verbs, this imports nothing heavy at the top.
-"""
+"""Options of several verbs: the station, its database, and a bundle."""
 
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
 
+from edge.config import load_config
 from edge.core.errors import ConfigError
 
 __all__ = [
@@ -34,8 +32,6 @@ TrunkStore = Annotated[
 
 def database_path(config: Path, database: Path | None) -> Path:
     """Find the database; the configuration is read only where none is named. Errors: ConfigError."""
-    from edge.config import load_config
-
     path = database or load_config(config).store.path
     if not path.is_file():
         raise ConfigError(f"database {path} does not exist; the gateway makes it at its first run")
