@@ -16,7 +16,7 @@ from edge.clock import SystemClock, local_time
 from edge.config import Config, load_config
 from edge.core.errors import ArchiveError, BundleError, ConfigError
 from edge.core.printable import printable
-from edge.features.black_box.replay import Bundles, Replayed, replayed
+from edge.features.black_box.replay import Bundles, Replayed, judge_again
 from edge.gateway.recorder import heatmap_png
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
@@ -97,7 +97,7 @@ def _make_again(
             inspector = find_inspector(then)
             if inspector is None:
                 continue
-            made_again = replayed(then, folder, inspector)
+            made_again = judge_again(then, folder, inspector)
             if picture is not None:
                 _write_picture(
                     made_again, inspector, picture / f"{then.press_id}.png" if is_many else picture

@@ -25,7 +25,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.press import JudgedFrame
-from edge.features.black_box.replay import replayed
+from edge.features.black_box.replay import judge_again
 from edge.features.black_box.stage import BlackBox
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
@@ -106,7 +106,7 @@ def test_verdicts_made_again(tmp_path: Path, name: str) -> None:
         archiving.append(ms)
         archived.append(ArchiveFolder(tmp_path / "archive").press(press.press_id, press.evidence))
     again = Inspector(Scorer(bundle, THREADS), SystemClock())
-    equal = sum(replayed(one, ArchiveFolder(tmp_path / "archive"), again).is_equal for one in archived)
+    equal = sum(judge_again(one, ArchiveFolder(tmp_path / "archive"), again).is_equal for one in archived)
 
     print(
         f"\n{name}: {equal} of {len(archived)} equal, bit for bit; archiving takes {median(archiving):.1f} ms, "

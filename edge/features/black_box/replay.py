@@ -26,7 +26,7 @@ from edge.model.scorer import Scorer
 from edge.model.session import fingerprint, how_they_differ
 from edge.store.press_archive import ArchivedPress, ArchiveFolder
 
-__all__ = ["Bundles", "Replayed", "replayed"]
+__all__ = ["Bundles", "Replayed", "judge_again"]
 
 
 # The cause depends on the presses before; the ledger has it.
@@ -81,7 +81,7 @@ class Bundles:
         return self._open[key]
 
 
-def replayed(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector) -> Replayed:
+def judge_again(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector) -> Replayed:
     """Judge it again with this inspector, and compare. Errors: ArchiveError for what is gone or damaged."""
     frame = archive.read(press.frame, f"the judged frame of press {press.press_id}")
     now = inspector.inspect(CameraFrame(frame, 0, 0, is_on_demand=True), Touch(*press.touch))
