@@ -1,13 +1,21 @@
-"""Folders that hold one thing: a dataset, a recording, an acquisition. A stamp says which, and files are complete."""
+"""Folders and files that are written: each file complete; a stamp says which dataset or recording a folder holds."""
 
 import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from edge.core.errors import GelgateError, StoreError
+from edge.core.errors import ConfigError, GelgateError, StoreError
 
-__all__ = ["claim", "is_empty", "read_stamp", "write_whole"]
+__all__ = [
+    "claim",
+    "is_empty",
+    "make_folder",
+    "read_stamp",
+    "require_folder",
+    "write_atomically",
+    "write_whole",
+]
 
 # Longer values are named, not printed.
 _MOST_PRINTED = 40
@@ -77,3 +85,25 @@ def write_whole(path: Path, content: bytes) -> None:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for output. Errors: ConfigError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder} cannot be a folder: {error.strerror}; choose another place") from error
+
+
+def require_folder(path: Path | None) -> None:
+    """Check where a file is to be written. Errors: ConfigError for a folder, or a file in no existing folder."""
+    if path is not None and (path.is_dir() or not path.parent.is_dir()):
+        raise ConfigError(f"'{path}' cannot be written; name a file in an existing folder")
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write the complete file or none. Errors: GelgateError where the disk refuses."""
+    try:
+        write_whole(path, content)
+    except OSError as error:
+        raise GelgateError(f"'{path}' cannot be written: {error.strerror}; choose another path") from error

@@ -1,15 +1,12 @@
 """An evaluation as a table for people and as JSON for programs."""
 
 import json
-import os
 import statistics
-from pathlib import Path
 
 from calibration.evaluate.scoring import Evaluation
 from calibration.metrics import Measure
-from edge.core.errors import ConfigError, GelgateError
 
-__all__ = ["as_json", "as_table", "require_folder", "write_atomically"]
+__all__ = ["as_json", "as_table"]
 
 _SCHEMA_VERSION = 1
 
@@ -109,20 +106,3 @@ def _measure(one: Measure) -> dict[str, object]:
     if one.value is None:
         return {"value": None, "reason": one.reason}
     return {"value": one.value, "over_images": one.over_images, "over_specimens": one.over_specimens}
-
-
-def require_folder(path: Path | None) -> None:
-    """Check where a file is to be written. Errors: ConfigError for a folder, or a file in no existing folder."""
-    if path is not None and (path.is_dir() or not path.parent.is_dir()):
-        raise ConfigError(f"'{path}' cannot be written; name a file in an existing folder")
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """The complete file or none. Errors: GelgateError when the folder is missing or the disk refuses."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_bytes(data)
-        os.replace(part, path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise GelgateError(f"'{path}' cannot be written: {error.strerror}; choose another path") from error

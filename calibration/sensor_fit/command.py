@@ -102,7 +102,7 @@ def _say(made: "Calibrated") -> None:
 def _write(made: "Calibrated", output: Path, sheet: Path) -> None:
     import cv2
 
-    from calibration.evaluate.report import write_atomically
+    from calibration.folders import write_atomically
     from calibration.sensor_fit.result import calibration_sheet
 
     _, data = cv2.imencode(".png", cv2.cvtColor(calibration_sheet(made.judged), cv2.COLOR_RGB2BGR))

@@ -10,9 +10,10 @@ import pytest
 import tiny
 from command_line import gelgate
 
-from calibration.evaluate.report import as_json, as_table, write_atomically
+from calibration.evaluate.report import as_json, as_table
 from calibration.evaluate.scoring import Evaluation, evaluate_bundle
 from calibration.evaluate.sheet import draw_sheet
+from calibration.folders import write_atomically
 from calibration.progress import progress
 from edge.core.errors import DatasetError, GelgateError
 from edge.model.bundle_writer import write_bundle
@@ -181,8 +182,8 @@ def test_command_line(tmp_path: Path, dataset: Path) -> None:
 
 
 def test_a_file_is_whole_or_absent(tmp_path: Path) -> None:
-    """A folder that is not there is a sentence, and nothing is left behind."""
-    with pytest.raises(GelgateError, match="cannot be written"):
-        write_atomically(tmp_path / "nowhere" / "out.json", b"{}")
+    """A place that is no folder is a sentence, and nothing is left behind."""
     write_atomically(tmp_path / "out.json", b"{}")
+    with pytest.raises(GelgateError, match="cannot be written"):
+        write_atomically(tmp_path / "out.json" / "other.json", b"{}")
     assert [p.name for p in tmp_path.iterdir()] == ["out.json"]

@@ -13,8 +13,9 @@ from calibration.experiments.backbones.evaluation import RANDOM, evaluate, evalu
 from calibration.experiments.backbones.sets import SETS, EvaluationSet, evaluation_sets
 from calibration.experiments.harness.study import methods_to_compare, require_known
 from calibration.fitting.trunks import open_trunk
+from calibration.folders import make_folder, write_atomically
 from calibration.progress import progress
-from edge.core.errors import ConfigError, StoreError
+from edge.core.errors import ConfigError
 from plugins.backbones.tactile import tactile_resnet18
 
 __all__ = ["evaluate_backbone"]
@@ -57,6 +58,7 @@ def evaluate_backbone(
         os.environ.setdefault("OMP_NUM_THREADS", "1")
     sets = _choose_sets(tactile, only or [], trials)
     graphs = _graphs(trunks or _SHIPPED, random)
+    make_folder(out)
     for chosen in sets.values():
         if chosen.missing:
             typer.echo(f"SKIPPED: {chosen.title}: {chosen.missing}", err=True)
@@ -73,7 +75,8 @@ def evaluate_backbone(
     found["trunks"] = {
         name: {"sha256": sha256(graph).hexdigest(), "bytes": len(graph)} for name, graph in graphs.items()
     }
-    _write(out, text := json_format.dumps(found, indent=1) + "\n")
+    text = json_format.dumps(found, indent=1) + "\n"
+    write_atomically(out / f"{tactile_resnet18.name}_evaluation.json", text.encode())
     typer.echo(text if json else evaluation_tables(found), nl=not json)
 
 
@@ -109,14 +112,3 @@ def _graphs(trunks: list[str], random: bool) -> dict[str, bytes]:
     if random and RANDOM not in graphs:
         graphs[RANDOM] = random_trunk()
     return graphs
-
-
-def _write(out: Path, text: str) -> None:
-    """Write the evaluation's file. Errors: StoreError."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        (out / f"{tactile_resnet18.name}_evaluation.json").write_text(text)
-    except OSError as error:
-        raise StoreError(
-            f"the evaluation cannot be written to {out}: {error.strerror or error}; choose another folder"
-        ) from error

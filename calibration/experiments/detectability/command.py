@@ -6,7 +6,6 @@ from typing import Annotated, Any
 
 import typer
 
-from calibration.evaluate.report import write_atomically
 from calibration.experiments.detectability.study import Plan, Row, Settings, plan, run
 from calibration.experiments.harness.rows import Rows
 from calibration.experiments.harness.study import require_known
@@ -14,8 +13,8 @@ from calibration.fitting.damage.damage import KINDS
 from calibration.fitting.options import NoContact, Part, Pattern, Position, Resize, Seed, Threads
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.fitting.presses.sources import find_sources
+from calibration.folders import make_folder, write_atomically
 from calibration.progress import Stages, progress
-from edge.core.errors import ConfigError
 from edge.extras import needs
 from edge.model.bundle import Bundle
 from edge.model.detectability import detectability_lines
@@ -65,7 +64,7 @@ def detectability(
     loaded = Bundle.load(bundle)
     how = {"no_contact": no_contact or (), "resize": resize, "pattern": pattern}
     found = _presses(loaded, sources, part, position, **how)
-    _make_folder(output)
+    make_folder(output)
     planned, rows = _measure(loaded, found, settings, Rows(output / TRIALS, _warn))
     curves = results(planned, rows)
     made = card(planned, curves, date.today().isoformat())
@@ -119,14 +118,6 @@ def _describe_plan(planned: Plan) -> str:
     if planned.refused:
         said += f"; left out, because their colours are of another sensor: {', '.join(planned.refused)}"
     return said
-
-
-def _make_folder(output: Path) -> None:
-    """Make the output folder. Errors: ConfigError."""
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{output} cannot be a folder: {error.strerror}; choose another place") from error
 
 
 def _warn(sentence: str) -> None:

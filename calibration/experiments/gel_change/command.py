@@ -16,7 +16,6 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from calibration.evaluate.report import require_folder
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.rows import write_json
 from calibration.experiments.harness.study import require_known
@@ -26,6 +25,7 @@ from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.folders import require_folder
 from calibration.metrics import aupro, auroc
 from calibration.progress import progress
 from calibration.simulator.defects import DEFECTS

@@ -10,6 +10,7 @@ from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from calibration.folders import write_atomically
 from edge.core.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
@@ -176,7 +177,5 @@ def frame(path: Path) -> "pd.DataFrame":
 
 def write_json(path: Path | None, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows as one JSON file, where one is wanted. Errors: GelgateError."""
-    from calibration.evaluate.report import write_atomically
-
     if path is not None:
         write_atomically(path, json.dumps(rows, indent=1).encode())

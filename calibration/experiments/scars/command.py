@@ -13,7 +13,6 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from calibration.evaluate.report import require_folder
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.rows import write_json
 from calibration.experiments.harness.study import require_known
@@ -21,6 +20,7 @@ from calibration.experiments.scars.worn_gel import PLACINGS, SCARS, Line, Placin
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import gather_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.folders import require_folder
 from calibration.progress import progress
 from calibration.simulator.defects import DEFECTS, Defect
 from calibration.simulator.field_of_view import F32, LR, grids

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from calibration.evaluate.report import write_atomically
 from calibration.experiments.tradeoff.check import check
 from calibration.experiments.tradeoff.chosen_bundle import bundle_of
 from calibration.experiments.tradeoff.figure import svg
@@ -16,6 +15,7 @@ from calibration.experiments.tradeoff.plan import Run, RunSettings
 from calibration.experiments.tradeoff.rows import Row, read_rows
 from calibration.experiments.tradeoff.run import read_or_measure
 from calibration.fitting.command import refuse_existing, summarise, write
+from calibration.folders import write_atomically
 from calibration.progress import Stages, progress
 from edge.cli.arguments import flatten
 from edge.core.errors import ConfigError

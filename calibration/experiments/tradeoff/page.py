@@ -6,7 +6,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from calibration.evaluate.report import write_atomically
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.tradeoff.accuracy import MEASURES
 from calibration.experiments.tradeoff.front import MARGIN
@@ -14,6 +13,7 @@ from calibration.experiments.tradeoff.machine import busy
 from calibration.experiments.tradeoff.point import VIEWS
 from calibration.experiments.tradeoff.rows import Row
 from calibration.experiments.tradeoff.timing import STAGES
+from calibration.folders import write_atomically
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 __all__ = ["FIRST", "METHOD_NAMES", "SHORT", "page", "table", "view_name", "write_page"]

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from calibration.evaluate.report import write_atomically
 from calibration.experiments.harness.rows import read_rows as read_lines
+from calibration.folders import write_atomically
 from edge.core.errors import ConfigError
 
 __all__ = ["Row", "read_rows", "write_rows"]
