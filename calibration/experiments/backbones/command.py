@@ -15,6 +15,7 @@ from calibration.experiments.harness.study import methods_to_compare, require_kn
 from calibration.fitting.trunks import open_trunk
 from calibration.folders import make_folder, write_atomically
 from calibration.progress import progress
+from edge import registry
 from edge.core.errors import ConfigError
 from plugins.backbones.tactile import tactile_resnet18
 
@@ -58,6 +59,9 @@ def evaluate_backbone(
         os.environ.setdefault("OMP_NUM_THREADS", "1")
     sets = _choose_sets(tactile, only or [], trials)
     graphs = _graphs(trunks or _SHIPPED, random)
+    detectors = methods or methods_to_compare()
+    for method in detectors:
+        registry.detector(method)  # one that is not known is refused before the folder is made
     make_folder(out)
     for chosen in sets.values():
         if chosen.missing:
@@ -66,7 +70,7 @@ def evaluate_backbone(
         found = evaluate(
             graphs,
             sets,
-            methods or methods_to_compare(),
+            detectors,
             replicates=replicates,
             limits=limits,
             workers=workers,
