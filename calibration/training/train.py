@@ -149,7 +149,7 @@ class _Learner:
         )
 
     def begin_with(self, saved: Checkpoint) -> None:
-        """Only the weights of another run. Errors: ConfigError for weights of another network."""
+        """Take over only the weights of another run. Errors: ConfigError for weights of another network."""
         try:
             self.model.load_state_dict(saved.weights)
         except RuntimeError as error:
@@ -157,17 +157,14 @@ class _Learner:
         self.before = saved.history
 
     def restore(self, saved: Checkpoint) -> None:
-        """Continue from a checkpoint. Errors: ConfigError for weights of another network."""
-        try:
-            self.model.load_state_dict(saved.weights)
-            for name, parameter in self.model.named_parameters():
-                self.optimiser.state[parameter] = {
-                    "step": torch.tensor(float(saved.step)),
-                    "exp_avg": saved.first_moment[name].to(parameter),
-                    "exp_avg_sq": saved.second_moment[name].to(parameter),
-                }
-        except (RuntimeError, KeyError) as error:
-            raise ConfigError(f"the checkpoint holds another network: {error!s:.200}") from error
+        """Continue from a checkpoint, whose moments are those of its weights. Errors: as `begin_with`."""
+        self.begin_with(saved)
+        for name, parameter in self.model.named_parameters():
+            self.optimiser.state[parameter] = {
+                "step": torch.tensor(float(saved.step)),
+                "exp_avg": saved.first_moment[name].to(parameter),
+                "exp_avg_sq": saved.second_moment[name].to(parameter),
+            }
         self.step, self.before = saved.step, saved.before
 
 
