@@ -255,6 +255,15 @@ def test_a_press_that_is_larger_than_the_archive_is_kept(tmp_path: Path, made: P
         assert list_presses(tmp_path / "small") == [press_id]
 
 
+def test_the_newest_presses_are_kept_up_to_their_number(tmp_path: Path, made: Played) -> None:
+    """Two of three, and not one fewer."""
+    press, archive = made.record(0), PressArchive(tmp_path / "small", 2, 1 << 20)
+    for press_id in made.ids[:3]:
+        archive.keep(press.model_copy(update={"press_id": press_id}), {press.frame: b"frame"})
+
+    assert list_presses(tmp_path / "small") == made.ids[1:3]
+
+
 def test_an_archive_that_is_off_keeps_nothing(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """And a replay says so."""
     played, _ = play(station_config(tmp_path, recording, bundle, tables="[archive]\npresses = 0\n"))

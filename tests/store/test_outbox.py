@@ -8,7 +8,7 @@ import pytest
 from recorded_presses import make_press, messages_of, record
 
 from edge.core.ports import Message
-from edge.store.outbox import ROW_OVERHEAD_BYTES, Bounds, DropPriority, Outbox, drop_priority_of
+from edge.store.outbox import ROW_OVERHEAD_BYTES, Bounds, DropPriority, Outbox, drop_priority_of, enforce
 from edge.store.press_store import PressRecord, Store
 
 
@@ -199,3 +199,12 @@ def test_bounds_refuse_nonsense() -> None:
         Bounds(max_bytes=0)
     with pytest.raises(ValueError, match="positive"):
         Bounds(max_age_s=float("nan"))
+
+
+def test_a_row_goes_only_where_there_is_no_room_for_it(store: Store, outbox: Outbox) -> None:
+    """The bound itself is room enough; one byte less is not."""
+    put(store, make_press(1), Message("result", b"1"))
+    size = outbox.status().bytes
+    for bound, rows in ((size, 1), (size - 1, 0)):
+        store.write("enforcing", lambda connection, bound=bound: enforce(connection, Bounds(bound), 0))
+        assert outbox.status().rows == rows
