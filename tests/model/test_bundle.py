@@ -188,3 +188,14 @@ def test_a_file_replaced_after_loading_changes_nothing(folder: Path) -> None:
     (folder / "bank" / "mean.npy").write_bytes(b"")
     (folder / "trunk.onnx").unlink()
     assert scorer.score(GOLDEN.rgb).anomaly_score == before
+
+
+def test_a_picture_that_is_not_square_comes_back() -> None:
+    """The free gel as contact detection sees it, 120 rows of 160."""
+    view = np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8)
+    parts = (tiny.tiny_facts(), tiny.tiny_graphs(), tiny.tiny_bank())
+    manifest, files = bundle_files(*parts, backbone="tiny", free_view=view)
+    found = Bundle.in_memory(manifest, files).free_view
+
+    assert found is not None
+    assert np.array_equal(found, view)

@@ -140,16 +140,21 @@ def test_a_private_key_is_its_owners_alone_and_never_replaced(keys: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"-----BEGIN PUBLIC KEY-----\nAAAA\n-----END PUBLIC KEY-----\n", b"x" * 9000]
+    ("content", "words"),
+    [
+        (b"", "is not a"),
+        (b"-----BEGIN PUBLIC KEY-----\nAAAA\n-----END PUBLIC KEY-----\n", "is not a"),
+        (b"x" * 4097, "it has more than 4096 bytes"),
+    ],
 )
-def test_a_file_that_is_no_key_is_refused(keys: Path, content: bytes) -> None:
+def test_a_file_that_is_no_key_is_refused(keys: Path, content: bytes, words: str) -> None:
     """In the folder of trusted keys as well as for signing."""
     (keys / "other.pub").write_bytes(content)
     (keys / "other.key").write_bytes(content)
 
-    with pytest.raises(ConfigError, match=r"other\.pub"):
+    with pytest.raises(ConfigError, match=rf"other\.pub {words}|other\.pub is no key: {words}"):
         trusted_keys(keys)
-    with pytest.raises(ConfigError, match=r"other\.key"):
+    with pytest.raises(ConfigError, match=rf"other\.key {words}|other\.key is no key: {words}"):
         read_private_key(keys / "other.key")
 
 
