@@ -7,6 +7,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from calibration.experiments.harness.evidence import COMPARED, are_drawn, count_agreements
+from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.published import paper_medians, read_published
 from calibration.experiments.harness.rows import TIMES
 
@@ -110,8 +111,7 @@ def percent(share: float) -> str:
 
 def table(lines: "pd.DataFrame") -> str:
     """Return a frame as a markdown table, without its index."""
-    rows = [list(lines.columns), ["---"] * len(lines.columns), *lines.itertuples(index=False)]
-    return "\n".join("| " + " | ".join(str(cell) for cell in row) + " |" for row in rows) + "\n"
+    return markdown_table(list(map(str, lines.columns)), lines.itertuples(index=False))
 
 
 def only_scored(rows: "pd.DataFrame") -> "pd.DataFrame":

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from calibration.experiments.harness.evidence import Sample, Standing, rank, sample, subtract
+from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.page import Page, by_setup, only_scored, render
 from calibration.experiments.harness.published import read_published
 from calibration.fitting.candidates import DEFAULT_METHOD
@@ -89,6 +90,21 @@ class Answer:
             return found.best
         between = f" between {' and '.join((next(iter(found.means)), *found.rivals))}" if found.rivals else ""
         return f"undecided{between}: {found.why}"
+
+    @property
+    def table(self) -> str:
+        """The methods with their means, the best first."""
+        assert self.standing is not None
+        lines = [
+            [
+                name,
+                f"{mean.value:.4f}{self.question.unit}",
+                f"{mean.low:.4f} to {mean.high:.4f}" if mean.has_interval else "-",
+                self.question.judgements.get(name, "-"),
+            ]
+            for name, mean in self.standing.means.items()
+        ]
+        return markdown_table(["method", "mean", "95 % interval", "the paper"], lines)
 
     @property
     def then(self) -> str:

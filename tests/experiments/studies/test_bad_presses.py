@@ -67,5 +67,5 @@ def test_the_study_has_rows_and_a_page(tmp_path: Path) -> None:
         (share, min(1, share * 100), 6) for share in BAD_SHARES
     ]
     assert {row["test_defective"] for row in rows} == {1}
-    assert f"| subspace | PZ3 | {rows[0]['aupro_001']:.4f} | {rows[1]['aupro_001']:.4f} |" in text
+    assert f" PZ3  | {rows[0]['aupro_001']:.4f} | {rows[1]['aupro_001']:.4f} |" in text
     assert "Share of the nominal presses: subspace 100 %." in text
