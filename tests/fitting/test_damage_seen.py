@@ -39,7 +39,7 @@ def registered(right_px: float, refusal: str | None = None) -> Registered:
     """A press that lay so far to the right, its left half learnt."""
     rgb, seen = np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8), np.bool_)
     seen[:, :4] = True
-    return Registered(rgb, seen, Pose(right_px), PoseUncertainty(0.1, 0.1, None), 0.9, 0.5, refusal)
+    return Registered(rgb, seen, Pose(right_px), PoseUncertainty(0.1, 0.1, None), 0.9, 0.5, refusal=refusal)
 
 
 def test_a_registered_press_is_judged_as_it_lies() -> None:
