@@ -118,13 +118,15 @@ def _open_stages(
     parts: StageParts, instead: Mapping[str, PressStage], closing: ExitStack
 ) -> list[PressStage]:
     """Open the features that are configured. instead: of features of these names. Errors: ConfigError."""
-    features, stages = load_features(parts.config), []
+    features, stages = load_features(parts.config), dict[str, PressStage]()
     for name in (*(name for name in instead if name not in features), *features):
         stage = instead.get(name) or features[name].open(parts)
         if stage is not None:
             closing.callback(stage.close)
-            stages.append(stage)
-    return stages
+            stages[name] = stage
+    if "outputs" in stages:  # they close before the others too: no light waits for what those have to finish
+        closing.callback(stages["outputs"].close)
+    return list(stages.values())
 
 
 def _open_bundles(

@@ -116,9 +116,12 @@ class PartSelection:
         if self.inspector is not inspector or self.bundles is not bundles:
             self.on_change()
 
-    def close(self) -> None:
+    def cancel_golden(self) -> None:
         """The loop ends: who waits for golden frames is not kept waiting. May be called again."""
         self._golden.close()
+
+    def close(self) -> None:
+        """End the work in the background; what is being opened is waited for, but not long. May be called again."""
         self.worker.close()
 
     def _open_again(self) -> Opened | GelgateError:

@@ -139,7 +139,7 @@ class StationLoop:
                 on_turn()
         finally:
             self.parts.calls.close(self)
-            self.parts.selection.close()
+            self.parts.selection.cancel_golden()
         self._record()
         self.publish_stats()
 

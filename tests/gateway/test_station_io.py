@@ -22,6 +22,7 @@ from edge.core.verdict import decide
 from edge.features.outputs.actuator_driver import ActuatorDriver
 from edge.features.outputs.stage import Outputs, describe_actuator
 from edge.features.reference_press import ReferenceGuard
+from edge.features.snapshots import Snapshots
 from edge.gateway.build import open_station
 
 ANDON = """
@@ -89,6 +90,11 @@ def switched(folder: Path) -> list[tuple[int, bool]]:
     """What the board did, without the first writing of each channel."""
     lines = [json.loads(line) for line in (folder / "switched.jsonl").read_text().splitlines()]
     return [(line["channel"], line["on"]) for line in lines][4:]
+
+
+def on(folder: Path) -> set[int]:
+    """The channels that are on now."""
+    return {channel for channel, is_on in dict(switched(folder)).items() if is_on}
 
 
 def test_the_andon_light_follows_the_verdicts_and_a_fail_is_rejected(tmp_path: Path, configure: Make) -> None:
@@ -304,6 +310,23 @@ def test_a_running_gateway_switches_and_leaves_the_outputs_of_stopped(
     lines = [json.loads(line) for line in (tmp_path / "switched.jsonl").read_text().splitlines()]
     last = {line["channel"]: line["on"] for line in lines}
     assert last == {1: False, 2: False, 3: False, 4: True}
+
+
+def test_no_light_waits_for_work_in_the_background(
+    tmp_path: Path, configure: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pass is shown, a reload and a snapshot take long, and the station ends: the outputs are those of `stopped`
+    before anybody waits for either."""
+    lit: list[set[int]] = []
+    (stop := threading.Event()).set()
+    with IoStation(configure(ANDON + '[commands]\nunsigned = ["snapshot"]\n')) as station:
+        station.play_presses(1)
+        assert switched(tmp_path)[-1] == (1, True)
+        for worker in (station.parts.selection.worker, station.find(Snapshots).worker):
+            monkeypatch.setattr(worker, "close", lambda: lit.append(on(tmp_path)))
+        station.loop.turn_until(stop)
+
+    assert lit == [{4}, {4}]
 
 
 def test_a_master_piece_switches_no_light_and_no_gate(tmp_path: Path, configure: Make) -> None:
