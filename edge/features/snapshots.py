@@ -68,6 +68,7 @@ class Snapshots(PressStage):
         self._ring: deque[CameraFrame] = deque()
         self._bytes = 0
         self._wish: _Wish | None = None
+        self._done: Act | None = None
         self.worker: Background[Act] = Background("snapshots", CLOSE_S)
 
     @classmethod
@@ -124,9 +125,12 @@ class Snapshots(PressStage):
     )
 
     def turn(self, mounted: Mounted | None) -> None:
-        """Record the outcome of a wish, and hand over the frames of one when the last frame is there."""
-        if (done := self.worker.take()) is not None:
-            self._store.begin_act(done, within_s=0)
+        """Record the outcome of a wish, and hand over the frames of one when the last frame is there. Errors:
+        StoreError; the outcome is then recorded by a later turn."""
+        self._done = self._done or self.worker.take()
+        if self._done is not None:
+            self._store.begin_act(self._done, within_s=0)
+            self._done = None
         wish, identity = self._wish, self._find_sensor()
         if wish is not None and identity is not None and self._is_complete(wish):
             frames = [one for one in self._ring if wish.first_ns <= one.timestamp_ns <= wish.last_ns]

@@ -10,6 +10,7 @@ from station import station_config
 from stepped_station import SteppedStation
 
 from edge.clock import ManualClock
+from edge.core.errors import StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import DeviceIdentity
 from edge.features import snapshots
@@ -147,6 +148,28 @@ def test_a_disk_that_refuses_is_an_act_with_the_reason(tmp_path: Path) -> None:
     assert act.outcome == "failed"
     assert act.sentence is not None
     assert act.sentence.startswith(f"snapshot {folder} is not written: ")
+
+
+def test_an_outcome_that_the_database_refuses_is_written_later(tmp_path: Path) -> None:
+    """Each snapshot has one row in the table of acts; one that was asked for meanwhile waits for it."""
+    found = bench(tmp_path)
+    folders = [found.request(1, 0)]
+    found.turn(None)
+    found.worker.step()
+    found._clock.sleep(1)
+    folders.append(found.request(1, 0))
+    found._store.begin_act.side_effect = StoreError("no room")
+    for _ in range(2):
+        with pytest.raises(StoreError, match="no room"):
+            found.turn(None)
+        found.worker.step()
+    found._store.begin_act = Mock()
+    for _ in range(3):
+        found.turn(None)
+        found.worker.step()
+
+    acts = [call.args[0] for call in found._store.begin_act.call_args_list]
+    assert [act.after["recording"] for act in acts] == list(map(str, folders))
 
 
 def test_a_snapshot_of_a_station_is_a_recording_of_its_sensor(
