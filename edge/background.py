@@ -1,16 +1,20 @@
 """One job at a time on a thread of its own: what the station's loop must not wait for."""
 
+import logging
 import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
 __all__ = ["Background"]
 
+log = logging.getLogger(__name__)
+
 T = TypeVar("T")
 
 
 class Background(Generic[T]):
-    """Does a job that is asked for, and keeps its outcome until it is taken. A job handles its errors.
+    """Does a job that is asked for, and keeps its outcome until it is taken. One that raises has none: its error is
+    in the log.
 
     close_s: a job that is not done is left after this time. `step` is one turn of the own thread; a test may call it.
     """
@@ -47,9 +51,13 @@ class Background(Generic[T]):
         self._is_working = True
         self._asked.clear()
         job, self._job = self._job, None
-        if job is not None:
-            self._outcome = job()
-        self._is_working = False
+        try:
+            if job is not None:
+                self._outcome = job()
+        except Exception as error:  # the thread goes on with the next job
+            log.exception("the job of thread '%s' failed: %s", self._thread.name, error)
+        finally:
+            self._is_working = False
 
     def close(self) -> None:
         """End the thread. May be called again."""
