@@ -130,7 +130,8 @@ def request_press(
         store.write("withdrawing a request", partial(table.withdraw, request=wish.request))
         raise GelgateError(
             f"no gateway took the request within {TAKEN_WITHIN_S:g} s; one must run on database {store.path}, and the "
-            "gel must be free"
+            "gel must be free; a gateway that was started before its configuration named the master piece must be "
+            "restarted"
         )
     if act.outcome == "refused":
         raise GelgateError(str(act.sentence))

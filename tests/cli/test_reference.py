@@ -145,11 +145,15 @@ def test_a_press_that_is_asked_for_is_waited_for(database: Path) -> None:
 
 
 def test_a_request_that_no_gateway_takes_is_withdrawn(database: Path) -> None:
-    """One sentence; a gateway that starts later does not do it."""
+    """The error names each cause; a gateway that starts later does not do it."""
     with Store(database) as store:
-        with pytest.raises(GelgateError, match=r"no gateway took the request within 30 s; one must run on"):
+        with pytest.raises(
+            GelgateError, match=r"no gateway took the request within 30 s; one must"
+        ) as raised:
             request_press(store, Gateway(), wish(), print, 60)
         assert take(store) is None
+    for cause in (f"on database {database}", "the gel must be free", "before its configuration named"):
+        assert cause in str(raised.value)
 
 
 def test_a_refusal_of_the_gateway_is_the_answer(database: Path) -> None:
