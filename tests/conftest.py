@@ -19,7 +19,6 @@ REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 # Tests of experiments: `make test-lab` runs them, and single tests elsewhere that are marked `lab`.
 LAB = {
     "acquisition",
-    "docs/test_msa.py",
     "docs/test_studies.py",
     "experiments",
     "sensor_fit",

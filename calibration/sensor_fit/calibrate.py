@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.sensor_fit.fit import BallPress, fit_gel, fit_response
-from calibration.sensor_fit.free_gel import fit_free_gel, fit_noise
+from calibration.sensor_fit.gel_colours import fit_free_gel, fit_noise
 from calibration.sensor_fit.presses import ball_presses, check_ball, untouched_gel
 from calibration.sensor_fit.result import Judged, gain, judge, rms_of, with_response
 from calibration.simulator.field_of_view import F32, LR, grids

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.sensor_fit.ball import Circle, find_circle
 from calibration.sensor_fit.fit import BallPress
-from calibration.sensor_fit.free_gel import has_markers, marker_dots
+from calibration.sensor_fit.gel_colours import has_markers, marker_dots
 from calibration.sensor_fit.prediction import CONSTANT_COLUMNS, predict, window_around
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.gel import GEL

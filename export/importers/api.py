@@ -26,7 +26,7 @@ from edge.model.bundle_writer import write_bundle
 from edge.model.manifest_facts import LICENCE
 from export.finish import WrapConfig
 from export.importers.contract import Imported, Importer, Recognised, Settings, importer_of, importers
-from export.importers.finish import Losses, import_files
+from export.importers.packing_loss import Losses, import_files
 from export.known_weights import stated_licence
 from plugins.reading.foreign import Foreign
 from plugins.reading.isolated import read_foreign

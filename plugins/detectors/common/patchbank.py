@@ -18,10 +18,10 @@ from edge.core.detector import Bank, Features, Grid, Nominal
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, HalvedBank
 from plugins.detectors.common.descriptor import Descriptor
 from plugins.detectors.common.distances import nearest
-from plugins.detectors.common.free_gel import touched_places
 from plugins.detectors.common.parameters import Rng
 from plugins.detectors.common.pca import Rotation, emit_rotation, fit_rotation
 from plugins.detectors.common.tile_layout import emit_join, join, layout, split
+from plugins.detectors.common.untouched_places import touched_places
 from plugins.onnx_builder import Graph, Value
 
 __all__ = ["PatchBank", "draw_rows", "of_every_place"]

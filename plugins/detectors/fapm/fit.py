@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from edge.core.errors import FitError
-from plugins.detectors.common.free_gel import gel_mean, gel_weight, touched_places
 from plugins.detectors.common.parameters import Rng, choose, list_repairs
 from plugins.detectors.common.tile_layout import join, split, tile_grid
+from plugins.detectors.common.untouched_places import gel_mean, gel_weight, touched_places
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
 from plugins.detectors.fapm.head import coarse_of_fine, fapm_head, fewest, is_unweighted, shape_of
 from plugins.detectors.fapm.paper import PAPER, REPAIRS

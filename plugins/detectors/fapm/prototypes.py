@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from plugins.detectors.common.batched_nearest import SHORTLIST, emit_closest, emit_group_nearest, emit_ranked
 from plugins.detectors.common.distances import nearest
-from plugins.detectors.common.free_gel import emit_gel_distances, gel_distances
+from plugins.detectors.common.untouched_places import emit_gel_distances, gel_distances
 from plugins.onnx_builder import Graph, Value
 
 __all__ = [

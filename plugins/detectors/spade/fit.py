@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Packing, Progress, ScoreMaps
 from plugins.detectors.common.coreset import k_centre
 from plugins.detectors.common.distances import nearest
-from plugins.detectors.common.free_gel import gel_weight
 from plugins.detectors.common.parameters import Rng, choose, list_repairs
 from plugins.detectors.common.tile_layout import join
+from plugins.detectors.common.untouched_places import gel_weight
 from plugins.detectors.common.validation import bank_bytes, require_fittable, require_scorable
 from plugins.detectors.spade.head import spade_head
 from plugins.detectors.spade.layer import Layer

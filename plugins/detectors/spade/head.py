@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank, Grid
 from plugins.detectors.common.batched_nearest import PRODUCT_LIMIT, emit_group_nearest, emit_ranked
-from plugins.detectors.common.free_gel import emit_gel_distances
 from plugins.detectors.common.pca import emit_rotation
 from plugins.detectors.common.smoothing import Smoothing, upsampling_matrix
 from plugins.detectors.common.tile_layout import emit_join, emit_split
+from plugins.detectors.common.untouched_places import emit_gel_distances
 from plugins.detectors.spade.layer import Arrays, Layer
 from plugins.detectors.spade.parameters import SpadeParameters
 from plugins.detectors.spade.window import Tables, emit_window_nearest

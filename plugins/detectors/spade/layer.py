@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from edge.core.detector import Grid, Nominal
 from plugins.detectors.common.descriptor import resampling_matrix
 from plugins.detectors.common.distances import nearest
-from plugins.detectors.common.free_gel import gel_distances, gel_mean, touched_places
 from plugins.detectors.common.parameters import Rng
 from plugins.detectors.common.pca import Rotation, fit_rotation
 from plugins.detectors.common.smoothing import UPSAMPLING, Smoothing
 from plugins.detectors.common.tile_layout import layout, split, tile_grid
+from plugins.detectors.common.untouched_places import gel_distances, gel_mean, touched_places
 from plugins.detectors.spade.parameters import SpadeParameters
 from plugins.detectors.spade.window import Blocks, Tables, window_nearest
 

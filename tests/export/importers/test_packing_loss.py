@@ -14,8 +14,8 @@ from edge.core.detector import Packing
 from edge.core.errors import BundleCorrupt
 from export.finish import WrapConfig
 from export.importers.contract import Settings
-from export.importers.finish import Losses, import_files
 from export.importers.memory_scripts import spade_features
+from export.importers.packing_loss import Losses, import_files
 from plugins.reading.files import read_here
 from plugins.reading.foreign import Foreign
 

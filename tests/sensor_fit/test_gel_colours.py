@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ball_presses import UNSEEN, planes, renderer
 
-from calibration.sensor_fit.free_gel import fit_noise, has_markers, marker_dots
+from calibration.sensor_fit.gel_colours import fit_noise, has_markers, marker_dots
 from calibration.simulator.camera import noise
 from calibration.simulator.field_of_view import LR
 from calibration.simulator.renderer import Renderer
