@@ -1,6 +1,7 @@
 """The verbs of a station: those that every station has, and those of its features."""
 
 import logging
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -159,9 +160,14 @@ def every_command() -> Sequence[LoopCommand]:
 
 
 def station_commands(config: Config) -> Sequence[LoopCommand]:
-    """Return the commands that this station can serve. Errors: ConfigError for a verb in [commands] that no one has."""
+    """Return the commands that this station can serve. Errors: ConfigError for a verb in [commands]
+    that no one has, and for one that two features serve."""
     commands = [*COMMANDS, *_commands_of(load_features(config).values())]
-    verbs, table = {command.verb for command in commands}, config.commands
+    verbs, table = Counter(command.verb for command in commands), config.commands
+    if twice := [verb for verb, count in verbs.items() if count > 1]:
+        raise ConfigError(
+            f"features: the request '{twice[0]}' is served twice; uninstall one of the packages that bring it"
+        )
     for verb in (*table.unsigned, *table.signed, *table.page):
         if verb not in verbs:
             known = sorted(command.verb for command in every_command())

@@ -7,7 +7,7 @@ from edge.config import Config
 from edge.core.errors import ConfigError
 from edge.press_stage import PressStage
 
-__all__ = ["load_every_feature", "load_features"]
+__all__ = ["Features", "load_every_feature", "load_features"]
 
 Features = Mapping[str, type[PressStage]]
 
@@ -18,8 +18,13 @@ def load_features(config: Config) -> Features:
 
     Errors: ConfigError for a feature that cannot be loaded.
     """
-    ours = config.features
-    others = [name for name in registry.names("features") if name not in ours]
+    ours, installed = config.features, registry.names("features")
+    if missing := [name for name, is_wanted in ours.items() if is_wanted and name not in installed]:
+        raise ConfigError(
+            f"gelgate is installed without its features {', '.join(missing)}: its code is newer than its installation; "
+            "install it again, as with `pip install -e .`"
+        )
+    others = [name for name in installed if name not in ours]
     before = list(ours).index("outputs")
     names = [*list(ours)[:before], *others, *list(ours)[before:]]
     return {name: _load(name) for name in names if ours.get(name, True)}

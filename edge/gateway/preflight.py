@@ -27,7 +27,7 @@ from edge.core.ports import Clock, Device
 from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_table import station_commands
 from edge.gateway.commands import policy_of
-from edge.gateway.features import load_features
+from edge.gateway.features import Features, load_features
 from edge.gateway.opening import BundleOpener, check_mode, device_opener, first_part
 from edge.model.manifest_facts import licence_sentence
 from edge.store import bundles_in_use, gel_ledger
@@ -89,6 +89,18 @@ class Preflight:
         except GelgateError as error:
             self.findings.append(Finding(part, str(error), error))
 
+    def try_features(self, config: Config) -> None:
+        """Try what each feature needs; one that fails leaves the others to be tried."""
+        features: Features = {}
+        with contextlib.suppress(ConfigError):  # a feature that cannot be loaded is a finding of `commands`
+            features = load_features(config)
+        for name, feature in features.items():
+            try:
+                for part, attempt in feature.attempts(config):
+                    self.try_part(part, attempt)
+            except GelgateError as error:
+                self.findings.append(Finding(name, str(error), error))
+
     def open_bundles(self, config: Config) -> None:
         """Load, hash and score the golden frames; one finding for each bundle."""
         try:
@@ -135,10 +147,7 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     found.try_part("database", lambda: _database(config))
     found.try_part("commands", lambda: _commands(config))
-    with contextlib.suppress(ConfigError):  # a feature that cannot be loaded is a finding of `commands`
-        for feature in load_features(config).values():
-            for part, attempt in feature.attempts(config):
-                found.try_part(part, attempt)
+    found.try_features(config)
     for index, sink in enumerate(config.sinks):
         found.try_part(f"sink {sink.plugin}", partial(_try_sink, sink, f"sinks.{index}"))
     return found

@@ -1,5 +1,6 @@
 """A feature of presses is one stage; tests/plugins has one of another author."""
 
+from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -7,20 +8,30 @@ import pytest
 from stepped_station import SteppedStation
 
 from edge import registry
+from edge.clock import SystemClock
 from edge.config import Config, TriggerTable, load_config
 from edge.core.contact.events import PressSettled
 from edge.core.errors import ConfigError
 from edge.core.press import Press, PressLabel
+from edge.gateway.command_table import station_commands
 from edge.gateway.features import load_features
+from edge.gateway.preflight import preflight
+from edge.messaging.command_payloads import NoArguments
 from edge.model.inspector import Inspector
-from edge.press_stage import PressStage
+from edge.press_stage import Command, PressStage
 from edge.store.gel_ledger import GelRecord
+
+
+def install(monkeypatch: pytest.MonkeyPatch, lamp: str) -> None:
+    """Install a package that brings a feature."""
+    points = registry._points
+    ours = {**points("features"), "lamp": [EntryPoint("lamp", lamp, "gelgate.features")]}
+    monkeypatch.setattr(registry, "_points", lambda group: ours if group == "features" else points(group))
 
 
 def load_with(monkeypatch: pytest.MonkeyPatch, config: Config, lamp: str) -> list[str]:
     """Return the features of a station where another package brings one."""
-    points = {**registry._points("features"), "lamp": [EntryPoint("lamp", lamp, "gelgate.features")]}
-    monkeypatch.setattr(registry, "_points", lambda group: points)
+    install(monkeypatch, lamp)
     return list(load_features(config))
 
 
@@ -34,6 +45,55 @@ def test_what_is_not_configured_is_not_loaded(config: Path, monkeypatch: pytest.
     ]  # fmt: skip
     with pytest.raises(ConfigError, match=r"'lamp' of gelgate.features is no class of PressStage"):
         load_with(monkeypatch, few, "math:pi")
+
+
+class Unprepared(PressStage):
+    """Cannot say what it needs."""
+
+    @classmethod
+    def attempts(cls, config: Config) -> Iterator[tuple[str, Callable[[], str]]]:
+        raise ConfigError("lamp.toml is missing")
+
+
+class SecondGel(PressStage):
+    """Serves a request that every station has."""
+
+    commands = (Command("replace_gel", NoArguments, lambda stage, arguments: {}, "replace it twice"),)
+
+
+def test_a_feature_that_cannot_be_tried_hides_no_other(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its fault is a finding under its name, and the pedal behind it is tried."""
+    install(monkeypatch, f"{__name__}:Unprepared")
+    monkeypatch.setattr(EntryPoint, "load", _load_from_here(EntryPoint.load))
+    station = load_config(config).model_copy(update={"triggers": [TriggerTable(plugin="virtual_hid")]})
+    with preflight(station, SystemClock(), is_start=False) as checked:
+        found = {one.part: one.text for one in checked.findings}
+
+    assert found["lamp"] == "lamp.toml is missing"
+    assert "trigger virtual_hid" in found
+
+
+def test_a_request_is_served_by_one(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A feature of another package cannot take the request by which a gel is counted anew."""
+    install(monkeypatch, f"{__name__}:SecondGel")
+    monkeypatch.setattr(EntryPoint, "load", _load_from_here(EntryPoint.load))
+
+    with pytest.raises(ConfigError, match="the request 'replace_gel' is served twice"):
+        station_commands(load_config(config))
+
+
+def test_an_installation_without_our_features_says_so(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Code that was updated in place knows features that its installation does not list."""
+    station = load_config(config)
+    monkeypatch.setattr(registry, "_points", lambda group: {})
+
+    with pytest.raises(ConfigError, match=r"without its features sensing_watch, .*install it again"):
+        load_features(station)
+
+
+def _load_from_here(load: Callable[[EntryPoint], object]) -> Callable[[EntryPoint], object]:
+    """Load what entry points name in this module, which pytest keeps out of sys.modules, and others as before."""
+    return lambda point: globals()[point.attr] if point.module == __name__ else load(point)
 
 
 class Told(PressStage):
