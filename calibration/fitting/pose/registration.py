@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import FitError
+from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.colours import FreeLight, SlopeColours
 from edge.core.registration.fine import Alignment
 from edge.core.registration.pose import Pose
 from edge.core.registration.registrar import (
+    SIDE_PX,
     PartInPose,
     PoseSearch,
     Registered,
@@ -47,8 +49,13 @@ _SAME_TURN_RAD, _SAME_SHARE = math.radians(5), 0.9
 _MOST_SYMMETRY = 12
 # It looks the same where its agreement falls by less than this: exact symmetries up to 0.011, nearly so from 0.021.
 _ALIKE, _LOOKED_AT = 0.015, 8
-# Two ways to read the colours agree equally well with the presses.
-_AS_TYPICAL = 0.02
+# Of two ways to read the colours the worse is heard too where its presses differ at most so many times as much. By
+# either a part without a turn is round: by the other one the light may decide on its turn.
+_NEARLY = 2.0
+# A part that agrees this well with itself at any turn may be round: real balls 0.75 and more, a gear of 12 teeth 0.41.
+_ROUND, _ROUND_TURNS = 0.7, 72
+# Presses that turn by less than this all together do not turn.
+_STILL_RAD = math.radians(45)
 # A press is recognised up to this many times the mismatch of the nominal one that agrees least, for damage adds to it:
 # another part agrees by up to 0.53 on five simulated parts and a real ball.
 _MISMATCH_TIMES, _LEAST_MATCH = 4.0, (0.55, 0.8)
@@ -75,7 +82,7 @@ def learn_pose(frames: U8, free: U8) -> LearntPose:
     firsts = _firsts(added)
     tried = [_align(added, firsts[0], colours) for colours in _both(added)]
     best = max(tried, key=lambda one: one.typical)
-    if any(_is_round(added, one) for one in tried if one.typical > best.typical - _AS_TYPICAL):
+    if _is_round(added, tried):
         best = _align(added, firsts[0], best.colours, is_turning=False)
     else:
         best = _agree([best, *(_align(added, first, best.colours) for first in firsts[1:])])
@@ -170,8 +177,20 @@ def _agree(tried: Sequence[_Aligned]) -> _Aligned:
     return replace(best, symmetry=_symmetry(turned))
 
 
-def _is_round(added: Sequence[F32], aligned: _Aligned) -> bool:
-    return not aligned.symmetry and _look_alike(added, aligned) == _MOST_SYMMETRY
+def _is_round(added: Sequence[F32], tried: Sequence[_Aligned]) -> bool:
+    """Whether the part has no turn: it agrees with itself at any, and its presses do not settle or do not turn."""
+    best = max(tried, key=lambda one: one.typical)
+    near = [one for one in tried if 1 - one.typical < _NEARLY * (1 - best.typical)]
+    if all(one.symmetry for one in near) and float(np.ptp(best.turns)) > _STILL_RAD:
+        return False
+    return max(_roundness(added, one) for one in near) >= _ROUND
+
+
+def _roundness(added: Sequence[F32], aligned: _Aligned) -> float:
+    """Measure how well the mean press agrees with itself at any turn, by these colours of slopes."""
+    mean, learnt = _mean(added, aligned.poses, aligned.colours)
+    slopes = shrunk(aligned.colours.slopes(shrunk(mean * learnt[..., None])), SIDE_PX // 2)
+    return CoarseSearch(slopes, _ROUND_TURNS).roundness(slopes)
 
 
 def _look_alike(added: Sequence[F32], aligned: _Aligned) -> int:

@@ -62,6 +62,10 @@ class CoarseSearch:
             matches[np.ix_(turns, rows, columns)] = -1
         return best
 
+    def roundness(self, slopes: F32) -> float:
+        """Measure how well a part agrees with itself at the turn where it agrees least, at most 1: a ball nearly 1."""
+        return float(self._matches(slopes).max(axis=(1, 2)).min())
+
     def _matches(self, slopes: F32) -> F32:
         """Compute the match of each turn and shift, float32 (turns, grid, grid)."""
         across, down = self._spectra_of(slopes)

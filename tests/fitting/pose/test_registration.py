@@ -1,5 +1,8 @@
 """Whether a fit registers presses, what the bundle keeps of it, and how the bundle then scores."""
 
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 import tiny
@@ -90,6 +93,17 @@ def test_how_often_a_part_looks_the_same_in_a_turn(part: parts.Bumps, symmetry: 
         )
         assert abs(np.exp(1j * symmetry * apart).mean()) > np.cos(min(symmetry * np.radians(5), 1))
         assert all(abs(one.turn_rad or 0) <= np.pi / symmetry for one in learnt.registered)
+
+
+@pytest.mark.parametrize(("ball", "n"), [("6.310mm", 12), ("6.310mm", 24), ("9.500mm", 12)])
+def test_a_real_ball_has_no_turn(real_tactile: Path, ball: str, n: int) -> None:
+    """Its light differs over the gel, which by the mirror image of its colours looks like small turns."""
+    files = sorted(
+        (real_tactile / "rpl-cmu__gelslam" / ball).glob("*/gelsight.png"), key=lambda f: int(f.parent.name)
+    )
+    presses = np.stack([cv2.resize(cv2.imread(str(f)), (224, 224))[..., ::-1] for f in files[:n]])
+
+    assert learn_pose(presses, np.median(presses, axis=0).astype(np.uint8)).part.symmetry == 0
 
 
 @pytest.mark.parametrize(("part", "expected"), [("BLOCK", True), ("BALL", False)])
