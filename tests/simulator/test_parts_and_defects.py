@@ -43,6 +43,15 @@ def test_the_threads_positions_are_quarter_turns() -> None:
     assert np.allclose(second(zero, y), first(zero, y + np.float32(0.375)), atol=2e-3)
 
 
+def test_small_parts_are_under_a_centimetre() -> None:
+    """PZ4 and PZ5 leave the gel's border free."""
+    for name in ("PZ4", "PZ5"):
+        touched = sample(PARTS[name].positions["pos1"], Pose(), LR) > -1
+        rows, columns = np.nonzero(touched)
+        assert (np.ptp(columns) + 1) * 0.0634 < 10
+        assert (np.ptp(rows) + 1) * 0.0634 < 10
+
+
 def test_pieces_of_a_part_differ_within_tolerance() -> None:
     """Two specimens are not equal, and neither is more than 30 micrometres off at the contact."""
     nominal = PARTS["PZ2"].positions["pos1"]
@@ -51,6 +60,14 @@ def test_pieces_of_a_part_differ_within_tolerance() -> None:
     flat = sound > -0.01
     assert not np.array_equal(one, two)
     assert np.median(np.abs(one - sound)[flat]) < 0.03
+
+
+@pytest.mark.parametrize("kind", DEFECTS)
+def test_a_defect_of_no_severity_changes_nothing(kind: str) -> None:
+    """Severity 0 gives the sound part's numbers exactly."""
+    sound = PARTS["PZ1"].positions["pos1"]
+    harmless = Defect(kind, 0.0, (0.0, 1.0))
+    assert np.array_equal(sample(Damaged(sound, harmless), Pose(), COARSE), sample(sound, Pose(), COARSE))
 
 
 @pytest.mark.parametrize("kind", DEFECTS)
@@ -116,6 +133,13 @@ def test_a_nonsensical_defect_is_refused(change: dict[str, object], found: str) 
         Defect(**{**good, **change})  # type: ignore[arg-type]
 
 
+def test_a_press_that_touches_nothing_cannot_be_damaged() -> None:
+    """Placing needs contact; without contact it is refused."""
+    nothing = lambda x, y: np.full_like(x, -3)  # noqa: E731
+    with pytest.raises(ValueError, match="touches nothing"):
+        place_defect("dent", 1.0, nothing, 0.4, np.random.default_rng(0))
+
+
 def test_random_parts_are_sound_and_different() -> None:
     """Sixty parts: finite, at most 0 high, mostly touched by a press, and no two alike."""
     touched, seen = 0, set()
@@ -127,3 +151,18 @@ def test_random_parts_are_sound_and_different() -> None:
         seen.add(height.tobytes())
     assert touched >= 50
     assert len(seen) == 60
+
+
+def test_random_parts_are_none_of_the_five() -> None:
+    """No random imprint correlates with an analogue's above 0.8, over 80 parts and every position."""
+    shape = Field((80, 60), (0.254, 0.254))
+    analogues = [
+        np.maximum(sample(PARTS[name].positions[position], Pose(), shape), -0.5).ravel()
+        for name, position in EVERY
+    ]
+    worst = 0.0
+    for k in range(80):
+        one = np.maximum(sample(random_part(np.random.default_rng(k)), Pose(), shape), -0.5).ravel()
+        if one.std() > 1e-3:
+            worst = max(worst, *(float(np.corrcoef(one, other)[0, 1]) for other in analogues))
+    assert worst < 0.8

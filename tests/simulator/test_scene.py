@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.simulator.scene import SCENES, load_scene, scene_names
+from calibration.simulator.scene import SCENES, load_scene, paper_scenes, scene_names
 from edge.core.errors import ConfigError
 
 GOOD = """version = 1
@@ -68,6 +68,12 @@ def test_a_wrong_scene_says_what_is_wrong(change: tuple[str, str], sentence: str
     assert sentence in str(caught.value)
 
 
+def test_an_unknown_scene_is_refused_with_the_nearest_name() -> None:
+    """'dmeo' was meant to be 'demo'."""
+    with pytest.raises(ConfigError, match="did you mean 'demo'"):
+        load_scene("dmeo")
+
+
 def test_a_file_that_is_no_toml_is_refused(tmp_path: Path) -> None:
     """Unreadable, missing and faulty files have different errors."""
     with pytest.raises(ConfigError, match="cannot be read"):
@@ -84,3 +90,23 @@ def test_every_shipped_scene_is_valid_and_begins_with_its_version() -> None:
         load_scene(path)
         assert path.read_text().splitlines()[0] == "version = 1"
     assert "demo" in scene_names()
+
+
+def test_the_paper_scenes_have_the_counts_of_table_one() -> None:
+    """Sound and damaged presses per part, and which parts exist at high resolution too."""
+    counts = {
+        scene.part: (
+            scene.nominal.specimens * scene.nominal.presses * len(scene.at),
+            scene.defects.images,
+            "hr" in scene.camera.modes,
+        )
+        for scene in paper_scenes()
+        if scene.nominal
+    }
+    assert counts == {
+        "PZ1": (1600, 75, False),
+        "PZ2": (210, 17, False),
+        "PZ3": (260, 24, True),
+        "PZ4": (220, 21, True),
+        "PZ5": (230, 21, True),
+    }
