@@ -94,7 +94,12 @@ def _check_presses(bundle: Bundle, presses: NominalPresses) -> None:
         )
     if presses.free_view is None:
         raise FitError(
-            "the free new gel is not known; give a picture of it with --no-contact, or a recording"
+            "; ".join(
+                [
+                    "the free new gel is not known; give a picture of it with --no-contact, or a recording",
+                    *presses.faults,
+                ]
+            )
         )
     _check_gel(bundle, presses)
     if why := list(_misplaced(bundle, presses)):

@@ -37,9 +37,8 @@ def untouched_gel(presses: NominalPresses) -> tuple[F32, Mask]:
     Errors: FitError without a picture of the free gel.
     """
     if presses.no_contact is None or presses.estimated:
-        raise FitError(
-            "there is no picture of the free gel; give one with --no-contact, or a recording that begins before contact"
-        )
+        todo = "give one with --no-contact, or a recording that begins before contact"
+        raise FitError("; ".join(["there is no picture of the free gel", todo, *presses.faults]))
     mean = presses.no_contact.mean(axis=0, dtype=np.float64).transpose(2, 0, 1)
     planes = np.ascontiguousarray(mean, dtype=np.float32)
     return planes, marker_dots(planes) if has_markers(planes) else np.zeros(LR.shape, np.bool_)

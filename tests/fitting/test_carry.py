@@ -137,8 +137,8 @@ def turned() -> NominalPresses:
         (lambda: pressed(3), "found 3 presses on the new gel, expected 4 to 8"),
         (lambda: pressed(9), "found 9 presses on the new gel, expected 4 to 8"),
         (
-            lambda: replace(pressed(8), no_contact=None, free_view=None),
-            "the free new gel is not known; give a picture of it with --no-contact",
+            lambda: replace(pressed(8), no_contact=None, free_view=None, faults=("the picture is foreign",)),
+            "the free new gel is not known; give a picture of it with --no-contact.*; the picture is foreign",
         ),
         (lambda: pressed(8, 5, OLD), "from that of the bundle: it is the old gel"),
         (learnt, "press s002_p0 was learnt for this bundle, so it is of the old gel"),

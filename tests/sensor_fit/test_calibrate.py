@@ -1,6 +1,7 @@
 """A sensor that the product does not ship, calibrated from presses of a ball; and every input that cannot serve."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -93,6 +94,11 @@ def burnt(shown: list[np.ndarray]) -> np.ndarray:
     ("presses", "radius_mm", "sentence"),
     [
         (lambda s: without_free_gel(nominal(s)), RADIUS_MM, "give one with --no-contact"),
+        (
+            lambda s: replace(nominal(s), estimated="estimated", faults=("the picture is foreign",)),
+            RADIUS_MM,
+            "give one with --no-contact.*; the picture is foreign",
+        ),
         (nominal, 9, r"radius 9 mm is larger than the view, which is 15\.2 mm high"),
         (nominal, 0.8, r"radius 0\.80 mm cannot leave contacts of 1\.\d\d mm radius"),
         (
