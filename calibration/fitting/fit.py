@@ -225,7 +225,7 @@ class _Features:
     def skipped_tiles(self) -> tuple[int, ...]:
         """The tiles that a press without contact there may skip: those that no nominal press touches."""
         tiles, touched = self.learner.grid.tiles, self.presses.touched
-        if tiles is None or touched is None or self.presses.no_contact is None or self.presses.estimated:
+        if tiles is None or touched is None or self.presses.no_contact is None:
             return ()
         return untouched_tiles(tiles, touched)
 

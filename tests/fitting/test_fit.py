@@ -282,6 +282,9 @@ def test_presses_that_lie_anywhere_are_refused_by_the_methods_that_mind() -> Non
         fit_files(anywhere, config(detector=Padim(), profile=wide), created="test")
     with pytest.raises(FitError, match=r"all the same \(no gain; see --register\)$"):
         scatter_warnings(anywhere, wide, Padim(), why_unregistered="no gain")
+    guessed = dataclasses.replace(anywhere, touches=(), guessed=anywhere.touches)
+    (doubted,) = scatter_warnings(guessed, wide, Padim())  # by a free gel in doubt: nothing is refused
+    assert doubted == f"not proven: as far as a free gel in doubt shows it, {said}"
     for given, method in ((anywhere, tiny.TINY), (fixed, Padim()), (presses(4), Padim())):
         assert scatter_warnings(given, wide, method) == []
     meant = config(detector=Padim(), profile=wide, is_scattered=True)

@@ -204,9 +204,7 @@ def test_the_free_gel_is_known_without_a_picture_of_it(tmp_path: Path) -> None:
     """Estimated from four presses of one place or of any; a picture of another light is replaced, and both are said."""
     for k in range(4):
         write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60)))
-    across = 50 * np.clip(np.linspace(-1, 1, 160), 0, 1)[None, :, None]
-    lit = cv2.imdecode(np.frombuffer(gel(9), np.uint8), cv2.IMREAD_COLOR) + across * [1.0, 0.2, -0.8]
-    write(tmp_path / "other", "free.png", png(np.clip(lit, 0, 255).astype(np.uint8)))
+    write(tmp_path / "other", "free.png", other_light(gel(9)))
     write(tmp_path / "own", "free.png", gel(9))
     none, wrong, right = (
         read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / name for name in names])
@@ -235,5 +233,92 @@ def test_a_part_that_fills_the_view_is_no_other_light(tmp_path: Path) -> None:
     assert presses.faults == ()
     assert min(touch.area for touch in presses.touches) > 0.8
     guessed = read_presses([tmp_path / "good"], PROFILE, REGION)
-    assert "rim not seen: give a picture of it with --no-contact" in guessed.faults[0]
+    assert (
+        "rim not seen: no contact is known by it; give a picture of it with --no-contact" in guessed.faults[0]
+    )
     assert guessed.touches == ()
+    assert guessed.no_contact is None  # nothing is registered, rendered or proven with it
+
+
+def other_light(payload: bytes) -> bytes:
+    """The same picture, reddish towards one side."""
+    across = 50 * np.clip(np.linspace(-1, 1, 160), 0, 1)[None, :, None]
+    lit = cv2.imdecode(np.frombuffer(payload, np.uint8), cv2.IMREAD_COLOR) + across * [1.0, 0.2, -0.8]
+    return png(np.clip(lit, 0, 255).astype(np.uint8))
+
+
+def test_a_gently_curved_part_at_one_place_is_no_other_light(tmp_path: Path) -> None:
+    """The estimate takes a lying cylinder for light: the right picture is kept, and the doubt is said."""
+    down = np.linspace(-1, 1, 120)[:, None, None]
+    for k in range(4):
+        curved = cv2.imdecode(np.frombuffer(gel(k), np.uint8), cv2.IMREAD_COLOR) + 90 * (down - down**3)
+        write(tmp_path / "good", f"{k}.png", png(np.clip(curved, 0, 255).astype(np.uint8)))
+    write(tmp_path / "own", "free.png", gel(9))
+    presses = read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / "own"])
+    assert presses.estimated == ""
+    assert min(touch.area for touch in presses.touches) > 0.4
+    (said,) = presses.faults
+    assert "or a part that always lies at one place; the picture is kept" in said
+
+
+def test_by_an_estimate_no_place_is_left_out(tmp_path: Path) -> None:
+    """It may have part of what touches: methods learn every place."""
+    for k in range(4):
+        write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60)))
+    presses = read_presses([tmp_path / "good"], PROFILE, REGION)
+    assert presses.estimated
+    assert presses.touched is None
+
+
+def test_contacts_by_a_gel_in_doubt_are_kept_for_a_warning(tmp_path: Path) -> None:
+    """Balls anywhere on a marker gel: their places are guessed, and known to nothing else."""
+    rows, columns = np.mgrid[:120, :160]
+    dots = ((rows % 20 < 6) & (columns % 20 < 6))[..., None]
+    for k in range(6):
+        ball = cv2.imdecode(
+            np.frombuffer(gel(k, (30 + 20 * k, 40 + 15 * (k % 3))), np.uint8), cv2.IMREAD_COLOR
+        )
+        write(tmp_path / "good", f"{k}.png", png(np.where(dots, 20, ball).astype(np.uint8)))
+    presses = read_presses([tmp_path / "good"], PROFILE, REGION)
+    assert "dots or parts all over it" in presses.faults[0]
+    assert presses.touches == ()
+    assert [touch.x * 160 for touch in presses.guessed] == pytest.approx([30, 50, 70, 90, 110, 130], abs=8)
+
+
+def test_one_foreign_picture_among_right_ones_is_left_out(tmp_path: Path) -> None:
+    for k in range(4):
+        write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60)))
+    write(tmp_path / "free", "a.png", other_light(gel(9)))
+    write(tmp_path / "free", "b.png", gel(8))
+    presses = read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / "free"])
+    assert presses.faults[0].startswith("1 of 2 pictures of the free gel left out: ")
+    assert presses.no_contact is not None
+    assert len(presses.no_contact) == 1
+
+
+def test_a_foreign_picture_beside_a_recording_is_left_out(recording: Path, tmp_path: Path) -> None:
+    """The recording shows the free gel itself."""
+    write(tmp_path / "free", "a.png", other_light(gel(9)))
+    write(tmp_path / "own", "a.png", gel(9))
+    foreign, own, none = (
+        read_presses([recording], PROFILE, REGION, no_contact=[tmp_path / name for name in names])
+        for names in (["free"], ["own"], [])
+    )
+    assert foreign.faults[0].startswith("1 of 1 pictures of the free gel left out: ")
+    assert own.faults == ()
+    assert foreign.no_contact is not None
+    np.testing.assert_array_equal(foreign.no_contact, none.no_contact)
+
+
+def test_with_three_presses_a_foreign_picture_is_suspected(tmp_path: Path) -> None:
+    """Too few for an estimate: the contacts alone tell."""
+    for k in range(3):
+        write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60), 9))
+    write(tmp_path / "free", "a.png", other_light(gel(9)))
+    write(tmp_path / "own", "a.png", gel(9))
+    foreign, own = (
+        read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / name])
+        for name in ("free", "own")
+    )
+    assert "most likely of another light than the presses" in foreign.faults[0]
+    assert own.faults == ()

@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 
 from calibration.dataset.files import SUFFIXES, read_rgb
 from calibration.dataset.press import numbered
-from calibration.fitting.presses.free_gel import estimate_free_gel, view_of
+from calibration.fitting.presses.free_gel import view_of
+from calibration.fitting.presses.gel_choice import MIN_PRESSES, choose_free_gel, contact_finder, drop_foreign
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
 from calibration.fitting.presses.sources import check_present
-from edge.core.contact.mask import Touch, touched, touched_mask
+from edge.core.contact.mask import Touch, touched
 from edge.core.contact.press_detector import PressDetector
-from edge.core.contact.reference import Reference
-from edge.core.contact.relief import ReliefOfReference, with_relief
-from edge.core.contact.settings import ContactSettings
 from edge.core.errors import DatasetError, FitError
 from edge.core.imaging.decode import decode
 from edge.core.imaging.quality import BLACK_LEVEL
@@ -45,11 +43,6 @@ __all__ = [
     "why_unread",
 ]
 
-MIN_PRESSES = 4
-"""Presses that a threshold needs: a fold then keeps three. Of two or one there is no covariance and no spread between
-presses, and the fold's scores have another scale than the bank's: with two presses PaDiM's threshold was 30 times the
-nominal scores."""
-
 # Frames of the free gel that are kept: the detectors need only its mean and its noise.
 MAX_NO_CONTACT = 16
 
@@ -61,7 +54,7 @@ _Mask = NDArray[np.bool_] | None
 """Where a press touches in the view, bool (120, 160); None where the free gel is not known."""
 
 # The fields with one entry per press.
-_EACH = ("names", "specimens", "touches")
+_EACH = ("names", "specimens", "touches", "guessed")
 
 
 @dataclass(frozen=True)
@@ -75,10 +68,12 @@ class NominalPresses:
     """The piece of each press, None where it is unknown."""
     touches: tuple[Touch, ...] = ()
     """Area and centroid in the picture, empty when there is no free gel to compare with."""
+    guessed: tuple[Touch, ...] = ()
+    """The same by an estimate of the free gel that is in doubt: good for a warning alone."""
     touched: NDArray[np.bool_] | None = None
-    """What the presses touch with a margin of 1 mm, bool (h, w)."""
+    """What the presses touch with a margin of 1 mm, bool (h, w); None where the free gel was not seen."""
     no_contact: NDArray[np.uint8] | None = None
-    """The free gel, uint8 (m, h, w, 3)."""
+    """The free gel, uint8 (m, h, w, 3); None where it is in doubt."""
     left_out: tuple[str, ...] = ()
     """Names of presses found and left out."""
     free_view: NDArray[np.uint8] | None = None
@@ -148,22 +143,18 @@ class _Gathered:
     estimated: str = ""
     is_doubtful: bool = False
 
+    def add_free(self, given: list[NDArray[np.uint8]], *, is_checked: bool) -> None:
+        """Put given pictures before the recorded ones; is_checked: those alone that are of their light."""
+        said: list[str] = []
+        if is_checked:
+            given, said = drop_foreign(given, self.free)
+        self.free, self.faults = [*given, *self.free], [*self.faults, *said]
+
     def check_free_gel(self, names: Sequence[str], pictures: Sequence[NDArray[np.uint8]]) -> None:
-        """Estimate the free gel from presses where none is known, or it is of another light, and check each by it."""
-        if len(pictures) < MIN_PRESSES:
-            return
-        gel = estimate_free_gel(pictures)
-        self.faults += gel.find_strangers(names, pictures)
-        foreign = [why for why in map(gel.find_foreign, self.free) if why]
-        if self.free and len(foreign) < len(self.free):
-            return
-        self.free, self.estimated, self.is_doubtful = [gel.picture], str(gel), bool(gel.doubt)
-        if foreign:
-            self.faults.append(
-                f"the free gel is {gel}: {foreign[0]}; take one under the light of the presses"
-            )
-        elif gel.doubt:
-            self.faults.append(f"the free gel is {gel}: give a picture of it with --no-contact")
+        """Choose the free gel by the presses, and check each by it."""
+        chosen = choose_free_gel(names, pictures, self.free, self.profile)
+        self.free, self.estimated, self.is_doubtful = chosen.pictures, chosen.estimated, chosen.is_doubtful
+        self.faults += chosen.faults
 
     def add(self, picture: NDArray[np.uint8], name: str, specimen: str | None, mask: _Mask) -> None:
         if name in self.unwanted:
@@ -175,15 +166,20 @@ class _Gathered:
         """Return all presses; their contacts count where every one is known, by a free gel without doubt."""
         presses, free = self.presses, self.free[:MAX_NO_CONTACT]
         masks = [press.mask for press in presses if press.mask is not None]
-        is_known = len(masks) == len(presses) and not self.is_doubtful
+        touches = tuple(touched(mask) for mask in masks) if len(masks) == len(presses) else ()
         views = [view_of(picture) for picture in free]
         return NominalPresses(
             frames=np.stack([press.rgb for press in presses]),
             names=tuple(press.name for press in presses),
             specimens=tuple(press.specimen for press in presses),
-            touches=tuple(touched(mask) for mask in masks) if is_known else (),
-            touched=touched_union(masks, self.profile, self.region) if is_known else None,
-            no_contact=np.stack([self.region.crop(picture) for picture in free]) if free else None,
+            touches=() if self.is_doubtful else touches,
+            guessed=touches if self.is_doubtful else (),
+            touched=touched_union(masks, self.profile, self.region)
+            if touches and not self.estimated
+            else None,
+            no_contact=np.stack([self.region.crop(picture) for picture in free])
+            if free and not self.is_doubtful
+            else None,
             left_out=tuple(self.left_out),
             free_view=np.rint(np.mean(views, axis=0, dtype=np.float64)).astype(np.uint8)
             if free and not self.estimated
@@ -220,13 +216,13 @@ def read_presses(
     gathered = _Gathered(profile, region, unwanted=frozenset(leave_out or ()))
     free_files = list_pictures(no_contact or ())
     free = _pictures(free_files, profile, resize)
-    gathered.free += [picture for _, picture in free]
     for source in sources:
         if is_recording(source):
             _read_recording(source, gathered)
     files = list_pictures([source for source in sources if not is_recording(source)], pattern)
     files = [path for path in files if not any(path.samefile(one) for one in free_files)]
     pictures = _pictures(files, profile, resize)
+    gathered.add_free([picture for _, picture in free], is_checked=not files)
     names = [f"{path.parent.name}/{path.name}" for path, _ in pictures]
     kept = [k for k, name in enumerate(names) if name not in gathered.unwanted]
     gathered.check_free_gel([names[k] for k in kept], [pictures[k][1] for k in kept])
@@ -373,18 +369,8 @@ def _contacts(free: Sequence[NDArray[np.uint8]]) -> Callable[[NDArray[np.uint8]]
     """Return the function that finds a picture's contact as the gateway does; none is known without the free gel."""
     if not free:
         return lambda picture: None
-    mean = np.stack([view_of(picture) for picture in free]).mean(axis=0, dtype=np.float64)
-    reference = Reference(np.asarray(mean, np.float32))
-    structure = ReliefOfReference(reference.view)
-
-    def contact(picture: NDArray[np.uint8]) -> _Mask:
-        difference = reference.difference(view_of(picture))
-        relief = structure.of(difference, ContactSettings.light_levels)
-        return with_relief(touched_mask(difference), relief, ContactSettings.on_area)
-
-    for picture in free:  # from these it learns the noise: a part that fills the view has structure all over
-        contact(picture)
-    return contact
+    find = contact_finder(free)
+    return lambda picture: find(picture).mask
 
 
 def touched_union(
