@@ -1,7 +1,8 @@
 """Learns from nominal presses how a part is found under the gel, and brings the presses to one pose.
 
-One press is the first template; the mean of all presses in its pose is the next. The colours of slopes come from the
-presses themselves (`edge.core.registration.colours`).
+One press is the first template; then each is found by the mean of half of the others, until their turns settle. This
+is done with three first presses, and what two of them agree on is taken. The colours of slopes come from the presses
+themselves (`edge.core.registration.colours`).
 """
 
 import math
