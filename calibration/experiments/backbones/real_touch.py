@@ -22,7 +22,17 @@ from calibration.simulator.field_of_view import F32
 from edge.core.errors import DatasetError
 from edge.core.imaging.region import Region
 
-__all__ = ["ALPHA", "EDITS", "MIN_HELD", "OBJECTS", "Object", "Presses", "real_touch_trial"]
+__all__ = [
+    "ALPHA",
+    "EDITS",
+    "MIN_HELD",
+    "OBJECTS",
+    "Object",
+    "Presses",
+    "ball",
+    "real_touch_trial",
+    "touch_trial",
+]
 
 U8 = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
@@ -61,7 +71,7 @@ class Object:
     """Presses left out, seen by eye in the pictures."""
 
 
-def _ball(name: str, sensor: str, paths: tuple[str, str, str], other: str = "", *marred: str) -> list[Object]:
+def ball(name: str, sensor: str, paths: tuple[str, str, str], other: str = "", *marred: str) -> list[Object]:
     """Return the same presses of a ball registered, and anywhere in complete pictures.
 
     paths: folder, pattern of the presses, and the free gel. other: the folder of another ball by the same sensor.
@@ -138,12 +148,12 @@ _FOLDERS = "*/gelsight.png", "../background.png"
 # A cut of the gel opens where it is pressed and does not show on the free gel. In registered presses it lies in these
 # alone, at the left of 31 and 42 and in the contact of 8. On a fixture it would be in each press or in none.
 OBJECTS = (
-    *_ball("ball 6.31 mm", "rpl-cmu__gelslam", ("6.310mm", *_FOLDERS), "9.500mm", "31", "42"),
-    *_ball("ball 9.47 mm", "skleff1994__gs_sdk", ("9.470mm", *_FOLDERS), "", "8"),
+    *ball("ball 6.31 mm", "rpl-cmu__gelslam", ("6.310mm", *_FOLDERS), "9.500mm", "31", "42"),
+    *ball("ball 9.47 mm", "skleff1994__gs_sdk", ("9.470mm", *_FOLDERS), "", "8"),
     Object("finger on a marker gel", "gelsightinc__gsrobotics", _film),
-    *_ball("ball 5.00 mm", "FabPrez__Taxim", ("gsmini_ball5.0", "frame_*.jpg", "frame_0.jpg")),
+    *ball("ball 5.00 mm", "FabPrez__Taxim", ("gsmini_ball5.0", "frame_*.jpg", "frame_0.jpg")),
     # Not registered: the ball is larger than a registered cut, and its light on the gel moves the contact's centre.
-    _ball("ball 4.70 mm", "Rancho-zhao__FOTS", ("gelsight_ball", "*.png", "../backgrounds/gelsight_bg.png"))[
+    ball("ball 4.70 mm", "Rancho-zhao__FOTS", ("gelsight_ball", "*.png", "../backgrounds/gelsight_bg.png"))[
         1
     ],
 )
@@ -195,8 +205,12 @@ def real_touch_trial(data: Path, name: str, edits: int = EDITS) -> Trial:
     data: the folder of real tactile frames. Errors: DatasetError when the frames are not in it, or fewer than four
     held-out presses are in the region.
     """
-    chosen = next(found for found in OBJECTS if found.name == name)
-    presses = chosen.read(data)
+    return touch_trial(data, next(found for found in OBJECTS if found.name == name), edits)
+
+
+def touch_trial(data: Path, chosen: Object, edits: int = EDITS) -> Trial:
+    """Make the trial of an object, which need not be one of a set. Arguments and errors as `real_touch_trial`."""
+    name, presses = chosen.name, chosen.read(data)
     learnt, held, others = (
         _cuts(pictures, presses.free, chosen.is_registered)
         for pictures in (

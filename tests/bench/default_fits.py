@@ -1,0 +1,244 @@
+"""One row for each development kind of press: what a complete fit from pictures sees, and what it reports of that.
+
+`python tests/bench/default_fits.py ROWS.jsonl --tactile FOLDER [KIND...]` prints the table, worst first. A row is kept
+as soon as it is measured, and is not measured again; another trunk, method or free gel is another row.
+A kind takes about a minute of one core. Real frames are of the development sensors of `sets.toml` alone.
+
+peak: the share of damaged presses whose map is highest within 6 pixels of the damage; reported: that fail; of peak:
+of the former, those that fail; alarms: sound held-out presses that fail; lost: presses without a pose, sound and
+damaged, which are rejected. found: what `fit` says of its own rendered damage.
+"""
+
+import argparse
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.experiments.backbones.evaluation import is_on_damage
+from calibration.experiments.backbones.presses import Sizes, development_trial, part_trial
+from calibration.experiments.backbones.real_touch import OBJECTS, Object, Presses, ball, touch_trial
+from calibration.experiments.backbones.trial import PROFILE, REGION, Trial
+from calibration.experiments.harness.markdown import markdown_table
+from calibration.experiments.harness.rows import Rows
+from calibration.fitting.candidates import Candidates
+from calibration.fitting.damage.conditions import relight
+from calibration.fitting.detection_choice import choose_detection
+from calibration.fitting.fit import FitConfig, Fitted, fit_files
+from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
+from calibration.fitting.trunks import open_trunk
+from calibration.metrics import aupro, auroc
+from calibration.simulator.effects import DEFAULT_EFFECTS
+from calibration.simulator.pose import HeightField, Jitter, Pose
+from calibration.simulator.renderer import Renderer
+from calibration.simulator.reproducible_math import reproducible_opencv
+from calibration.simulator.shapes import FLOOR_MM, box, f32, plateau
+from calibration.simulator.streams import Streams
+from edge import registry
+from edge.core.errors import ConfigError, FitError, PoseNotFound
+from edge.model.scorer import Scorer
+
+GELS = ("right", "none", "another light")
+"""Which picture of the free gel a fit from pictures is given."""
+
+# Of simulated presses that lie anywhere: those learnt and held out, how far off they lie, and how a hand presses.
+_LEARNT, _HELD, _ANYWHERE_MM = 32, 17, 2.5
+_BY_HAND = Jitter(0.0, 0.0, 1.0, 0.1)
+_SEED = 31
+
+Maker = Callable[[Path, str], tuple[NominalPresses, Trial]]
+"""Takes the folder of real frames and a free gel; what is learnt, and what is scored."""
+
+
+def _touch(chosen: Object, data: Path, gel: str) -> tuple[NominalPresses, Trial]:
+    """Presses with small edits, learnt from pictures as `gelgate fit` reads them."""
+    presses = chosen.read(data)
+    with TemporaryDirectory() as folder:
+        for number, rgb in presses.learnt.items():
+            _save(Path(folder) / "learnt" / f"{number}.png", rgb)
+        free = presses.free if gel == "right" else relight(presses.free, np.random.default_rng(1))
+        files = [] if gel == "none" else [_save(Path(folder) / "free" / "free.png", free)]
+        learnt = read_presses([Path(folder) / "learnt"], PROFILE, REGION, no_contact=files)
+    return learnt, touch_trial(data, chosen)
+
+
+def _save(path: Path, rgb: NDArray[np.uint8]) -> Path:
+    path.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(path), np.ascontiguousarray(rgb[..., ::-1]))
+    return path
+
+
+def _part(make: Callable[[], Trial], data: Path, gel: str) -> tuple[NominalPresses, Trial]:
+    """A simulated part in its fixture, or under a hand, with the simulator's damage."""
+    if gel != "right":
+        raise FitError("simulated parts have pictures of their free gel")
+    trial = make()
+    return trial.nominal, trial
+
+
+def _simulate(shape: HeightField, depth_mm: float, effects: Sequence[str], data: Path) -> Presses:
+    """Simulated presses of a shape that lies anywhere, at any angle."""
+    streams = Streams(_SEED)
+    gel = Renderer(effects=(*DEFAULT_EFFECTS, *effects), jitter=_BY_HAND, streams=streams)
+
+    def press(number: int) -> NDArray[np.uint8]:
+        away, towards, turn = streams("anywhere", number).uniform(0, (1, 2 * math.pi, 2 * math.pi)).tolist()
+        away = _ANYWHERE_MM * math.sqrt(away)
+        pose = Pose((away * math.cos(towards), away * math.sin(towards)), turn)
+        return gel.press(shape, depth_mm, (number,), pose)
+
+    with reproducible_opencv():
+        learnt, held = (
+            {str(k): press(k) for k in range(*span)} for span in ((0, _LEARNT), (_LEARNT, _LEARNT + _HELD))
+        )
+        return Presses(learnt, held, gel.free_gel(), has_dots="markers" in effects)
+
+
+def _edge(x_mm: NDArray[np.float32], y_mm: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A long plate 4 mm wide, of which one end may lie in the view."""
+    return plateau(box(x_mm - 5.0, y_mm, 9.0, 2.0, 0.3), 0.0, FLOOR_MM, 0.2)
+
+
+def _ball(x_mm: NDArray[np.float32], y_mm: NDArray[np.float32]) -> NDArray[np.float32]:
+    radius = np.float32(4.0)
+    height = np.sqrt(np.maximum(radius * radius - x_mm * x_mm - y_mm * y_mm, 0)) - radius
+    return f32(np.where(height > -radius, height, FLOOR_MM))
+
+
+_SAME_SENSOR = "rpl-cmu__gelslam", ("9.500mm", "*/gelsight.png", "../background.png")
+
+KINDS: Mapping[str, Maker] = {
+    **{
+        one.name: partial(_touch, one)
+        for one in (
+            *(one for one in OBJECTS if one.name in ("ball 6.31 mm, anywhere", "ball 9.47 mm, anywhere")),
+            ball("ball 9.50 mm", *_SAME_SENSOR)[1],
+            next(one for one in OBJECTS if one.name == "finger on a marker gel"),
+            Object("simulated edge, anywhere", "", partial(_simulate, _edge, 0.35, ())),
+            Object("simulated ball with dots, anywhere", "", partial(_simulate, _ball, 0.4, ("markers",))),
+        )
+    },
+    **{f"simulated {part}": partial(_part, partial(part_trial, part)) for part in ("PZ1", "PZ4")},
+    **{
+        f"simulated random part {number}": partial(_part, partial(development_trial, number))
+        for number in (1, 3)
+    },
+    "simulated PZ4, two pieces": partial(
+        _part, partial(part_trial, "PZ4", sizes=Sizes(pieces=6, held_out=4, presses=12))
+    ),
+}
+"""The development kinds, by name."""
+
+
+def fit_pictures(presses: NominalPresses, method: str, backbone: str, **changes: Any) -> Fitted:
+    """Fit as `gelgate fit` does. changes: of the configuration."""
+    candidates = Candidates.of(method, backbone)
+    detector = registry.detector(candidates.methods[0])
+    trunk = open_trunk(candidates.trunks[0], detector.taps(detector.parameters()))
+    config = FitConfig(
+        "part", "top", PROFILE, REGION, detector, trunk, register="auto", augment="auto", **changes
+    )
+    if candidates.are_several:
+        config = choose_detection(presses, config, candidates)
+    return fit_files(presses, config, created="2026-01-01")
+
+
+def measure(fitted: Fitted, trial: Trial) -> dict[str, Any]:
+    """Score the trial's own presses as a gateway does; a press without a pose is rejected and scores highest."""
+    frames, masks = trial.frames[trial.is_own], trial.masks[trial.is_own]
+    scorer, maps, scores = Scorer(fitted.bundle()), np.zeros(masks.shape, np.float32), np.zeros(len(masks))
+    is_lost = np.zeros(len(masks), np.bool_)
+    for k, rgb in enumerate(frames):
+        try:
+            scored = scorer.score(rgb)
+        except PoseNotFound:
+            is_lost[k] = True
+            continue
+        maps[k], scores[k] = scored.score_map, scored.anomaly_score
+    manifest, is_damaged = fitted.manifest, masks.any(axis=(1, 2))
+    scores[is_lost] = 2 * scores.max()
+    fails = ~is_lost & (scores > manifest.threshold.value)
+    peak = is_damaged & ~is_lost & is_on_damage(maps, masks)
+    limit = manifest.facts["limit"]
+    return {
+        "auroc": auroc(scores, is_damaged),
+        "aupro": aupro(list(maps), list(masks)),
+        "peak": float(peak[is_damaged].mean()),
+        "reported": float(fails[is_damaged].mean()),
+        "of_peak": float(fails[peak].mean()) if peak.any() else 0.0,
+        "alarms": int(fails[~is_damaged].sum()),
+        "sound": int((~is_damaged).sum()),
+        "lost_sound": int(is_lost[~is_damaged].sum()),
+        "lost_damaged": int(is_lost[is_damaged].sum()),
+        "trunk": manifest.backbone.id if manifest.backbone else "",
+        "method": manifest.method,
+        "limit": limit["kind"],
+        "found": limit.get("found", {}).get(limit["kind"]),
+        "is_registered": fitted.bundle().registration is not None,
+        "warnings": list(manifest.provenance.warnings),
+    }
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The rows as a table, worst first, and their mean."""
+
+    def cells(row: Mapping[str, Any]) -> list[str]:
+        how = f"{row['method']}, {row['trunk']}, {row['limit']}{', registered' * row['is_registered']}"
+        found = "-" if row["found"] is None else f"{row['found']:.2f}"
+        alarms = f"{row['alarms']} of {row['sound']}"
+        return [row["kind"], how, *_values(row), alarms, f"{row['lost_sound']}, {row['lost_damaged']}", found]
+
+    fitted = sorted((row for row in rows if "error" not in row), key=lambda row: row["of_peak"])
+    lines = [cells(row) for row in fitted]
+    if fitted:
+        mean = {name: float(np.mean([row[name] for row in fitted])) for name in _MEANS}
+        alarms, sound = (sum(row[name] for row in fitted) for name in ("alarms", "sound"))
+        lines.append(["mean", "", *_values(mean), f"{alarms} of {sound}", "", ""])
+    lines += [[row["kind"], row["error"], *[""] * 8] for row in rows if "error" in row]
+    head = ["kind", "fit", "AUROC", "AU-PRO", "peak", "reported", "of peak", "alarms", "lost", "found"]
+    return markdown_table(head, lines)
+
+
+_MEANS = ("auroc", "aupro", "peak", "reported", "of_peak")
+
+
+def _values(row: Mapping[str, Any]) -> list[str]:
+    return [f"{row[name]:.3f}" for name in _MEANS]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("rows", type=Path, help="the file of rows, made or continued")
+    parser.add_argument(
+        "kinds", nargs="*", metavar="KIND", help="words in a kind's name; default: every kind"
+    )
+    parser.add_argument(
+        "--tactile", type=Path, help="the folder of real frames; without it real kinds have an error"
+    )
+    parser.add_argument("--method", default="padim")
+    parser.add_argument("--backbone", default="auto")
+    parser.add_argument("--gel", choices=GELS, default="right", help="the picture of the free gel")
+    given = parser.parse_args()
+    rows, how = Rows(given.rows), {"asked": [given.method, given.backbone], "gel": given.gel}
+    for kind, make in KINDS.items():
+        key = "/".join((kind, *how["asked"], given.gel))
+        if key in rows.done() or not any(word in kind for word in given.kinds or [""]):
+            continue
+        try:
+            presses, trial = make(given.tactile or Path("no-folder-given"), given.gel)
+            found = measure(fit_pictures(presses, given.method, given.backbone), trial)
+        except (FitError, ConfigError) as error:
+            found = {"error": str(error)}
+        rows.append({"key": key, "kind": kind, **how, **found})
+        print(table([rows.read()[-1]]).splitlines()[2], flush=True)
+    print(table([row for row in rows.read() if {name: row[name] for name in how} == how]))
+
+
+if __name__ == "__main__":
+    main()
