@@ -147,11 +147,11 @@ class _Tally:
     def check(self, recording: Path) -> None:
         """Compare with the labels. Errors: PressesMissed, SinkUnavailable: a press or a result was lost."""
         from edge.core.errors import SinkUnavailable
-        from edge.gateway.report import check_played
         from edge.recording.format import Recording
 
-        if self.summary is not None and self.status is not None:
-            check_played(Recording.open(recording), self.summary, self.status)
+        if self.summary is not None and self.summary.has_ended and self.status is not None:
+            seen, sensor = self.summary.presses, self.status
+            Recording.open(recording).check_presses(seen, sensor.frames, sensor.dropped)
         if self.received != len(self.verdicts):
             raise SinkUnavailable(
                 f"{len(self.verdicts)} presses were inspected and {self.received} results arrived at the subscriber "

@@ -20,7 +20,7 @@ from edge.gateway.build import open_station
 from edge.gateway.opening import played_recording
 from edge.gateway.preflight import preflight
 from edge.gateway.recorder import PressReport
-from edge.gateway.report import Summary, check_played
+from edge.gateway.report import Summary
 from edge.logs import press_event
 
 __all__ = ["check", "example", "press_line", "run", "summary_text"]
@@ -91,8 +91,9 @@ def run(
         log_summary(summary)
     else:
         out.put(summary_text(summary))
-    if recording is not None and loaded.inspection.trigger == "automatic":
-        check_played(recording, summary, station.parts.acquisition.status)
+    if recording is not None and summary.has_ended and loaded.inspection.trigger == "automatic":
+        sensor = station.parts.acquisition.status
+        recording.check_presses(summary.presses, sensor.frames, sensor.dropped)
 
 
 class Lines:

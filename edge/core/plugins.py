@@ -16,7 +16,6 @@ A plugin has an optional ability by having its attributes; the program asks `isi
 """
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
 from edge.core.digital_io import Actuator, DiscoveredPort, Trigger
@@ -34,6 +33,7 @@ __all__ = [
     "HasFacts",
     "HasIdentity",
     "HasWarnings",
+    "Played",
     "PlaysRecording",
     "Resettable",
     "SinkPlugin",
@@ -71,12 +71,20 @@ class Resettable(Protocol[AnyOptions]):
         """Reset the sensor selected by the options, and return its name. Errors: as `DevicePlugin.open`."""
 
 
+class Played(Protocol):
+    """A recording, to which a run that played it is compared."""
+
+    def check_presses(self, seen: int, frames: int, dropped: int) -> None:
+        """Compare the presses that a run saw until the end. frames, dropped: delivered, and of these not processed.
+        Errors: PressesMissed where it missed one, or may have."""
+
+
 @runtime_checkable
 class PlaysRecording(Protocol[AnyOptions]):
     """A device plugin that plays a recording: a run can then check that it missed no press."""
 
-    def recording(self, options: AnyOptions) -> Path:
-        """The folder that is played."""
+    def recording(self, options: AnyOptions) -> Played:
+        """Open what is played. Errors: RecordingError."""
 
 
 @runtime_checkable

@@ -12,7 +12,7 @@ from edge import registry
 from edge.config import BundleTable, InspectionTable, PluginTable
 from edge.core.errors import BundleMismatch, ConfigError, GelgateError
 from edge.core.part_position import PartPosition
-from edge.core.plugins import PlaysRecording
+from edge.core.plugins import Played, PlaysRecording
 from edge.core.ports import Clock, Device, DeviceIdentity
 from edge.gateway.bundle_set import BundleSet, OpenBundle, part_of
 from edge.model.archive import MANIFEST, open_archive
@@ -23,7 +23,6 @@ from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions
 from edge.model.signature import Trust, trusted_keys
 from edge.model.trial import try_bundle
-from edge.recording.format import Recording
 
 __all__ = [
     "BundleOpener",
@@ -193,8 +192,8 @@ def check_mode(bundle: Bundle, sensor: DeviceIdentity) -> None:
         )
 
 
-def played_recording(table: PluginTable) -> Recording | None:
+def played_recording(table: PluginTable) -> Played | None:
     """The recording that the configured device plays; None where it is a sensor. Errors: RecordingError."""
     plugin = registry.device(table.plugin)
     options = plugin.Options.model_validate(table.options)
-    return Recording.open(plugin.recording(options)) if isinstance(plugin, PlaysRecording) else None
+    return plugin.recording(options) if isinstance(plugin, PlaysRecording) else None

@@ -13,7 +13,7 @@ from statistics import median
 from typing import Any, Final, NamedTuple
 
 from edge.acquisition import Acquisition, AcquisitionStatus
-from edge.core.errors import PressesMissed, StoreError
+from edge.core.errors import StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import MAX_AGE_S, Reason
 from edge.core.ports import Clock
@@ -23,7 +23,6 @@ from edge.gateway.status import StationStatus
 from edge.messaging.publisher import Publisher
 from edge.messaging.sink_worker import SinkCounters
 from edge.messaging.status_payloads import StatsPayload
-from edge.recording.format import Recording
 from edge.store.acts import Act
 from edge.store.outbox import OutboxStatus
 from edge.store.press_store import Store
@@ -35,7 +34,6 @@ __all__ = [
     "OverloadRule",
     "Report",
     "Summary",
-    "check_played",
     "free_bytes",
 ]
 
@@ -355,28 +353,3 @@ def _describe(sink: SinkCounters) -> str:
     """Return a receiver's state in `stats`."""
     level = f", MQTT {sink.level}" if sink.level else ""
     return ("up" if sink.is_up else sink.last_error or "not yet tried") + level
-
-
-def check_played(recording: Recording, summary: Summary, status: AcquisitionStatus) -> None:
-    """Compare the presses with the recording's labels. Errors: PressesMissed where they give another number.
-
-    Without labels: where frames were dropped, or no press was seen. A run that was stopped before the recording's end
-    is not checked.
-    """
-    held = recording.presses()
-    is_unknown = held is None and summary.presses > 0 and not status.dropped
-    if not summary.has_ended or is_unknown or held == summary.presses:
-        return
-    found = (
-        f"its number of presses is not known and the run saw {summary.presses}"
-        if held is None
-        else f"it holds {held} presses and the run saw {summary.presses}"
-    )
-    why = (
-        f"{status.dropped} of its {status.frames} frames were dropped because they were not processed in time; "
-        "play it with pace = 0"
-        if status.dropped
-        else "no frame was dropped; play it with pace 0 or 1, and `gelgate run -v` shows contact in each frame"
-    )
-    cut = "; its index ends in the middle of a line, so the end of it is lost" if recording.is_cut else ""
-    raise PressesMissed(f"recording {recording.folder}: {found}; {why}{cut}")

@@ -20,7 +20,7 @@ from typing import Self
 
 from pydantic import TypeAdapter, ValidationError
 
-from edge.core.errors import RecordingError, StoreError
+from edge.core.errors import PressesMissed, RecordingError, StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
 from edge.core.ports import DeviceIdentity
@@ -130,6 +130,29 @@ class Recording:
         """The number of presses in its labels; None without such labels."""
         numbers = {label.get("press") for label in self.labels() if label is not None}
         return len([number for number in numbers if isinstance(number, int)]) or None
+
+    def check_presses(self, seen: int, frames: int, dropped: int) -> None:
+        """Compare the presses that a run saw until the end with the labels. Errors: PressesMissed where they differ.
+
+        Without labels: where frames were dropped, or no press was seen. frames, dropped: delivered, and of these not
+        processed.
+        """
+        held = self.presses()
+        if held == seen or (held is None and seen and not dropped):
+            return
+        counts = (
+            f"its number of presses is not known and the run saw {seen}"
+            if held is None
+            else f"it holds {held} presses and the run saw {seen}"
+        )
+        why = (
+            f"{dropped} of its {frames} frames were dropped because they were not processed in time; play it with "
+            "pace = 0"
+            if dropped
+            else "no frame was dropped; play it with pace 0 or 1, and `gelgate run -v` shows contact in each frame"
+        )
+        cut = "; its index ends in the middle of a line, so the end of it is lost" if self.is_cut else ""
+        raise PressesMissed(f"recording {self.folder}: {counts}; {why}{cut}")
 
     def times_ns(self) -> list[int]:
         """The time of every frame, without reading any frame."""

@@ -124,8 +124,8 @@ class Recorded(DevicePlugin[RecordedOptions]):
             return [DiscoveredDevice(str(options.recording), "", refusal=str(error))]
         return [DiscoveredDevice(str(options.recording), header.product, header.identity)]
 
-    def recording(self, options: RecordedOptions) -> Path:
-        return options.recording
+    def recording(self, options: RecordedOptions) -> Recording:
+        return Recording.open(options.recording)
 
     def open(self, options: RecordedOptions, clock: Clock) -> Device:
         """Open the recording as a sensor. Errors: RecordingError."""

@@ -127,8 +127,8 @@ class UsbMock(DevicePlugin[UsbMockOptions]):
     def discover(self, options: UsbMockOptions) -> list[DiscoveredDevice]:
         return [sensor.discovered for sensor in discover(self.bench(options).bus)]
 
-    def recording(self, options: UsbMockOptions) -> Path:
-        return options.recording
+    def recording(self, options: UsbMockOptions) -> Recording:
+        return Recording.open(options.recording)
 
     def open(self, options: UsbMockOptions, clock: Clock) -> Device:
         """Open the sensor. Errors: RecordingError, DeviceNotFound, DeviceBusy (also by a process that plays it)."""
