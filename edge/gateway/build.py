@@ -88,7 +88,6 @@ def _build(
     listeners: list[Callable[[Message], object]] = [publisher.announce]
     status = StationStatus(lambda message: [hear(message) for hear in listeners], clock)
     closing.callback(publisher.stop)
-    closing.callback(status.stopped)
     status.set_waiting_for("the sensor")
     device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
     acquisition = Acquisition(device, clock, status.sensor_changed)
@@ -111,12 +110,26 @@ def _build(
         listen=listeners.append,
     )
     opened = _open_stages(stage_parts, stages, closing)
-    return Parts(config, opened, selection, store, publisher, status, acquisition, free_space, calls, clock)
+    closing.callback(status.stopped)
+    if "outputs" in opened:  # they close before all others: no light waits for what those have to finish
+        closing.callback(opened["outputs"].close)
+    return Parts(
+        config,
+        list(opened.values()),
+        selection,
+        store,
+        publisher,
+        status,
+        acquisition,
+        free_space,
+        calls,
+        clock,
+    )
 
 
 def _open_stages(
     parts: StageParts, instead: Mapping[str, PressStage], closing: ExitStack
-) -> list[PressStage]:
+) -> dict[str, PressStage]:
     """Open the features that are configured. instead: of features of these names. Errors: ConfigError."""
     features, stages = load_features(parts.config), dict[str, PressStage]()
     for name in (*(name for name in instead if name not in features), *features):
@@ -124,9 +137,7 @@ def _open_stages(
         if stage is not None:
             closing.callback(stage.close)
             stages[name] = stage
-    if "outputs" in stages:  # they close before the others too: no light waits for what those have to finish
-        closing.callback(stages["outputs"].close)
-    return list(stages.values())
+    return stages
 
 
 def _open_bundles(

@@ -1,6 +1,7 @@
 """Which bundle inspects: the selected position of a part, changed between two presses. Used by the loop alone."""
 
 import logging
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Final
@@ -52,7 +53,7 @@ class PartSelection:
         self._status = status
         self._clock = clock
         self._is_recorded = False
-        self._unrecorded: Act | None = None
+        self._unrecorded: deque[Act] = deque()
         self._golden = GoldenWatch(clock)
         self.on_change: Callable[[], None] = lambda: None
         self._golden.watch(self.inspector, is_checked=True)
@@ -106,9 +107,9 @@ class PartSelection:
         inspector, bundles = self.inspector, self.bundles
         if (staged := self.worker.take()) is not None:
             self._take(staged)
-        if self._unrecorded is not None:
-            self._store.begin_act(self._unrecorded, within_s=0)
-            self._unrecorded = None
+        while self._unrecorded:
+            self._store.begin_act(self._unrecorded[0], within_s=0)
+            self._unrecorded.popleft()
         if not is_pressed and (self.is_waiting or not self._is_recorded):
             self._change()
         elif not is_pressed and self._golden.step():
@@ -168,13 +169,15 @@ class PartSelection:
             log.error("%s", fault)
         self._status.say("bundle", "; ".join(faults) or None)
         bundles = {str(part): one.bundle.digest for part, one in self.bundles.bundles.items()}
-        self._unrecorded = Act(
-            self._clock.time_ns(),
-            "the gateway",
-            "open_bundles",
-            outcome="failed" if faults else "done",
-            sentence="; ".join(faults) or None,
-            after={"bundles": bundles},
+        self._unrecorded.append(
+            Act(
+                self._clock.time_ns(),
+                "the gateway",
+                "open_bundles",
+                outcome="failed" if faults else "done",
+                sentence="; ".join(faults) or None,
+                after={"bundles": bundles},
+            )
         )
 
     def _report_golden(self) -> None:

@@ -11,7 +11,7 @@ from stepped_station import SteppedStation
 
 from edge.clock import SystemClock
 from edge.config import load_config
-from edge.core.errors import BundleMismatch, ConfigError, StoreError
+from edge.core.errors import BundleCorrupt, BundleMismatch, ConfigError, StoreError
 from edge.core.part_position import PartPosition
 from edge.gateway.opening import BundleOpener, Opened
 from edge.model.archive import open_archive
@@ -311,6 +311,24 @@ def test_every_reload_is_in_the_table_of_acts(station: SteppedStation) -> None:
     assert (act.who, act.verb, act.outcome) == ("the gateway", "open_bundles", "done")
     digest = station.parts.selection.inspector.bundle.digest
     assert (act.after or {})["bundles"]["PZ0/pos1"] == digest
+
+
+def test_reloads_that_cannot_be_recorded_at_once_are_recorded_in_order(
+    station: SteppedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second reload hides no failure of the first one from the table of acts."""
+    opened = Opened(station.parts.selection.bundles, {})
+    monkeypatch.setattr(
+        station.parts.selection, "_open", Mock(side_effect=[BundleCorrupt("a torn bundle"), opened])
+    )
+    station.turn()
+    with station.refusing("acts"):
+        reloaded(station)
+        reloaded(station)
+    station.turn(3)
+    acts = [(act.outcome, act.sentence) for act in station.parts.store.acts()]
+
+    assert acts == [("done", None), ("failed", "a torn bundle")]  # newest first
 
 
 def test_a_selection_that_cannot_be_recorded_is_not_made(config: Path) -> None:

@@ -312,21 +312,23 @@ def test_a_running_gateway_switches_and_leaves_the_outputs_of_stopped(
     assert last == {1: False, 2: False, 3: False, 4: True}
 
 
-def test_no_light_waits_for_work_in_the_background(
+def test_no_light_and_no_state_waits_for_work_in_the_background(
     tmp_path: Path, configure: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A pass is shown, a reload and a snapshot take long, and the station ends: the outputs are those of `stopped`
-    before anybody waits for either."""
-    lit: list[set[int]] = []
+    """A pass is shown, a reload and a snapshot take long, and the station ends: outputs and state are those of
+    `stopped` before anybody waits for either."""
+    seen: list[tuple[set[int], str]] = []
     (stop := threading.Event()).set()
     with IoStation(configure(ANDON + '[commands]\nunsigned = ["snapshot"]\n')) as station:
         station.play_presses(1)
         assert switched(tmp_path)[-1] == (1, True)
         for worker in (station.parts.selection.worker, station.find(Snapshots).worker):
-            monkeypatch.setattr(worker, "close", lambda: lit.append(on(tmp_path)))
+            monkeypatch.setattr(
+                worker, "close", lambda: seen.append((on(tmp_path), station.said("state")["state"]))
+            )
         station.loop.turn_until(stop)
 
-    assert lit == [{4}, {4}]
+    assert seen == [({4}, "stopped"), ({4}, "stopped")]
 
 
 def test_a_master_piece_switches_no_light_and_no_gate(tmp_path: Path, configure: Make) -> None:
