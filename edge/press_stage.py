@@ -12,7 +12,6 @@ from edge.core.contact.events import Event, PressSettled
 from edge.core.contact.press_detector import Look
 from edge.core.contact.reference import View
 from edge.core.digital_io import StationView
-from edge.core.gel_proof import MadeOn
 from edge.core.imaging.frames import CameraFrame
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, DeviceIdentity, Message
@@ -125,8 +124,6 @@ class Mounted:
     bundle_id: str
     has_contact: bool
     """Whether something presses the gel."""
-    made: MadeOn
-    """The gel that the bundle was made on."""
 
 
 class PressStage:

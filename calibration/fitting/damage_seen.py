@@ -26,7 +26,8 @@ from calibration.fitting.trunks import Trunk
 from calibration.metrics import aupro, auroc
 from edge.core.detector import Detector, Features, Nominal
 from edge.core.errors import FitError
-from edge.core.registration.registrar import Registered, Registrar
+from edge.core.registration.pose import Registered
+from edge.core.registration.registrar import Registrar
 
 __all__ = ["MOST_PRESSES", "DamageJudge", "PosedPresses", "Separation", "measure_separation"]
 

@@ -9,6 +9,7 @@ import typer
 
 from edge.cli.options import BundlePath, TrunkStore
 from edge.core.errors import BundleError
+from edge.model.again_facts import DEFAULT_COSTS, again_sentence, plan_for
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle, parse_manifest
 from edge.model.detectability import detectability_lines
@@ -16,14 +17,11 @@ from edge.model.manifest import ColourEntry, Manifest
 from edge.model.manifest_facts import (
     AUGMENTATION,
     BACKBONE_CHOICE,
-    DEFAULT_COSTS,
     LIMIT,
     METHOD_CHOICE,
     MISSING,
-    again_sentence,
     choice_sentence,
     licence_sentence,
-    plan_for,
     promise,
 )
 from edge.model.scorer import Scorer

@@ -13,7 +13,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Rejection
 from edge.core.overview.rules import OverviewView
 from edge.core.reference_press.control_chart import Imprint
-from edge.core.registration.registrar import Registered
+from edge.core.registration.pose import Registered
 from edge.core.verdict import Kind, Verdict
 
 __all__ = ["Again", "JudgedFrame", "Press", "PressLabel", "ReferenceLabel", "ScarFindings", "StudyLabel"]

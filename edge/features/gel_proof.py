@@ -4,18 +4,22 @@ import logging
 from functools import partial
 from typing import Final, Literal, Self
 
+from edge.core.gel_proof import MadeOn
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
 from edge.core.press import Press, ReferenceLabel
 from edge.core.verdict import Kind
 from edge.messaging.command_payloads import NoArguments
+from edge.model.inspector import Inspector
+from edge.model.manifest import Facts
+from edge.model.manifest_facts import GEL
 from edge.press_stage import Alarms, Command, Data, Mounted, PressStage, StageParts
 from edge.store import gel_proofs
 from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle
 from edge.store.press_store import Store
 
-__all__ = ["GelProofWatch"]
+__all__ = ["GelProofWatch", "read_origin"]
 
 log = logging.getLogger(__name__)
 
@@ -37,6 +41,7 @@ class GelProofWatch(PressStage):
         clock: Clock,
     ) -> None:
         self._unproven, self._store, self._alarms, self._clock = unproven, store, alarms, clock
+        self._made = MadeOn("")  # of no bundle; `use` comes before the first turn
         self._mounted: Mounted | None = None
         self._sentence: str | None = None
         self._next_look_ns = 0
@@ -44,6 +49,10 @@ class GelProofWatch(PressStage):
     @classmethod
     def open(cls, parts: StageParts) -> Self:
         return cls(parts.config.gel.unproven, parts.store, parts.alarms, parts.clock)
+
+    def use(self, inspector: Inspector) -> None:
+        """Take what this bundle says of its own gel."""
+        self._made = read_origin(inspector.bundle.manifest)
 
     def turn(self, mounted: Mounted | None) -> None:
         """Look again when gel or bundle is another one, and now and then while it is not proven."""
@@ -106,7 +115,7 @@ class GelProofWatch(PressStage):
             gel_proofs.see,
             key=_key(mounted),
             part=mounted.part,
-            made=mounted.made,
+            made=self._made,
             time_ns=self._clock.time_ns(),
         )
         proof = self._store.write("reading how far the bundle is proven on this gel", change)
@@ -124,6 +133,13 @@ class GelProofWatch(PressStage):
             self._alarms.clear_fault("gel_proof")
         elif self._unproven == "refuse" and self._alarms.set_fault("gel_proof", str(self._sentence)):
             log.warning("%s", self._sentence)
+
+
+def read_origin(manifest: Facts) -> MadeOn:
+    """Read what the bundle says of its own gel."""
+    gel = manifest.facts.get(GEL)
+    gel_id = gel.get("gel_id") if isinstance(gel, dict) else None
+    return MadeOn(manifest.provenance.created, gel_id if isinstance(gel_id, str) else None)
 
 
 def _key(mounted: Mounted) -> GelBundle:

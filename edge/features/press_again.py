@@ -11,9 +11,9 @@ from edge.core.ports import Clock
 from edge.core.press import Again, Press
 from edge.core.press_again import Costs, Plan, is_asked, second_verdict, unsure
 from edge.messaging.result_payload import PressAgainPart
+from edge.model.again_facts import again_sentence, plan_for
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
-from edge.model.manifest_facts import again_sentence, plan_for
 from edge.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
 

@@ -34,7 +34,6 @@ from edge.gateway.recorder import PressReport, Recorder, WaitingPress
 from edge.gateway.status import StationStatus
 from edge.logs import about_press
 from edge.model.inspector import Inspector
-from edge.model.manifest_facts import read_origin
 from edge.press_stage import Mounted, PressStage
 from edge.store.gel_files import GelFiles
 from edge.store.gel_ledger import GelRecord
@@ -97,8 +96,7 @@ class InspectionSession:
         """The sensor, gel, part and bundle that a press would be made with now."""
         bundle = self.inspector.bundle
         part = PartPosition(bundle.manifest.part, bundle.manifest.position)
-        made = read_origin(bundle.manifest)
-        return Mounted(self.gel.serial, self.gel.gel_id, part, bundle.digest, self.has_contact, made)
+        return Mounted(self.gel.serial, self.gel.gel_id, part, bundle.digest, self.has_contact)
 
     @property
     def contact_state(self) -> str:

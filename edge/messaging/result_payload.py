@@ -12,7 +12,7 @@ from edge.core.imaging.quality import Reason
 from edge.core.ports import Message
 from edge.core.reference_press.charts import Chart, Judgement, Outcome
 from edge.core.reference_press.control_chart import Signal
-from edge.core.registration.registrar import Registered
+from edge.core.registration.pose import Registered
 from edge.core.verdict import Kind
 from edge.messaging.payload_base import Payload, PressId
 from edge.messaging.status_payloads import GelPayload

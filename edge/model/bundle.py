@@ -13,7 +13,7 @@ import tokenize
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -28,8 +28,6 @@ from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.image_bytes import kind, picture_size
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
-from edge.core.registration.colours import SlopeColours
-from edge.core.registration.registrar import PartInPose
 from edge.model.archive import MANIFEST, MAX_FILE_BYTES, Archive, open_archive
 from edge.model.graph_cut import cut_trunk
 from edge.model.manifest import (
@@ -43,6 +41,9 @@ from edge.model.manifest_files import RegistrationEntry
 from edge.model.onnx_validation import GraphRefused
 from edge.model.packing import Packed, unpack
 from edge.model.signature import UNSIGNED, Trust
+
+if TYPE_CHECKING:
+    from edge.core.registration.registrar import PartInPose
 
 __all__ = ["Bundle", "GoldenFrame", "Graphs", "parse_manifest", "read_trunk", "read_verified"]
 
@@ -157,7 +158,7 @@ class Bundle:
     """The whole gel without contact, as contact detection sees it, (120, 160, 3)."""
     signature: str = UNSIGNED
     """Who made it, as far as that was checked, in words."""
-    registration: PartInPose | None = None
+    registration: "PartInPose | None" = None
     """The part in the bank's pose; None for a bundle that scores presses without registration."""
 
     @classmethod
@@ -319,10 +320,14 @@ def _parse_npy(data: bytes, file: str, dtype: str, shape: tuple[int, ...], where
 
 def _read_registration(
     archive: Archive, entry: RegistrationEntry | None, frame: tuple[int, int]
-) -> PartInPose | None:
+) -> "PartInPose | None":
     """Read the part in its pose; None for a bundle without one. frame: (h, w) of the region. Errors: BundleCorrupt."""
     if entry is None:
         return None
+    # Most bundles need none of it.
+    from edge.core.registration.colours import SlopeColours
+    from edge.core.registration.registrar import PartInPose
+
     try:
         return PartInPose(
             free=read_picture(archive, entry.free, frame),

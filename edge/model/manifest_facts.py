@@ -7,28 +7,20 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from pydantic import Field, ValidationError
-
 from edge.core.errors import BundleMismatch
-from edge.core.gel_proof import MadeOn
-from edge.core.press_again import Costs, KnownScores, Plan, plan
-from edge.model.manifest import Facts, Manifest, ThresholdEntry
-from edge.model.manifest_files import Entry
+from edge.model.manifest import Manifest, ThresholdEntry
 
 __all__ = [
     "AUGMENTATION",
     "BACKBONE_CHOICE",
-    "DEFAULT_COSTS",
     "GEL",
     "GIVEN",
     "LICENCE",
     "LIMIT",
     "METHOD_CHOICE",
     "MISSING",
-    "PRESS_AGAIN",
     "UNPROVEN",
     "USUAL_CONTACT",
-    "again_sentence",
     "check_revision",
     "choice_sentence",
     "copies_of_each",
@@ -36,10 +28,7 @@ __all__ = [
     "is_non_commercial",
     "licence_of",
     "licence_sentence",
-    "plan_for",
     "promise",
-    "read_origin",
-    "score_facts",
 ]
 
 UNPROVEN = "not proven: "
@@ -117,13 +106,6 @@ GEL: Final = "gel"
 """The entry's name: `gel_id`, as in the gel ledger of the station."""
 
 
-def read_origin(manifest: Facts) -> MadeOn:
-    """Read what the bundle says of its own gel."""
-    gel = manifest.facts.get(GEL)
-    gel_id = gel.get("gel_id") if isinstance(gel, dict) else None
-    return MadeOn(manifest.provenance.created, gel_id if isinstance(gel_id, str) else None)
-
-
 def gel_facts(gel_id: str | None) -> dict[str, Any]:
     """The entry of a bundle that is made on this gel; none where the gel is not named."""
     return {} if gel_id is None else {GEL: {"gel_id": gel_id}}
@@ -181,55 +163,3 @@ def _of_this_bundle(limit: ThresholdEntry) -> str:
 
 def _percent(rate: float) -> str:
     return f"{100 * rate:.2g} %"
-
-
-PRESS_AGAIN: Final = "press_again"
-"""The entry's name among the manifest's facts."""
-
-DEFAULT_COSTS: Final = Costs(missed=1000, false_alarm=100, press=1, defect_rate=0.01)
-"""In presses: a damaged piece that passes costs a thousand of them, a sound piece that fails a hundred."""
-
-
-class _Scores(Entry):
-    """sound: scores of nominal presses by banks without them, piece by piece. damaged: kind and size of rendered damage
-    to the scores of presses with it. All in units of the bundle's score."""
-
-    sound: tuple[tuple[float, ...], ...] = Field(min_length=1)
-    damaged: dict[str, tuple[float, ...]]
-
-
-def score_facts(known: KnownScores, names: tuple[str, ...]) -> dict[str, Any]:
-    """Give the manifest's entry. names: the kinds of damage, in the order of the scores."""
-    damaged = dict(zip(names, known.damaged, strict=True))
-    return _Scores(sound=known.sound, damaged=damaged).model_dump(mode="json")
-
-
-def plan_for(manifest: Manifest, costs: Costs) -> Plan:
-    """Plan one more press with this bundle; without such scores the plan is `never`, no error."""
-    scores = manifest.facts.get(PRESS_AGAIN)
-    if not isinstance(scores, Mapping):
-        return Plan("the bundle has no scores of damaged presses and of pieces pressed twice; fit it again")
-    try:
-        entry = _Scores.model_validate(scores)
-    except ValidationError as error:
-        return Plan(f"the bundle's scores cannot be read ({error.errors()[0]['msg']}); fit it again")
-    limit = manifest.threshold
-    if not limit.n:
-        return Plan("the threshold was given, so no rate of false alarms is promised")
-    rate = max(limit.alpha, limit.alpha_floor)
-    return plan(KnownScores(entry.sound, tuple(entry.damaged.values())), limit.value, rate, costs)
-
-
-def again_sentence(plan: Plan) -> str:
-    """Say for `inspect`, `check` and the log whether one more press pays."""
-    if plan.bound is None:
-        return f"never: {plan.why}"
-    return (
-        f"pays up to a score of {plan.bound:.4g}: {plan.presses:.3f} presses a piece, false alarms at most "
-        f"{_shares(plan.false_alarms)}, rendered damage missed {_shares(plan.misses)}"
-    )
-
-
-def _shares(shares: tuple[float, float]) -> str:
-    before, after = shares
-    return f"{100 * before:.3g} % -> {100 * after:.3g} %"

@@ -14,7 +14,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from edge.core.errors import BundleCorrupt, NotScorable, PoseNotFound
-from edge.core.registration.registrar import Registered, Registrar
+from edge.core.registration.pose import Registered
 from edge.model.bundle import Bundle
 from edge.model.session import RUNTIME_ERRORS, TrunkSessions, open_session
 from edge.model.tile_runner import FreeGel, TiledMaps, TileRunner
@@ -90,7 +90,7 @@ class Scorer:
         self._free: FreeGel | None = None
         self._open_tiles(is_skipping)
         self._pipe = self._open_pipe()
-        self._registrar = None if bundle.registration is None else Registrar(bundle.registration)
+        self._registrar = None if bundle.registration is None else bundle.registration.open()
 
     @property
     def tiles_run(self) -> int:

@@ -15,7 +15,7 @@ from edge.core.imaging.region import Region
 from edge.core.press_again import Costs, is_asked, second_verdict, unsure
 from edge.core.registration.pose import Pose
 from edge.core.verdict import Kind
-from edge.model.manifest_facts import again_sentence, plan_for
+from edge.model.again_facts import again_sentence, plan_for
 from edge.model.scorer import Scorer
 
 PIECES, NEW = 60, 300

@@ -20,9 +20,10 @@ from calibration.fitting.presses.nominal_presses import NominalPresses, gather_p
 from edge.core.errors import FitError
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
+from edge.features.gel_proof import read_origin
 from edge.model.bundle import Bundle
 from edge.model.bundle_writer import write_bundle
-from edge.model.manifest_facts import promise, read_origin
+from edge.model.manifest_facts import promise
 from edge.model.scorer import Scorer
 
 U8 = NDArray[np.uint8]

@@ -10,8 +10,7 @@ from calibration.fitting.damage_seen import DamageJudge, PosedPresses, measure_s
 from calibration.fitting.limits.held_out import ScoredPresses
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from edge.core.errors import FitError
-from edge.core.registration.pose import Pose
-from edge.core.registration.registrar import PoseUncertainty, Registered
+from edge.core.registration.pose import Pose, PoseUncertainty, Registered
 
 
 def scored(maps: np.ndarray) -> ScoredPresses:

@@ -7,7 +7,7 @@ from registered_bundle import fitted, nominal
 
 from calibration.fitting.fit import Fitted
 from edge.core.press_again import Costs
-from edge.model.manifest_facts import PRESS_AGAIN, again_sentence, plan_for
+from edge.model.again_facts import PRESS_AGAIN, again_sentence, plan_for
 
 PRESSES = 16
 

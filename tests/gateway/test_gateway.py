@@ -1,6 +1,8 @@
 """From a press to a result: the running gateway on the virtual sensor."""
 
 import json
+import subprocess
+import sys
 import threading
 from collections import Counter
 from dataclasses import replace
@@ -144,3 +146,25 @@ def test_a_sensor_of_another_mode_is_refused(tmp_path: Path, bundle: Path) -> No
         pytest.raises(BundleMismatch, match=r"320x240 frames .* sends 160x120"),
     ):
         station.play()
+
+
+def test_a_station_loads_what_it_uses(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """A sensor, a bundle that registers nothing and no second presses: none of the code for the others is loaded."""
+    config = station_config(tmp_path, recording, bundle)
+    lines = config.read_text().splitlines()
+    lines[lines.index('plugin = "usb_mock"') : lines.index("[inspection]")] = ['plugin = "gelsight_mini"']
+    config.write_text("\n".join(lines))
+    program = f"""
+import json, sys
+from pathlib import Path
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.gateway.build import open_station
+with open_station(load_config(Path({str(config)!r})), SystemClock()):
+    print(json.dumps(sorted(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    loaded = set(json.loads(done.stdout))
+
+    assert {"edge.model.scorer", "plugins.devices.gelsight_mini"} <= loaded
+    assert not loaded & {"edge.core.registration.registrar", "edge.recording.format", "edge.core.press_again"}

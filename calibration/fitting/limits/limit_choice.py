@@ -21,8 +21,8 @@ from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
 from calibration.fitting.limits.map_limit import KINDS, PLACES, PLAIN, Limit, Spread, learn_spread, relate
 from calibration.fitting.limits.threshold import conformal_threshold, pieces_of
 from edge.core.press_again import KnownScores
+from edge.model.again_facts import PRESS_AGAIN, score_facts
 from edge.model.manifest import ThresholdEntry
-from edge.model.manifest_facts import PRESS_AGAIN, score_facts
 
 __all__ = ["WORTH", "Choice", "Evidence", "OtherLimit", "choose_limit"]
 

@@ -16,12 +16,11 @@ from edge.core.errors import FitError
 from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.colours import FreeLight, SlopeColours
 from edge.core.registration.fine import Alignment
-from edge.core.registration.pose import Pose
+from edge.core.registration.pose import Pose, Registered
 from edge.core.registration.registrar import (
     SIDE_PX,
     PartInPose,
     PoseSearch,
-    Registered,
     Registrar,
     depth_of,
     fade,

@@ -1,8 +1,6 @@
-"""A press brought to the pose in which the bank was learnt, and its score map brought back."""
+"""A part found in a press, and the press brought to the pose in which the bank was learnt."""
 
-import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
@@ -11,9 +9,9 @@ from numpy.typing import NDArray
 from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.colours import FreeLight, SlopeColours
 from edge.core.registration.fine import Alignment, FineSearch
-from edge.core.registration.pose import Pose, depth_inside, warp
+from edge.core.registration.pose import Pose, PoseUncertainty, Registered, depth_inside, warp
 
-__all__ = ["SIDE_PX", "PartInPose", "PoseSearch", "PoseUncertainty", "Registered", "Registrar", "shrunk"]
+__all__ = ["SIDE_PX", "PartInPose", "PoseSearch", "Registrar", "shrunk"]
 
 F32 = NDArray[np.float32]
 
@@ -116,68 +114,9 @@ class PartInPose:
                 f"least_match lies in (0, 1) and least_seen in [0, 1], found {self.least_match}, {self.least_seen}"
             )
 
-
-@dataclass(frozen=True)
-class PoseUncertainty:
-    """One standard deviation."""
-
-    x_px: float
-    y_px: float
-    turn_rad: float | None
-    """None where the part has no turn."""
-
-
-@dataclass(frozen=True, eq=False)
-class Registered:
-    """A press in the bank's pose."""
-
-    rgb: U8
-    """uint8 (h, w, 3), the mean nominal press where nothing is seen."""
-    seen: Mask
-    """bool (h, w): learnt places that lie in the press's field."""
-    pose: Pose
-    """Where the part lay."""
-    uncertainty: PoseUncertainty
-    match: float
-    """Correlation with the mean nominal press, at most 1."""
-    seen_share: float
-    """The share of the part that lies in the field."""
-    symmetry: int = 1
-    """As `PartInPose.symmetry`."""
-    refusal: str | None = None
-    """Why the pose cannot be trusted; None where it can."""
-
-    @property
-    def turn_rad(self) -> float | None:
-        """The least turn at which the part looks as it does; None where the part has no turn."""
-        return math.remainder(self.pose.turn_rad, 2 * math.pi / self.symmetry) if self.symmetry else None
-
-    def score(self, score_map: F32) -> float:
-        """The highest score of a map in the bank's pose, of places that are seen."""
-        return float(score_map[self.seen].max(initial=-math.inf))
-
-    def in_press(self, score_map: F32) -> F32:
-        """The map, float32 (h, w), where the part lies in the press; unseen places have the lowest score of the map.
-
-        The highest score keeps its value: interpolation would lower it.
-        """
-        lowest = np.float32(score_map.min())
-        moved = warp(np.where(self.seen, score_map - lowest, 0).astype(np.float32), self.pose.inverse())
-        if self.seen.any():
-            peak = np.unravel_index(int(np.where(self.seen, score_map, -np.inf).argmax()), score_map.shape)
-            x, y = self.pose.matrix((score_map.shape[1], score_map.shape[0])) @ np.array(
-                [peak[1], peak[0], 1.0]
-            )
-            moved[self._inside(y, 0), self._inside(x, 1)] = score_map[peak] - lowest
-        return moved + lowest
-
-    def _inside(self, value: float, axis: int) -> int:
-        return int(min(max(round(value), 0), self.seen.shape[axis] - 1))
-
-    @cached_property
-    def unseen_in_press(self) -> Mask:
-        """Places of the press, bool (h, w), of which no bank was learnt."""
-        return np.asarray(warp(self.seen.astype(np.float32), self.pose.inverse()) < 0.5)
+    def open(self) -> "Registrar":
+        """Make what finds it in presses."""
+        return Registrar(self)
 
 
 class Registrar:
