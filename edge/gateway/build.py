@@ -109,22 +109,12 @@ def _build(
         trigger=partial(calls.post, trigger_by_pedal),
         listen=listeners.append,
     )
-    opened = _open_stages(stage_parts, stages, closing)
+    by_name = _open_stages(stage_parts, stages, closing)
     closing.callback(status.stopped)
-    if "outputs" in opened:  # they close before all others: no light waits for what those have to finish
-        closing.callback(opened["outputs"].close)
-    return Parts(
-        config,
-        list(opened.values()),
-        selection,
-        store,
-        publisher,
-        status,
-        acquisition,
-        free_space,
-        calls,
-        clock,
-    )
+    if "outputs" in by_name:  # they close before all others: no light waits for what those have to finish
+        closing.callback(by_name["outputs"].close)
+    opened = list(by_name.values())
+    return Parts(config, opened, selection, store, publisher, status, acquisition, free_space, calls, clock)
 
 
 def _open_stages(
