@@ -45,6 +45,7 @@ CROSS = ring(4)
 # Nearly round: only a low bump says how it is turned.
 KEYED: Bumps = (*ring(36, 4.0), (12.0, 0.0, 5.0, 8.0))
 TEETH: Bumps = (*((10.0 * k - 40, 0.0, 3.0, 5.0) for k in range(9)), (40.0, 7.0, 3.0, 4.0))
+BAR: Bumps = tuple((3.0 * k - 30, 0.0, 4.0, 5.0) for k in range(21))
 BALL: Bumps = ((0, 0, 14, 12),)
 
 

@@ -35,7 +35,7 @@ _TINY = float(np.finfo(np.float32).tiny)
 class Alignment:
     """pose: in pixels of the slopes. match: correlation of the slopes where both are seen, at most 1.
 
-    covariance: float64 (3, 3) of x, y (pixels) and turn (radians), from what differs after the alignment.
+    covariance: float64 (3, 3) of the pose's x, y (pixels) and turn (radians), from what differs after the alignment.
     """
 
     pose: Pose
@@ -85,8 +85,10 @@ class FineSearch:
     def align(self, slopes: F32, pose: Pose, rounds: int) -> Alignment:
         """Align a pose in that many rounds; give its match over all places and the covariance of the last round."""
         before = self.refine(slopes, [pose], rounds - 1)
-        (pose,), covariance = self._round(slopes, before)
-        return Alignment(pose, self.agreement(slopes, pose)[0], covariance[0])
+        (pose,), (covariance,) = self._round(slopes, before)
+        turn = np.eye(3)  # a round moves the part before its turn, and the pose is a shift after it
+        turn[:2, :2] = pose.matrix((self._w, self._h))[:, :2]
+        return Alignment(pose, self.agreement(slopes, pose)[0], turn @ covariance @ turn.T)
 
     def _round(self, slopes: F32, poses: Sequence[Pose]) -> tuple[list[Pose], F64]:
         steps, covariance = self._steps(*self._read(slopes, poses))

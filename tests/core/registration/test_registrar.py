@@ -66,6 +66,16 @@ def test_the_uncertainty_is_the_size_of_the_error() -> None:
     assert 1 / 3 < float(np.sqrt(np.mean(np.square(ratios)))) < 4
 
 
+@pytest.mark.parametrize(("turn_rad", "ratio"), [(0.0, 3.5), (math.pi / 4, 1.0), (math.pi / 2, 1 / 3.5)])
+def test_the_uncertainty_lies_along_a_bar_in_the_press(turn_rad: float, ratio: float) -> None:
+    """Only its ends say where a bar lies along itself: along x, or along y where it is pressed at a right angle."""
+    everywhere = np.ones((parts.SIDE, parts.SIDE), bool)
+    bar = replace(registrar("BLOCK").part, template=parts.press(parts.BAR, noise=0.0), learnt=everywhere)
+    found = Registrar(bar).register(parts.press(parts.BAR, Pose(3.0, -2.0, turn_rad))).uncertainty
+
+    assert found.x_px / found.y_px == pytest.approx(ratio, rel=0.1)
+
+
 def test_the_estimate_is_that_of_an_optimiser_in_float64() -> None:
     """The formula's slopes fitted to a press by Nelder and Mead agree with the search in 0.05 px and 0.1 degrees."""
     true = Pose(5.3, -3.7, 0.8)
