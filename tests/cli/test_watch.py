@@ -15,7 +15,7 @@ from edge.core.printable import printable
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.local_broker import LocalBroker, available_brokers
-from edge.messaging.mqtt_broker import Broker
+from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
 from edge.messaging.subscriber import describe, station_filter, watch
 
@@ -112,6 +112,17 @@ def test_each_press_is_given_once_and_its_picture_is_saved(broker: LocalBroker, 
         f"{IDS[1]}.png": b"png1",
     }
     assert not list(tmp_path.rglob("*escape*"))
+
+
+def test_the_latest_presses_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of more presses than are remembered the oldest is forgotten, and given again."""
+    heard = [Received(f"{ROOT}/result", result(n), 1, retain=False) for n in (0, 1, 1, 0, 2, 2, 1, 0)]
+    monkeypatch.setattr("edge.messaging.subscriber.REMEMBERED", 2)
+    monkeypatch.setattr("edge.messaging.subscriber._receive", lambda *arguments: iter(heard))
+
+    given = [seen.content["press_id"] for seen in watch(Broker("", 0, ""), "")]
+
+    assert given == [IDS[n] for n in (0, 1, 2, 0)]
 
 
 def test_what_cannot_be_read_is_told_and_left_out(broker: LocalBroker) -> None:

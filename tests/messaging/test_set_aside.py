@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import pytest
 from scripted_broker import ScriptedBroker
 
 from edge.core.errors import SinkRejected, SinkUnavailable
@@ -44,6 +45,20 @@ def test_silence_never_sets_a_message_aside(scripted: ScriptedBroker, stepped: S
     sink._broker = replace(sink._broker, timeout_s=PATIENCE_S)
     assert outcomes(sink, 1) == []
     assert list(sink.faults) == []
+
+
+def test_a_broker_that_answers_no_ping_is_silent_too(
+    scripted: ScriptedBroker, stepped: Stepped, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The library gives the connection up before the acknowledgement is due: that says nothing of the message."""
+    monkeypatch.setattr("plugins.sinks.mqtt_strikes.STRIKES", 1)
+    scripted.topics, scripted.answers_pings = {"result": "silent"}, False
+    sink = stepped(scripted, STATE, keepalive_s=1)
+    assert sink.step() is None
+
+    with pytest.raises(SinkUnavailable, match="it was silent for longer than keepalive_s"):
+        sink.send(RESULT)
+    assert "was silent 1 times" in next(iter(sink.faults))
 
 
 def test_three_closings_on_one_message_after_others_were_taken_are_its_refusal(

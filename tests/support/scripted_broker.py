@@ -24,6 +24,7 @@ class ScriptedBroker:
     connects: list[str] = field(default_factory=list)
     topics: dict[str, str] = field(default_factory=dict)
     silent_at_5: bool = False
+    answers_pings: bool = True
     levels: list[str] = field(default_factory=list)
     published: list[tuple[str, bytes]] = field(default_factory=list)
     properties: list[bytes] = field(default_factory=list)
@@ -74,7 +75,7 @@ class ScriptedBroker:
                     code = NOT_AUTHORIZED if denied and level == "5" else 0x80 if denied else 1
                     middle = b"\x00" if level == "5" else b""
                     _answer(one, 0x90, body[:2] + middle + bytes([code]))
-                elif kind >> 4 == PINGREQ:
+                elif kind >> 4 == PINGREQ and self.answers_pings:
                     _answer(one, 0xD0, b"")
                 elif kind >> 4 == DISCONNECT:
                     _end(one)
