@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
 from edge.core.contact.reference import View
-from edge.core.gel_scars.causes import Blame
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Rejection
 from edge.core.overview.rules import OverviewView
 from edge.core.reference_press.control_chart import Imprint
 from edge.core.registration.pose import Registered
-from edge.core.verdict import Kind, Verdict
+from edge.core.verdict import Blame, Kind, Verdict
 
 __all__ = ["Again", "JudgedFrame", "Press", "PressLabel", "ReferenceLabel", "ScarFindings", "StudyLabel"]
 

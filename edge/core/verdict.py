@@ -1,4 +1,7 @@
-"""The verdict on a press: pass, fail, unsure, or rejected with a reason. An error is not a verdict."""
+"""The verdict on a press: pass, fail, unsure, or rejected with a reason; and the cause of what is not passed.
+
+An error is not a verdict.
+"""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +11,7 @@ from typing import Self
 from edge.core.errors import NotScorable
 from edge.core.imaging.quality import Rejection
 
-__all__ = ["Kind", "Verdict", "decide"]
+__all__ = ["Blame", "Cause", "Kind", "Verdict", "decide"]
 
 
 class Kind(StrEnum):
@@ -69,3 +72,19 @@ def _kind(score: float, threshold: float, tolerance: float) -> Kind:
     if tolerance > 0 and threshold - tolerance <= score <= threshold + tolerance:
         return Kind.UNSURE
     return Kind.FAIL if score > threshold else Kind.PASS
+
+
+class Cause(StrEnum):
+    """Where what was found comes from. The words are part of the published payload."""
+
+    PART = "part"
+    GEL = "gel"
+    UNSURE = "unsure"
+
+
+@dataclass(frozen=True)
+class Blame:
+    """A cause, and a sentence why."""
+
+    cause: Cause
+    why: str

@@ -12,12 +12,13 @@ from edge.core.contact.events import Event, Findings, PressSettled, ReferenceCor
 from edge.core.contact.press_detector import Look
 from edge.core.contact.reference import View
 from edge.core.contact.relief import reach
-from edge.core.gel_scars.causes import Blame, Cause
 from edge.core.gel_scars.free_change import FreeViews
 from edge.core.gel_scars.gel_scars import GelScars, Judged, Repeated
 from edge.core.gel_scars.press import ScoredPress, without_marks
+from edge.core.gel_scars.record import ScarRecord
 from edge.core.press import Press, ScarFindings
 from edge.core.registration.pose import warp
+from edge.core.verdict import Blame, Cause
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.press_stage import Alarms, PressStage, StageParts
@@ -68,7 +69,7 @@ class ScarWatch(PressStage):
     def _read(self) -> None:
         self._blind = self._mark = None
         self._say()
-        self._scars = GelScars(self._folder.load_scars(self._serial, self._gel_id))
+        self._scars = GelScars(self._folder.load(self._serial, self._gel_id, "scars", ScarRecord.from_file))
         self.relearn()
 
     def relearn(self) -> None:
@@ -138,7 +139,7 @@ class ScarWatch(PressStage):
     def _save(self) -> None:
         """Keep the record where it is due. Never raises."""
         if self._unsaved >= _KEPT_EVERY and self._scars.record.planes.any():
-            self._folder.save_scars(self._serial, self._gel_id, self._scars.record)
+            self._folder.save(self._serial, self._gel_id, "scars", self._scars.record.planes)
             self._unsaved = 0
 
     def _findings(self, inspection: Press, judged: Judged) -> ScarFindings:

@@ -7,13 +7,12 @@ from typing import ClassVar, Final, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from edge.core.defects import Defect
-from edge.core.gel_scars.causes import Cause
 from edge.core.imaging.quality import Reason
 from edge.core.ports import Message
 from edge.core.reference_press.charts import Chart, Judgement, Outcome
 from edge.core.reference_press.control_chart import Signal
 from edge.core.registration.pose import Registered
-from edge.core.verdict import Kind
+from edge.core.verdict import Cause, Kind
 from edge.messaging.payload_base import Payload, PressId
 from edge.messaging.status_payloads import GelPayload
 from edge.store.gel_ledger import GelRecord

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.reference import Reference
-from edge.core.gel_scars.record import PLANES, ScarRecord
 from edge.core.imaging.decode import VIEW_SIZE
 
 __all__ = ["KEPT_GELS", "GelFiles"]
@@ -35,22 +34,14 @@ class GelFiles:
 
     def load_picture(self, serial: str, gel_id: str, name: Literal["first", "last"]) -> Reference | None:
         """Read a picture of the free gel, float32 (h, w, 3), RGB; None when it is missing or cannot be read."""
-        return self._load(serial, gel_id, name, _reference)
-
-    def load_scars(self, serial: str, gel_id: str) -> ScarRecord | None:
-        """Read the scars of a gel, float32 (7, 120, 160); None when they are missing or cannot be read."""
-        return self._load(serial, gel_id, "scars", _scars)
+        return self.load(serial, gel_id, name, _reference)
 
     def save_picture(self, serial: str, gel_id: str, reference: Reference) -> None:
         """Keep this picture as the last of its gel, and as the first if it has none."""
-        is_kept = self._save(serial, gel_id, "last", reference.view)
+        is_kept = self.save(serial, gel_id, "last", reference.view)
         if is_kept and not self._path(serial, gel_id, "first").exists():
-            self._save(serial, gel_id, "first", reference.view)
+            self.save(serial, gel_id, "first", reference.view)
             self._remove_old(serial)
-
-    def save_scars(self, serial: str, gel_id: str, record: ScarRecord) -> None:
-        """Keep the scars of a gel."""
-        self._save(serial, gel_id, "scars", record.planes)
 
     def forget(self, serial: str, gel_id: str, *names: Name) -> None:
         """Remove what proved to be wrong of this gel; it is learnt again."""
@@ -60,7 +51,9 @@ class GelFiles:
             except OSError as error:
                 log.warning("%s was not removed: %s", path, error.strerror or error)
 
-    def _load(self, serial: str, gel_id: str, name: Name, make: Callable[[NDArray[Any]], T]) -> T | None:
+    def load(self, serial: str, gel_id: str, name: Name, make: Callable[[NDArray[Any]], T]) -> T | None:
+        """Read a file of a gel; None when it is missing or cannot be read. make: makes the value of the array, and
+        raises ValueError for one that is none."""
         path = self._path(serial, gel_id, name)
         try:
             return make(np.load(path, allow_pickle=False))
@@ -70,7 +63,7 @@ class GelFiles:
             log.warning("%s of a gel cannot be used and is learnt again: %s", path, error)
             return None
 
-    def _save(self, serial: str, gel_id: str, name: Name, array: NDArray[Any]) -> bool:
+    def save(self, serial: str, gel_id: str, name: Name, array: NDArray[Any]) -> bool:
         """Write the file, complete or not at all; returns whether it was written."""
         path = self._path(serial, gel_id, name)
         part = path.with_suffix(".part")
@@ -103,13 +96,6 @@ def _reference(view: NDArray[Any]) -> Reference:
     if view.shape != (*reversed(VIEW_SIZE), 3):
         raise ValueError(f"it is {view.shape}")
     return Reference(view)
-
-
-def _scars(planes: NDArray[Any]) -> ScarRecord:
-    """Make the record; versions before this one had one more plane at the end."""
-    if planes.shape[1:] != tuple(reversed(VIEW_SIZE)):
-        raise ValueError(f"it is {planes.shape}")
-    return ScarRecord(planes[:PLANES])
 
 
 def _file_name(text: str) -> str:

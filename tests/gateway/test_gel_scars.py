@@ -8,9 +8,8 @@ from scarred_gel import MARK, scarred_recording
 from station import station_config
 from stepped_station import SteppedStation
 
-from edge.core.gel_scars.causes import Cause
 from edge.core.press import PressLabel, StudyLabel
-from edge.core.verdict import Kind
+from edge.core.verdict import Cause, Kind
 from edge.press_stage import PressStage
 from edge.store.history import HistoryQuery, read_history
 

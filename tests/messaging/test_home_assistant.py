@@ -12,10 +12,9 @@ import pytest
 from recorded_presses import GEL, result, unscored
 
 from edge.core.gel_life import GelState
-from edge.core.gel_scars.causes import Cause
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from edge.core.verdict import Kind
+from edge.core.verdict import Cause, Kind
 from edge.messaging.descriptions.dashboards import discovery, discovery_topic
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.local_broker import LocalBroker

@@ -14,8 +14,7 @@ from station import MQTT, Motion, press_recording, station_config, two_parts
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.gel_life import GelState
-from edge.core.gel_scars.causes import Cause
-from edge.core.verdict import Kind
+from edge.core.verdict import Cause, Kind
 from edge.gateway.build import open_station
 from edge.gateway.station_loop import StationLoop
 from edge.messaging.alarm_payload import ADVICE, AlarmPayload

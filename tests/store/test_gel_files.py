@@ -76,20 +76,20 @@ def record() -> ScarRecord:
 
 def test_a_record_is_read_as_it_was_kept(tmp_path: Path) -> None:
     """Of its sensor and gel, and of no other."""
-    GelFiles(tmp_path).save_scars("28J3", "gel-1", record())
-    found = GelFiles(tmp_path).load_scars("28J3", "gel-1")
+    GelFiles(tmp_path).save("28J3", "gel-1", "scars", record().planes)
+    found = GelFiles(tmp_path).load("28J3", "gel-1", "scars", ScarRecord.from_file)
 
     assert found is not None
     assert np.array_equal(found.planes, record().planes)
-    assert GelFiles(tmp_path).load_scars("28J3", "gel-2") is None
+    assert GelFiles(tmp_path).load("28J3", "gel-2", "scars", ScarRecord.from_file) is None
 
 
 def test_a_record_of_an_earlier_version_keeps_its_scars(tmp_path: Path) -> None:
     """It had one more plane at the end, which is not used any more."""
-    GelFiles(tmp_path).save_scars("28J3", "gel-1", record())
+    GelFiles(tmp_path).save("28J3", "gel-1", "scars", record().planes)
     path = next(tmp_path.rglob("*.scars.npy"))
     np.save(path, np.concatenate([record().planes, np.ones((1, 120, 160), np.float32)]))
-    found = GelFiles(tmp_path).load_scars("28J3", "gel-1")
+    found = GelFiles(tmp_path).load("28J3", "gel-1", "scars", ScarRecord.from_file)
 
     assert found is not None
     assert np.array_equal(found.planes, record().planes)
@@ -104,12 +104,12 @@ def test_a_damaged_record_is_learnt_again_and_logged(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, damaged: bytes | np.ndarray
 ) -> None:
     """As after a power cut."""
-    GelFiles(tmp_path).save_scars("28J3", "gel-1", record())
+    GelFiles(tmp_path).save("28J3", "gel-1", "scars", record().planes)
     path = next(tmp_path.rglob("*.scars.npy"))
     if isinstance(damaged, bytes):
         path.write_bytes(damaged)
     else:
         np.save(path, damaged)
 
-    assert GelFiles(tmp_path).load_scars("28J3", "gel-1") is None
+    assert GelFiles(tmp_path).load("28J3", "gel-1", "scars", ScarRecord.from_file) is None
     assert "learnt again" in caplog.text

@@ -31,11 +31,11 @@ from edge.core.binomial import rate_limits
 from edge.core.contact.mask import touched_mask
 from edge.core.contact.reference import Reference, View
 from edge.core.errors import PoseNotFound
-from edge.core.gel_scars.causes import Cause
 from edge.core.gel_scars.gel_scars import GelScars, Judged
 from edge.core.gel_scars.press import ScoredPress, without_marks
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
+from edge.core.verdict import Cause
 from edge.model.scorer import Scored, Scorer
 
 __all__ = ["MEANINGS", "Alarm", "Run", "Station", "evaluate_scars", "format_rate", "table"]

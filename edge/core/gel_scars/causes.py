@@ -3,34 +3,17 @@
 The rules, in order; the numbers are chosen on simulated gels, see docs/gel.md.
 """
 
-from dataclasses import dataclass
-from enum import StrEnum
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.gel_scars.record import Repeats
+from edge.core.verdict import Blame, Cause
 
-__all__ = ["SEVERAL", "Blame", "Cause", "blame", "is_explained", "remaining", "together"]
+__all__ = ["SEVERAL", "blame", "is_explained", "remaining", "together"]
 
 F32 = NDArray[np.float32]
-
-
-class Cause(StrEnum):
-    """Where what was found comes from. The words are part of the published payload."""
-
-    PART = "part"
-    GEL = "gel"
-    UNSURE = "unsure"
-
-
-@dataclass(frozen=True)
-class Blame:
-    """A cause, and a sentence why."""
-
-    cause: Cause
-    why: str
 
 
 # Of how far a place is above the limit, this share at most is left where a mark of the gel causes it, and more than the

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.reference import View
-from edge.core.gel_scars.causes import SEVERAL, Blame, Cause, blame, is_explained, remaining, together
+from edge.core.gel_scars.causes import SEVERAL, blame, is_explained, remaining, together
 from edge.core.gel_scars.free_change import Marks, marks
 from edge.core.gel_scars.press import ScoredPress
 from edge.core.gel_scars.record import ScarRecord
 from edge.core.imaging.decode import VIEW_SIZE
+from edge.core.verdict import Blame, Cause
 
 __all__ = ["GelScars", "Judged"]
 

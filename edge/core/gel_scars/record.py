@@ -4,10 +4,12 @@ All places are those of the gel: pixels of the contact view. The record has one 
 """
 
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from edge.core.imaging.decode import VIEW_SIZE
 
 __all__ = ["PLANES", "Repeats", "ScarRecord"]
 
@@ -50,6 +52,14 @@ class ScarRecord:
             raise ValueError(f"a record is float32 (7, h, w), found {self.planes.dtype} {self.planes.shape}")
         if not np.isfinite(self.planes).all() or self.planes[[_HITS, _QUIET, _MASK, _PLACED]].min() < 0:
             raise ValueError("a record has finite values, and numbers of presses of 0 or more")
+
+    @classmethod
+    def from_file(cls, planes: NDArray[Any]) -> Self:
+        """Make the record from planes of the view's size; versions before this one had one more plane at the end.
+        Errors: ValueError."""
+        if planes.shape[1:] != VIEW_SIZE[::-1]:
+            raise ValueError(f"it is {planes.shape}")
+        return cls(planes[:PLANES])
 
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> Self:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
 from edge.core.errors import ArchiveError, BundleError
-from edge.core.gel_scars.causes import Blame, Cause
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
 from edge.core.press import Press, ScarFindings
 from edge.core.press_again import is_asked, second_verdict, unsure
+from edge.core.verdict import Blame, Cause
 from edge.features.black_box.stage import MAP_DTYPE, map_bytes, read_mask
 from edge.features.scars import mask_scars
 from edge.model.archive import MANIFEST, open_archive

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from edge.core.gel_scars.causes import Blame, Cause, blame, remaining, together
+from edge.core.gel_scars.causes import blame, remaining, together
 from edge.core.gel_scars.record import Repeats
+from edge.core.verdict import Blame, Cause
 
 NEVER = Repeats()
 FIXTURE = Repeats(hits=3.5, rate=1.0, spread_mm=0.1)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.core.gel_scars.causes import Cause
 from edge.core.gel_scars.gel_scars import GelScars, Judged
 from edge.core.gel_scars.press import ScoredPress
 from edge.core.imaging.region import Region
+from edge.core.verdict import Cause
 
 SIZE = (320, 240)
 REGION = Region.centre(SIZE)
