@@ -261,7 +261,7 @@ def test_the_newest_presses_are_kept_up_to_their_number(tmp_path: Path, made: Pl
     for press_id in made.ids[:3]:
         archive.keep(press.model_copy(update={"press_id": press_id}), {press.frame: b"frame"})
 
-    assert list_presses(tmp_path / "small") == made.ids[1:3]
+    assert list_presses(tmp_path / "small") == sorted(made.ids[1:3])  # of one moment, in no order
 
 
 def test_an_archive_that_is_off_keeps_nothing(tmp_path: Path, recording: Path, bundle: Path) -> None:
