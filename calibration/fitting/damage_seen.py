@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calibration.fitting.damage.damaged_presses import damage_presses
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.limits.held_out import Learner, ScoredPresses, score_held_out
+from calibration.fitting.limits.held_out import Learner, ScoredPresses, ShownPresses, score_held_out
 from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose
 from calibration.fitting.presses.augmentation import Copies, Take, plan_copies
 from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -141,7 +141,7 @@ class DamageJudge:
         each = plan_copies(config.augment, self._few, detector.name, config.mode, is_registered).each
         copies = Copies.of(self._few, each, config.profile.pixels_per_mm, config.seed, reader.take)
         learner = replace(learner, copies=copies)
-        shown = score_held_out(learner, nominal, self._folds, (features, self._press)).edited
+        shown = score_held_out(learner, nominal, self._folds, (ShownPresses(features), self._press)).edited
         press_ms = posed.registration_ms + trunk_ms + float(np.median(shown.head_ms))
         return Separation(self._by_kind(posed.bring_back(shown)), press_ms, is_registered)
 

@@ -30,7 +30,7 @@ from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.appended import append, can_extend
 from calibration.fitting.limits.covering import Covered, covering_bank
 from calibration.fitting.limits.folds import Folds, divide_presses
-from calibration.fitting.limits.held_out import HeldOut, Learner, score_held_out
+from calibration.fitting.limits.held_out import HeldOut, Learner, ShownPresses, score_held_out
 from calibration.fitting.limits.limit_choice import Choice, Evidence, choose_limit
 from calibration.fitting.limits.map_limit import PLAIN
 from calibration.fitting.limits.relief_step import ReliefChoice, try_relief
@@ -182,19 +182,18 @@ class _Features:
     augmentation: Augmentation
     warnings: Sequence[str]
 
-    def render_damage(self) -> tuple[DamagedPresses | None, str]:
-        """Render damage by which a limit is chosen; None, and why, for the plain limit."""
+    def render_damage(self) -> tuple[DamagedPresses | None, ShownPresses | None, str]:
+        """Render damage by which a limit is chosen, as the gateway shows it; None, and why, for the plain limit."""
         why = self.plan.why_plain
         if not why and 4 * int(np.prod(self.presses.frames.shape[:3])) > MEMORY_BYTES:
             why = f"the score maps of {len(self.presses)} presses take more memory than a choice may use"
         if why or self.plan.folds is None:
-            return None, why
+            return None, None, why
         rng = np.random.default_rng(self.learner.seed)
-        damage = render_damage(self.presses, *self.plan.config.view, rng)
-        return (
-            damage,
-            "" if damage else "there is no picture of the free gel, or no contact, to render damage with",
-        )
+        damage = render_damage(self.plan.presses, *self.plan.config.view, rng)
+        if damage is None:
+            return None, None, "there is no picture of the free gel, or no contact, to render damage with"
+        return *self.pose.show_damage(damage, self.take), ""
 
     def gather_evidence(self, covered: Covered, damage: DamagedPresses) -> Evidence:
         """Gather what a limit is chosen by."""
@@ -283,8 +282,9 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
     """Learn the bank, and find the limit that it is to have. Errors: FitError."""
     plan, learner, nominal = features.plan, features.learner, features.nominal
     with watch.time("threshold"):
-        damage, why_plain = features.render_damage()
-        edited = None if damage is None else (features.take(damage.frames), damage.press)
+        shown = features.pose.show(nominal, features.take)
+        damage, damaged, why_plain = features.render_damage()
+        edited = None if damage is None or damaged is None else (damaged, damage.press)
 
     def learn(roomy: Nominal) -> tuple[Bank, HeldOut | None]:
         with watch.time("fit"):
@@ -292,10 +292,11 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
         if plan.folds is None:
             return bank, None
         with watch.time("threshold"):
-            held_out = score_held_out(learner, roomy, plan.folds, edited, partial(watch.report, "threshold"))
+            report = partial(watch.report, "threshold")
+            held_out = score_held_out(learner, roomy, plan.folds, edited, report, shown)
         return bank, held_out
 
-    covered = covering_bank(learner, nominal, learn, lambda scores: plan.find_threshold(scores).value)
+    covered = covering_bank(learner, nominal, learn, lambda found: plan.find_threshold(found).value, shown)
     bank, scores = covered.bank, covered.scores
     head, choice, found, again = learner.head(bank), Choice(PLAIN, why_plain), None, {}
     unit = 1.0 if scores is None else plan.find_threshold(scores).value

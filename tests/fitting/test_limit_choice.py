@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from calibration.fitting.damage.damaged_presses import DamagedPresses
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
@@ -142,3 +143,18 @@ def test_a_limit_has_to_find_clearly_more() -> None:
     choice = choose_limit(replace(found, held_out=HeldOut(found.held_out.sound, scored(maps))))
     assert 0 < max(choice.found.values()) - choice.found["plain"] < WORTH
     assert choice.kind == PLAIN
+
+
+def test_places_that_no_press_shows_change_no_limit() -> None:
+    """What the gateway fills in where a press shows nothing counts for no range and no score, whatever it is."""
+    found = evidence(lively())
+    seen = np.ones((PRESSES, SIDE, SIDE), np.bool_)
+    seen[::3, :, :9] = False
+    sound, known = (
+        replace(one, maps=np.where(seen, one.maps, 99).astype(np.float32), seen=seen)
+        for one in (found.held_out.sound, found.known)
+    )
+    choice = choose_limit(replace(found, held_out=HeldOut(sound, found.held_out.edited), known=known))
+    plainly = choose_limit(found)
+    assert choice.kind == plainly.kind == PLACES
+    assert choice.found[PLACES] == pytest.approx(plainly.found[PLACES], abs=0.1)

@@ -15,7 +15,7 @@ from calibration.experiments.harness.markdown import markdown_table
 from calibration.fitting.damage.damaged_presses import render_damage
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.limits.held_out import Learner, score_held_out
+from calibration.fitting.limits.held_out import Learner, ShownPresses, score_held_out
 from calibration.fitting.limits.limit_choice import Evidence, choose_limit
 from calibration.fitting.limits.map_limit import relate
 from calibration.fitting.limits.threshold import conformal_threshold
@@ -224,7 +224,7 @@ def _fit_limit(
     height, width = trial.frames.shape[1:3]
     region = Region((PROFILE.size[0] - width) // 2, (PROFILE.size[1] - height) // 2, width, height)
     damage = render_damage(trial.nominal, PROFILE, region, np.random.default_rng(FitConfig.seed))
-    edited = None if damage is None else (take(damage.frames), damage.press)
+    edited = None if damage is None else (ShownPresses(take(damage.frames)), damage.press)
     held_out = score_held_out(learner, nominal, folds, edited)
     plain = conformal_threshold(held_out.sound.scores, alpha, specimens=specimens).value
     if damage is None:

@@ -64,6 +64,12 @@ class DamagedPresses:
     def __len__(self) -> int:
         return len(self.press)
 
+    def choose(self, rows: Sequence[int]) -> "DamagedPresses":
+        """Return these presses alone."""
+        kept = list(rows)
+        names = tuple(self.names[k] for k in kept) if self.names else ()
+        return DamagedPresses(self.frames[kept], self.press[kept], self.masks[kept], names)
+
 
 def render_damage(
     presses: NominalPresses, profile: SensorProfile, region: Region, rng: np.random.Generator

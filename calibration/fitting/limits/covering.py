@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.limits.held_out import HeldOut, Learner, ScoredPresses
+from calibration.fitting.limits.held_out import HeldOut, Learner, ScoredPresses, ShownPresses
 from edge.core.detector import Bank, Nominal
 from edge.core.errors import FitError
 
@@ -53,19 +53,22 @@ def covering_bank(
     nominal: Nominal,
     learn: Callable[[Nominal], tuple[Bank, HeldOut | None]],
     find_threshold: Callable[[NDArray[np.float64]], float],
+    shown: ShownPresses | None = None,
 ) -> Covered:
     """Learn a bank with the least room in which it covers the presses.
 
     learn: nominal presses and a room to a bank, and what banks without them show of the presses. find_threshold: from
-    scores. Errors: FitError where more room does not help.
+    scores. shown: the nominal presses as the gateway shows them; None as they are learnt. Errors: FitError where more
+    room does not help.
     """
+    shown = shown or ShownPresses(nominal.features)
     size = 0
     for room in ROOMS:
         bank, held_out = learn(replace(nominal, room=room))
         if held_out is None:
             return Covered(bank, room)
         unknown = held_out.sound.scores
-        known = learner.score(bank, nominal.features, range(nominal.presses))
+        known = learner.score_shown(bank, shown, np.arange(nominal.presses))
         if is_covered(known.scores, unknown, find_threshold(unknown)):
             return Covered(bank, room, held_out, known)
         if (grown := sum(array.nbytes for array in bank.arrays.values())) <= size:

@@ -14,7 +14,18 @@ from edge.core.errors import FitError
 from edge.model.packing import pack, unpack
 from edge.model.session import RUNTIME_ERRORS, open_session
 
-__all__ = ["HeldOut", "Learner", "ScoredPresses", "score_held_out"]
+__all__ = ["HeldOut", "Learner", "ScoredPresses", "ShownPresses", "score_held_out"]
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class ShownPresses:
+    """n presses as the gateway brings them to a bank."""
+
+    features: Features
+    seen: Mask | None = None
+    """The places that count, (n, h, w); None for all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +38,19 @@ class ScoredPresses:
     """Anomaly scores, (n,)."""
     head_ms: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     """What the head took for each, (n,), or none."""
+    seen: Mask | None = None
+    """The places that count, (n, h, w); None for all."""
+
+    def highest(self, maps: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the highest value that counts of these maps of the presses, (n,)."""
+        lowest = maps.min(axis=(1, 2), keepdims=True)
+        counts = maps if self.seen is None else np.where(self.seen, maps, lowest)
+        return np.asarray(counts.max(axis=(1, 2)), np.float64)
+
+    def choose(self, rows: NDArray[np.int64]) -> "ScoredPresses":
+        """Return these presses alone."""
+        seen = None if self.seen is None else self.seen[rows]
+        return ScoredPresses(self.maps[rows], self.scores[rows], seen=seen)
 
     def put(self, rows: NDArray[np.int64], scored: "ScoredPresses") -> None:
         """Write other presses into these rows."""
@@ -70,6 +94,14 @@ class Learner:
         """Return the graph that scores by the bank. Errors: FitError."""
         return self.detector.head(self.grid, bank, self.parameters)
 
+    def score_shown(self, bank: Bank, shown: ShownPresses, rows: NDArray[np.int64]) -> ScoredPresses:
+        """Score those presses with the bank as stored, where only some places count by those. Errors: FitError."""
+        scored = self.score(bank, shown.features, rows.tolist())
+        if shown.seen is None:
+            return scored
+        scored = replace(scored, seen=shown.seen[rows])
+        return replace(scored, scores=scored.highest(scored.maps))
+
     def score(self, bank: Bank, features: Features, rows: Sequence[int]) -> ScoredPresses:
         """Score those presses with the bank as stored. Errors: FitError."""
         head = open_session(self.head(bank), self.threads, f"head of {self.detector.name}")
@@ -100,27 +132,33 @@ def score_held_out(
     learner: Learner,
     nominal: Nominal,
     folds: Sequence[NDArray[np.int64]],
-    edited: tuple[Features, NDArray[np.int64]] | None = None,
+    edited: tuple[ShownPresses, NDArray[np.int64]] | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
+    shown: ShownPresses | None = None,
 ) -> HeldOut:
     """Score every press by a bank of the other folds. Errors: FitError.
 
-    folds: a partition of the presses. edited: features of m presses with damage, and which nominal press each was,
-    (m,).
+    folds: a partition of the presses. edited: m presses with damage, and which nominal press each was, (m,). shown:
+    the nominal presses; None where the gateway shows them as they are learnt.
     """
-    features, of = edited or (nominal.features, np.empty(0, np.int64))
-    sound, damaged = (_empty(learner.grid, count) for count in (nominal.presses, len(of)))
+    shown = shown or ShownPresses(nominal.features)
+    damage, of = edited or (shown, np.empty(0, np.int64))
+    sound, damaged = (
+        _empty(learner.grid, count, one.seen) for count, one in ((nominal.presses, shown), (len(of), damage))
+    )
     for number, held in enumerate(folds):
         bank = learner.bank_without(nominal, held)
-        sound.put(held, learner.score(bank, nominal.features, held.tolist()))
+        sound.put(held, learner.score_shown(bank, shown, held))
         if (rows := np.flatnonzero(np.isin(of, held))).size:
-            damaged.put(rows, learner.score(bank, features, rows.tolist()))
+            damaged.put(rows, learner.score_shown(bank, damage, rows))
         progress((number + 1) / len(folds))
     return HeldOut(sound, damaged)
 
 
-def _empty(grid: Grid, presses: int) -> ScoredPresses:
-    return ScoredPresses(np.empty((presses, *grid.frame), np.float32), np.empty(presses), np.empty(presses))
+def _empty(grid: Grid, presses: int, seen: Mask | None = None) -> ScoredPresses:
+    return ScoredPresses(
+        np.empty((presses, *grid.frame), np.float32), np.empty(presses), np.empty(presses), seen
+    )
 
 
 def _select(features: Features, rows: Sequence[int] | NDArray[np.int64]) -> Features:

@@ -90,7 +90,7 @@ class Evidence:
     @property
     def is_score_a_maximum(self) -> bool:
         sound = self.held_out.sound
-        return bool(np.allclose(sound.maps.max(axis=(1, 2)), sound.scores, rtol=_SAME, atol=0))
+        return bool(np.allclose(sound.highest(sound.maps), sound.scores, rtol=_SAME, atol=0))
 
     def count_found(self, choice: Choice, threshold: float) -> tuple[int, int]:
         """Count the presses with rendered damage that are found, and all of them.
@@ -119,18 +119,20 @@ class _Candidate:
 
     def __init__(self, kind: str, evidence: Evidence) -> None:
         self.kind, self.evidence = kind, evidence
-        maps = evidence.held_out.sound.maps
-        self.spread = self._learn(maps)
-        scores = _highest(self.spread.standardise(evidence.known.maps))
+        sound, known = evidence.held_out.sound, evidence.known
+        self.spread = self._learn(sound)
+        scores = known.highest(self.spread.standardise(known.maps))
         self.folds: list[tuple[NDArray[np.int64], Spread]] = []
         for held in evidence.folds:
-            without = self._learn(np.delete(maps, held, axis=0)) if kind == PLACES else self.spread
+            others = np.setdiff1d(np.arange(len(scores)), held)
+            without = self._learn(sound.choose(others)) if kind == PLACES else self.spread
             self.folds.append((held, without))
-            scores[held] = np.maximum(scores[held], _highest(without.standardise(maps[held])))
+            apart = sound.choose(held)
+            scores[held] = np.maximum(scores[held], apart.highest(without.standardise(apart.maps)))
         self.threshold = conformal_threshold(scores, evidence.alpha, specimens=evidence.specimens)
 
-    def _learn(self, maps: NDArray[np.float32]) -> Spread:
-        return learn_spread(self.kind, maps, self.evidence.pixels_per_mm)
+    def _learn(self, presses: ScoredPresses) -> Spread:
+        return learn_spread(self.kind, presses.maps, self.evidence.pixels_per_mm, presses.seen)
 
     def _limit(self, spread: Spread) -> Limit:
         return spread.limit(self.threshold.value, self.evidence.plain.value)
@@ -143,18 +145,21 @@ class _Candidate:
             return False
         if black is None or black.scores[0] <= plain:
             return True
-        return bool(_highest(relate(self._limit(self.spread), black.maps))[0] > 1)
+        return bool(black.highest(relate(self._limit(self.spread), black.maps))[0] > 1)
 
     @cached_property
     def damaged(self) -> tuple[NDArray[np.bool_], Float]:
         """The damage that is found by the limit without its press, bool (m,), and the scores in units of that, (m,)."""
-        damage, maps = self.evidence.damage, self.evidence.held_out.edited.maps
+        damage, edited = self.evidence.damage, self.evidence.held_out.edited
         is_found, scores = np.zeros(len(damage), np.bool_), np.empty(len(damage))
         for held, spread in self.folds:
             rows = np.flatnonzero(np.isin(damage.press, held))
-            relative = relate(self._limit(spread), maps[rows])
+            if not rows.size:
+                continue
+            shown = edited.choose(rows)
+            relative = relate(self._limit(spread), shown.maps)
             is_found[rows] = ((relative > 1) & damage.masks[rows]).any(axis=(1, 2))
-            scores[rows] = _highest(relative)
+            scores[rows] = shown.highest(relative)
         return is_found, scores
 
     @property
@@ -165,10 +170,11 @@ class _Candidate:
     def finish(self) -> OtherLimit:
         """Return the limit; a press lies above 1 where its standardised score lies above the threshold of those."""
         limit = self._limit(self.spread)
-        scores = _highest(relate(limit, self.evidence.known.maps))
+        known, sound = self.evidence.known, self.evidence.held_out.sound
+        scores = known.highest(relate(limit, known.maps))
         for held, spread in self.folds:
-            apart = _highest(relate(self._limit(spread), self.evidence.held_out.sound.maps[held]))
-            scores[held] = np.maximum(scores[held], apart)
+            apart = sound.choose(held)
+            scores[held] = np.maximum(scores[held], apart.highest(relate(self._limit(spread), apart.maps)))
         words = f"compared with {KINDS[self.kind]}; {self.threshold.method}"
         changed = {"value": 1.0, "method": words, "nominal_scores": tuple(map(float, np.sort(scores)))}
         return OtherLimit(limit, self.threshold.model_copy(update=changed), scores, self.damaged[1])
@@ -196,7 +202,3 @@ def choose_limit(evidence: Evidence) -> Choice:
         return Choice(PLAIN, f"it finds {plainly}, and no other limit clearly more", None, found)
     more = f"{round(best.found * count)} of {count} small pieces of rendered damage"
     return Choice(best.kind, f"finds {more}, one limit for all places {plainly}", best.finish(), found)
-
-
-def _highest(maps: Float) -> Float:
-    return np.asarray(maps.max(axis=(1, 2)))

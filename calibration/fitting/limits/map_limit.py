@@ -84,8 +84,13 @@ class Spread:
         return {"limit_grid": grid, "limit_guard": np.full((1, 1), GUARD * plain), **self.arrays}
 
 
-def learn_spread(kind: str, maps: Maps, pixels_per_mm: float) -> Spread:
-    """Learn the spread from raw score maps (n, h, w) of nominal presses by banks without them."""
+def learn_spread(
+    kind: str, maps: Maps, pixels_per_mm: float, seen: NDArray[np.bool_] | None = None
+) -> Spread:
+    """Learn the spread from raw score maps (n, h, w) of nominal presses by banks without them.
+
+    seen: the places of each that count, bool (n, h, w); None for all.
+    """
     if kind != PLACES:
         window = _window(_WINDOW_MM * pixels_per_mm, maps.shape[1:])
         (down_rows, up_rows), (down_columns, up_columns) = window
@@ -97,11 +102,25 @@ def learn_spread(kind: str, maps: Maps, pixels_per_mm: float) -> Spread:
         }
         return Spread(arrays, np.zeros((1, 1)), np.ones((1, 1)))
     (down_rows, up_rows), (down_columns, up_columns) = _window(_PLACE_MM * pixels_per_mm, maps.shape[1:])
-    middle = np.median(maps, axis=0)
-    spread = _NORMAL * np.median(np.abs(maps - middle), axis=0)
+    middle = _median(maps, seen)
+    spread = _NORMAL * _median(np.abs(maps - middle), seen)
     middle, spread = (down_rows @ plane @ down_columns.T for plane in (middle, spread))
     least = max(_FLOOR * float(np.median(spread)), float(np.finfo(np.float32).tiny))
     return Spread({"limit_rows": up_rows, "limit_columns": up_columns.T}, middle, np.maximum(spread, least))
+
+
+def _median(maps: Maps, seen: NDArray[np.bool_] | None) -> Float:
+    """Return the median over presses at each place, (h, w), of those that show it; 0 where none does."""
+    if seen is None:
+        return np.asarray(np.median(maps, axis=0))
+    ordered, count = np.sort(np.where(seen, maps, np.inf), axis=0), seen.sum(axis=0)
+    ends = [
+        np.take_along_axis(ordered, np.maximum(at, 0)[None], axis=0)[0]
+        for at in ((count - 1) // 2, count // 2 - (count == 0))
+    ]
+    return np.where(
+        count > 0, 0.5 * np.where(count > 0, ends[0], 0) + 0.5 * np.where(count > 0, ends[1], 0), 0
+    )
 
 
 def relate(limit: Limit, maps: Maps) -> Float:

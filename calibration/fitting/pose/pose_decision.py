@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.damage.damaged_presses import SIZE_SHARES, render_damage
-from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.damage.damaged_presses import SIZE_SHARES, DamagedPresses, render_damage
+from calibration.fitting.limits.held_out import Learner, ShownPresses
 from calibration.fitting.pose.registration import LearntPose, completed, learn_pose
 from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -21,6 +21,7 @@ from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.registration.colours import FreeLight
+from edge.core.registration.pose import warp
 from edge.core.registration.registrar import Registrar, find_relief
 from edge.model.tile_runner import most_typical
 
@@ -63,6 +64,27 @@ class PoseChoice:
             return presses
         touches = tuple(replace(touch, x=0.5, y=0.5) for touch in presses.touches)
         return replace(presses, frames=self.learnt.frames, touches=touches, touched=None)
+
+    def show(self, nominal: Nominal, take: Take) -> ShownPresses:
+        """Return the nominal presses as the gateway shows them to the bank: what a press does not show is the mean
+        press, and does not count. What the bank learns there is other presses, with seams that no gateway makes."""
+        if self.learnt is None:
+            return ShownPresses(nominal.features)
+        registered = self.learnt.registered
+        frames, seen = (np.stack([getattr(one, name) for one in registered]) for name in ("rgb", "seen"))
+        return ShownPresses(take(frames), seen)
+
+    def show_damage(self, damage: DamagedPresses, take: Take) -> tuple[DamagedPresses, ShownPresses]:
+        """Bring presses with damage to the bank as the gateway does; those without a pose are left out."""
+        if self.learnt is None:
+            return damage, ShownPresses(take(damage.frames))
+        registrar = Registrar(self.learnt.part)
+        found = [registrar.register(rgb) for rgb in damage.frames]
+        kept = [k for k, one in enumerate(found) if one.refusal is None] or list(range(len(found)))
+        seen = np.stack([found[k].seen for k in kept])
+        moved = [warp(damage.masks[k].astype(np.float32), found[k].pose) > 0.5 for k in kept]
+        posed = replace(damage.choose(kept), masks=np.stack(moved) & seen)
+        return posed, ShownPresses(take(np.stack([found[k].rgb for k in kept])), seen)
 
 
 def choose_pose(

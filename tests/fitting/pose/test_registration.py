@@ -9,12 +9,21 @@ import tiny
 import turned_parts as parts
 from registered_bundle import fitted, nominal, registered
 
+from calibration.fitting.damage.damaged_presses import DamagedPresses
+from calibration.fitting.pose.pose_decision import PoseChoice
 from calibration.fitting.pose.registration import in_pose_of, learn_pose
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from edge.core.detector import Features, Nominal
 from edge.core.errors import BundleCorrupt, FitError, PoseNotFound
-from edge.core.registration.pose import Pose
+from edge.core.registration.pose import Pose, warp
+from edge.core.registration.registrar import Registrar
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
+
+
+def take(frames: np.ndarray) -> Features:
+    """Frames as their own features."""
+    return {"rgb": frames}
 
 
 def test_parts_anywhere_are_registered_and_the_bundle_says_why() -> None:
@@ -62,6 +71,38 @@ def test_sound_presses_anywhere_pass_and_golden_frames_hold() -> None:
     with pytest.raises(PoseNotFound, match="not recognised"):
         scorer.score(parts.press(parts.OTHER, Pose(2.0, 3.0, 0.2)))
     assert scorer.check_golden() < 1e-4
+
+
+def test_presses_are_held_out_as_the_gateway_shows_them() -> None:
+    """What a press does not show is the mean press there and does not count. As the bank learns it, it is other
+    presses with seams, which would rule the limit. Damage is put into the press as it lies, and counts where it is
+    seen."""
+    rendered = nominal(parts.anywhere(parts.BLOCK, 8)[1])
+    learnt = learn_pose(rendered.frames, parts.free_gel())
+    choice = PoseChoice(learnt)
+    unused = Nominal({"rgb": np.zeros((8, 1, 1, 1), np.float32)})
+    shown = choice.show(unused, take)
+    at_gateway = [Registrar(learnt.part).register(rgb) for rgb in rendered.frames]
+    assert np.array_equal(shown.features["rgb"], np.stack([one.rgb for one in at_gateway]))
+    assert shown.seen is not None
+    assert np.array_equal(shown.seen, np.stack([one.seen for one in at_gateway]))
+    assert not shown.seen.all()
+
+    masks = np.zeros(rendered.frames.shape[:3], np.bool_)
+    masks[:, 60:64, 60:64] = True
+    foreign = parts.press(parts.OTHER, Pose(), seed=5)
+    frames = np.stack([*rendered.frames[:7], foreign])
+    posed, damaged = choice.show_damage(DamagedPresses(frames, np.arange(8), masks), take)
+    assert posed.press.tolist() == list(range(7))
+    assert damaged.seen is not None
+    assert all((mask <= seen).all() for mask, seen in zip(posed.masks, damaged.seen, strict=True))
+    for mask, one in zip(posed.masks, at_gateway, strict=False):
+        found = warp(mask.astype(np.float32), one.pose.inverse())
+        assert found[61:63, 61:63].min() > 0.5
+
+    still = PoseChoice(None).show(unused, take)
+    assert still.seen is None
+    assert still.features is unused.features
 
 
 def test_what_is_stored_is_what_was_learnt() -> None:
