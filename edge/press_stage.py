@@ -16,6 +16,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, DeviceIdentity, Message
 from edge.core.press import Press, PressLabel
+from edge.messaging.alarm_payload import Alarm
 from edge.messaging.command_payloads import CommandArguments
 from edge.messaging.result_payload import ResultPayload
 from edge.model.inspector import Inspector
@@ -36,7 +37,7 @@ class Alarms(Protocol):
     """The alarms and the state of a station, for its stages. Any thread may use it."""
 
     def say(self, alarm: str, sentence: str | None, severity: Literal["warning", "error"] = "error") -> None:
-        """Raise an alarm for a person, or clear it with None."""
+        """Raise an alarm for a person, or clear it with None. Errors: ValueError for one that no one declares."""
 
     def set_fault(self, alarm: str, text: str) -> bool:
         """Raise it, and inspect nothing until `clear_fault`. Returns whether it was not raised before."""
@@ -135,6 +136,9 @@ class PressStage:
 
     commands: ClassVar[Sequence[Command[Any, Any]]] = ()
     """The verbs that it serves."""
+
+    alarms: ClassVar[Mapping[str, Alarm]] = {}
+    """The alarms that a feature of another package raises, by id; gelgate's own are in `alarm_payload.ALARMS`."""
 
     @classmethod
     def open(cls, parts: StageParts) -> Self | None:

@@ -31,6 +31,7 @@ __all__ = [
     "detector",
     "device",
     "feature",
+    "foreign",
     "hidden_package",
     "importer",
     "names",
@@ -63,6 +64,11 @@ Verb: TypeAlias = "typer.Typer | Callable[..., None]"
 def names(group: Group) -> list[str]:
     """The known names of a group."""
     return sorted(_points(group))
+
+
+def foreign(group: Group) -> list[str]:
+    """The names of a group that other packages than gelgate bring."""
+    return sorted(name for name, points in _points(group).items() if _package(points[0]) != "gelgate")
 
 
 def command(name: str) -> Verb:

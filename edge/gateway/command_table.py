@@ -16,7 +16,7 @@ from edge.gateway.features import load_every_feature, load_features
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.self_test import self_test
 from edge.gateway.station_loop import StationLoop
-from edge.messaging.alarm_payload import ALARMS, STAYING
+from edge.messaging.alarm_payload import known_alarms
 from edge.messaging.command_payloads import (
     AcknowledgeAlarmArguments,
     CommandArguments,
@@ -80,10 +80,10 @@ def _reload(loop: StationLoop, arguments: NoArguments) -> Data:
 
 
 def _acknowledge_alarm(loop: StationLoop, arguments: AcknowledgeAlarmArguments) -> Data:
-    alarm, raised = arguments.alarm, _alarms(loop)
-    if alarm not in ALARMS:
-        raise ValueError(f"no alarm is named '{alarm}'; {suggestion(alarm, sorted(ALARMS))}")
-    if alarm not in STAYING:
+    alarm, raised, known = arguments.alarm, _alarms(loop), known_alarms()
+    if alarm not in known:
+        raise ValueError(f"no alarm is named '{alarm}'; {suggestion(alarm, sorted(known))}")
+    if not known[alarm].stays:
         raise ValueError(
             f"the alarm '{alarm}' ends by itself when its reason is over; see docs/operations.md"
         )

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from edge import registry
 from edge.config import Config
 from edge.core.errors import ConfigError
+from edge.messaging.alarm_payload import known_alarms
 from edge.press_stage import PressStage
 
 __all__ = ["Features", "load_every_feature", "load_features"]
@@ -16,7 +17,7 @@ def load_features(config: Config) -> Features:
     """Load the features that are configured, and those of other packages, in the order in which a press goes through
     them. Others may refuse a press, so they come before the outputs, which show what was decided.
 
-    Errors: ConfigError for a feature that cannot be loaded.
+    Errors: ConfigError for a feature that cannot be loaded, or that declares an alarm of another.
     """
     ours, installed = config.features, registry.names("features")
     if missing := [name for name, is_wanted in ours.items() if is_wanted and name not in installed]:
@@ -27,7 +28,9 @@ def load_features(config: Config) -> Features:
     others = [name for name in installed if name not in ours]
     before = list(ours).index("outputs")
     names = [*list(ours)[:before], *others, *list(ours)[before:]]
-    return {name: _load(name) for name in names if ours.get(name, True)}
+    features = {name: _load(name) for name in names if ours.get(name, True)}
+    known_alarms()
+    return features
 
 
 def load_every_feature() -> Features:

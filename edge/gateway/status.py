@@ -125,10 +125,11 @@ class StationStatus:
 
     def say(self, alarm: str, sentence: str | None, severity: Literal["warning", "error"] = "error") -> None:
         """Raise an alarm for a person, or clear it with None. The log has it once, until it is cleared."""
+        cleared = alarm_cleared(alarm)
         with self._lock:
             if sentence is None:
                 self._raised.discard(alarm)
-                self.announce(alarm_cleared(alarm))
+                self.announce(cleared)
                 return
             if alarm not in self._raised and alarm not in self._faults:
                 # A fault is logged by the one who noticed it.

@@ -44,7 +44,7 @@ def reference(commands: Iterable[DescribedCommand]) -> str:
         secret=_EXAMPLE_SECRET,
         text=text.decode(),
         request=json.dumps(request),
-        alarms="\n".join(f"| `{alarm}` | {meaning} |" for alarm, meaning in ALARMS.items()),
+        alarms="\n".join(f"| `{alarm}` | {kind.meaning} |" for alarm, kind in ALARMS.items()),
         payloads="\n".join(_payloads()),
     )
 

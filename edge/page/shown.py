@@ -9,7 +9,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from edge.core.ports import Message
-from edge.messaging.alarm_payload import ADVICE, ALARMS, STAYING, AlarmPayload
+from edge.messaging.alarm_payload import AlarmPayload, known_alarms
 from edge.messaging.payload_base import Payload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import GelPayload, InfoPayload, StatePayload, StatsPayload
@@ -54,6 +54,7 @@ class Shown:
         self._place = place
         self._away = away
         self._status: dict[str, Any] = dict.fromkeys(_STATUS)
+        self._known_alarms = known_alarms()
         self._alarms: dict[str, Any] = {}
         self._presses: OrderedDict[str, Any] = OrderedDict()
         self._pictures: OrderedDict[str, bytes] = OrderedDict()
@@ -98,14 +99,15 @@ class Shown:
                     self._note()
 
     def _see_alarm(self, name: str, payload: bytes) -> None:
-        if name not in ALARMS:
+        kind = self._known_alarms.get(name)
+        if kind is None:
             return  # of a newer station; `stats` lists it
         content = readable("alarm", payload) if payload else None
         with self._changed:
             if content is None:
                 self._alarms.pop(name, None)
             else:
-                advice = {"what_to_do": ADVICE.get(name, ""), "can_acknowledge": name in STAYING}
+                advice = {"what_to_do": kind.what_to_do, "can_acknowledge": kind.stays}
                 self._alarms[name] = {**content, "alarm": name, **advice}
             self._note()
 

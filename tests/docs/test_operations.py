@@ -8,7 +8,7 @@ import pytest
 from edge.config.tables import GelTable
 from edge.core.binomial import trials_needed
 from edge.core.gel_proof import PROVEN_RATE
-from edge.messaging.alarm_payload import ADVICE, ALARMS
+from edge.messaging.alarm_payload import ALARMS
 from edge.store.acts import KEPT_ACTS, KEPT_REFUSALS
 from edge.store.database import JOURNAL_LIMIT_BYTES
 from edge.store.gel_files import KEPT_GELS
@@ -37,7 +37,7 @@ def test_what_to_do_is_what_the_page_at_the_station_says() -> None:
     """The last cell of each row, links as their words."""
     said = {row[0].strip("`"): re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", row[2]) for row in rows("Alarms")}
 
-    assert said == dict(ADVICE)
+    assert said == {alarm: kind.what_to_do for alarm, kind in ALARMS.items()}
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from stepped_station import SteppedStation
@@ -16,8 +17,11 @@ from edge.core.press import Press, PressLabel
 from edge.gateway.command_table import station_commands
 from edge.gateway.features import load_features
 from edge.gateway.preflight import preflight
+from edge.messaging.alarm_payload import Alarm, AlarmPayload
 from edge.messaging.command_payloads import NoArguments
+from edge.messaging.sink_worker import RetainedState
 from edge.model.inspector import Inspector
+from edge.page.shown import Shown
 from edge.press_stage import Command, PressStage
 from edge.store.gel_ledger import GelRecord
 
@@ -80,6 +84,59 @@ def test_a_request_is_served_by_one(config: Path, monkeypatch: pytest.MonkeyPatc
 
     with pytest.raises(ConfigError, match="the request 'replace_gel' is served twice"):
         station_commands(load_config(config))
+
+
+@pytest.mark.parametrize(
+    ("declared", "sentence"),
+    [
+        (
+            {"gel": Alarm("the gel is wet")},
+            "the feature 'lamp' declares the alarm 'gel', which is another's; rename it",
+        ),
+        (
+            {"too bright": Alarm("the lamp")},
+            "the feature 'lamp' declares the alarm 'too bright': a topic level has",
+        ),
+    ],
+)
+def test_an_alarm_is_declared_by_one(
+    config: Path, monkeypatch: pytest.MonkeyPatch, declared: dict[str, Alarm], sentence: str
+) -> None:
+    """A feature of another package cannot raise or end an alarm of gelgate's."""
+    monkeypatch.setattr(PressStage, "alarms", declared)
+    with pytest.raises(ConfigError, match=sentence):
+        load_with(monkeypatch, load_config(config), "edge.press_stage:PressStage")
+
+
+class Lamp(PressStage):
+    """Has one alarm that stays, one that ends by itself, and forgot a third."""
+
+    alarms: ClassVar = {
+        "lamp_lost": Alarm("a lamp is lost", "find it", stays=True),
+        "lamp_dim": Alarm("it is dim"),
+    }
+
+
+def test_a_feature_brings_its_alarms(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are cleared at the start, shown with what to do, measured, and acknowledged as gelgate's own."""
+    install(monkeypatch, f"{__name__}:Lamp")
+    monkeypatch.setattr(EntryPoint, "load", _load_from_here(EntryPoint.load))
+    with SteppedStation(config) as station:
+        cleared = {message.topic for message in RetainedState().all() if not message.payload}
+        assert {"alarm/lamp_lost", "alarm/lamp_dim", "alarm/gel"} <= cleared
+        for alarm in ("lamp_lost", "lamp_dim"):
+            station.parts.status.say(alarm, "look for the lamp")
+        with pytest.raises(ValueError, match="'lamp_dim' ends by itself"):
+            station.ask("acknowledge_alarm", alarm="lamp_dim")
+        assert station.ask("acknowledge_alarm", alarm="lamp_lost") == {"alarms": ["lamp_dim"]}
+        with pytest.raises(ValueError, match="alarm 'lamp_hot' is not known; known: device, "):
+            station.parts.status.say("lamp_hot", "it is hot")
+
+        shown = Shown("plant/line1/press2")
+        shown.see(AlarmPayload(time_ns=0, alarm="lamp_lost", text="look for it").message())
+        assert {"what_to_do": "find it", "can_acknowledge": True}.items() <= shown.station()["alarms"][
+            "lamp_lost"
+        ].items()
 
 
 def test_an_installation_without_our_features_says_so(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from edge.core.gel_life import GelState
 from edge.core.verdict import Cause, Kind
 from edge.gateway.build import open_station
 from edge.gateway.station_loop import StationLoop
-from edge.messaging.alarm_payload import ADVICE, AlarmPayload
+from edge.messaging.alarm_payload import ALARMS, AlarmPayload
 from edge.messaging.result_payload import PressAgainPart
 from plugins.sinks.page import PageSink
 
@@ -58,7 +58,9 @@ def test_a_person_sees_the_verdict_as_it_comes(tab: Any, sink: PageSink) -> None
     assert tab.inner_text("#verdict").lower() == "fail"
     assert "<b>bolt</b>" in tab.inner_text("#facts")
     assert "2.50 × threshold" in tab.inner_text("#facts")
-    assert tab.inner_text("#alarms .alarm") == f"gel S-1 is due\nWhat to do: {ADVICE['gel']}".replace("`", "")
+    assert tab.inner_text(
+        "#alarms .alarm"
+    ) == f"gel S-1 is due\nWhat to do: {ALARMS['gel'].what_to_do}".replace("`", "")
     assert tab.inner_text("#selected") == "bolt/pos1"
     assert tab.inner_text("#unproven") == "not proven: the bundle finds 1 of 48"
     assert "GelSight Mini R0B, serial 2BNN4ZE7, 24.9 frames a second" in tab.inner_text("#sensor")

@@ -18,7 +18,7 @@ from edge.core.errors import ConfigError, SinkRejected
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from edge.messaging.alarm_payload import ADVICE, AlarmPayload, alarm_cleared
+from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
 from edge.page.http_server import MOST_OF_ONE, REQUEST_S, HttpHandler, HttpServer
 from edge.page.shown import MOST_PICTURES, MOST_PRESSES
 from edge.pictures import png
@@ -43,7 +43,7 @@ def test_it_shows_the_newest_of_everything(sink: PageSink) -> None:
     assert station["state"]["state"] == asked(sink.port, "/state.json")["state"] == "ready"
     assert asked(sink.port, "/alarms.json") == station["alarms"]
     assert {name: alarm["text"] for name, alarm in station["alarms"].items()} == {"gel": "the gel is due"}
-    assert station["alarms"]["gel"]["what_to_do"] == ADVICE["gel"]
+    assert station["alarms"]["gel"]["what_to_do"] == ALARMS["gel"].what_to_do
     assert asked(sink.port, "/gel.json")["presses"] == station["gel"]["presses"] == 801
     assert asked(sink.port, "/reference.json")["charts"][0]["measure"] == "score"
     assert asked(sink.port, "/info.json")["parts"] == ["bolt/pos1", "nut/pos1"]

@@ -89,6 +89,7 @@ def test_the_page_shows_a_complete_package() -> None:
     assert {value.partition(":")[0].replace(".", "/") + ".py" for value in values} == set(modules)
     assert len(modules) == 4
     assert {name for name in imported if not name.startswith("edge.core.")} == {
+        "edge.messaging.alarm_payload",
         "edge.messaging.command_payloads",
         "edge.press_stage",
     }
@@ -229,3 +230,4 @@ def test_from_nominal_presses_to_a_verdict_at_the_webhook(
     ) as station:
         station.play()
         assert station.ask("shift_counts") == {"shift 1": 3}
+        assert station.raised == ["shift_goal"]

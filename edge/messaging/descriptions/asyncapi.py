@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from edge.core.ports import Message
-from edge.messaging.alarm_payload import ALARMS
+from edge.messaging.alarm_payload import known_alarms
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
 from edge.messaging.descriptions.station import DescribedCommand, DescribedStation
 from edge.messaging.topics import TOPICS, Topic
@@ -32,10 +32,12 @@ _CONTENT: Final = {
     "AsyncAPI": ("application/json", {"type": "object", "required": ["asyncapi", "channels"]}),
 }
 
-_PARAMETERS: Final = {
-    "press id": {"description": "the `press_id` of the result, a ULID"},
-    "alarm": {"description": "the alarm's id", "enum": list(ALARMS)},
-}
+
+def _parameter(name: str) -> dict[str, Any]:
+    if name == "alarm":
+        return {"description": "the alarm's id", "enum": list(known_alarms())}
+    return {"description": "the `press_id` of the result, a ULID"}
+
 
 _ABOUT: Final = """\
 Verdicts of a touch inspection station. Within `{version}` fields may be added: ignore those that you do not know.
@@ -129,7 +131,7 @@ def _channel(station: DescribedStation, topic: Topic) -> dict[str, Any]:
         "messages": {name: {"$ref": f"#/components/messages/{name}"} for name in names},
     }
     if named:
-        channel["parameters"] = {parameter: _PARAMETERS[name] for name, parameter in named.items()}
+        channel["parameters"] = {parameter: _parameter(name) for name, parameter in named.items()}
     return channel
 
 
