@@ -12,7 +12,7 @@ from edge.core.errors import BundleError
 from edge.model.again_facts import DEFAULT_COSTS, again_sentence, plan_for
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle, parse_manifest
-from edge.model.detectability import detectability_lines
+from edge.model.detectability import detectability_lines, read_card
 from edge.model.manifest import ColourEntry, Manifest
 from edge.model.manifest_facts import (
     AUGMENTATION,
@@ -129,8 +129,8 @@ def _cards(manifest: Manifest) -> Iterator[tuple[str, str]]:
         yield "fit", f"{times}, threshold {cost.threshold_s:.1f} s"
     if manifest.accuracy:
         yield "accuracy", ", ".join(f"{k} {v:.4f}" for k, v in manifest.accuracy.items())
-    if manifest.detectability:
-        yield from (("detectability", line) for line in detectability_lines(manifest.detectability))
+    if card := read_card(manifest.facts):
+        yield from (("detectability", line) for line in detectability_lines(card))
     versions = ", ".join(f"{k} {v}" for k, v in origin.versions.items())
     yield "made", f"{origin.created}, {len(origin.presses)} presses, seed {origin.seed}, {versions}"
     yield from (("left out", name) for name in origin.left_out)

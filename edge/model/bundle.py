@@ -29,7 +29,6 @@ from edge.core.imaging.image_bytes import kind, picture_size
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.archive import MANIFEST, MAX_FILE_BYTES, Archive, open_archive
-from edge.model.graph_cut import cut_trunk
 from edge.model.manifest import (
     SCHEMA_VERSION,
     ArrayEntry,
@@ -102,6 +101,8 @@ def _installed_trunk(backbone: BackboneEntry, taps: tuple[str, ...]) -> bytes | 
     """The trunk of an installed backbone of that name, complete or cut after these taps, if the hash is the same."""
     if backbone.id not in registry.names("backbones"):
         return None
+    from edge.model.graph_cut import cut_trunk  # a bundle mostly brings its trunk
+
     try:
         complete = registry.backbone(backbone.id).trunk()
         candidates = (complete, cut_trunk(complete, taps))

@@ -4,13 +4,15 @@ It is an entry of the manifest's `facts`, which hold what was learnt about a bun
 cards reads the bundle all the same.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from edge.core.errors import BundleCorrupt
 from edge.model.manifest_files import Entry
 
-__all__ = ["CARD", "CheckedFacts", "DetectabilityCard", "JudgedBy", "KindCard", "detectability_lines"]
+__all__ = ["CARD", "DetectabilityCard", "JudgedBy", "KindCard", "detectability_lines", "read_card"]
 
 CARD = "detectability"
 """The card's name among the manifest's facts."""
@@ -62,19 +64,17 @@ class DetectabilityCard(Entry):
                     raise ValueError(f"{kind.kind} has {len(column)} sizes for {len(self.places)} places")
         return self
 
-    @classmethod
-    def of(cls, facts: dict[str, Any]) -> "DetectabilityCard | None":
-        """The card among a manifest's facts, None where it has none. Errors: pydantic.ValidationError."""
-        return None if CARD not in facts else cls.model_validate(facts[CARD])
 
-
-def _with_readable_card(facts: dict[str, Any]) -> dict[str, Any]:
-    DetectabilityCard.of(facts)
-    return facts
-
-
-CheckedFacts = Annotated[dict[str, Any], AfterValidator(_with_readable_card)]
-"""A manifest's facts, whose card, if there is one, can be read."""
+def read_card(facts: Mapping[str, Any]) -> DetectabilityCard | None:
+    """Read the card among a manifest's facts, None where it has none. Errors: BundleCorrupt for one that is damaged."""
+    try:
+        return None if CARD not in facts else DetectabilityCard.model_validate(facts[CARD])
+    except ValidationError as error:
+        fault = error.errors()[0]
+        where = ".".join(map(str, ("facts", CARD, *fault["loc"])))
+        raise BundleCorrupt(
+            f"manifest.json is wrong: {where}: {fault['msg']}; measure it again with `gelgate lab detectability`"
+        ) from error
 
 
 def detectability_lines(card: DetectabilityCard) -> list[str]:

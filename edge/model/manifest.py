@@ -16,7 +16,6 @@ from edge.core.imaging.sensor_check import NominalColours
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.tiles import Tiles
 from edge.core.verdict import Verdict, decide
-from edge.model.detectability import CheckedFacts, DetectabilityCard
 from edge.model.manifest_files import (
     MAX_ARRAY_BYTES,
     MAX_BUNDLE_BYTES,
@@ -255,7 +254,7 @@ class Facts(Entry):
     mode: Mode | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
     repairs: tuple[str, ...] = ()
-    facts: CheckedFacts = Field(default_factory=dict)
+    facts: dict[str, Any] = Field(default_factory=dict)
     profile: SensorProfile
     region: Region
     grid: GridEntry | None = None
@@ -266,11 +265,6 @@ class Facts(Entry):
     cost: CostCard | None = None
     accuracy: dict[str, float] | None = None
     provenance: Provenance
-
-    @property
-    def detectability(self) -> DetectabilityCard | None:
-        """The smallest damage that the bundle finds, where it was measured."""
-        return DetectabilityCard.of(self.facts)
 
 
 class Manifest(Facts):

@@ -7,7 +7,7 @@ method. `edge.model.tile_runner` runs a tiled trunk and skips tiles that show on
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import onnxruntime as ort
@@ -17,7 +17,9 @@ from edge.core.errors import BundleCorrupt, NotScorable, PoseNotFound
 from edge.core.registration.pose import Registered
 from edge.model.bundle import Bundle
 from edge.model.session import RUNTIME_ERRORS, TrunkSessions, open_session
-from edge.model.tile_runner import FreeGel, TiledMaps, TileRunner
+
+if TYPE_CHECKING:
+    from edge.model.tile_runner import FreeGel, TiledMaps, TileRunner
 
 __all__ = ["Scored", "Scorer", "map_peaks"]
 
@@ -250,6 +252,8 @@ class Scorer:
         grid, entry = self.bundle.grid, self.bundle.manifest.grid
         if self._trunk is None or grid is None or grid.tiles is None or entry is None or entry.tiles is None:
             return
+        from edge.model.tile_runner import FreeGel, TileRunner  # most trunks have no tiles
+
         try:
             self._runner = TileRunner(self._trunk, grid.tiles, self._taps)
             if is_skipping and entry.tiles.untouched and self.bundle.free_gel is not None:
@@ -284,7 +288,7 @@ class Scorer:
         return pipe
 
     def _new_pipe(self, size: int) -> "_Pipe":
-        mosaics = None if self._runner is None else TiledMaps(self._runner, size, self._free)
+        mosaics = None if self._runner is None else self._runner.mosaics(size, self._free)
         return _Pipe(self._trunk, self._head, self._taps, self._bank, (size, *self.frame, 3), mosaics)
 
 
@@ -298,7 +302,7 @@ class _Pipe:
         taps: Mapping[str, tuple[int, int, int]],
         bank: Mapping[str, ort.OrtValue],
         shape: tuple[int, ...],
-        mosaics: TiledMaps | None = None,
+        mosaics: "TiledMaps | None" = None,
     ) -> None:
         self.size = shape[0]
         self._mosaics = mosaics

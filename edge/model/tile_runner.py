@@ -57,6 +57,10 @@ class TileRunner:
         for tap, found in self._found.items():
             into[tap][self.place(tap, index)] = found[0]
 
+    def mosaics(self, frames: int, free: "FreeGel | None") -> "TiledMaps":
+        """Make the mosaics of so many frames."""
+        return TiledMaps(self, frames, free)
+
     def place(self, tap: str, index: int) -> tuple[slice, slice, slice]:
         """A tile's place in a tap's mosaic."""
         (row, column), (h, w) = divmod(index, len(self.tiles.columns)), self._cells[tap]

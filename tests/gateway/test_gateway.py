@@ -149,7 +149,8 @@ def test_a_sensor_of_another_mode_is_refused(tmp_path: Path, bundle: Path) -> No
 
 
 def test_a_station_loads_what_it_uses(tmp_path: Path, recording: Path, bundle: Path) -> None:
-    """A sensor, a bundle that registers nothing and no second presses: none of the code for the others is loaded."""
+    """A sensor, a bundle with its trunk, without tiles and registration, and no second presses: none of the code for
+    the others is loaded."""
     config = station_config(tmp_path, recording, bundle)
     lines = config.read_text().splitlines()
     lines[lines.index('plugin = "usb_mock"') : lines.index("[inspection]")] = ['plugin = "gelsight_mini"']
@@ -167,4 +168,11 @@ with open_station(load_config(Path({str(config)!r})), SystemClock()):
     loaded = set(json.loads(done.stdout))
 
     assert {"edge.model.scorer", "plugins.devices.gelsight_mini"} <= loaded
-    assert not loaded & {"edge.core.registration.registrar", "edge.recording.format", "edge.core.press_again"}
+    assert not loaded & {
+        "edge.core.press_again",
+        "edge.core.registration.registrar",
+        "edge.model.detectability",
+        "edge.model.graph_cut",
+        "edge.model.tile_runner",
+        "edge.recording.format",
+    }

@@ -13,7 +13,7 @@ from command_line import Outcome, gelgate
 from pressed_dome import Bench, write
 
 from edge.model.bundle import Bundle
-from edge.model.detectability import DetectabilityCard
+from edge.model.detectability import DetectabilityCard, read_card
 
 FAST = ("--kind", "dent", "--presses", 4, "--spacing", 3.1, "--threads", 1)
 
@@ -78,7 +78,7 @@ def test_an_interrupted_run_goes_on(
 
 
 def test_the_card_is_written_and_printed(fitted: Path, pictures: Path, tmp_path: Path) -> None:
-    """The bundle keeps every file and field; only its facts gain the card, which `inspect` prints and `load` checks."""
+    """The bundle keeps every file and field; only its facts gain the card, which `inspect` prints."""
     copy = Path(shutil.copytree(fitted, tmp_path / "bundle"))
     before = json.loads((copy / "manifest.json").read_text())
     assert gelgate("bundle", "keys", "new", tmp_path / "plant").code == 0
@@ -91,19 +91,23 @@ def test_the_card_is_written_and_printed(fitted: Path, pictures: Path, tmp_path:
     assert {k for k in after if after[k] != before[k]} == {"facts"}
     assert set(after) == set(before)
     assert set(after["facts"]) - set(before["facts"]) == {"detectability"}
-    assert Bundle.load(copy).manifest.detectability == card(tmp_path / "out")
+    assert read_card(Bundle.load(copy).manifest.facts) == card(tmp_path / "out")
     assert re.search(
         r"^detectability +dent: found in 90 % of cases", gelgate("bundle", "inspect", copy).out, re.MULTILINE
     )
 
 
 def test_a_card_that_is_none_is_refused(fitted: Path, tmp_path: Path) -> None:
-    """A damaged card makes the bundle corrupt, with a sentence; a bundle without one has no line of it."""
+    """`inspect` says of a damaged card what is wrong; a station, which reads none, inspects all the same. A bundle
+    without one has no line of it."""
     copy = Path(shutil.copytree(fitted, tmp_path / "bundle"))
     manifest = json.loads((copy / "manifest.json").read_text())
     manifest["facts"]["detectability"] = {"presses": 0}
     (copy / "manifest.json").write_text(json.dumps(manifest))
-    assert "manifest.json is wrong" in gelgate("bundle", "inspect", copy).sentence()
+    assert (
+        "manifest.json is wrong: facts.detectability.created" in gelgate("bundle", "inspect", copy).sentence()
+    )
+    assert Bundle.load(copy).manifest.part
     assert "detectability" not in gelgate("bundle", "inspect", fitted).out
 
 
