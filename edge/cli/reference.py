@@ -19,10 +19,11 @@ from edge.config.reference_table import ReferenceTable
 from edge.core.errors import ConfigError, GelgateError
 from edge.core.ports import Clock
 from edge.core.printable import printable, score_texts
-from edge.core.reference_press.charts import Chart, Outcome, ReferencePress, charts, judge
+from edge.core.reference_press.charts import Chart, ReferencePress, charts, judge
 from edge.core.reference_press.control_chart import MEASURES
+from edge.core.reference_press.outcome import Outcome
 from edge.messaging.payload_base import iso_time
-from edge.messaging.result_payload import ChartEntry
+from edge.messaging.reference_message import describe_chart
 from edge.pictures.control_chart import control_charts_svg
 from edge.store import reference_presses as table
 from edge.store.acts import Act
@@ -195,7 +196,7 @@ def _json_line(key: PieceKey, presses: Sequence[ReferencePress], learn: int) -> 
             **key._asdict(),
             "outcome": judgement.outcome,
             "sentences": judgement.sentences,
-            "charts": [ChartEntry.of(chart).model_dump(mode="json") for chart in judgement.charts],
+            "charts": [describe_chart(chart).model_dump(mode="json") for chart in judgement.charts],
             "presses": [asdict(press) for press in presses],
         }
     )

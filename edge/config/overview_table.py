@@ -7,10 +7,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, model_validator
 
 from edge.config.plugin_tables import PluginTable
-from edge.core.errors import ConfigError
-from edge.core.overview.codes import CodeKind, TagFamily
-from edge.core.overview.rules import OverviewRules, Zone
-from edge.extras import needs
+from edge.core.overview.view import PRESENT_SHARE, CodeKind, TagFamily, Zone
 
 __all__ = ["OverviewTable"]
 
@@ -52,7 +49,7 @@ class OverviewTable(PluginTable):
         default=None, description="picture of the empty station: a part must differ from it"
     )
     present_share: float = Field(
-        default=OverviewRules.present_share,
+        default=PRESENT_SHARE,
         gt=0,
         le=1,
         description="a part changes at least this share of the region",
@@ -79,33 +76,3 @@ class OverviewTable(PluginTable):
         if not self.codes and (self.parts or self.part_pattern is not None or self.select):
             raise ValueError("parts, part_pattern and select need codes, the kinds of code to read")
         return self
-
-    def rules(self) -> OverviewRules:
-        """Read what a still must show.
-
-        Errors: ConfigError for a picture of the empty station that cannot be read, and for a kind of code whose reader
-        is not installed.
-        """
-        import cv2
-        import numpy as np
-
-        if "datamatrix" in self.codes:
-            needs("datamatrix", "overview.codes with datamatrix")
-        empty = None
-        if self.empty is not None:
-            raw = cv2.imread(str(self.empty), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-            if raw is None:
-                raise ConfigError(
-                    f"overview.empty: {self.empty} is no picture that can be read; save a still of the empty station"
-                )
-            empty = np.asarray(raw, np.uint8)
-        return OverviewRules(
-            codes=self.codes,
-            family=self.apriltag_family,
-            pattern=None if self.part_pattern is None else re.compile(self.part_pattern),
-            parts=self.parts,
-            select=self.select,
-            zone=Zone(*self.region),
-            empty=empty,
-            present_share=self.present_share,
-        )

@@ -10,8 +10,8 @@ from edge.core.contact.mask import Touch
 from edge.core.contact.reference import View
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Rejection
-from edge.core.overview.rules import OverviewView
-from edge.core.reference_press.control_chart import Imprint
+from edge.core.overview.view import OverviewView
+from edge.core.reference_press.outcome import Imprint
 from edge.core.registration.pose import Registered
 from edge.core.verdict import Blame, Kind, Verdict
 

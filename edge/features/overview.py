@@ -2,6 +2,7 @@
 with `overview.select`, which bundle judges them."""
 
 import logging
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
@@ -14,17 +15,19 @@ from numpy.typing import NDArray
 from edge import registry
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.config import Config, OverviewTable, PluginTable
-from edge.core.errors import DeviceError, FrameCorrupt, StoreError
+from edge.core.errors import ConfigError, DeviceError, FrameCorrupt, StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
-from edge.core.overview.rules import OverviewRules, OverviewView
+from edge.core.overview.rules import OverviewRules
+from edge.core.overview.view import OverviewView, Zone
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, Device
 from edge.core.press import Press, PressLabel
+from edge.extras import needs
 from edge.press_stage import Alarms, PressStage, Selection, StageParts
 from edge.store.acts import Act
 
-__all__ = ["Overview", "overview_opener", "say_overview_camera", "still_of"]
+__all__ = ["Overview", "overview_opener", "read_rules", "say_overview_camera", "still_of"]
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +72,7 @@ class Overview(PressStage):
         table, clock = parts.config.overview, parts.clock
         if table is None:
             return None
-        rules = table.rules()
+        rules = read_rules(table)
         say_camera = partial(say_overview_camera, parts.alarms, is_needed=rules.is_asking)
         camera = Acquisition(
             overview_opener(table, clock), clock, say_camera, depth=1, stall_after_s=_STALL_S
@@ -178,7 +181,7 @@ class Overview(PressStage):
 
 def _find_camera(table: OverviewTable) -> str:
     """A camera that is away is no fault: the station waits for it. Errors: ConfigError for its `empty`."""
-    rules = table.rules()
+    rules = read_rules(table)
     plugin = registry.overview(table.plugin)
     try:
         discovered = plugin.discover(plugin.Options.model_validate(table.options))
@@ -189,6 +192,34 @@ def _find_camera(table: OverviewTable) -> str:
     names = [f"{one.identity.product}, serial {one.identity.serial}" for one in discovered if one.identity]
     until = "presses are refused" if rules.is_asking else "results come without its still"
     return ", ".join(names) or f"{away}; until it comes {until}"
+
+
+def read_rules(table: OverviewTable) -> OverviewRules:
+    """Read what a still must show.
+
+    Errors: ConfigError for a picture of the empty station that cannot be read, and for a kind of code whose reader
+    is not installed.
+    """
+    if "datamatrix" in table.codes:
+        needs("datamatrix", "overview.codes with datamatrix")
+    empty = None
+    if table.empty is not None:
+        raw = cv2.imread(str(table.empty), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+        if raw is None:
+            raise ConfigError(
+                f"overview.empty: {table.empty} is no picture that can be read; save a still of the empty station"
+            )
+        empty = np.asarray(raw, np.uint8)
+    return OverviewRules(
+        codes=table.codes,
+        family=table.apriltag_family,
+        pattern=None if table.part_pattern is None else re.compile(table.part_pattern),
+        parts=table.parts,
+        select=table.select,
+        zone=Zone(*table.region),
+        empty=empty,
+        present_share=table.present_share,
+    )
 
 
 def overview_opener(table: PluginTable, clock: Clock) -> Callable[[], Device]:

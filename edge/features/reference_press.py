@@ -12,11 +12,12 @@ from edge.core.contact.events import PressSettled
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock, Message
 from edge.core.press import Press, PressLabel, ReferenceLabel
-from edge.core.reference_press.charts import Outcome, ReferencePress, judge, why_due
-from edge.core.reference_press.control_chart import Imprint
+from edge.core.reference_press.charts import ReferencePress, judge, why_due
+from edge.core.reference_press.outcome import Imprint, Outcome
 from edge.core.suggest import suggestion
 from edge.messaging.command_payloads import ReferencePressArguments
-from edge.messaging.result_payload import ReferencePayload, ResultPayload, heatmap_message
+from edge.messaging.reference_message import describe_reference_press
+from edge.messaging.result_payload import ResultPayload, heatmap_message
 from edge.model.inspector import Inspector
 from edge.press_stage import Alarms, Command, Data, Mounted, OwnTable, PressStage, StageParts
 from edge.store import reference_presses
@@ -290,7 +291,8 @@ class _PublishedTable(PieceTable):
         self, result: ResultPayload, sequence: int, heatmap_png: bytes | None
     ) -> tuple[Sequence[Message], Sequence[str]]:
         judgement = judge(self.presses, self._label.learn)
-        payload = ReferencePayload.of(result, sequence, self._label.piece, self._label.expected, judgement)
+        label = self._label
+        payload = describe_reference_press(result, sequence, label.piece, label.expected, judgement)
         picture = [] if heatmap_png is None else [heatmap_message(result.press_id, heatmap_png)]
         return [*picture, payload.message()], judgement.sentences
 

@@ -9,8 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from edge.core.defects import Defect
 from edge.core.imaging.quality import Reason
 from edge.core.ports import Message
-from edge.core.reference_press.charts import Chart, Judgement, Outcome
-from edge.core.reference_press.control_chart import Signal
+from edge.core.reference_press.outcome import Outcome, Signal
 from edge.core.registration.pose import Registered
 from edge.core.verdict import Cause, Kind
 from edge.messaging.payload_base import Payload, PressId
@@ -18,6 +17,7 @@ from edge.messaging.status_payloads import GelPayload
 from edge.store.gel_ledger import GelRecord
 
 __all__ = [
+    "CHARTED",
     "MOST_DEFECTS",
     "ChartEntry",
     "DefectPlace",
@@ -277,22 +277,6 @@ class ChartEntry(_Part):
     learn: int = Field(ge=2, description="presses that they are made from")
     signals: list[Signal] = Field(description="what the newest value says")
 
-    @classmethod
-    def of(cls, chart: Chart) -> Self:
-        limits = chart.limits
-        return cls(
-            measure=chart.measure.name,
-            unit=chart.measure.unit,
-            values=[float(f"{value:.6g}") for value in chart.values[-CHARTED:]],
-            time_ns=[press.time_ns for press in chart.presses[-CHARTED:]],
-            low=None if limits is None else limits.low,
-            centre=None if limits is None else limits.centre,
-            high=None if limits is None else limits.high,
-            learnt=chart.learnt,
-            learn=chart.learn,
-            signals=list(chart.signals),
-        )
-
 
 class ReferencePayload(Payload):
     """A press of a master piece. It is no part's, and counts on the gel."""
@@ -321,20 +305,3 @@ class ReferencePayload(Payload):
         default=None, description="where this press's picture is sent, below the root"
     )
     charts: list[ChartEntry]
-
-    @classmethod
-    def of(cls, result: ResultPayload, number: int, piece: str, expected: str, judgement: Judgement) -> Self:
-        """Make the payload. result: as it would be published of a part."""
-        names = ["time_ns", "press_id", "part", "position", "score", "threshold", "heatmap_topic"]
-        names += ["sensor_serial", "gel_id", "gel_presses"]
-        return cls(
-            **{name: getattr(result, name) for name in names},
-            number=number,
-            piece=piece,
-            outcome=judgement.outcome,
-            sentences=list(judgement.sentences),
-            verdict="error" if result.verdict is None else result.verdict.value,
-            expected=expected,
-            bundle_id=result.bundle_id or "",
-            charts=list(map(ChartEntry.of, judgement.charts)),
-        )

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from edge.core.reference_press.charts import ReferencePress
-from edge.core.reference_press.control_chart import Imprint
+from edge.core.reference_press.outcome import Imprint
 from edge.store.database import insert, open_read_only
 from edge.store.press_store import PressRecord, Store
 

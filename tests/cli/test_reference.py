@@ -15,7 +15,7 @@ from station import station_config
 from edge.cli.reference import request_press
 from edge.core.errors import GelgateError
 from edge.core.reference_press.charts import ReferencePress
-from edge.core.reference_press.control_chart import Imprint
+from edge.core.reference_press.outcome import Imprint
 from edge.store.acts import Act
 from edge.store.press_store import PressRecord, Store
 from edge.store.reference_presses import PieceKey, ReferenceRequest, ReferenceTable, take

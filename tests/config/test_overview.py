@@ -9,7 +9,8 @@ import pytest
 
 from edge.config import load_config
 from edge.core.errors import ConfigError
-from edge.core.overview.rules import Zone
+from edge.core.overview.view import Zone
+from edge.features.overview import read_rules
 
 STATION = """
 version = 1
@@ -44,7 +45,7 @@ def test_a_table_with_a_plugin_alone_asks_for_nothing(tmp_path: Path) -> None:
     table = load_config(written(tmp_path)).overview
 
     assert table is not None
-    assert not table.rules().is_asking
+    assert not read_rules(table).is_asking
 
 
 def test_the_table_is_the_rules(tmp_path: Path) -> None:
@@ -55,7 +56,7 @@ def test_the_table_is_the_rules(tmp_path: Path) -> None:
     text += 'empty = "empty.png"\npresent_share = 0.1\nregion = [0.5, 0, 0.5, 1]'
     table = load_config(written(tmp_path, text)).overview
     assert table is not None
-    rules = table.rules()
+    rules = read_rules(table)
 
     assert (rules.codes, rules.family, rules.parts) == (("apriltag", "qr"), "25h9", {"a": "PZ0"})
     assert rules.pattern is not None
@@ -114,7 +115,7 @@ def test_a_picture_of_the_empty_station_must_be_one(tmp_path: Path) -> None:
     assert table is not None
 
     with pytest.raises(ConfigError, match=r"overview\.empty: .*empty\.jpg is no picture"):
-        table.rules()
+        read_rules(table)
 
 
 def test_the_example_of_the_manual_loads(tmp_path: Path) -> None:
@@ -137,4 +138,4 @@ def test_a_data_matrix_needs_its_reader(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(
         ConfigError, match=r"datamatrix needs zxingcpp, .*; pip install 'gelgate\[datamatrix\]'"
     ):
-        table.rules()
+        read_rules(table)

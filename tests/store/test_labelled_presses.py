@@ -11,7 +11,7 @@ from recorded_presses import count, make_press
 from edge.core.errors import StoreError
 from edge.core.press import StudyLabel
 from edge.core.reference_press.charts import ReferencePress
-from edge.core.reference_press.control_chart import Imprint
+from edge.core.reference_press.outcome import Imprint
 from edge.store import reference_presses, study_presses
 from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import check_database

@@ -16,7 +16,7 @@ from recorded_presses import SERIAL, T0, make_press, record
 
 from edge.core.press import StudyLabel
 from edge.core.reference_press.charts import ReferencePress
-from edge.core.reference_press.control_chart import Imprint
+from edge.core.reference_press.outcome import Imprint
 from edge.store import acts, integrity, press_store, reference_presses, study_presses
 from edge.store.acts import Act
 from edge.store.backup import migrate

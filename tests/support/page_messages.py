@@ -9,7 +9,8 @@ from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.reference_press.charts import ReferencePress, judge
 from edge.core.verdict import Kind
-from edge.messaging.result_payload import ReferencePayload, ResultPayload, heatmap_message
+from edge.messaging.reference_message import describe_reference_press
+from edge.messaging.result_payload import ResultPayload, heatmap_message
 from edge.messaging.status_payloads import (
     GelPayload,
     InfoPayload,
@@ -122,4 +123,4 @@ def reference() -> Message:
         gel_presses=7,
         gel_limit_presses=1000,
     )
-    return ReferencePayload.of(result, 7, "M1", "pass", judge(presses, 5)).message()
+    return describe_reference_press(result, 7, "M1", "pass", judge(presses, 5)).message()

@@ -1,32 +1,20 @@
 """The codes on a part: QR and AprilTag, read by OpenCV, and DataMatrix, read by zxing-cpp (the extra `datamatrix`)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.overview.view import Code, CodeKind, TagFamily
 from edge.core.printable import printable
 
-__all__ = ["Code", "CodeKind", "TagFamily", "read_codes"]
-
-CodeKind = Literal["qr", "apriltag", "datamatrix"]
-TagFamily = Literal["36h11", "36h10", "25h9", "16h5"]
+__all__ = ["read_codes"]
 
 # Longer than any id on a part: a QR code has room for 4,296 letters, a DataMatrix for 2,335. This text is published.
 MOST_LETTERS: Final = 256
-
-
-@dataclass(frozen=True)
-class Code:
-    """One code that was read."""
-
-    kind: CodeKind
-    text: str
-    """The text of a QR code or DataMatrix, printable, or the number of an AprilTag."""
 
 
 def read_codes(

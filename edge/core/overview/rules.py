@@ -10,44 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.imaging.quality import Reason, Rejection
-from edge.core.overview.codes import Code, CodeKind, TagFamily, read_codes
+from edge.core.overview.codes import read_codes
+from edge.core.overview.view import PRESENT_SHARE, Code, CodeKind, OverviewView, TagFamily, Zone
 from edge.core.part_position import PartPosition
 
-__all__ = ["OverviewRules", "OverviewView", "Zone", "share_of_change"]
+__all__ = ["OverviewRules", "share_of_change"]
 
 # Both pictures are compared at about this width: a part that matters is larger than 1/160 of the view.
 COMPARED_PX: Final = 160
 # A difference above the noise of a webcam's blurred picture and its JPEG.
 LEVELS: Final = 20.0
-
-
-@dataclass(frozen=True)
-class Zone:
-    """A part of a picture in fractions of its width and height."""
-
-    left: float = 0.0
-    top: float = 0.0
-    width: float = 1.0
-    height: float = 1.0
-
-    def __post_init__(self) -> None:
-        sides = ((self.left, self.width), (self.top, self.height))
-        if not all(0 <= start < 1 and 0 < length <= 1 - start + 1e-9 for start, length in sides):
-            raise ValueError(
-                "a region is left, top, width, height in fractions of the picture and lies in it, found "
-                f"{self.left:g}, {self.top:g}, {self.width:g}, {self.height:g}"
-            )
-
-    def of(self, grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """This part of a picture, at least one pixel. grey: uint8 (h, w)."""
-        rows = _span(grey.shape[0], self.top, self.height)
-        return grey[rows, _span(grey.shape[1], self.left, self.width)]
-
-
-def _span(pixels: int, start: float, length: float) -> slice:
-    """Cut a span of at least one pixel."""
-    first = min(int(start * pixels), pixels - 1)
-    return slice(first, max(first + 1, round((start + length) * pixels)))
 
 
 def share_of_change(grey: NDArray[np.uint8], empty: NDArray[np.uint8]) -> float:
@@ -71,26 +43,6 @@ NamedBy = Callable[[str], Collection[PartPosition]]
 
 
 @dataclass(frozen=True)
-class OverviewView:
-    """One look before a press."""
-
-    jpeg: bytes | None
-    """The still, or None where there was none."""
-    fault: str | None = None
-    """Why there is no still."""
-    changed: float | None = None
-    """The share of the region that differs from the empty station, None where no picture of it is configured."""
-    is_present: bool | None = None
-    """Whether a part is there, None where nothing says so."""
-    codes: tuple[Code, ...] = ()
-    """The codes that were read in the region."""
-
-    def __post_init__(self) -> None:
-        if (self.jpeg is None) == (self.fault is None):
-            raise ValueError("a look has a still, or a fault that says why not")
-
-
-@dataclass(frozen=True)
 class OverviewRules:
     """What a still must show."""
 
@@ -107,7 +59,7 @@ class OverviewRules:
     """Where the part is."""
     empty: NDArray[np.uint8] | None = None
     """Grey picture of the empty station, uint8 (h, w); without it presence is not checked."""
-    present_share: float = 0.02
+    present_share: float = PRESENT_SHARE
     """A part changes at least this share of the region."""
 
     @property

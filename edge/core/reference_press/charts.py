@@ -8,29 +8,15 @@ change of gel the place is still compared, with the limits from before.
 import datetime
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Final
 
-from edge.core.reference_press.control_chart import MEASURES, Imprint, Limits, Measure, Signal, signals
+from edge.core.reference_press.control_chart import MEASURES, Limits, Measure, signals
+from edge.core.reference_press.outcome import Imprint, Outcome, Signal
 
-__all__ = ["Chart", "Judgement", "Outcome", "ReferencePress", "charts", "judge", "why_due"]
+__all__ = ["Chart", "Judgement", "ReferencePress", "charts", "judge", "why_due"]
 
 # Verdicts with a score.
 _SCORED: Final = ("pass", "fail", "unsure")
-
-
-class Outcome(StrEnum):
-    """What a reference press says of the station. The words are part of the published payload.
-
-    learning: the limits are not known yet, and nothing else is wrong. warning: a run rule. not_measured: it was
-    rejected or could not be scored, and says nothing.
-    """
-
-    LEARNING = "learning"
-    IN_LIMITS = "in_limits"
-    WARNING = "warning"
-    OUT_OF_LIMITS = "out_of_limits"
-    NOT_MEASURED = "not_measured"
 
 
 @dataclass(frozen=True)

@@ -13,30 +13,14 @@ the others do not, and with all four Western Electric rules an alarm comes every
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import pairwise
 from typing import Final, Literal, Self
 
-__all__ = ["MEASURES", "Imprint", "Limits", "Measure", "Signal", "signals"]
+from edge.core.reference_press.outcome import Signal
+
+__all__ = ["MEASURES", "Limits", "Measure", "signals"]
 
 Scope = Literal["bundle", "gel", "place"]
-
-
-@dataclass(frozen=True)
-class Imprint:
-    """One press in numbers; None for what is not known of it.
-
-    x_mm, y_mm: the centre of the contact, from the picture's left and top.
-    """
-
-    strength_levels: float | None = None
-    """The colour difference to the free gel over the whole view; it grows with depth."""
-    x_mm: float | None = None
-    y_mm: float | None = None
-    turn_deg: float | None = None
-    """The turn of the part, where it is registered."""
-    noise_levels: float | None = None
-    """The temporal noise of the free gel just before, of one pixel of the small view."""
 
 
 @dataclass(frozen=True)
@@ -81,14 +65,6 @@ LIMIT_SIGMAS: Final = 3.0
 WARNING_SIGMAS: Final = 2.0
 # The fourth one: this many values in a row on one side of the centre.
 RUN_LENGTH: Final = 8
-
-
-class Signal(StrEnum):
-    """What the newest value says. The words are part of the published payload."""
-
-    BEYOND_LIMIT = "beyond_limit"
-    TWO_OF_THREE = "two_of_three"
-    RUN_OF_EIGHT = "run_of_eight"
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from edge.core.reference_press.charts import Outcome, ReferencePress, charts, judge, why_due
-from edge.core.reference_press.control_chart import Imprint
+from edge.core.reference_press.charts import ReferencePress, charts, judge, why_due
+from edge.core.reference_press.outcome import Imprint, Outcome
 
 LEARN = 5
 WOBBLE = (0.0, 1.0, -1.0, 0.5, -0.5)
