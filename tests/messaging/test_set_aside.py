@@ -96,12 +96,14 @@ def test_a_denied_retained_topic_stops_nothing_else(scripted: ScriptedBroker, st
     assert "state: Not authorized" in fault
 
 
+@pytest.mark.parametrize("protocol", ["5", "3.1.1"])
 def test_a_denied_subscription_to_commands_is_reported_and_results_pass(
-    scripted: ScriptedBroker, stepped: Stepped
+    scripted: ScriptedBroker, stepped: Stepped, protocol: str
 ) -> None:
-    """Otherwise no one learns that requests never arrive."""
+    """Otherwise no one learns that requests never arrive. At 3.1.1 the one code of a refusal is 0x80."""
     scripted.topics = {"cmd": "deny"}
-    sink = stepped(scripted, station=Station(ROOT, "aside", on_command=lambda verb, payload: b""))
+    station = Station(ROOT, "aside", on_command=lambda verb, payload: b"")
+    sink = stepped(scripted, station=station, protocol=protocol)
 
     assert sink.step() is None
     sink.send(RESULT)

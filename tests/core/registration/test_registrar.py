@@ -144,6 +144,16 @@ def test_a_part_at_the_rim_is_found_and_the_rest_is_unseen() -> None:
     assert away[depth_inside(found.pose, (parts.SIDE, parts.SIDE)) < 0].max() <= 1
 
 
+def test_the_relief_of_a_bump_is_a_disc() -> None:
+    """Up to a tenth of its steepest slope, which the formula has at 2.79 radii; its flat top is enclosed."""
+    relief = find_relief(parts.slopes(((10.0, -6.0, 12.0, 8.0),), Pose()).astype(np.float32))
+    y, x = np.mgrid[: parts.SIDE, : parts.SIDE] - (parts.SIDE - 1) / 2
+    radius = np.hypot(x - 10, y + 6)
+
+    assert relief[radius < 2.79 * 12 - 0.5].all()
+    assert not relief[radius > 2.79 * 12 + 0.5].any()
+
+
 @pytest.mark.parametrize("to_end", [True, False])
 def test_relief_is_scored_up_to_the_end_of_what_the_press_shows(to_end: bool) -> None:
     """All that shows but two pixels for the interpolation; flat places, and an older bundle, keep a seam of 4 px."""
