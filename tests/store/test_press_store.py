@@ -157,7 +157,7 @@ def test_a_database_held_by_another_program_is_a_store_error(store: Store, path:
     other.execute("BEGIN IMMEDIATE")
     store._database._connection.execute("PRAGMA busy_timeout = 20")
 
-    with pytest.raises(StoreError, match="another program has locked it"):
+    with pytest.raises(StoreError, match=rf"^database {path}: .*another program has locked it"):
         record(store, make_press(1))
 
     other.execute("ROLLBACK")

@@ -83,3 +83,11 @@ def test_a_press_adds_structure_and_a_lift_takes_it_away() -> None:
         difference = Reference(learnt).difference(seen)
         gain = ReliefOfReference(learnt).of(difference, LEVELS).gain(touched_mask(difference))
         assert sign * gain > 0.7
+
+
+def test_a_view_without_a_contact_has_no_sign() -> None:
+    """Neither touched nor structured: it adds nothing and takes nothing away."""
+    view = np.full((120, 160, 3), 120, np.float32)
+    nothing = ReliefOfReference(view).of(np.zeros_like(view), LEVELS)
+
+    assert nothing.gain(np.zeros((120, 160), np.bool_)) == 0

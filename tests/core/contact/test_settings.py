@@ -9,7 +9,9 @@ def test_settings_refuse_nonsense() -> None:
     """Levels that cross, shares beyond 1, times that run backwards."""
     for make in (
         lambda: ContactSettings(on_area=0.001),
-        lambda: ContactSettings(still_share=1.5),
+        lambda: ContactSettings(off_area=0),  # a lift would never be seen
+        lambda: ContactSettings(still_share=1),
+        lambda: ContactSettings(release_share=-0.1),
         lambda: ContactSettings(onset_s=-1),
         lambda: ContactSettings(settle_timeout_s=0.1),
         lambda: ContactSettings(min_frames=0),

@@ -70,6 +70,13 @@ def test_what_the_last_press_has_left_is_no_mark_and_a_scratch_in_it_is() -> Non
     assert found(gel(1), marked(gel(2), 15) + rest, imprint)[60:62, 70:90].mean() > 0.9
 
 
+def test_a_last_press_that_has_left_nothing_hides_nothing() -> None:
+    """Not even noise, as in a recording that holds one picture."""
+    assert (
+        found(gel(1), marked(gel(2)), np.zeros((*SHAPE, 3), np.float32)) == found(gel(1), marked(gel(2)))
+    ).all()
+
+
 def test_a_hair_is_found_in_what_the_last_press_has_left() -> None:
     """A line one pixel wide of 7 levels, across a rest of 6: what is left behind does not hide it."""
     crests = np.where((X - 80) ** 2 + (Y - 60) ** 2 < 40**2, 80 * np.sin(Y / 5), 0).astype(np.float32)

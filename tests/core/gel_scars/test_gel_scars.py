@@ -124,6 +124,15 @@ def test_pieces_damaged_at_one_place_in_a_fixture_are_never_a_scar() -> None:
     assert not gel.record.masked.any()
 
 
+def test_good_presses_are_no_repeats() -> None:
+    """Damage after many good pieces is the piece's, as on a new gel."""
+    gel = GelScars(first=FREE)
+    for _ in range(12):
+        gel.judge(press(), FREE)
+
+    assert causes(gel, 1) == [Cause.PART]
+
+
 def test_without_the_free_gel_repeated_damage_is_unsure_and_never_masked() -> None:
     """A line that lifts too briefly, or a station without a first picture."""
     for gel, free in ((GelScars(first=FREE), None), (GelScars(), FREE)):

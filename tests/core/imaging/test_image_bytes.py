@@ -1,5 +1,7 @@
 """JPEG and PNG checked without decoding."""
 
+import cv2
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -41,6 +43,18 @@ def test_a_comment_is_read_back(text: str, suffix: str) -> None:
     """What is written in front is read there, and a picture without one has none."""
     assert comment(with_comment(jpeg(0, suffix=suffix), text)) == text
     assert comment(jpeg(0, suffix=suffix)) is None
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_a_comment_changes_no_pixel(suffix: str) -> None:
+    """The picture is read as before."""
+    payload = jpeg(0, suffix=suffix)
+    plain, commented = (
+        cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_COLOR)
+        for one in (payload, with_comment(payload, "7"))
+    )
+
+    np.testing.assert_array_equal(commented, plain)
 
 
 @given(st.binary(max_size=60), st.sampled_from([b"", b"\xff\xd8", b"\xff\xd8\xff\xc0", b"\x89PNG\r\n\x1a\n"]))
