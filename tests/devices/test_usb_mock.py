@@ -22,7 +22,7 @@ from edge.core.imaging.image_bytes import with_comment
 from edge.core.ports import Device
 from plugins.devices.usb_mock import Bench, UsbMockOptions, plugin
 from plugins.devices.uvc.identity import choose, discover
-from plugins.devices.uvc.uvc import mjpeg_formats
+from plugins.devices.uvc.uvc import mjpeg_modes
 from plugins.devices.virtual.faults import Fault
 
 SECOND = 1_000_000_000
@@ -73,8 +73,7 @@ class TestDescriptors:
         folder = write_recording(tmp_path / "r", [jpeg(0, (3280, 2464))], size=(3280, 2464))
         device = sensor_on(plugin.bench(UsbMockOptions(recording=folder), clock))
         streaming = usb.util.find_descriptor(device[0], bInterfaceNumber=1, bAlternateSetting=0)
-        (format_,) = mjpeg_formats(bytes(streaming.extra_descriptors))
-        (mode,) = format_.modes
+        (mode,) = mjpeg_modes(bytes(streaming.extra_descriptors))
         assert (mode.width, mode.height, mode.nominal_fps) == (3280, 2464, 25.0)
 
     def test_webcam_with_the_same_id_is_refused(self, tmp_path: Path, clock: ManualClock) -> None:

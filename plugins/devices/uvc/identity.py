@@ -13,7 +13,7 @@ import usb.util
 
 from edge.core.errors import DeviceNotFound
 from edge.core.ports import DeviceIdentity, DiscoveredDevice
-from plugins.devices.uvc.uvc import CLASS_VIDEO, SUBCLASS_STREAMING, MjpegFormat, VideoMode, mjpeg_formats
+from plugins.devices.uvc.uvc import CLASS_VIDEO, SUBCLASS_STREAMING, VideoMode, mjpeg_modes
 
 __all__ = [
     "PRODUCT_ID",
@@ -23,7 +23,7 @@ __all__ = [
     "choose",
     "discover",
     "refusal",
-    "streaming_formats",
+    "streaming_modes",
 ]
 
 VENDOR_ID, PRODUCT_ID = 0x0C45, 0x636D
@@ -77,12 +77,11 @@ def choose(seen: list[SensorOnBus], serial: str | None) -> SensorOnBus:
     raise DeviceNotFound(f"{wanted} is plugged in; seen: {'; '.join(others) or 'no device with its USB id'}")
 
 
-def streaming_formats(device: Any) -> tuple[int, list[MjpegFormat]]:
-    """(number of the streaming interface, its MJPEG formats). Errors: ValueError when it has none."""
+def streaming_modes(device: Any) -> tuple[int, list[VideoMode]]:
+    """(number of the streaming interface, its MJPEG modes). Errors: ValueError when it has none."""
     for interface in _streaming_interfaces(device):
-        formats = mjpeg_formats(bytes(interface.extra_descriptors))
-        if any(mjpeg.modes for mjpeg in formats):
-            return int(interface.bInterfaceNumber), formats
+        if modes := mjpeg_modes(bytes(interface.extra_descriptors)):
+            return int(interface.bInterfaceNumber), modes
     raise ValueError("it has no MJPEG video mode")
 
 
@@ -105,7 +104,7 @@ def _look(device: Any) -> DiscoveredDevice:
         if why:
             return DiscoveredDevice(place, product, refusal=why)
         serial = usb.util.get_string(device, device.iSerialNumber) or _tail(product)
-        mode = largest_mode(streaming_formats(device)[1])
+        mode = largest_mode(streaming_modes(device)[1])
     except (usb.core.USBError, ValueError) as error:
         # pyusb answers a missing permission with "The device has no langid", a ValueError.
         return DiscoveredDevice(
@@ -124,6 +123,6 @@ def _tail(product: str) -> str:
     return product.split()[-1].replace("-", "")
 
 
-def largest_mode(formats: list[MjpegFormat]) -> VideoMode:
+def largest_mode(modes: list[VideoMode]) -> VideoMode:
     """The mode with most pixels; the first of equals."""
-    return max((mode for mjpeg in formats for mode in mjpeg.modes), key=lambda mode: mode.width * mode.height)
+    return max(modes, key=lambda mode: mode.width * mode.height)

@@ -20,7 +20,7 @@ from edge.core.imaging.image_bytes import Freshness, picture_size
 from edge.core.ports import Clock, DeviceIdentity
 from plugins.devices.uvc.controls import pin_uvc_controls, report_unset
 from plugins.devices.uvc.faults import guarded
-from plugins.devices.uvc.identity import SensorOnBus, largest_mode, streaming_formats
+from plugins.devices.uvc.identity import SensorOnBus, largest_mode, streaming_modes
 from plugins.devices.uvc.lock import SensorLock
 from plugins.devices.uvc.payload import FrameAssembler, Packet, ReceivedFrame
 from plugins.devices.uvc.uvc import (
@@ -34,8 +34,8 @@ from plugins.devices.uvc.uvc import (
     REQUEST_SET,
     SET_CUR,
     SUBCLASS_CONTROL,
-    MjpegFormat,
     StreamControl,
+    VideoMode,
 )
 
 __all__ = ["PacketBackend", "PacketStream", "UvcSensor"]
@@ -193,7 +193,7 @@ def _take_interfaces(device: Any, undo: ExitStack) -> None:
     The kernel releases the streaming interface together with the control interface, and binds both again when the
     control interface is attached. So the state of each is read immediately before it is changed.
     """
-    numbers = [_control_interface(device), streaming_formats(device)[0]]
+    numbers = [_control_interface(device), streaming_modes(device)[0]]
     for number in numbers:
         if device.is_kernel_driver_active(number):
             device.detach_kernel_driver(number)
@@ -212,22 +212,21 @@ def _control_interface(device: Any) -> int:
 
 def _start_stream(backend: PacketBackend, device: Any, undo: ExitStack) -> tuple[PacketStream, int]:
     """(the running stream, the longest frame the camera promises)."""
-    number, formats = streaming_formats(device)
-    agreed = _negotiate(device, number, formats)
+    number, modes = streaming_modes(device)
+    mode = largest_mode(modes)
+    agreed = _negotiate(device, number, mode)
     alternate, endpoint, packet_bytes = _alternate_for(device, number, agreed.max_payload_bytes)
     device.set_interface_altsetting(number, alternate)
     _quietly(undo, device.set_interface_altsetting, number, 0)
     stream = backend.packet_stream(device._ctx.handle, endpoint, packet_bytes)
     _quietly(undo, stream.close)
-    return stream, agreed.max_frame_bytes or largest_mode(formats).max_frame_bytes
+    return stream, agreed.max_frame_bytes or mode.max_frame_bytes
 
 
-def _negotiate(device: Any, number: int, formats: list[MjpegFormat]) -> StreamControl:
+def _negotiate(device: Any, number: int, mode: VideoMode) -> StreamControl:
     """Set probe, read the camera's answer, commit exactly that."""
-    mode = largest_mode(formats)
-    format_index = next(mjpeg.format_index for mjpeg in formats if mode in mjpeg.modes)
     size = _block_size(device, number)
-    wish = StreamControl(format_index, mode.frame_index, mode.intervals[0])
+    wish = StreamControl(mode.format_index, mode.frame_index, mode.intervals[0])
     device.ctrl_transfer(REQUEST_SET, SET_CUR, PROBE << 8, number, wish.pack(size))
     answer = StreamControl.unpack(bytes(device.ctrl_transfer(REQUEST_GET, GET_CUR, PROBE << 8, number, size)))
     device.ctrl_transfer(REQUEST_SET, SET_CUR, COMMIT << 8, number, answer.pack(size))

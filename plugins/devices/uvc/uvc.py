@@ -5,7 +5,7 @@ Ref: Universal Serial Bus Device Class Definition for Video Devices, revisions 1
 """
 
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 __all__ = [
@@ -26,10 +26,9 @@ __all__ = [
     "SUBCLASS_CONTROL",
     "SUBCLASS_STREAMING",
     "UNITS_PER_SECOND",
-    "MjpegFormat",
     "StreamControl",
     "VideoMode",
-    "mjpeg_formats",
+    "mjpeg_modes",
 ]
 
 CLASS_VIDEO, SUBCLASS_CONTROL, SUBCLASS_STREAMING = 0x0E, 0x01, 0x02
@@ -95,6 +94,7 @@ class StreamControl:
 class VideoMode:
     """One frame descriptor of an MJPEG format; `intervals` are in 100 ns, the default one first."""
 
+    format_index: int
     frame_index: int
     width: int
     height: int
@@ -106,28 +106,21 @@ class VideoMode:
         return UNITS_PER_SECOND / self.intervals[0]
 
 
-@dataclass(frozen=True)
-class MjpegFormat:
-    """One MJPEG format descriptor with its video modes."""
-
-    format_index: int
-    modes: tuple[VideoMode, ...]
-
-
-def mjpeg_formats(extra: bytes) -> list[MjpegFormat]:
-    """The MJPEG formats in the class-specific descriptors of a streaming interface.
+def mjpeg_modes(extra: bytes) -> list[VideoMode]:
+    """Read the modes of every MJPEG format in the class-specific descriptors of a streaming interface.
 
     Errors: ValueError when a descriptor runs past the end or is shorter than its kind allows.
     """
-    formats: list[MjpegFormat] = []
+    modes: list[VideoMode] = []
+    format_index: int | None = None
     for descriptor in _descriptors(extra):
         if descriptor[1] != CS_INTERFACE:
             continue
         if descriptor[2] == VS_FORMAT_MJPEG:
-            formats.append(MjpegFormat(descriptor[3], ()))
-        elif descriptor[2] == VS_FRAME_MJPEG and formats:
-            formats[-1] = replace(formats[-1], modes=(*formats[-1].modes, _mode(descriptor)))
-    return formats
+            format_index = _format_index(descriptor)
+        elif descriptor[2] == VS_FRAME_MJPEG and format_index is not None:
+            modes.append(_mode(format_index, descriptor))
+    return modes
 
 
 def _descriptors(extra: bytes) -> list[bytes]:
@@ -143,13 +136,19 @@ def _descriptors(extra: bytes) -> list[bytes]:
     return descriptors
 
 
-def _mode(descriptor: bytes) -> VideoMode:
+def _format_index(descriptor: bytes) -> int:
+    if len(descriptor) < 11:
+        raise ValueError(f"an MJPEG format descriptor has 11 bytes, found {len(descriptor)}")
+    return descriptor[3]
+
+
+def _mode(format_index: int, descriptor: bytes) -> VideoMode:
     if len(descriptor) < 30:
         raise ValueError(f"an MJPEG frame descriptor has 30 bytes or more, found {len(descriptor)}")
-    index = descriptor[3]
     width, height = struct.unpack_from("<HH", descriptor, 5)
     max_frame, default = struct.unpack_from("<II", descriptor, 17)
     count = descriptor[25]
     # A type of 0 is a continuous range (min, max, step); it contains the default, which is requested.
     others = struct.unpack_from(f"<{count}I", descriptor, 26) if len(descriptor) >= 26 + 4 * count else ()
-    return VideoMode(index, width, height, max_frame, (default, *(i for i in others if i != default)))
+    intervals = (default, *(i for i in others if i != default))
+    return VideoMode(format_index, descriptor[3], width, height, max_frame, intervals)

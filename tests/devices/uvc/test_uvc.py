@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plugins.devices.uvc.uvc import StreamControl, mjpeg_formats
+from plugins.devices.uvc.uvc import StreamControl, mjpeg_modes
 from plugins.devices.virtual.descriptors import WEBCAM, interface_descriptor
 
 BLOCKS = st.builds(
@@ -43,10 +43,10 @@ def test_short_block_is_refused() -> None:
 
 def test_modes_of_the_sibling_board() -> None:
     """Five MJPEG modes at 30 fps, read from the bytes that the virtual webcam shows."""
-    (format_,) = mjpeg_formats(interface_descriptor(WEBCAM, 1, 0).extra_descriptors)
-    sizes = [(mode.width, mode.height) for mode in format_.modes]
+    modes = mjpeg_modes(interface_descriptor(WEBCAM, 1, 0).extra_descriptors)
+    sizes = [(mode.width, mode.height) for mode in modes]
     assert sizes == [(320, 240), (640, 480), (1280, 720), (1600, 1200), (1920, 1080)]
-    assert {round(mode.nominal_fps, 2) for mode in format_.modes} == {30.0}
+    assert {round(mode.nominal_fps, 2) for mode in modes} == {30.0}
 
 
 @pytest.mark.parametrize("cut", [1, 5, 20, 29])
@@ -54,13 +54,19 @@ def test_descriptor_that_runs_past_the_end_is_refused(cut: int) -> None:
     """A truncated block of descriptors is an error, not fewer modes."""
     extra = interface_descriptor(WEBCAM, 1, 0).extra_descriptors
     with pytest.raises(ValueError, match="left"):
-        mjpeg_formats(extra[: 14 + 11 + cut])
+        mjpeg_modes(extra[: 14 + 11 + cut])
+
+
+def test_a_format_that_is_too_short_is_refused() -> None:
+    """Three bytes have no index."""
+    with pytest.raises(ValueError, match="11 bytes, found 3"):
+        mjpeg_modes(bytes([3, 0x24, 0x06]))
 
 
 @given(st.binary(max_size=80))
 def test_any_bytes_are_read_or_refused(extra: bytes) -> None:
     """Random bytes from a device raise nothing but ValueError."""
     try:
-        mjpeg_formats(extra)
+        mjpeg_modes(extra)
     except ValueError:
         return
