@@ -10,7 +10,7 @@ from typing import Final
 
 from edge.core.binomial import CONFIDENCE, trials_needed, upper_rate
 
-__all__ = ["PROVEN_RATE", "GelProof", "MadeOn", "Proven", "UsedBefore", "first_proof"]
+__all__ = ["PROVEN_RATE", "GelProof", "MadeOn", "Proven", "first_proof"]
 
 PROVEN_RATE: Final = 0.1
 """Presses of sound parts show at most this rate of false alarms, with the confidence of every such promise. The goal of
@@ -33,19 +33,6 @@ class MadeOn:
     """A date, as 2026-01-31."""
     gel_id: str | None = None
     """The gel; None where the bundle names none."""
-
-
-@dataclass(frozen=True)
-class UsedBefore:
-    """What is known of a bundle that is used on a gel for the first time."""
-
-    gel_id: str
-    mounted: str | None
-    """The date of the gel; None for the first gel of a sensor, which may be older than the record of it."""
-    used_on: str | None = None
-    """The gel on which the bundle was used last."""
-    was_in_use: bool = False
-    """It inspected here before this gel was mounted."""
 
 
 @dataclass(frozen=True)
@@ -100,19 +87,24 @@ class GelProof:
         )
 
 
-def first_proof(made: MadeOn, before: UsedBefore) -> GelProof:
+def first_proof(
+    made: MadeOn, gel_id: str, mounted: str | None, used_on: str | None = None, was_in_use: bool = False
+) -> GelProof:
     """Begin the proof of a bundle that is used on this gel for the first time.
+
+    mounted: the date of the gel; None for the first gel of a sensor, which may be older than the record of it. used_on:
+    the gel on which the bundle was used last. was_in_use: it inspected here before this gel was mounted.
 
     A bundle that names its gel is taken at its word. Any other is taken as made on the gel on which it is used first,
     unless it was used, or made, before that gel was mounted.
     """
     if made.gel_id is not None:
-        is_same = made.gel_id == before.gel_id
+        is_same = made.gel_id == gel_id
         return GelProof(Proven.MADE) if is_same else GelProof(None, f"it was made on gel {made.gel_id}")
-    if before.used_on is not None:
-        return GelProof(None, f"it was used on gel {before.used_on}")
-    if before.was_in_use:
+    if used_on is not None:
+        return GelProof(None, f"it was used on gel {used_on}")
+    if was_in_use:
         return GelProof(None, "it inspected here before this gel was mounted")
-    if before.mounted is not None and made.created < before.mounted:
-        return GelProof(None, f"it was made on {made.created}, and the gel was mounted on {before.mounted}")
+    if mounted is not None and made.created < mounted:
+        return GelProof(None, f"it was made on {made.created}, and the gel was mounted on {mounted}")
     return GelProof(Proven.FIRST_USE)

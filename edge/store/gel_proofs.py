@@ -7,7 +7,7 @@ import sqlite3
 from datetime import datetime
 from typing import NamedTuple
 
-from edge.core.gel_proof import GelProof, MadeOn, Proven, UsedBefore, first_proof
+from edge.core.gel_proof import GelProof, MadeOn, Proven, first_proof
 from edge.core.part_position import PartPosition
 
 __all__ = ["GelBundle", "count", "find", "of_mounted", "prove", "see"]
@@ -43,7 +43,7 @@ def see(
     known = find(connection, key)
     if known is not None:
         return known
-    proof = first_proof(made, _before(connection, key))
+    proof = first_proof(made, key.gel_id, *_used_before(connection, key))
     connection.execute(
         "INSERT INTO gel_proofs (serial, gel_id, bundle_id, part, position, proven, known_from, time_ns) "
         "VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
@@ -89,7 +89,8 @@ def of_mounted(connection: sqlite3.Connection) -> list[tuple[GelBundle, PartPosi
     return [(GelBundle(*row[:3]), PartPosition(*row[3:5]), _proof(row[5:])) for row in rows]
 
 
-def _before(connection: sqlite3.Connection, key: GelBundle) -> UsedBefore:
+def _used_before(connection: sqlite3.Connection, key: GelBundle) -> tuple[str | None, str | None, bool]:
+    """Read `mounted`, `used_on` and `was_in_use` of `first_proof`."""
     installed_ns, is_first = connection.execute(
         "SELECT installed_ns, NOT EXISTS (SELECT 1 FROM gels AS old WHERE old.serial = gels.serial AND "
         "old.removed_ns IS NOT NULL) FROM gels WHERE serial = ? AND gel_id = ?",
@@ -102,12 +103,8 @@ def _before(connection: sqlite3.Connection, key: GelBundle) -> UsedBefore:
     was_in_use = connection.execute(
         "SELECT 1 FROM bundles_in_use WHERE bundle_id = ? AND time_ns < ?", (key.bundle_id, installed_ns)
     ).fetchone()
-    return UsedBefore(
-        key.gel_id,
-        None if is_first else f"{datetime.fromtimestamp(installed_ns / 1e9):%Y-%m-%d}",
-        None if used_on is None else str(used_on[0]),
-        was_in_use is not None and not is_first,
-    )
+    mounted = None if is_first else f"{datetime.fromtimestamp(installed_ns / 1e9):%Y-%m-%d}"
+    return mounted, None if used_on is None else str(used_on[0]), was_in_use is not None and not is_first
 
 
 def _proof(row: tuple[str | None, str, int, int]) -> GelProof:

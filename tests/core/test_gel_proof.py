@@ -1,45 +1,47 @@
 """Whether a bundle is proven on a gel: what is known at its first use, and how many presses show it."""
 
 import re
+from typing import Any
 
 import pytest
 
 from edge.core.binomial import upper_rate
-from edge.core.gel_proof import GelProof, MadeOn, Proven, UsedBefore, first_proof
+from edge.core.gel_proof import GelProof, MadeOn, Proven, first_proof
 
 OLD = MadeOn("2026-03-01")
 
 
 @pytest.mark.parametrize(
-    ("made", "before", "known_from"),
+    ("made", "mounted", "used", "known_from"),
     [
-        (MadeOn("2026-03-01", "G1"), UsedBefore("G2", None), "it was made on gel G1"),
-        (OLD, UsedBefore("G2", None, used_on="G1"), "it was used on gel G1"),
-        (OLD, UsedBefore("G2", None, was_in_use=True), "it inspected here before this gel was mounted"),
-        (
-            OLD,
-            UsedBefore("G2", "2026-03-02"),
-            "it was made on 2026-03-01, and the gel was mounted on 2026-03-02",
-        ),
+        (MadeOn("2026-03-01", "G1"), None, {}, "it was made on gel G1"),
+        (OLD, None, {"used_on": "G1"}, "it was used on gel G1"),
+        (OLD, None, {"was_in_use": True}, "it inspected here before this gel was mounted"),
+        (OLD, "2026-03-02", {}, "it was made on 2026-03-01, and the gel was mounted on 2026-03-02"),
     ],
 )
-def test_a_bundle_of_another_gel_is_not_proven(made: MadeOn, before: UsedBefore, known_from: str) -> None:
+def test_a_bundle_of_another_gel_is_not_proven(
+    made: MadeOn, mounted: str | None, used: dict[str, Any], known_from: str
+) -> None:
     """Each way to know that, with its words."""
-    assert first_proof(made, before) == GelProof(None, known_from)
+    assert first_proof(made, "G2", mounted, **used) == GelProof(None, known_from)
 
 
 @pytest.mark.parametrize(
-    ("made", "before", "proven"),
+    ("made", "mounted", "used_on", "proven"),
     [
-        (MadeOn("2026-03-01", "G2"), UsedBefore("G2", "2026-03-02", used_on="G1"), Proven.MADE),
-        (OLD, UsedBefore("G2", None), Proven.FIRST_USE),
-        (OLD, UsedBefore("G2", "2026-03-01"), Proven.FIRST_USE),
+        (MadeOn("2026-03-01", "G2"), "2026-03-02", "G1", Proven.MADE),
+        (OLD, None, None, Proven.FIRST_USE),
+        (OLD, "2026-03-01", None, Proven.FIRST_USE),
     ],
 )
-def test_a_bundle_that_can_be_of_this_gel_is_proven(made: MadeOn, before: UsedBefore, proven: Proven) -> None:
+def test_a_bundle_that_can_be_of_this_gel_is_proven(
+    made: MadeOn, mounted: str | None, used_on: str | None, proven: Proven
+) -> None:
     """One that names this gel; and at its first use one that names none and is not older than the gel."""
-    assert first_proof(made, before) == GelProof(proven)
-    assert first_proof(made, before).unproven("b", "G2") is None
+    proof = first_proof(made, "G2", mounted, used_on)
+    assert proof == GelProof(proven)
+    assert proof.unproven("b", "G2") is None
 
 
 def test_twenty_two_presses_without_an_alarm_are_enough() -> None:
