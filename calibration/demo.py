@@ -98,15 +98,12 @@ def _simulate(folder: Path, seed: int) -> tuple[Path, Path]:
 
 def _fit(nominal: Path, bundle: Path) -> None:
     from calibration.fitting.command import fit
-    from calibration.fitting.trunks import DEFAULT_BACKBONE
 
     fit(
         sources=[nominal],
         output=bundle,
         part=PART,
         position=POSITION,
-        method="padim",
-        backbone=DEFAULT_BACKBONE,
         alpha=ALPHA,
         register="never",
         augment="never",

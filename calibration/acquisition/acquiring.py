@@ -12,7 +12,6 @@ from calibration.acquisition.folder import AcquisitionFolder, KeptPress, Keys, P
 from calibration.acquisition.report import coverage_png
 from calibration.acquisition.sources import Found
 from calibration.dataset.files import read_rgb
-from calibration.fitting.candidates import Candidates
 from calibration.fitting.presses.nominal_presses import gather_presses, require_light, touched_union
 from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import open_trunk
@@ -35,12 +34,10 @@ class Acquiring:
         self._wanted = plan.promise, plan.confidence
         self.left_out: list[str] = []
         self._profile, self._region = profile, Region.parse(plan.region, profile.size)
-        # Presses are compared by the usual ones; which ones are best is known when there are presses.
-        usual = Candidates.of(plan.method, plan.backbone)
-        detector = registry.detector(usual.methods[0])
+        detector = registry.detector(plan.method)
         self._tap = detector.taps(detector.parameters())[0]
         graph, frame = (
-            open_trunk(usual.trunks[0], (self._tap,)).graph,
+            open_trunk(plan.backbone, (self._tap,)).graph,
             (self._region.height, self._region.width),
         )
         self._reader = TapReader(graph, (self._tap,), frame, profile.pixels_per_mm, plan.threads)

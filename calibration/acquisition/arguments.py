@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from calibration.fitting.candidates import DEFAULT_METHOD
 from calibration.fitting.options import (
-    ChosenBackbone,
+    DEFAULT_METHOD,
+    Backbone,
     NoContact,
     Part,
     Pattern,
@@ -18,7 +18,7 @@ from calibration.fitting.options import (
     Resize,
     Threads,
 )
-from calibration.fitting.trunks import AUTO
+from calibration.fitting.trunks import DEFAULT_BACKBONE
 
 __all__ = ["AcquireArguments"]
 
@@ -50,9 +50,9 @@ class AcquireArguments:
     part: Part = None
     position: Position = None
     method: Annotated[
-        str, typer.Option(help="The detector that will be fitted, or 'auto'; its first tap is compared.")
+        str, typer.Option(help="The detector that will be fitted; its first tap is compared.")
     ] = DEFAULT_METHOD
-    backbone: ChosenBackbone = AUTO
+    backbone: Backbone = DEFAULT_BACKBONE
     profile: Profile = ""
     region: RegionText = "centre"
     no_contact: NoContact = None

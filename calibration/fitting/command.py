@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from calibration.fitting.candidates import DEFAULT_METHOD, Candidates
 from calibration.fitting.options import (
+    DEFAULT_METHOD,
     Alpha,
-    ChosenBackbone,
+    Backbone,
     GelId,
     LeaveOut,
     NoContact,
@@ -31,15 +31,12 @@ from calibration.fitting.options import (
     Threshold,
     under_set,
 )
-from calibration.fitting.trunks import AUTO
+from calibration.fitting.trunks import DEFAULT_BACKBONE
 from edge.cli.arguments import flatten, parse_values
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
-    from calibration.fitting.fit_config import FitConfig
-    from calibration.fitting.presses.nominal_presses import NominalPresses
     from calibration.fitting.presses.sources import Sources
-    from calibration.progress import Report
     from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = [
@@ -67,15 +64,9 @@ class FitArguments:
     output: Output
     part: Part = None
     position: Position = None
-    method: Annotated[
-        str,
-        typer.Option(
-            help="The detector; 'auto': of padim and patchcore the one that shows most of the damage put into the "
-            "presses."
-        ),
-    ] = DEFAULT_METHOD
+    method: Annotated[str, typer.Option(help="The detector.")] = DEFAULT_METHOD
     mode: Annotated[str, typer.Option(hidden=True, help="'corrected', or as in the 'paper'")] = "corrected"
-    backbone: ChosenBackbone = AUTO
+    backbone: Backbone = DEFAULT_BACKBONE
     profile: Annotated[str, under_set(Profile)] = ""
     region: Annotated[str, under_set(RegionText)] = "centre"
     alpha: Alpha = 0.05
@@ -136,12 +127,12 @@ def fit(given: FitArguments) -> None:
     The bundle holds bank, threshold and golden frames. Of a dataset (the paper's layout, MVTec's, CVAT's) the good
     presses of one part and position are learnt.
     """
+    from calibration.fitting.fit import fit_files
     from calibration.fitting.fit_config import FitConfig
     from calibration.fitting.presses.nominal_presses import read_presses
     from edge.core.imaging.region import Region
 
     refuse_existing(given.output, given.overwrite)
-    candidates = Candidates.of(given.method, given.backbone)
     sensor = choose_profile(given.profile, given.sources)
     found = resolve_sources(given.sources, given.part, given.position, sensor, given.holdout, given.seed)
     config = FitConfig(
@@ -149,7 +140,7 @@ def fit(given: FitArguments) -> None:
         position=found.position,
         profile=sensor,
         region=Region.parse(given.region, sensor.size),
-        **_detection(candidates, given),
+        **_detection(given),
         alpha=given.alpha,
         threshold=given.threshold,
         seed=given.seed,
@@ -173,22 +164,9 @@ def fit(given: FitArguments) -> None:
         leave_out=given.leave_out,
         pattern=given.pattern,
     )
-    on = " or ".join([config.trunk.id, *candidates.trunks[1:]])
-    how = f"{' or '.join(candidates.methods)} ({config.mode}) on {on}"
+    how = f"{config.detector.name} ({config.mode}) on {config.trunk.id}"
     typer.echo(f"{count_presses(len(presses))}, {how}, region {config.region}")
-    make(partial(_fit_best, candidates, presses, config), given.output, given.overwrite)
-
-
-def _fit_best(
-    candidates: Candidates, presses: "NominalPresses", config: "FitConfig", *, created: str, report: "Report"
-) -> "Fitted":
-    """Fit, of several methods or trunks with those that show most of small damage. Errors: as both steps."""
-    from calibration.fitting.detection_choice import choose_detection
-    from calibration.fitting.fit import fit_files
-
-    if candidates.are_several:
-        config = choose_detection(presses, config, candidates, report)
-    return fit_files(presses, config, created=created, report=report)
+    make(partial(fit_files, presses, config), given.output, given.overwrite)
 
 
 def _check_word(option: str, word: str, known: Sequence[str]) -> Any:
@@ -200,16 +178,15 @@ def _check_word(option: str, word: str, known: Sequence[str]) -> Any:
     return word
 
 
-def _detection(candidates: Candidates, given: FitArguments) -> dict[str, Any]:
-    """Open the usual detector, with its parameters and its trunk, for `FitConfig`. Errors: ConfigError, FitError."""
+def _detection(given: FitArguments) -> dict[str, Any]:
+    """Open the detector, with its parameters and its trunk, for `FitConfig`. Errors: ConfigError, FitError."""
     from calibration.fitting.trunks import open_trunk
     from edge import registry
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
 
     mode, settings = _check_word("mode", given.mode, ("corrected", "paper")), given.settings or []
-    candidates.check(mode, settings, given.threshold)
-    detector, overrides = registry.detector(candidates.methods[0]), parse_values("--set", settings)
+    detector, overrides = registry.detector(given.method), parse_values("--set", settings)
     fields: dict[str, object] = {}  # none where a detector's parameters keep them otherwise
     for published in ("paper", "corrected"):
         fields |= getattr(detector.parameters(published), "__dict__", {})
@@ -218,10 +195,10 @@ def _detection(candidates: Candidates, given: FitArguments) -> dict[str, Any]:
             hints = get_type_hints(FitArguments, include_extras=True).items()
             ours = [one for one, hint in hints if getattr(hint.__metadata__[0], "hidden", False)]
             raise ConfigError(
-                f"--set {name}: the fit and {candidates.methods[0]} have no such parameter; "
+                f"--set {name}: the fit and {given.method} have no such parameter; "
                 f"{suggestion(name, [*ours, *fields])}"
             )
-    trunk = open_trunk(candidates.trunks[0], detector.taps(detector.parameters(mode, **overrides)))
+    trunk = open_trunk(given.backbone, detector.taps(detector.parameters(mode, **overrides)))
     return {"detector": detector, "mode": mode, "overrides": overrides, "trunk": trunk}
 
 
@@ -322,9 +299,7 @@ def summarise(fitted: "Fitted", output: Path) -> None:
     """Print what the bundle is, in a few lines."""
     from edge.model.manifest_facts import (
         AUGMENTATION,
-        BACKBONE_CHOICE,
         LIMIT,
-        METHOD_CHOICE,
         MISSING,
         UNPROVEN,
         choice_sentence,
@@ -337,8 +312,6 @@ def summarise(fitted: "Fitted", output: Path) -> None:
         typer.echo(f"warning: {warning}", err=True)
     facts = manifest.facts
     sentences = {
-        "method": choice_sentence(facts, METHOD_CHOICE),
-        "backbone": choice_sentence(facts, BACKBONE_CHOICE),
         "free gel": facts.get("free_gel"),
         "registration": facts.get("registration"),
         "augmentation": choice_sentence(facts, AUGMENTATION),

@@ -383,7 +383,6 @@ def _facts(learnt: _Learnt, created: str) -> Facts:
         repairs=tuple(facts.get("repairs", ())),
         facts={
             "backbone": config.trunk.facts,
-            **config.choice_facts,
             **learnt.facts,
             **gel_facts(config.gel_id),
             **{k: v for k, v in facts.items() if k != "repairs"},

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from calibration.fitting.bundle_measurements import check_given
 from calibration.fitting.limits.threshold import check_alpha
@@ -55,8 +55,6 @@ class FitConfig:
     """Whether the bank also learns rendered copies of the presses, `auto` where there are few."""
     gel_id: str | None = None
     """The gel of the presses, where it is known."""
-    choice_facts: Mapping[str, Any] = field(default_factory=dict)
-    """Why this method and this trunk were chosen, for the manifest; empty where they were named."""
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)

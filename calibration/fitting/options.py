@@ -8,8 +8,9 @@ import typer
 from typer.models import OptionInfo
 
 __all__ = [
+    "DEFAULT_METHOD",
     "Alpha",
-    "ChosenBackbone",
+    "Backbone",
     "GelId",
     "LeaveOut",
     "NoContact",
@@ -28,6 +29,8 @@ __all__ = [
     "Threshold",
     "under_set",
 ]
+
+DEFAULT_METHOD = "padim"
 
 Output = Annotated[
     Path, typer.Option("--output", "-o", help="The bundle: a folder, or a name ending in .zip.")
@@ -50,14 +53,7 @@ GelId = Annotated[
         "--gel", help="The gel of the presses, by its id in `gelgate gel show`.", show_default=False
     ),
 ]
-ChosenBackbone = Annotated[
-    str,
-    typer.Option(
-        "--backbone",
-        help="'auto': of those that ship the one that shows most of the damage put into the presses; else an "
-        "installed backbone, or a trunk .onnx file.",
-    ),
-]
+Backbone = Annotated[str, typer.Option(help="An installed backbone, or a trunk .onnx file.")]
 Alpha = Annotated[float, typer.Option(help="False-alarm rate of the threshold.")]
 Threshold = Annotated[float | None, typer.Option(help="Use this threshold instead of finding one.")]
 NoContact = Annotated[list[Path] | None, typer.Option(help="Pictures of the free gel, or a folder of them.")]

@@ -11,14 +11,10 @@ from edge.core.errors import ConfigError, FitError
 from edge.model.graph_cut import cut_trunk
 from edge.model.onnx_validation import GraphRefused, metadata, output_names
 
-__all__ = ["AUTO", "DEFAULT_BACKBONE", "OTHER_BACKBONES", "Trunk", "every_cut", "open_trunk"]
+__all__ = ["DEFAULT_BACKBONE", "Trunk", "every_cut", "open_trunk"]
 
-DEFAULT_BACKBONE = "tactile_resnet18"
-
-AUTO = "auto"
-"""In place of a backbone's name: a fit chooses between the default and OTHER_BACKBONES."""
-
-OTHER_BACKBONES = ("tactile_lite0",)
+DEFAULT_BACKBONE = "tactile_lite0"
+"""The better one of those that ship on real touch; docs/backbone.md."""
 
 # Longer entries are a trunk's tiles or another tool's data, not a fact for the manifest.
 MOST_METADATA = 500

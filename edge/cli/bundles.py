@@ -16,9 +16,7 @@ from edge.model.detectability import detectability_lines, read_card
 from edge.model.manifest import ColourEntry, Manifest
 from edge.model.manifest_facts import (
     AUGMENTATION,
-    BACKBONE_CHOICE,
     LIMIT,
-    METHOD_CHOICE,
     MISSING,
     choice_sentence,
     licence_sentence,
@@ -72,7 +70,6 @@ def _rows(manifest: Manifest) -> Iterator[tuple[str, str]]:
     for warning in manifest.provenance.warnings:
         yield "warning", warning
     yield "method", manifest.method + (f", mode {manifest.mode}" if manifest.mode else "")
-    yield "method choice", choice_sentence(facts, METHOD_CHOICE) or "named, not chosen by the fit"
     yield "parameters", ", ".join(f"{k}={v}" for k, v in manifest.parameters.items()) or "none"
     yield "repairs", ", ".join(manifest.repairs) or "none"
     yield "sensor profile", f"{profile.name}, picture {size}, {profile.pixels_per_mm:.2f} pixels/mm"
@@ -98,7 +95,6 @@ def _graph_rows(manifest: Manifest) -> Iterator[tuple[str, str]]:
         place = "in the bundle" if backbone.in_bundle else "in the gateway's trunk store"
         trunk = f"{_mb(backbone.trunk.size_bytes)}, {place}, {backbone.trunk.sha256[:12]}"
         yield "trunk", f"{backbone.id}, {trunk}"
-        yield "backbone", choice_sentence(manifest.facts, BACKBONE_CHOICE) or "named, not chosen by the fit"
     if grid:
         yield "taps", ", ".join(f"{name} {c}x{h}x{w}" for name, (c, h, w) in grid.taps.items())
     if grid and grid.tiles:

@@ -18,7 +18,7 @@ from edge.messaging.status_payloads import (
     availability_message,
 )
 from edge.model.bundle import Bundle
-from edge.model.manifest_facts import BACKBONE_CHOICE, METHOD_CHOICE, choice_sentence, promise
+from edge.model.manifest_facts import promise
 from edge.store.gel_ledger import GelRecord
 
 __all__ = ["StationStatus"]
@@ -172,9 +172,7 @@ class StationStatus:
             position=manifest.position,
             parts=tuple(parts),
             method=manifest.method,
-            method_choice=choice_sentence(manifest.facts, METHOD_CHOICE) or None,
             backbone=manifest.backbone.id if manifest.backbone else None,
-            backbone_choice=choice_sentence(manifest.facts, BACKBONE_CHOICE) or None,
             bundle_id=bundle.digest,
             revision=manifest.revision,
             threshold=manifest.threshold.value,

@@ -48,13 +48,7 @@ class InfoPayload(Payload):
         default=(), description="what `cmd/select_part` can select, each a `name`: part/position"
     )
     method: str | None = Field(default=None, description="detector of the bundle in use")
-    method_choice: str | None = Field(
-        default=None, description="why the fit chose this method, one sentence; null where it was named"
-    )
     backbone: str | None = None
-    backbone_choice: str | None = Field(
-        default=None, description="why the fit chose this backbone, one sentence; null where it was named"
-    )
     bundle_id: str | None = Field(default=None, description="SHA-256 of the bundle's manifest")
     revision: int | None = Field(default=None, ge=1, description="of the bundle; it rises with every fit")
     threshold: float | None = None

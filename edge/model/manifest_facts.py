@@ -12,12 +12,10 @@ from edge.model.manifest import Manifest, ThresholdEntry
 
 __all__ = [
     "AUGMENTATION",
-    "BACKBONE_CHOICE",
     "GEL",
     "GIVEN",
     "LICENCE",
     "LIMIT",
-    "METHOD_CHOICE",
     "MISSING",
     "UNPROVEN",
     "USUAL_CONTACT",
@@ -33,14 +31,6 @@ __all__ = [
 
 UNPROVEN = "not proven: "
 """So begins a warning of `fit` that says what the bundle's own evidence does not show. They are the first warnings."""
-
-BACKBONE_CHOICE: Final = "backbone_choice"
-"""The entry's name: `chosen`, `why`, and `found`, what banks on each trunk saw of damage, by its kind; absent where the
-backbone was named."""
-
-METHOD_CHOICE: Final = "method_choice"
-"""The entry's name: `chosen`, `why`, and `found`, what banks of each method on each trunk saw of damage, by its kind;
-absent where the method was named."""
 
 AUGMENTATION: Final = "augmentation"
 """The entry's name: `each`, the rendered copies of every nominal press that the bank learnt, and `why`; else absent."""

@@ -157,7 +157,7 @@ def test_one_piece_alone_is_said(pictures: Path, tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.code == 0, done.err
     assert "2 presses, 1 piece; what a new piece would show is not known" in done.out
-    assert "--method padim --backbone auto" in done.out
+    assert "--method padim --backbone tactile_lite0" in done.out
 
 
 @pytest.mark.parametrize(

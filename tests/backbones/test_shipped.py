@@ -11,7 +11,7 @@ import pytest
 from calibration.experiments.backbones.evaluation import used_settings
 from calibration.experiments.backbones.sets import SETS
 from calibration.experiments.harness.study import methods_to_compare
-from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.fitting.trunks import open_trunk
 from calibration.training.package import MOST_BYTES
 from calibration.training.train_config import TrainConfig
 from edge import registry
@@ -24,9 +24,9 @@ FACTS = json.loads((HOME / "tactile_resnet18.json").read_text())
 EVALUATION = json.loads((HOME / "tactile_resnet18_evaluation.json").read_text())
 
 
-def test_it_is_the_default_and_the_file_of_the_facts() -> None:
-    """The product's backbone has the recorded bytes, within the limit, and says how it was trained."""
-    trunk = open_trunk(DEFAULT_BACKBONE)
+def test_it_is_the_file_of_the_facts() -> None:
+    """It has the recorded bytes, within the limit, and says how it was trained."""
+    trunk = open_trunk("tactile_resnet18")
     assert trunk.id == tactile_resnet18.name == "tactile_resnet18"
     recorded = FACTS["variants"]["tactile_resnet18"]
     assert hashlib.sha256(trunk.graph).hexdigest() == recorded["sha256"]

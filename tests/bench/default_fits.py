@@ -27,12 +27,11 @@ from calibration.experiments.backbones.real_touch import OBJECTS, Object, Presse
 from calibration.experiments.backbones.trial import PROFILE, REGION, Trial
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.rows import Rows
-from calibration.fitting.candidates import Candidates
 from calibration.fitting.damage.conditions import relight
-from calibration.fitting.detection_choice import choose_detection
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
+from calibration.fitting.options import DEFAULT_METHOD
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
-from calibration.fitting.trunks import open_trunk
+from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.metrics import aupro, auroc
 from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.pose import HeightField, Jitter, Pose
@@ -138,14 +137,11 @@ KINDS: Mapping[str, Maker] = {
 
 def fit_pictures(presses: NominalPresses, method: str, backbone: str, **changes: Any) -> Fitted:
     """Fit as `gelgate fit` does. changes: of the configuration."""
-    candidates = Candidates.of(method, backbone)
-    detector = registry.detector(candidates.methods[0])
-    trunk = open_trunk(candidates.trunks[0], detector.taps(detector.parameters()))
+    detector = registry.detector(method)
+    trunk = open_trunk(backbone, detector.taps(detector.parameters()))
     config = FitConfig(
         "part", "top", PROFILE, REGION, detector, trunk, register="auto", augment="auto", **changes
     )
-    if candidates.are_several:
-        config = choose_detection(presses, config, candidates)
     return fit_files(presses, config, created="2026-01-01")
 
 
@@ -221,8 +217,8 @@ def main() -> None:
     parser.add_argument(
         "--tactile", type=Path, help="the folder of real frames; without it real kinds have an error"
     )
-    parser.add_argument("--method", default="padim")
-    parser.add_argument("--backbone", default="auto")
+    parser.add_argument("--method", default=DEFAULT_METHOD)
+    parser.add_argument("--backbone", default=DEFAULT_BACKBONE)
     parser.add_argument("--gel", choices=GELS, default="right", help="the picture of the free gel")
     given = parser.parse_args()
     rows, how = Rows(given.rows), {"asked": [given.method, given.backbone], "gel": given.gel}

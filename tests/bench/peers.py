@@ -29,7 +29,7 @@ from calibration.experiments.tradeoff.presses import Seen, see
 from calibration.experiments.tradeoff.rows import Row
 from calibration.experiments.tradeoff.run import read_or_measure
 from calibration.experiments.tradeoff.timing import Lane, scale_of
-from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.fitting.trunks import open_trunk
 from calibration.progress import progress
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.frames import CameraFrame
@@ -123,7 +123,7 @@ def map_large_blocks() -> None:
 
 
 def _model(method: str) -> Any:
-    """A fresh model on a ResNet-18 with the weights of the shipped trunk."""
+    """A fresh model on a ResNet-18 with the weights of the one that ships."""
     if method == "padim":
         from anomalib.models.image.padim.torch_model import PadimModel
 
@@ -132,7 +132,7 @@ def _model(method: str) -> Any:
         from anomalib.models.image.patchcore.torch_model import PatchcoreModel
 
         model = PatchcoreModel(LAYERS[method], "resnet18", pre_trained=False)
-    load_weights(model.feature_extractor.feature_extractor, open_trunk(DEFAULT_BACKBONE).graph)
+    load_weights(model.feature_extractor.feature_extractor, open_trunk("tactile_resnet18").graph)
     return model
 
 

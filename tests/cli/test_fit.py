@@ -80,9 +80,6 @@ def test_fit_inspect_verify(pictures: Path, tmp_path: Path) -> None:
             ("--augment", "always"),
             "no copies of the presses can be added: they need a picture of the free gel",
         ),
-        (("--method", "auto", "--mode", "paper"), "--method auto compares methods in the mode corrected"),
-        (("--method", "auto", "--set", "rank=8"), "--set rank=8 is a parameter of one method"),
-        (("--method", "auto", "--threshold", "3.5"), "--threshold 3.5 is a score of one method"),
     ],
 )
 def test_a_wrong_option_is_a_sentence_and_leaves_nothing(
@@ -133,17 +130,14 @@ def test_a_bundle_is_replaced_only_when_asked_and_has_the_next_revision(
     assert Bundle.load(tmp_path / "bolt").manifest.revision == 10
 
 
-def test_a_fit_chooses_its_backbone_and_says_why(pictures: Path, tmp_path: Path) -> None:
-    """Without --backbone; by a free gel in doubt nothing is compared. A named backbone is not discussed."""
+def test_the_default_is_the_backbone_for_real_touch(pictures: Path, tmp_path: Path) -> None:
+    """Without --backbone, and by a free gel that is only estimated."""
     small = ("--region", "112,72,96x96", "--threshold", "9", "--profile", "cropped_lr", "--scattered")
     result = run("fit", pictures, "-o", tmp_path / "bolt", "--part", "bolt", *small)
     assert result.exit_code == 0, result.output
     assert "free gel: estimated from 6 presses" in result.output
-    why = "tactile_resnet18, without a comparison: damage is rendered with a picture of the free gel"
-    assert f"backbone: {why}" in result.output
-    assert why in run("bundle", "inspect", tmp_path / "bolt").output
-    assert "backbone:" not in fit(pictures, tmp_path / "named").output
-    assert "named, not chosen by the fit" in run("bundle", "inspect", tmp_path / "named").output
+    assert "padim (corrected) on tactile_lite0" in result.output
+    assert Bundle.load(tmp_path / "bolt").manifest.backbone.id == "tactile_lite0"
 
 
 def test_the_help_shows_twelve_options_and_set_gives_the_rest(pictures: Path, tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from edge.features.overview import say_overview_camera
 from edge.gateway.status import StationStatus
 from edge.model.bundle import Bundle
 from edge.model.manifest import Provenance
-from edge.model.manifest_facts import BACKBONE_CHOICE, METHOD_CHOICE
 
 
 class Heard:
@@ -90,21 +89,15 @@ def test_an_alarm_is_in_the_log_once_until_it_is_cleared(caplog: pytest.LogCaptu
     ]
 
 
-def test_info_says_what_the_fit_warned_of_what_is_promised_and_what_it_chose() -> None:
-    """The broker has the warnings of the fit, how often sound presses fail, and why method and backbone were chosen."""
+def test_info_says_what_the_fit_warned_of_and_what_is_promised() -> None:
+    """The broker has the warnings of the fit, and how often sound presses fail."""
     heard = Heard()
-    said, why = "press 'a' stands apart", "its banks see most"
-    chosen = {
-        BACKBONE_CHOICE: {"chosen": "tiny", "why": why, "found": {}},
-        METHOD_CHOICE: {"chosen": "tiny", "why": f"{why} too", "found": {}},
-    }
-    facts = tiny.tiny_files(provenance=Provenance(created="2026-01-01", warnings=(said,)), facts=chosen)
+    said = "press 'a' stands apart"
+    facts = tiny.tiny_files(provenance=Provenance(created="2026-01-01", warnings=(said,)))
     identity = DeviceIdentity("Mini", "1", (640, 480), 25.0)
     StationStatus(heard, ManualClock()).info(Bundle.in_memory(*facts), identity)
 
     assert heard.info["warnings"] == [said]
-    assert heard.info["backbone_choice"] == why
-    assert heard.info["method_choice"] == f"{why} too"
     assert heard.info["false_alarms"] == "no rate is promised: the threshold was given"
 
 

@@ -24,7 +24,7 @@ from calibration.fitting.limits.held_out import Learner, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.tap_reader import TapReader
-from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.fitting.trunks import open_trunk
 from calibration.folders import require_folder
 from calibration.metrics import aupro, auroc
 from calibration.progress import progress
@@ -197,7 +197,7 @@ def measure_part(
     few = again.first(_FEW)
     detectors = {method: registry.detector(method) for method in methods}
     taps = sorted({tap for one in detectors.values() for tap in one.taps(one.parameters())})
-    trunk, frame = open_trunk(DEFAULT_BACKBONE, taps).graph, (REGION.height, REGION.width)
+    trunk, frame = open_trunk("tactile_resnet18", taps).graph, (REGION.height, REGION.width)
     reader = TapReader(trunk, taps, frame, PROFILE.pixels_per_mm)
     nominals = [reader.nominal(one) for one in (old, again, few)]
     features = [reader.take(one) for one in (sound, few.frames, frames)]

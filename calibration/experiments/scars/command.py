@@ -19,7 +19,7 @@ from calibration.experiments.harness.study import require_known
 from calibration.experiments.scars.worn_gel import PLACINGS, SCARS, Line, Placing, Scar, as_view, random_scar
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import gather_presses
-from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.fitting.trunks import open_trunk
 from calibration.folders import require_folder
 from calibration.progress import progress
 from calibration.simulator.defects import DEFECTS, Defect
@@ -53,6 +53,7 @@ _DAMAGED_SHARE: Final = 0.35
 _SERIES: Final = 4
 _INSPECTED_MM: Final = 6.3
 _METHOD: Final = "padim"
+_BACKBONE: Final = "tactile_resnet18"
 # The default of `gel.most_blind_share`: above it the gel is changed.
 MOST_BLIND: Final = 0.05
 
@@ -87,7 +88,7 @@ class Station:
             sensor,
             region,
             detector,
-            open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters())),
+            open_trunk(_BACKBONE, detector.taps(detector.parameters())),
             threads=1,
             register="always" if placing.is_registered else "never",
         )

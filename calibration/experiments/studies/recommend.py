@@ -14,7 +14,7 @@ from calibration.experiments.harness.evidence import Sample, Standing, rank, sam
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.page import Page, by_setup, only_scored, render
 from calibration.experiments.harness.published import read_published
-from calibration.fitting.candidates import DEFAULT_METHOD
+from calibration.fitting.options import DEFAULT_METHOD
 from edge.core.errors import ConfigError
 
 if TYPE_CHECKING:

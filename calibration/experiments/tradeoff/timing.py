@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint, View
 from calibration.experiments.tradeoff.presses import mm_per_pixel
-from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.fitting.trunks import open_trunk
 from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from edge.core.imaging.decode import decode
 from edge.core.imaging.frames import CameraFrame
@@ -154,8 +154,8 @@ def measure_rounds(
 
 
 def _bare(threads: int) -> Callable[[], float]:
-    """Runs the shipped trunk alone on one frame of 224x224; gives its milliseconds."""
-    session = open_session(open_trunk(DEFAULT_BACKBONE).graph, threads, f"trunk '{DEFAULT_BACKBONE}'")
+    """Runs `tactile_resnet18` alone on one frame of 224x224; gives its milliseconds."""
+    session = open_session(open_trunk("tactile_resnet18").graph, threads, "trunk 'tactile_resnet18'")
     frame = np.random.default_rng(0).integers(0, 256, (1, CENTRE_SIDE, CENTRE_SIDE, 3), np.uint8)
     binding = session.io_binding()
     binding.bind_ortvalue_input("frames", ort.OrtValue.ortvalue_from_numpy(frame))

@@ -47,6 +47,12 @@ def test_parts_in_a_fixture_are_compared_as_they_lie() -> None:
         assert b'"registration"' not in fitted(presses, register, detector=tiny.TINY).files["manifest.json"]
 
 
+def test_parts_that_a_hand_holds_are_registered_where_that_finds_more() -> None:
+    """A third of a millimetre apart is more than a fixture leaves, and hides damage from fine features."""
+    held = parts.anywhere(parts.BLOCK, 12, shift_px=8.0, turn_rad=0.05)[1]
+    assert fitted(nominal(held), "auto").manifest.registration is not None
+
+
 def test_damage_is_found_where_it_lies_in_the_press() -> None:
     """The highest score of a press anywhere lies on its damage, in the press's own pixels."""
     scorer = Scorer(registered().bundle())
