@@ -202,9 +202,10 @@ def test_bounds_refuse_nonsense() -> None:
 
 
 def test_a_row_goes_only_where_there_is_no_room_for_it(store: Store, outbox: Outbox) -> None:
-    """The bound itself is room enough; one byte less is not."""
-    put(store, make_press(1), Message("result", b"1"))
-    size = outbox.status().bytes
-    for bound, rows in ((size, 1), (size - 1, 0)):
+    """The bound itself is room enough; one byte less is not. No more rows go than are too many."""
+    for n in range(4):
+        put(store, make_press(n), Message("result", b"1"))
+    size = outbox.status().bytes // 4
+    for bound, rows in ((4 * size, 4), (3 * size, 3), (2 * size - 1, 1), (size, 1), (size - 1, 0)):
         store.write("enforcing", lambda connection, bound=bound: enforce(connection, Bounds(bound), 0))
         assert outbox.status().rows == rows

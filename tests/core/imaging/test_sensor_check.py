@@ -1,6 +1,7 @@
 """Coarse colours: what changes the distance, what does not, and the message of a rejection."""
 
 import re
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -52,6 +53,22 @@ def test_an_imprint_on_less_than_half_moves_nothing(rows: int, is_near: bool) ->
 def test_black_is_far_and_finite() -> None:
     """No division by an absent light."""
     assert colour_distance(np.zeros((8, 8, 3)), CELLS) == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(
+    ("levels", "sentence"),
+    [
+        ((0, 100, 255), None),
+        ((-1, 100, 100), "levels from 0 to 255"),
+        ((0, 100, 256), "levels from 0 to 255"),
+        ((0, 0, 2), "not all of them black"),
+    ],
+)
+def test_colours_are_levels_of_a_picture(levels: tuple[int, ...], sentence: str | None) -> None:
+    """A dark corner has level 0, and a nominal press of black has no colours."""
+    cells = np.tile(np.array(levels, np.float64), (8, 8, 1))
+    with nullcontext() if sentence is None else pytest.raises(ValueError, match=sentence):
+        NominalColours(cells, 0.14)
 
 
 def test_the_same_sensor_is_accepted_and_another_refused() -> None:
