@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from scripted_broker import ScriptedBroker
 
 from edge.core.errors import ConfigError, SinkRejected, SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker
-from edge.messaging.mqtt_connection import Connection
+from edge.messaging.mqtt_connection import _PACKET_OVERHEAD_BYTES, Connection
 from plugins.sinks.mqtt import plugin
 from plugins.sinks.mqtt_options import MqttOptions
 
@@ -41,6 +42,20 @@ def test_a_message_that_is_too_large_is_refused_and_the_next_goes_through(
         with pytest.raises(SinkRejected, match=words):
             sent(sink, Message("heatmap/1", bytes(10_000), content_type="image/png"))
         sent(sink, Message("result", b"{}"))
+
+
+@pytest.mark.parametrize(("room", "words"), [(0, None), (-1, "takes packets up to")])
+def test_a_packet_is_topic_payload_and_what_surrounds_them(
+    scripted: ScriptedBroker, room: int, words: str | None
+) -> None:
+    """What just fits is sent; one byte more would close the connection, with others on it."""
+    connection = Connection.open(Broker("127.0.0.1", scripted.port, "x", level="5", timeout_s=PATIENCE_S))
+    connection._largest_packet = 50 + 100 + _PACKET_OVERHEAD_BYTES + room
+    with contextlib.nullcontext() if words is None else pytest.raises(SinkRejected, match=words):
+        connection.publish(Message("t" * 50, bytes(100)))
+    connection.close()
+
+    assert len(scripted.published) == (words is None)
 
 
 def test_a_topic_forbidden_by_access_rules_is_a_refusal_at_level_5(sink_to: SinkTo, tmp_path: Path) -> None:
