@@ -100,12 +100,6 @@ class NominalPresses:
         """What the manifest says of the free gel."""
         return {"free_gel": self.estimated} if self.estimated else {}
 
-    def spread(self, most: int) -> "NominalPresses":
-        """Select at most this many of them, evenly spread."""
-        if len(self) <= most:
-            return self
-        return self.choose(np.linspace(0, len(self) - 1, most).round().astype(int).tolist())
-
     def first(self, count: int) -> "NominalPresses":
         """Return the first ones."""
         return self.choose(range(min(count, len(self))))
