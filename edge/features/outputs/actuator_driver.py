@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from edge.core.backoff import Backoff
-from edge.core.digital_io import Actuator, OutputRule, StationView, levels, next_blink_ns
+from edge.core.digital_io import Actuator, OutputRule, StationView
 from edge.core.errors import DeviceError
 from edge.core.ports import Clock
 from edge.features.outputs.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
+from edge.features.outputs.rules import levels, next_blink_ns
 
 __all__ = ["ActuatorDriver"]
 

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from typing import Final
 
 from edge.core.backoff import Backoff
-from edge.core.digital_io import Debounce, Trigger
+from edge.core.digital_io import Trigger
 from edge.core.ports import Clock
 from edge.features.outputs.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
+from edge.features.outputs.rules import Debounce
 
 __all__ = ["TriggerReader"]
 

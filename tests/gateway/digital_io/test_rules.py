@@ -2,7 +2,8 @@
 
 import pytest
 
-from edge.core.digital_io import Debounce, OutputRule, StationView, levels, next_blink_ns
+from edge.core.digital_io import OutputRule, StationView
+from edge.features.outputs.rules import Debounce, levels, next_blink_ns
 
 MS = 1_000_000
 GREEN = OutputRule(1, frozenset({"pass"}))
