@@ -37,7 +37,7 @@ class Alarms(Protocol):
     """The alarms and the state of a station, for its stages. Any thread may use it."""
 
     def say(self, alarm: str, sentence: str | None, severity: Literal["warning", "error"] = "error") -> None:
-        """Raise an alarm for a person, or clear it with None. Errors: ValueError for one that no one declares."""
+        """Raise an alarm for a person, or clear it with None. One that no one declares is not published."""
 
     def set_fault(self, alarm: str, text: str) -> bool:
         """Raise it, and inspect nothing until `clear_fault`. Returns whether it was not raised before."""

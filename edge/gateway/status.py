@@ -10,7 +10,7 @@ from edge.acquisition import AcquisitionState, AcquisitionStatus
 from edge.core.digital_io import StationView
 from edge.core.gel_life import GelState
 from edge.core.ports import Clock, DeviceIdentity, Message
-from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
+from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, known_alarms
 from edge.messaging.status_payloads import (
     GelPayload,
     InfoPayload,
@@ -124,20 +124,28 @@ class StationStatus:
         )
 
     def say(self, alarm: str, sentence: str | None, severity: Literal["warning", "error"] = "error") -> None:
-        """Raise an alarm for a person, or clear it with None. The log has it once, until it is cleared."""
-        cleared = alarm_cleared(alarm)
+        """Raise an alarm for a person, or clear it with None. The log has it once, until it is cleared.
+
+        One that no one declares is in the log, the stats and the lights alone: the fault of a feature stops no
+        inspection, and no start would empty its topic.
+        """
         with self._lock:
+            is_declared = alarm in ALARMS or alarm in known_alarms()
             if sentence is None:
                 self._raised.discard(alarm)
-                self.announce(cleared)
+                if is_declared:
+                    self.announce(alarm_cleared(alarm))
                 return
-            if alarm not in self._raised and alarm not in self._faults:
+            if alarm not in self._raised and not is_declared:
+                log.error("alarm %s: %s (declare it in `alarms` of its feature)", alarm, sentence)
+            elif alarm not in self._raised and alarm not in self._faults:
                 # A fault is logged by the one who noticed it.
                 log.warning("alarm %s: %s", alarm, sentence)
             self._raised.add(alarm)
-            time_ns = self._clock.time_ns()
-            payload = AlarmPayload(time_ns=time_ns, alarm=alarm, text=sentence, severity=severity)
-            self.announce(payload.message())
+            if is_declared:
+                time_ns = self._clock.time_ns()
+                payload = AlarmPayload(time_ns=time_ns, alarm=alarm, text=sentence, severity=severity)
+                self.announce(payload.message())
 
     def gel(self, gel: GelRecord) -> None:
         """The mounted gel, when there is no press to report it."""

@@ -129,14 +129,45 @@ def test_a_feature_brings_its_alarms(config: Path, monkeypatch: pytest.MonkeyPat
         with pytest.raises(ValueError, match="'lamp_dim' ends by itself"):
             station.ask("acknowledge_alarm", alarm="lamp_dim")
         assert station.ask("acknowledge_alarm", alarm="lamp_lost") == {"alarms": ["lamp_dim"]}
-        with pytest.raises(ValueError, match="alarm 'lamp_hot' is not known; known: device, "):
-            station.parts.status.say("lamp_hot", "it is hot")
 
         shown = Shown("plant/line1/press2")
         shown.see(AlarmPayload(time_ns=0, alarm="lamp_lost", text="look for it").message())
         assert {"what_to_do": "find it", "can_acknowledge": True}.items() <= shown.station()["alarms"][
             "lamp_lost"
         ].items()
+
+
+class Forgetful(PressStage):
+    """Raises an alarm that it does not declare."""
+
+    alarm: Callable[[str, str | None], None]
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        self.alarm("lamp_hot", "it is hot")
+
+
+def test_an_alarm_that_no_one_declares_stops_no_inspection(
+    config: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The log has it once, lights and `stats` show it until it is over, and a fault of that name halts the station."""
+    forgetful = Forgetful()
+    with SteppedStation(config, stages={"lamp": forgetful}) as station:
+        status = station.parts.status
+        forgetful.alarm = status.say
+        station.play()
+        station.loop.publish_stats()
+
+        assert len(station.verdicts) == 3
+        assert [record.getMessage() for record in caplog.records if record.levelname == "ERROR"] == [
+            "alarm lamp_hot: it is hot (declare it in `alarms` of its feature)"
+        ]
+        assert station.said("alarm/lamp_hot") is None
+        assert station.raised == ["lamp_hot"]
+
+        status.say("lamp_hot", None)
+        assert station.raised == []
+        status.set_fault("lamp_hot", "it burns")
+        assert status.view().state == "halted"
 
 
 def test_an_installation_without_our_features_says_so(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
