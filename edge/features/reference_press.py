@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final, Self
 
+from pydantic import Field
+
 from edge.config.reference_table import MasterPieceTable, ReferenceTable
 from edge.core.contact.events import PressSettled
 from edge.core.imaging.quality import Reason, Rejection
@@ -15,7 +17,7 @@ from edge.core.press import Press, PressLabel, ReferenceLabel
 from edge.core.reference_press.charts import ReferencePress, judge, why_due
 from edge.core.reference_press.outcome import Imprint, Outcome
 from edge.core.suggest import suggestion
-from edge.messaging.command_payloads import ReferencePressArguments
+from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.reference_message import describe_reference_press
 from edge.messaging.result_payload import ResultPayload, heatmap_message
 from edge.model.inspector import Inspector
@@ -36,6 +38,15 @@ LOOK_S: Final = 0.5
 # A request of the command line that is older was made while no gateway ran.
 OLDEST_REQUEST_S: Final = 60.0
 WAITING: Final = "the next press is the reference press of %s: press it within %g s"
+
+
+class ReferencePressArguments(CommandArguments):
+    """Of `cmd/reference_press`. piece: may be left out where there is one. restart: its charts begin again. cancel: no
+    reference press is waited for any more."""
+
+    piece: PlainText | None = Field(default=None, min_length=1, max_length=64)
+    restart: bool = False
+    cancel: bool = False
 
 
 @dataclass(frozen=True)

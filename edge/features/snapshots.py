@@ -13,11 +13,13 @@ from functools import partial
 from pathlib import Path
 from typing import Final, Self
 
+from pydantic import Field
+
 from edge.background import Background
 from edge.core.errors import GelgateError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, DeviceIdentity
-from edge.messaging.command_payloads import MOST_SNAPSHOT_S, SnapshotArguments
+from edge.messaging.command_payloads import CommandArguments
 from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
 from edge.recording.format import RecordingHeader, RecordingWriter
 from edge.store.acts import Act
@@ -25,6 +27,8 @@ from edge.store.press_store import Store
 
 __all__ = ["KEPT", "RING_BYTES", "Snapshots"]
 
+# Seconds of a snapshot before the request, and after it.
+MOST_SNAPSHOT_S: Final = 10
 # In memory: 7 s of the sensor's 3280x2464 at 25 frames a second of some 700 kB each.
 RING_BYTES: Final = 128_000_000
 # On the disk.
@@ -35,6 +39,13 @@ PATIENCE_S: Final = 2.0
 CLOSE_S: Final = 10.0
 
 log = logging.getLogger(__name__)
+
+
+class SnapshotArguments(CommandArguments):
+    """Of `cmd/snapshot`: seconds before and after the request."""
+
+    before_s: float = Field(default=5, ge=0, le=MOST_SNAPSHOT_S)
+    after_s: float = Field(default=2, ge=0, le=MOST_SNAPSHOT_S)
 
 
 @dataclass(frozen=True)

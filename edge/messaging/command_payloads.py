@@ -21,7 +21,6 @@ from edge.messaging.payload_base import Payload
 
 __all__ = [
     "LARGEST_REQUEST_BYTES",
-    "MOST_SNAPSHOT_S",
     "SHORTEST_SECRET",
     "WAITING_REQUESTS",
     "AcknowledgeAlarmArguments",
@@ -29,10 +28,9 @@ __all__ = [
     "CommandRequest",
     "CommandResponse",
     "NoArguments",
-    "ReferencePressArguments",
+    "PlainText",
     "ReplaceGelArguments",
     "SelectPartArguments",
-    "SnapshotArguments",
     "is_signed",
     "signature_of",
     "signed_text",
@@ -43,9 +41,6 @@ LARGEST_REQUEST_BYTES: Final = 16 << 10
 
 # Requests that may wait while one is answered; a person or a line controller sends fewer at once.
 WAITING_REQUESTS: Final = 16
-
-# Seconds of a snapshot before the request, and after it.
-MOST_SNAPSHOT_S: Final = 10
 
 PlainText = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f\x7f]*$")]
 """Without control characters, which a terminal would obey."""
@@ -122,22 +117,6 @@ class AcknowledgeAlarmArguments(CommandArguments):
     """Of `cmd/acknowledge_alarm`."""
 
     alarm: PlainText = Field(min_length=1, max_length=64)
-
-
-class ReferencePressArguments(CommandArguments):
-    """Of `cmd/reference_press`. piece: may be left out where there is one. restart: its charts begin again. cancel: no
-    reference press is waited for any more."""
-
-    piece: PlainText | None = Field(default=None, min_length=1, max_length=64)
-    restart: bool = False
-    cancel: bool = False
-
-
-class SnapshotArguments(CommandArguments):
-    """Of `cmd/snapshot`: seconds before and after the request."""
-
-    before_s: float = Field(default=5, ge=0, le=MOST_SNAPSHOT_S)
-    after_s: float = Field(default=2, ge=0, le=MOST_SNAPSHOT_S)
 
 
 class CommandResponse(Payload):
