@@ -18,7 +18,6 @@ from plugins.devices.uvc.faults import guarded
 from plugins.devices.uvc.identity import SensorOnBus, choose, discover
 from plugins.devices.uvc.libusb import LibusbBackend, get_backend
 from plugins.devices.uvc.lock import SensorLock
-from plugins.devices.uvc.stream import UvcSensor
 from plugins.devices.v4l2.controls import pin_v4l2_controls
 from plugins.devices.v4l2.nodes import capture_node
 from plugins.devices.v4l2.sensor import V4l2Sensor, open_capture
@@ -60,6 +59,8 @@ class GelsightMini(DevicePlugin[GelsightMiniOptions], Resettable[GelsightMiniOpt
         backend = get_backend()
         sensor = choose(discover(backend), options.serial)
         if options.stream == "uvc":
+            from plugins.devices.uvc.stream import UvcSensor  # a sensor mostly goes through the kernel
+
             return UvcSensor.open(backend, sensor, clock, controls=options.controls)
         return _open_v4l2(backend, sensor, options, clock)
 
