@@ -13,25 +13,33 @@ from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.simulator.reproducible_math import reproducible_opencv
 
 
-@pytest.fixture(scope="session")
-def bench() -> Iterator[Bench]:
+@pytest.fixture(scope="module", autouse=True)
+def _as_files_are_rendered() -> Iterator[None]:
+    """Later modules have OpenCV's fast code again: a fit gives other bits with it."""
     with reproducible_opencv():
-        yield dome_bench()
+        yield
+
+
+@pytest.fixture(scope="session")
+def bench() -> Bench:
+    return dome_bench()
 
 
 @pytest.fixture(scope="session")
 def station(bench: Bench) -> Station:
-    return Station(PROFILE, REGION, REGION.crop(bench.free()).astype(np.float32))
+    with reproducible_opencv():
+        return Station(PROFILE, REGION, REGION.crop(bench.free()).astype(np.float32))
 
 
 @pytest.fixture(scope="session")
 def pictures(bench: Bench, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders `learnt` (8 presses), `apart` (8 presses) and `free` (the free gel)."""
     root = tmp_path_factory.mktemp("station")
-    for folder, numbers in (("learnt", range(8)), ("apart", range(8, 16))):
-        for number in numbers:
-            write(root / folder / f"p{number:02d}.png", bench.press(number))
-    write(root / "free" / "free.png", bench.free())
+    with reproducible_opencv():
+        for folder, numbers in (("learnt", range(8)), ("apart", range(8, 16))):
+            for number in numbers:
+                write(root / folder / f"p{number:02d}.png", bench.press(number))
+        write(root / "free" / "free.png", bench.free())
     return root
 
 

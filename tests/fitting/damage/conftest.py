@@ -10,12 +10,19 @@ from calibration.fitting.damage.imprint import Station
 from calibration.simulator.reproducible_math import reproducible_opencv
 
 
-@pytest.fixture(scope="session")
-def bench() -> Iterator[Bench]:
+@pytest.fixture(scope="module", autouse=True)
+def _as_files_are_rendered() -> Iterator[None]:
+    """Later modules have OpenCV's fast code again: a fit gives other bits with it."""
     with reproducible_opencv():
-        yield dome_bench()
+        yield
+
+
+@pytest.fixture(scope="session")
+def bench() -> Bench:
+    return dome_bench()
 
 
 @pytest.fixture(scope="session")
 def station(bench: Bench) -> Station:
-    return Station(PROFILE, REGION, REGION.crop(bench.free()).astype(np.float32))
+    with reproducible_opencv():
+        return Station(PROFILE, REGION, REGION.crop(bench.free()).astype(np.float32))
