@@ -1,6 +1,8 @@
 """What every test shares: strict arithmetic, and the real frames where they are at hand."""
 
+import os
 import signal
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -32,6 +34,10 @@ settings.load_profile("ci")
 # A shell that starts the tests in the background has them ignore Ctrl-C, and every program that they start with them.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Some set it for small images; each of the hundreds of programs that the tests start would then compile all sources.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 
 @cache
