@@ -1,6 +1,7 @@
 """Films become recordings: frames at the film's own times, sizes named, nothing squashed."""
 
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -20,14 +21,23 @@ FPS = 20.0
 
 def gel(depth: float, size: tuple[int, int], seed: int) -> NDArray[np.uint8]:
     """BGR: the gel, a ball pressed into its middle, and noise."""
+    return np.clip(clean(depth, size) + noise(size, seed % 8), 0, 255).astype(np.uint8)
+
+
+@cache
+def noise(size: tuple[int, int], seed: int) -> NDArray[np.float32]:
+    return 2 * np.random.default_rng(seed).standard_normal((size[1], size[0], 3), np.float32)
+
+
+@cache
+def clean(depth: float, size: tuple[int, int]) -> NDArray[np.float32]:
     width, height = size
     rows, columns = np.mgrid[:height, :width].astype(np.float32)
     radius = max(0.16 * height * depth**0.5, 1e-3)
     u, v = (columns - width / 2) / radius, (rows - height / 2) / radius
     slopes = np.stack([60 * v, 55 * u, -60 * v], axis=-1) * (u * u + v * v <= 1)[..., None] * depth
     level = (100 + 30 * rows / height + 20 * columns / width)[..., None]
-    noise = np.random.default_rng(seed).normal(0, 2, slopes.shape)
-    return np.clip(level + slopes + noise, 0, 255).astype(np.uint8)
+    return np.asarray(level + slopes, np.float32)
 
 
 def written(path: Path, frames: Sequence[NDArray[np.uint8]], fps: float = FPS) -> Path:

@@ -1,5 +1,6 @@
 """The contact tracker on pictures: simulated presses, real backgrounds, and a real press video."""
 
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -32,13 +33,17 @@ def free_gel() -> View:
 
 def pressed(view: View, depth: float) -> View:
     """A ball of 20 pixels at full depth: the disc and its slopes grow with the depth."""
-    if depth <= 0:
-        return view
+    return view if depth <= 0 else (view + ball(depth)).astype(np.float32)
+
+
+@cache
+def ball(depth: float) -> View:
+    """What it adds to the free gel."""
     rows, columns = np.mgrid[0:120, 0:160].astype(np.float32)
     radius = 20 * depth**0.5
     u, v = (columns - 80) / radius, (rows - 60) / radius
     slopes = np.stack([-60 * v, 55 * u, 60 * v], axis=-1) * (u * u + v * v <= 1)[..., None]
-    return (view + slopes * depth).astype(np.float32)
+    return np.asarray(slopes * depth, np.float32)
 
 
 def depth_at(t: float, onset: float, hold: float = 1.5, ramp: float = 0.3) -> float:
@@ -237,6 +242,7 @@ def test_relearning_follows_a_change_of_gel() -> None:
     assert camera.tracker.touch.area == 0
 
 
+@cache
 def video_views(path: Path) -> list[View]:
     capture = cv2.VideoCapture(str(path))
     views = []
