@@ -5,7 +5,7 @@ the coarse colours, the free gel and the golden frames are those of the new gel.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -229,5 +229,6 @@ def _files(
         with_trunk=manifest.backbone is None or manifest.backbone.in_bundle,
         free_gel=most_typical(free) if bundle.free_gel is not None and free is not None else None,
         free_view=presses.free_view,
-        registration=bundle.registration,
+        # Another gel has other cuts.
+        registration=bundle.registration and replace(bundle.registration, gel_limits=None),
     )

@@ -27,18 +27,15 @@ from calibration.fitting.bundle_measurements import (
 from calibration.fitting.damage.damaged_presses import DamagedPresses, render_damage
 from calibration.fitting.features import feature_warnings
 from calibration.fitting.fit_config import FitConfig
-from calibration.fitting.limits.appended import append, can_extend
+from calibration.fitting.limits.appended import append
 from calibration.fitting.limits.covering import Covered, covering_bank
 from calibration.fitting.limits.folds import Folds, divide_presses
+from calibration.fitting.limits.gel_limits import choose_limits
 from calibration.fitting.limits.held_out import HeldOut, Learner, ShownPresses, score_held_out
-from calibration.fitting.limits.limit_choice import Choice, Evidence, choose_limit
+from calibration.fitting.limits.limit_choice import Choice, Evidence
 from calibration.fitting.limits.map_limit import PLAIN
 from calibration.fitting.limits.relief_step import ReliefChoice, try_relief
-from calibration.fitting.limits.threshold import (
-    conformal_threshold,
-    of_copies,
-    require_enough,
-)
+from calibration.fitting.limits.threshold import conformal_threshold, of_copies, require_enough
 from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose
 from calibration.fitting.presses.augmentation import (
     EACH,
@@ -56,6 +53,7 @@ from calibration.fitting.tap_reader import TapReader
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Nominal, Progress
+from edge.core.registration.registrar import PartInPose
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.manifest import (
@@ -254,6 +252,8 @@ class _Learnt:
     """A bank with its limit, whose scores are those of the bundle."""
 
     features: _Features
+    part: PartInPose | None
+    """None where presses are scored as they lie."""
     bank: Bank
     head: bytes
     choice: Choice
@@ -299,17 +299,17 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
     covered = covering_bank(learner, nominal, learn, lambda found: plan.find_threshold(found).value, shown)
     bank, scores = covered.bank, covered.scores
     head, choice, found, again = learner.head(bank), Choice(PLAIN, why_plain), None, {}
+    part = None if features.pose.learnt is None else features.pose.learnt.part
     unit = 1.0 if scores is None else plan.find_threshold(scores).value
     with watch.time("threshold"):
-        if damage is not None and scores is not None:
-            evidence = features.gather_evidence(covered, damage)
-            choice = Choice(PLAIN, "another limit cannot be appended to the method's graph")
-            choice = choose_limit(evidence) if can_extend(head) else choice
+        if damage is not None and damaged is not None and scores is not None:
+            chosen = choose_limits(features.gather_evidence(covered, damage), shown, damaged, head)
+            choice, part, scores = chosen.choice, chosen.extend(part), chosen.scores
             if choice.other is not None:
                 head, bank = append(head, bank, choice.other.limit)
-                unit, scores = 1.0, choice.other.scores
-            found = evidence.count_found(choice, unit)
-            again = evidence.press_again_facts(choice, scores)
+            unit = 1.0 if choice.other else plan.find_threshold(scores).value
+            found = chosen.evidence.count_found(choice, unit)
+            again = chosen.evidence.press_again_facts(choice, scores)
         relief = features.choose_relief(head)
     head, bank = relief.append_to(head, bank, unit)
     apart = apart_warnings(scores, plan.presses.names)
@@ -322,7 +322,7 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
     ]
     decided = {"limit": choice.facts(), MISSING: relief.facts(), **features.pose.facts}
     decided |= {**features.augmentation.facts, **again, **plan.presses.facts}
-    return _Learnt(features, bank, head, choice, scores, decided, apart, said)
+    return _Learnt(features, part, bank, head, choice, scores, decided, apart, said)
 
 
 def _measure(learnt: _Learnt, created: str, watch: _Watch) -> Fitted:
@@ -352,7 +352,7 @@ def _measure(learnt: _Learnt, created: str, watch: _Watch) -> Fitted:
 def _pack(learnt: _Learnt, facts: Facts, golden: Sequence[GoldenFrame]) -> Fitted:
     """Make the bundle. golden: none for one that is only measured."""
     features, config = learnt.features, learnt.features.plan.config
-    presses, pose = features.plan.presses, features.pose.learnt
+    presses = features.plan.presses
     free = presses.no_contact
     manifest, files = bundle_files(
         facts,
@@ -363,7 +363,7 @@ def _pack(learnt: _Learnt, facts: Facts, golden: Sequence[GoldenFrame]) -> Fitte
         with_trunk=config.with_trunk or not golden,
         free_gel=most_typical(free) if free is not None and features.skipped_tiles else None,
         free_view=presses.free_view,
-        registration=None if pose is None else pose.part,
+        registration=learnt.part,
     )
     return Fitted(manifest, files)
 

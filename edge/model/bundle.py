@@ -327,8 +327,10 @@ def _read_registration(
         return None
     # Most bundles need none of it.
     from edge.core.registration.colours import SlopeColours
+    from edge.core.registration.pose import GEL_LIMIT_STEPS
     from edge.core.registration.registrar import PartInPose
 
+    limits = None if entry.gel_limits is None else read_picture(archive, entry.gel_limits, frame)[..., 0]
     try:
         return PartInPose(
             free=read_picture(archive, entry.free, frame),
@@ -339,6 +341,7 @@ def _read_registration(
             least_match=entry.least_match,
             least_seen=entry.least_seen,
             scores_relief_to_end=entry.scores_relief_to_end,
+            gel_limits=None if limits is None else limits.astype(np.float32) / np.float32(GEL_LIMIT_STEPS),
         )
     except ValueError as error:
         raise BundleCorrupt(f"bundle {archive.where}: registration: {error}; fit again") from error

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank
 from edge.core.errors import FitError
+from edge.core.registration.pose import GEL_LIMIT_STEPS
 from edge.core.registration.registrar import PartInPose
 from edge.model.archive import MANIFEST, ZipArchive, open_archive
 from edge.model.bundle import DETECTOR, FREE_GEL, FREE_VIEW, HEAD, TRUNK, GoldenFrame, Graphs
@@ -124,19 +125,26 @@ def _npy(array: NDArray[Any]) -> bytes:
 
 def _registration_entry(part: PartInPose, keep: Callable[[str, bytes], FileEntry]) -> RegistrationEntry:
     """The manifest's entry. keep: stores a file by its name."""
-    learnt = np.repeat(np.where(part.learnt, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
+    learnt, limits = np.where(part.learnt, np.uint8(255), np.uint8(0)), part.gel_limits
     red, green, blue = ((float(x), float(y)) for x, y in part.colours.matrix)
     return RegistrationEntry(
         free=keep("registration/free.png", png_bytes(part.free)),
         template=keep("registration/template.png", png_bytes(part.template)),
-        learnt=keep("registration/learnt.png", png_bytes(learnt)),
+        learnt=keep("registration/learnt.png", _grey_png(learnt)),
         colours=(red, green, blue),
         is_turning=part.is_turning,
         symmetry=max(1, part.symmetry),
         least_match=part.least_match,
         least_seen=part.least_seen,
         scores_relief_to_end=part.scores_relief_to_end,
+        gel_limits=None
+        if limits is None
+        else keep("registration/gel_limits.png", _grey_png((limits * GEL_LIMIT_STEPS).astype(np.uint8))),
     )
+
+
+def _grey_png(levels: NDArray[np.uint8]) -> bytes:
+    return png_bytes(np.repeat(levels[..., None], 3, axis=2))
 
 
 def png_bytes(rgb: NDArray[np.uint8]) -> bytes:

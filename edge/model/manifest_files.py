@@ -93,7 +93,8 @@ class RegistrationEntry(Entry):
     colours: for red, green and blue the levels of the two slopes. is_turning: false where the part has no turn, as a
     ball. symmetry: how often it looks the same in a full turn; 1 in bundles that do not state it. least_match,
     least_seen: a press below either is rejected. scores_relief_to_end: false in bundles that do not state it; they were
-    fitted with a seam around what a press shows that is not scored.
+    fitted with a seam around what a press shows that is not scored. gel_limits: a grey picture of the sixteenths by
+    which the limit is higher at a place of the gel; none where it is one limit.
     """
 
     free: FileEntry
@@ -105,7 +106,9 @@ class RegistrationEntry(Entry):
     least_match: float = Field(gt=0, lt=1)
     least_seen: float = Field(ge=0, le=1)
     scores_relief_to_end: bool = False
+    gel_limits: FileEntry | None = None
 
     @property
     def files(self) -> tuple[FileEntry, ...]:
-        return self.free, self.template, self.learnt
+        pictures = self.free, self.template, self.learnt
+        return pictures if self.gel_limits is None else (*pictures, self.gel_limits)

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from calibration.fitting.presses.augmentation import Copies
 from edge.core.detector import Bank, Detector, Features, Grid, Nominal, Progress
 from edge.core.errors import FitError
+from edge.core.registration.pose import Registered
 from edge.model.packing import pack, unpack
 from edge.model.session import RUNTIME_ERRORS, open_session
 
@@ -24,8 +26,13 @@ class ShownPresses:
     """n presses as the gateway brings them to a bank."""
 
     features: Features
-    seen: Mask | None = None
-    """The places that count, (n, h, w); None for all."""
+    registered: Sequence[Registered] | None = None
+    """Each of these; None where presses are scored as they lie, and all places count."""
+
+    @cached_property
+    def seen(self) -> Mask | None:
+        """The places that count, (n, h, w); None for all."""
+        return None if self.registered is None else np.stack([one.seen for one in self.registered])
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,17 +47,25 @@ class ScoredPresses:
     """What the head took for each, (n,), or none."""
     seen: Mask | None = None
     """The places that count, (n, h, w); None for all."""
+    gel_limits: NDArray[np.float32] | None = None
+    """By what these places are divided, (n, h, w); None for nothing."""
+
+    def weigh(self, maps: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return these maps of the presses, (n, h, w), as the gateway compares them with the limit."""
+        weighed = maps if self.gel_limits is None else maps / self.gel_limits
+        return (
+            weighed if self.seen is None else np.where(self.seen, weighed, weighed.min((1, 2), keepdims=True))
+        )
 
     def highest(self, maps: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the highest value that counts of these maps of the presses, (n,)."""
-        lowest = maps.min(axis=(1, 2), keepdims=True)
-        counts = maps if self.seen is None else np.where(self.seen, maps, lowest)
-        return np.asarray(counts.max(axis=(1, 2)), np.float64)
+        return np.asarray(self.weigh(maps).max(axis=(1, 2)), np.float64)
 
     def choose(self, rows: NDArray[np.int64]) -> "ScoredPresses":
         """Return these presses alone."""
         seen = None if self.seen is None else self.seen[rows]
-        return ScoredPresses(self.maps[rows], self.scores[rows], seen=seen)
+        limits = None if self.gel_limits is None else self.gel_limits[rows]
+        return ScoredPresses(self.maps[rows], self.scores[rows], seen=seen, gel_limits=limits)
 
     def put(self, rows: NDArray[np.int64], scored: "ScoredPresses") -> None:
         """Write other presses into these rows."""

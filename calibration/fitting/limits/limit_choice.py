@@ -82,10 +82,14 @@ class Evidence:
     is_placed: bool = True
     """Whether parts lie at one place; where they lie anywhere the next one lies where no range is known."""
 
+    @property
+    def scores(self) -> Float:
+        """Scores of the nominal presses by the plain limit, (n,)."""
+        return np.maximum(self.held_out.sound.scores, self.known.scores)
+
     @cached_property
     def plain(self) -> ThresholdEntry:
-        scores = np.maximum(self.held_out.sound.scores, self.known.scores)
-        return conformal_threshold(scores, self.alpha, specimens=self.specimens)
+        return conformal_threshold(self.scores, self.alpha, specimens=self.specimens)
 
     @property
     def is_score_a_maximum(self) -> bool:
@@ -157,9 +161,9 @@ class _Candidate:
             if not rows.size:
                 continue
             shown = edited.choose(rows)
-            relative = relate(self._limit(spread), shown.maps)
+            relative = shown.weigh(relate(self._limit(spread), shown.maps))
             is_found[rows] = ((relative > 1) & damage.masks[rows]).any(axis=(1, 2))
-            scores[rows] = shown.highest(relative)
+            scores[rows] = relative.max(axis=(1, 2))
         return is_found, scores
 
     @property
@@ -184,7 +188,8 @@ def choose_limit(evidence: Evidence) -> Choice:
     """Choose the kind that finds most: the first among equals, the plain one unless another finds WORTH more."""
     if not evidence.is_score_a_maximum:
         return Choice(PLAIN, "the method's score is not the highest value of its map")
-    above = (evidence.held_out.edited.maps > evidence.plain.value) & evidence.damage.masks
+    edited = evidence.held_out.edited
+    above = (edited.weigh(edited.maps) > evidence.plain.value) & evidence.damage.masks
     usual = float(above.any(axis=(1, 2)).mean())
     found, best = {PLAIN: usual}, None
     for kind in KINDS:

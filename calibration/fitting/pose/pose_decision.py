@@ -73,8 +73,7 @@ class PoseChoice:
         if self.learnt is None:
             return ShownPresses(nominal.features)
         registered = self.learnt.registered
-        frames, seen = (np.stack([getattr(one, name) for one in registered]) for name in ("rgb", "seen"))
-        return ShownPresses(take(frames), seen)
+        return ShownPresses(take(np.stack([one.rgb for one in registered])), registered)
 
     def show_damage(self, damage: DamagedPresses, take: Take) -> tuple[DamagedPresses, ShownPresses]:
         """Bring presses with damage to the bank as the gateway does; those without a pose are left out."""
@@ -83,10 +82,11 @@ class PoseChoice:
         registrar = Registrar(self.learnt.part)
         found = [registrar.register(rgb) for rgb in damage.frames]
         kept = [k for k, one in enumerate(found) if one.refusal is None] or list(range(len(found)))
-        seen = np.stack([found[k].seen for k in kept])
-        moved = [warp(damage.masks[k].astype(np.float32), found[k].pose) > 0.5 for k in kept]
-        posed = replace(damage.choose(kept), masks=np.stack(moved) & seen)
-        return posed, ShownPresses(take(np.stack([found[k].rgb for k in kept])), seen)
+        moved = [
+            (warp(damage.masks[k].astype(np.float32), found[k].pose) > 0.5) & found[k].seen for k in kept
+        ]
+        posed = replace(damage.choose(kept), masks=np.stack(moved))
+        return posed, ShownPresses(take(np.stack([found[k].rgb for k in kept])), [found[k] for k in kept])
 
 
 def choose_pose(

@@ -69,6 +69,15 @@ def warp(picture: F32, pose: Pose, flags: int = cv2.INTER_LINEAR) -> F32:
     return np.asarray(moved, np.float32)
 
 
+GEL_LIMIT_STEPS = 16
+"""Limits of the gel are stored in sixteenths."""
+
+
+def gel_limits_in_pose(limits: F32, pose: Pose) -> F32:
+    """Move limits of the gel, (h, w), to where the bank sees them; 1 where they left the field."""
+    return np.maximum(warp(limits, pose), np.float32(1))
+
+
 def depth_inside(pose: Pose, size: tuple[int, int]) -> F32:
     """Measure how far inside the press's field each place of the bank lies, float32 (h, w), pixels; below 0 outside.
 
@@ -121,6 +130,8 @@ class Registered:
     """As `PartInPose.symmetry`."""
     refusal: str | None = None
     """Why the pose cannot be trusted; None where it can."""
+    gel_limits: F32 | None = None
+    """As `PartInPose.gel_limits`, in the bank's pose."""
 
     @property
     def turn_rad(self) -> float | None:
@@ -128,14 +139,19 @@ class Registered:
         return math.remainder(self.pose.turn_rad, 2 * math.pi / self.symmetry) if self.symmetry else None
 
     def score(self, score_map: F32) -> float:
-        """The highest score of a map in the bank's pose, of places that are seen."""
-        return float(score_map[self.seen].max(initial=-math.inf))
+        """The highest score of a map in the bank's pose, of places that are seen, by the limits of the gel."""
+        return float(self._weigh(score_map)[self.seen].max(initial=-math.inf))
+
+    def _weigh(self, score_map: F32) -> F32:
+        return score_map if self.gel_limits is None else score_map / self.gel_limits
 
     def in_press(self, score_map: F32) -> F32:
-        """The map, float32 (h, w), where the part lies in the press; unseen places have the lowest score of the map.
+        """The map, float32 (h, w), where the part lies in the press, by the limits of the gel; unseen places have the
+        lowest score of the map.
 
         The highest score keeps its value: interpolation would lower it.
         """
+        score_map = self._weigh(score_map)
         lowest = np.float32(score_map.min())
         moved = warp(np.where(self.seen, score_map - lowest, 0).astype(np.float32), self.pose.inverse())
         if self.seen.any():

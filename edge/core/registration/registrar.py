@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 from edge.core.registration.coarse import CoarseSearch
 from edge.core.registration.colours import FreeLight, SlopeColours
 from edge.core.registration.fine import Alignment, FineSearch
-from edge.core.registration.pose import Pose, PoseUncertainty, Registered, depth_inside, warp
+from edge.core.registration.pose import (
+    Pose,
+    PoseUncertainty,
+    Registered,
+    depth_inside,
+    gel_limits_in_pose,
+    warp,
+)
 
 __all__ = ["SIDE_PX", "PartInPose", "PoseSearch", "Registrar", "shrunk"]
 
@@ -97,6 +104,9 @@ class PartInPose:
     """The share of the part that must lie in the field."""
     scores_relief_to_end: bool = True
     """Score relief up to the end of what a press shows; bundles of earlier fits leave the seam unscored."""
+    gel_limits: F32 | None = None
+    """How many times the limit is at each place of the gel, float32 (h, w) of the press, at least 1: sound presses
+    score high at a cut wherever their part lies. None for one limit everywhere."""
 
     @property
     def is_turning(self) -> bool:
@@ -108,6 +118,12 @@ class PartInPose:
             raise ValueError(
                 f"free gel, template and learnt places have one size, found {self.free.shape}, "
                 f"{self.template.shape} and {self.learnt.shape}"
+            )
+        if self.gel_limits is not None and (
+            self.gel_limits.shape != self.learnt.shape or not self.gel_limits.min() >= 1
+        ):
+            raise ValueError(
+                f"limits of the gel are at least 1 in the size {self.learnt.shape}, found {self.gel_limits.shape}"
             )
         if not (0 < self.least_match < 1 and 0 <= self.least_seen <= 1):
             raise ValueError(
@@ -160,6 +176,7 @@ class Registrar:
             seen_share,
             self.part.symmetry,
             self._refusal(alignment.match, seen_share),
+            None if (limits := self.part.gel_limits) is None else gel_limits_in_pose(limits, pose),
         )
 
     def _refusal(self, match: float, seen_share: float) -> str | None:

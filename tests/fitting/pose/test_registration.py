@@ -1,5 +1,6 @@
 """Whether a fit registers presses, what the bundle keeps of it, and how the bundle then scores."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,11 +14,13 @@ from calibration.fitting.damage.damaged_presses import DamagedPresses
 from calibration.fitting.pose.pose_decision import PoseChoice
 from calibration.fitting.pose.registration import in_pose_of, learn_pose
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from edge.core.detector import Features, Nominal
+from edge.core.detector import Bank, Features, Nominal
 from edge.core.errors import BundleCorrupt, FitError, PoseNotFound
 from edge.core.registration.pose import Pose, warp
 from edge.core.registration.registrar import Registrar
 from edge.model.bundle import Bundle
+from edge.model.bundle_writer import bundle_files
+from edge.model.manifest import Facts
 from edge.model.scorer import Scorer
 
 
@@ -109,6 +112,39 @@ def test_presses_are_held_out_as_the_gateway_shows_them() -> None:
     still = PoseChoice(None).show(unused, take)
     assert still.seen is None
     assert still.features is unused.features
+
+
+def test_the_limit_is_higher_at_a_cut_of_the_gel_wherever_the_part_lies() -> None:
+    """Map and score of a press are divided by the limits of the gel where it lay, and a bundle keeps them."""
+    part = registered().bundle().registration
+    assert part is not None
+    limits = np.ones(part.learnt.shape, np.float32)
+    limits[80:, :] = 4
+    rgb = parts.anywhere(parts.BLOCK, 1, 77)[1][0]
+    plain, cut = (Registrar(one).register(rgb) for one in (part, replace(part, gel_limits=limits)))
+    score_map = np.random.default_rng(0).uniform(1, 2, part.learnt.shape).astype(np.float32)
+    above, below = ((slice(a, b), slice(20, 100)) for a, b in ((20, 70), (90, 110)))
+    seen = ~plain.unseen_in_press
+    lies, lower = plain.in_press(score_map), cut.in_press(score_map)
+    assert lower[above][seen[above]].max() > 1.2
+    assert lower[below][seen[below]].max() < 0.7 < lies[below][seen[below]].max()
+    assert cut.score(score_map) <= plain.score(score_map)
+    with pytest.raises(ValueError, match="at least 1"):
+        replace(part, gel_limits=limits - 1)
+
+    bundle = registered().bundle()
+    facts = Facts(**{name: getattr(bundle.manifest, name) for name in Facts.model_fields})
+    manifest, files = bundle_files(
+        facts,
+        bundle.graphs,
+        Bank(dict(bundle.bank)),
+        backbone="tiny",
+        registration=replace(part, gel_limits=limits),
+    )
+    read = Bundle.in_memory(manifest, files).registration
+    assert read is not None
+    assert read.gel_limits is not None
+    assert np.array_equal(read.gel_limits, limits)
 
 
 def test_what_is_stored_is_what_was_learnt() -> None:

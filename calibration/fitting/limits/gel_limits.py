@@ -1,0 +1,134 @@
+"""Where on the gel the limit is higher, because sound presses score high there wherever their part lies: a cut opens.
+
+A part that lies anywhere brings other places to a cut with each press, so no range by place of the part knows it, and
+the cut sets the limit of all places. With m_i the raw score map of press i where it lay:
+
+    highest = largest m_i within 0.6 mm of a place, over the presses i
+    limits  = 1.5 highest / usual where that is above 1.5, else 1
+
+usual is 1.25 times the lower quartile of the presses' scores. A score map is divided by `limits`. Of many presses a
+few lie high anywhere by chance, so of each 40 one more is passed over. A press is judged by the limits of the other
+folds, a new one by those of all.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.limits.appended import can_extend
+from calibration.fitting.limits.held_out import HeldOut, ScoredPresses, ShownPresses
+from calibration.fitting.limits.limit_choice import WORTH, Choice, Evidence, choose_limit
+from calibration.fitting.limits.map_limit import PLAIN
+from edge.core.registration.pose import GEL_LIMIT_STEPS, Registered, gel_limits_in_pose, warp
+from edge.core.registration.registrar import PartInPose
+
+__all__ = ["LimitsChosen", "choose_limits", "learn_gel_limits"]
+
+F32 = NDArray[np.float32]
+
+# Chosen on three real balls of the development sensors, one gel with cuts and one without.
+_NEAR_MM, _ABOVE, _QUARTILE, _USUAL = 0.6, 1.5, 0.25, 1.25
+_PRESSES_EACH = 40
+
+
+def learn_gel_limits(maps: F32, pixels_per_mm: float) -> F32:
+    """Learn the limits, float32 (h, w), from raw maps of nominal presses as they lie, (n, h, w), 0 where unseen."""
+    usual = _USUAL * float(np.quantile(maps.max(axis=(1, 2)), _QUARTILE))
+    reach = 2 * round(_NEAR_MM * pixels_per_mm) + 1
+    near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
+    ordered = np.sort(np.stack([cv2.dilate(one, near) for one in maps]), axis=0)
+    highest = ordered[-1 - len(maps) // _PRESSES_EACH]
+    if not usual > 0:
+        return np.ones_like(highest)
+    limits = np.where(highest > usual, _ABOVE * highest / usual, 1)
+    # As they are stored.
+    return np.asarray(np.minimum(np.ceil(limits * GEL_LIMIT_STEPS), 255) / GEL_LIMIT_STEPS, np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class LimitsChosen:
+    """The kind of limit, and where on the gel it is higher."""
+
+    choice: Choice
+    evidence: Evidence
+    """With the limits of the gel in its scores."""
+    gel_limits: F32 | None = None
+    """As `PartInPose.gel_limits`."""
+
+    def extend(self, part: PartInPose | None) -> PartInPose | None:
+        """Return the part with the limits of the gel; None where presses are scored as they lie."""
+        return part and replace(part, gel_limits=self.gel_limits)
+
+    @property
+    def scores(self) -> NDArray[np.float64]:
+        """Scores of the nominal presses, in units of the bundle's score, (n,)."""
+        return self.choice.other.scores if self.choice.other else self.evidence.scores
+
+    @property
+    def share_found(self) -> float:
+        """The share of the rendered damage that is found."""
+        return self.choice.found.get(self.choice.kind, 0.0)
+
+
+def choose_limits(
+    evidence: Evidence, shown: ShownPresses, damaged: ShownPresses, head: bytes
+) -> LimitsChosen:
+    """Choose the kind of limit, with limits of the gel if clearly more damage is found with them.
+
+    shown: the nominal presses. damaged: those with damage. head: the graph that the limit is to be appended to.
+    """
+    if not can_extend(head):
+        return LimitsChosen(Choice(PLAIN, "another limit cannot be appended to the method's graph"), evidence)
+    usual = LimitsChosen(choose_limit(evidence), evidence)
+    if shown.registered is None or damaged.registered is None or not evidence.is_score_a_maximum:
+        return usual
+    lying = np.stack(
+        [
+            warp(np.where(one.seen, found, 0).astype(np.float32), one.pose.inverse())
+            for one, found in zip(shown.registered, evidence.held_out.sound.maps, strict=True)
+        ]
+    )
+    limits = learn_gel_limits(lying, evidence.pixels_per_mm)
+    if not (limits > 1).any():
+        return usual
+    weighed = _weigh_all(evidence, lying, limits, shown.registered, damaged.registered)
+    chosen = LimitsChosen(choose_limit(weighed), weighed, limits)
+    if chosen.share_found < usual.share_found + WORTH:
+        return usual
+    why = (
+        f"{chosen.choice.why}; at {np.mean(limits > 1):.0%} of the gel the limit is higher, because sound presses "
+        f"score high there wherever the part lies, as at a cut; without that {usual.share_found:.0%} are found"
+    )
+    return replace(chosen, choice=replace(chosen.choice, why=why))
+
+
+def _weigh_all(
+    evidence: Evidence, lying: F32, limits: F32, poses: Sequence[Registered], damaged: Sequence[Registered]
+) -> Evidence:
+    """Weigh each press by what the other folds show of the gel; by all where the bank knows it too.
+
+    lying: as `learn_gel_limits` takes them.
+    """
+    fold_of = np.zeros(len(lying), np.int64)
+    for number, held in enumerate(evidence.folds):
+        fold_of[held] = number
+    mm = evidence.pixels_per_mm
+    apart = [learn_gel_limits(np.delete(lying, held, axis=0), mm) for held in evidence.folds]
+    sound, edited = evidence.held_out.sound, evidence.held_out.edited
+    held_out = HeldOut(
+        _weigh(sound, [apart[k] for k in fold_of], poses),
+        _weigh(edited, [apart[k] for k in fold_of[evidence.damage.press]], damaged),
+    )
+    return replace(evidence, held_out=held_out, known=_weigh(evidence.known, [limits] * len(lying), poses))
+
+
+def _weigh(scored: ScoredPresses, limits: Sequence[F32], poses: Sequence[Registered]) -> ScoredPresses:
+    """Divide what counts of the presses by the limits of each, which are of the gel."""
+    weights = [
+        gel_limits_in_pose(one, registered.pose) for one, registered in zip(limits, poses, strict=True)
+    ]
+    weighed = replace(scored, gel_limits=np.stack(weights))
+    return replace(weighed, scores=weighed.highest(scored.maps))
