@@ -21,7 +21,7 @@ from calibration.experiments.backbones.evaluation import random_trunk
 from calibration.experiments.backbones.presses import development_trial
 from calibration.experiments.backbones.trial import Trial
 from calibration.fitting.features import extract, trunk_grid
-from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.fitting.trunks import open_trunk
 from calibration.metrics import aupro
 from edge.core.detector import Bank, Features, Grid, Nominal
 from edge.model.graph_cut import cut_trunk
@@ -77,7 +77,7 @@ def trial(number: int) -> Trial:
 @pytest.fixture(scope="module", params=["shipped", "random"])
 def taken(request: pytest.FixtureRequest) -> list[Taken]:
     """Every part, read by one trunk."""
-    graph = open_trunk(DEFAULT_BACKBONE, TAPS).graph if request.param == "shipped" else random_trunk()
+    graph = open_trunk("tactile_resnet18", TAPS).graph if request.param == "shipped" else random_trunk()
     session = open_session(cut_trunk(graph, TAPS), 1, "trunk")
     grid = trunk_grid(session, TAPS, (224, 224), PIXELS_PER_MM)
 
