@@ -9,18 +9,28 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from edge.core.ports import Message
-from edge.messaging.alarm_payload import AlarmPayload, known_alarms
+from edge.core.sink_context import topic_level
+from edge.messaging.alarm_payload import Alarm, AlarmPayload, known_alarms
 from edge.messaging.payload_base import Payload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import GelPayload, InfoPayload, StatePayload, StatsPayload
 from edge.store.ulid import is_ulid
 
-__all__ = ["LARGEST_PAYLOAD_BYTES", "MOST_PICTURES", "MOST_PRESSES", "Shown", "readable"]
+__all__ = [
+    "LARGEST_PAYLOAD_BYTES",
+    "MOST_FOREIGN_ALARMS",
+    "MOST_PICTURES",
+    "MOST_PRESSES",
+    "Shown",
+    "readable",
+]
 
 # Results that are shown, and of how many the picture is kept; a picture has at most 2 MiB.
 MOST_PRESSES: Final = 50
 MOST_PICTURES: Final = 12
 LARGEST_PICTURE_BYTES: Final = 4 << 20
+# Alarms that are not known here; a flood of names hides none that is known.
+MOST_FOREIGN_ALARMS: Final = 16
 
 # The messages of one press come within this time.
 SETTLE_S: Final = 0.06
@@ -99,14 +109,13 @@ class Shown:
                     self._note()
 
     def _see_alarm(self, name: str, payload: bytes) -> None:
-        kind = self._known_alarms.get(name)
-        if kind is None:
-            return  # of a newer station; `stats` lists it
+        """Show it; one of a newer station, or of a feature that is not installed here, without what to do."""
+        known, kind = self._known_alarms, self._known_alarms.get(topic_level(name), Alarm(""))
         content = readable("alarm", payload) if payload else None
         with self._changed:
             if content is None:
                 self._alarms.pop(name, None)
-            else:
+            elif name in {*known, *self._alarms} or len(self._alarms.keys() - known) < MOST_FOREIGN_ALARMS:
                 advice = {"what_to_do": kind.what_to_do, "can_acknowledge": kind.stays}
                 self._alarms[name] = {**content, "alarm": name, **advice}
             self._note()

@@ -11,7 +11,7 @@ from page_messages import gel, info, press, reference, state, stats
 
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
-from edge.page.shown import LARGEST_PAYLOAD_BYTES, Shown, readable
+from edge.page.shown import LARGEST_PAYLOAD_BYTES, MOST_FOREIGN_ALARMS, Shown, readable
 
 OWN = {
     "state": state("ready"),
@@ -100,9 +100,17 @@ def test_a_picture_has_the_id_of_a_press(topic: str, payload: bytes, words: str)
     assert shown.presses() == []
 
 
-def test_an_alarm_that_is_not_known_is_left_to_stats() -> None:
-    """There is nothing to say about it; a flood of names takes no memory."""
+def test_an_alarm_that_is_not_known_is_shown_without_what_to_do() -> None:
+    """No raised alarm is hidden, and the state is not green; a flood of names takes no memory and hides no other."""
     shown = Shown("")
-    for n in range(1000):
-        shown.see(Message(f"alarm/x{n}", b'{"text":"x"}'))
-    assert shown.station()["alarms"] == {}
+    for name in (*(f"x{n}" for n in range(1000)), "gel"):
+        shown.see(Message(f"alarm/{name}", b'{"time_ns":1,"alarm":"","text":"look at it"}'))
+    alarms = shown.station()["alarms"]
+    assert list(alarms) == [*(f"x{n}" for n in range(MOST_FOREIGN_ALARMS)), "gel"]
+    assert (alarms["x0"]["text"], alarms["x0"]["what_to_do"]) == ("look at it", "")
+    assert not alarms["x0"]["can_acknowledge"]
+
+    shown.see(Message("alarm/x0", b""))
+    assert "x0" not in shown.station()["alarms"]
+    with pytest.raises(ValueError, match="a topic level has"):
+        shown.see(Message("alarm/x/y", b""))
