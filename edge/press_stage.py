@@ -109,9 +109,11 @@ class Command(Generic[S, A]):
 class OwnTable(PressTable, Protocol):
     """Where presses of one label are kept, and what is published of them."""
 
-    def publish(
-        self, result: ResultPayload, sequence: int, heatmap_png: bytes | None
-    ) -> tuple[Sequence[Message], Sequence[str]]:
+    @property
+    def has_picture(self) -> bool:
+        """Whether the picture of such a press is published."""
+
+    def publish(self, result: ResultPayload, sequence: int) -> tuple[Sequence[Message], Sequence[str]]:
         """Return the messages of the press that was inserted, and sentences for the person at the station."""
 
 

@@ -17,7 +17,7 @@ from edge.config import Config, load_config
 from edge.core.errors import ArchiveError, BundleError, ConfigError
 from edge.core.printable import printable
 from edge.features.black_box.replay import Bundles, Replayed, judge_again
-from edge.gateway.recorder import heatmap_png
+from edge.gateway.recorder import press_drawing
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
@@ -153,12 +153,12 @@ def _print_changes(made_again: Iterable[tuple[KnownPress, Replayed]], *, as_json
 def _write_picture(made_again: Replayed, inspector: Inspector, path: Path) -> None:
     then = made_again.then
     press = replace(made_again.now, press_id=then.press_id, time_ns=then.time_ns)
-    png = heatmap_png(press, inspector.bundle, then.station)
-    if png is None:
+    draw = press_drawing(press, inspector.bundle, then.station)
+    if draw is None:
         typer.echo(f"{then.press_id}  has no score, so no picture", err=True)
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(png)
+    path.write_bytes(draw())
 
 
 def _places(config: Path, database: Path | None, bundles: list[Path]) -> tuple[Path, list[Path]]:

@@ -70,7 +70,7 @@ def _watch(
             line = json.dumps(seen.content) if as_json else printable(describe(seen.content, seen.station))
             print(line, flush=True)
         elif seen.kind == "heatmap":
-            heatmaps += 1
+            heatmaps += seen.content["path"] is not None
         elif seen.kind == "state":
             _tell(
                 f"{seen.station} is {seen.content.get('state', '?')} {seen.content.get('reason') or ''}".rstrip()

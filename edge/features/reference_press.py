@@ -19,7 +19,7 @@ from edge.core.reference_press.outcome import Imprint, Outcome
 from edge.core.suggest import suggestion
 from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.reference_message import describe_reference_press
-from edge.messaging.result_payload import ResultPayload, heatmap_message
+from edge.messaging.result_payload import ResultPayload
 from edge.model.inspector import Inspector
 from edge.press_stage import Alarms, Command, Data, Mounted, OwnTable, PressStage, StageParts
 from edge.store import reference_presses
@@ -280,6 +280,8 @@ class ReferenceGuard(PressStage):
 class _PublishedTable(PieceTable):
     """The table of a master piece's presses; its newest one is published with its charts and picture."""
 
+    has_picture = True
+
     def __init__(self, label: ReferenceLabel, press: Press, row: PressRecord) -> None:
         self._label = label
         key = PieceKey(row.serial, row.part, row.position or "", label.piece)
@@ -298,14 +300,11 @@ class _PublishedTable(PieceTable):
         )
         super().__init__(key, one)
 
-    def publish(
-        self, result: ResultPayload, sequence: int, heatmap_png: bytes | None
-    ) -> tuple[Sequence[Message], Sequence[str]]:
+    def publish(self, result: ResultPayload, sequence: int) -> tuple[Sequence[Message], Sequence[str]]:
         judgement = judge(self.presses, self._label.learn)
         label = self._label
         payload = describe_reference_press(result, sequence, label.piece, label.expected, judgement)
-        picture = [] if heatmap_png is None else [heatmap_message(result.press_id, heatmap_png)]
-        return [*picture, payload.message()], judgement.sentences
+        return [payload.message()], judgement.sentences
 
 
 def _measure(press: Press, settled: PressSettled, inspector: Inspector) -> Imprint:

@@ -22,6 +22,7 @@ from edge.gateway.features import load_features
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.gateway.part_selection import PartSelection
+from edge.gateway.pictures import Pictures
 from edge.gateway.preflight import Preflight
 from edge.gateway.report import FreeSpace
 from edge.gateway.station_loop import OnPress, Parts, StationLoop
@@ -88,6 +89,8 @@ def _build(
     listeners: list[Callable[[Message], object]] = [publisher.announce]
     status = StationStatus(lambda message: [hear(message) for hear in listeners], clock)
     closing.callback(publisher.stop)
+    pictures = Pictures(store, publisher.wake)
+    closing.callback(pictures.close)
     status.set_waiting_for("the sensor")
     device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
     acquisition = Acquisition(device, clock, status.sensor_changed)
@@ -114,7 +117,9 @@ def _build(
     if "outputs" in by_name:  # they close before all others: no light waits for what those have to finish
         closing.callback(by_name["outputs"].close)
     opened = list(by_name.values())
-    return Parts(config, opened, selection, store, publisher, status, acquisition, free_space, calls, clock)
+    return Parts(
+        config, opened, selection, store, publisher, status, acquisition, pictures, free_space, calls, clock
+    )
 
 
 def _open_stages(

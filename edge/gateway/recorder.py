@@ -1,7 +1,8 @@
 """From a judged press to a recorded one: its picture, its result, and the one transaction that keeps both."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from edge.core.ports import Clock, Message
 from edge.core.press import Press
 from edge.core.sink_context import Place
 from edge.core.verdict import Kind
+from edge.gateway.pictures import PressDrawing
 from edge.messaging.payload_base import iso_time
 from edge.messaging.result_payload import MOST_DEFECTS, DefectPlace, PosePlace, ResultPayload, press_messages
 from edge.messaging.status_payloads import GelPayload
@@ -22,7 +24,7 @@ from edge.press_stage import OwnTable, PressStage
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, Recorded, Store
 
-__all__ = ["PressReport", "Recorder", "WaitingPress", "heatmap_png"]
+__all__ = ["PressReport", "Recorder", "WaitingPress", "press_drawing"]
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class WaitingPress:
     row: PressRecord
     result: Mapping[str, Any]
     """The fields of the ResultPayload except those from the ledger."""
-    heatmap_png: bytes | None
+    draw: Callable[[], bytes] | None
+    """Draws its picture; None where none is published."""
     table: OwnTable | None
     """Where it is kept; None for the history of parts."""
 
@@ -46,7 +49,6 @@ class PressReport:
     press: Press
     result: ResultPayload
     gel: GelRecord
-    heatmap_png: bytes | None = None
     sentences: Sequence[str] = ()
     """What a master piece's press says of the station."""
 
@@ -59,16 +61,23 @@ class PressReport:
 class Recorder:
     """Writes presses of one sensor, judged at one place in the plant, into the store.
 
-    wear_index: the gel's optical wear when it was last free, stored with every press; None until measured.
+    add_picture: takes the picture of each recorded press, to be drawn. wear_index: the gel's optical wear when it was
+    last free, stored with every press; None until measured.
     """
 
     wear_index: float | None = None
 
     def __init__(
-        self, store: Store, serial: str, place: Place, clock: Clock, stages: Sequence[PressStage] = ()
+        self,
+        store: Store,
+        serial: str,
+        place: Place,
+        clock: Clock,
+        add_picture: Callable[[PressDrawing], None],
+        stages: Sequence[PressStage] = (),
     ) -> None:
         self._store, self._serial, self._place, self._clock = store, serial, place, clock
-        self._stages = stages
+        self._add_picture, self._stages = add_picture, stages
 
     def prepare(self, press: Press, inspector: Inspector) -> WaitingPress:
         """Make everything of a press that its place in the ledger does not decide."""
@@ -89,7 +98,10 @@ class Recorder:
             cause=press.blame.cause.value if press.blame else None,
             evidence=press.evidence,
         )
-        heatmap = heatmap_png(press, bundle, str(self._place))
+        tables = (stage.table(press, row) for stage in self._stages)
+        table = next((table for table in tables if table is not None), None)
+        is_shown = table is None or table.has_picture
+        draw = press_drawing(press, bundle, str(self._place)) if is_shown else None
         result = {
             "site": self._place.site,
             "line": self._place.line,
@@ -98,15 +110,14 @@ class Recorder:
             **_judgement(press, bundle),
             **_defects(press, bundle),
             **{name: value for stage in self._stages for name, value in stage.fields(press).items()},
-            "heatmap_topic": f"heatmap/{press.press_id}" if heatmap else None,
+            "heatmap_topic": f"heatmap/{press.press_id}" if draw else None,
         }
-        tables = (stage.table(press, row) for stage in self._stages)
-        table = next((table for table in tables if table is not None), None)
-        return WaitingPress(press.drop_pictures(), row, result, heatmap, table)
+        return WaitingPress(press.drop_pictures(), row, result, draw, table)
 
     def record(self, waiting: WaitingPress) -> PressReport:
-        """Write press, count and messages in one transaction. Errors: StoreError; the call may be repeated."""
-        press, table, heatmap = waiting.press, waiting.table, waiting.heatmap_png
+        """Write press, count and messages in one transaction; its picture follows. Errors: StoreError; the call may be
+        repeated."""
+        press, table = waiting.press, waiting.table
         sentences: Sequence[str] = ()
 
         def messages(recorded: Recorded) -> Sequence[Message]:
@@ -114,20 +125,23 @@ class Recorder:
             result = _result(waiting, recorded)
             if table is None:
                 still = press.overview.jpeg if press.overview else None
-                return press_messages(result, recorded.gel, heatmap, still)
-            own, sentences = table.publish(result, recorded.sequence, heatmap)
+                return press_messages(result, recorded.gel, still)
+            own, sentences = table.publish(result, recorded.sequence)
             return [*own, GelPayload.of(recorded.gel, result.time_ns).message()]
 
-        recorded = self._store.record_press(waiting.row, messages, table)
-        return PressReport(press, _result(waiting, recorded), recorded.gel, heatmap, sentences)
+        owes = waiting.draw is not None
+        recorded = self._store.record_press(waiting.row, messages, table, owes_picture=owes)
+        if waiting.draw is not None:
+            self._add_picture(PressDrawing(press.press_id, waiting.draw, is_last=table is None))
+        return PressReport(press, _result(waiting, recorded), recorded.gel, sentences)
 
     def count(self, presses: int) -> GelRecord:
         """Count presses that have no result. Errors: StoreError."""
         return self._store.count_presses(self._serial, presses, self._clock.time_ns())
 
 
-def heatmap_png(press: Press, bundle: Bundle, station: str) -> bytes | None:
-    """Draw a press as it is published; None for one without a score. station: site/line/station."""
+def press_drawing(press: Press, bundle: Bundle, station: str) -> Callable[[], bytes] | None:
+    """Return what draws a press as it is published; None for one without a score. station: site/line/station."""
     if press.rgb is None or press.score_map is None or press.score is None:
         return None
     manifest = bundle.manifest
@@ -141,7 +155,7 @@ def heatmap_png(press: Press, bundle: Bundle, station: str) -> bytes | None:
         part="/".join(word for word in (manifest.part, manifest.position) if word),
         time=iso_time(press.time_ns),
     )
-    return press_png(_dim_unjudged(press.rgb, press), press.score_map, caption)
+    return partial(press_png, _dim_unjudged(press.rgb, press), press.score_map, caption)
 
 
 def _dim_unjudged(rgb: NDArray[np.uint8], press: Press) -> NDArray[np.uint8]:

@@ -20,6 +20,7 @@ from edge.gateway.inspection_session import InspectionSession
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.opening import check_mode
 from edge.gateway.part_selection import PartSelection
+from edge.gateway.pictures import Pictures
 from edge.gateway.recorder import PressReport, Recorder
 from edge.gateway.report import FreeSpace, Report, Summary
 from edge.gateway.service_manager import ServiceManager
@@ -54,6 +55,7 @@ class Parts:
     publisher: Publisher
     status: StationStatus
     acquisition: Acquisition
+    pictures: Pictures
     free_space: FreeSpace
     calls: LoopCalls[Any]
     """Calls of other threads, with the loop that has these parts."""
@@ -105,6 +107,7 @@ class StationLoop:
     def run(self, stop: threading.Event, presses: int | None = None) -> Summary:
         """Start every part, and inspect as `turn_until` does; returns the counts of the run."""
         self.parts.publisher.start()
+        self.parts.pictures.start()
         for stage in self.parts.stages:
             stage.start()
         self.parts.acquisition.start()
@@ -214,12 +217,17 @@ class StationLoop:
             parts.selection.inspector,
             config.contact.settings(is_external=config.inspection.trigger == "command"),
             GelFiles(config.store.path.with_suffix(".references")),
-            Recorder(parts.store, identity.serial, config.station.place, parts.clock, parts.stages),
+            self._recorder_of(identity.serial),
             parts.status,
             parts.clock,
             parts.stages,
         )
         return self.session
+
+    def _recorder_of(self, serial: str) -> Recorder:
+        parts = self.parts
+        place, add_picture = parts.config.station.place, parts.pictures.add
+        return Recorder(parts.store, serial, place, parts.clock, add_picture, parts.stages)
 
     def _record(self) -> None:
         """Write the presses that wait. Errors: StoreError; no press is lost."""

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -25,7 +26,7 @@ __all__ = [
     "PressAgainPart",
     "ReferencePayload",
     "ResultPayload",
-    "heatmap_message",
+    "picture_messages",
     "press_messages",
 ]
 
@@ -230,29 +231,29 @@ class ResultPayload(Payload):
         return self
 
 
-def heatmap_message(press_id: str, png: bytes) -> Message:
-    """The picture of one press. The press id is in the topic, which both protocol levels can carry."""
-    return Message(f"heatmap/{press_id}", png, qos=1, content_type="image/png")
+def picture_messages(press_id: str, png: bytes, is_last: bool = False) -> Sequence[Message]:
+    """The picture of one press, empty where there is none. The press id is in the topic, which both protocol levels
+    can carry. is_last: it is the retained picture too."""
+    picture = Message(f"heatmap/{press_id}", png, qos=1, content_type="image/png")
+    return [picture, replace(picture, topic="last/heatmap", retain=True)] if is_last else [picture]
 
 
 def press_messages(
     result: ResultPayload,
     gel: GelRecord,
-    heatmap_png: bytes | None = None,
     overview_jpeg: bytes | None = None,
 ) -> Sequence[Message]:
-    """All messages of one press, in order: result, its pictures, then the retained picture, the retained result on its
-    two topics, and `gel`.
+    """The first messages of one press, in order: result, the still before it, then the retained result on its two
+    topics, and `gel`. Its picture follows (`picture_messages`).
 
-    The retained picture is always that of the retained result: a press without one empties the topic.
+    The retained picture is always that of the retained result: until the press has one, the topic is empty.
     """
     encoded, press_id = result.encode(), result.press_id
     still = Message(f"overview/{press_id}", overview_jpeg or b"", qos=1, content_type="image/jpeg")
     return [
         Message("result", encoded, qos=1),
-        *([] if heatmap_png is None else [heatmap_message(press_id, heatmap_png)]),
         *([] if overview_jpeg is None else [still]),
-        Message("last/heatmap", heatmap_png or b"", qos=1, retain=True, content_type="image/png"),
+        Message("last/heatmap", b"", qos=1, retain=True, content_type="image/png"),
         Message("last", encoded, qos=1, retain=True),
         Message("last/press", encoded, qos=1, retain=True),
         GelPayload.of(gel, result.time_ns).message(),

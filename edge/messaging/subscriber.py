@@ -54,7 +54,8 @@ class Seen:
     station: str
     """The levels before `/gel/`."""
     content: Mapping[str, Any]
-    """The JSON payload; for a heatmap its `press_id` and the `path` it was saved to, for an alarm its id too."""
+    """The JSON payload; for a heatmap its `press_id` and the `path` it was saved to, None for an empty one; for an
+    alarm its id too."""
 
 
 def broker_at(
@@ -212,6 +213,9 @@ def _interpret(message: Received, save: Path | None, tell: Callable[[str], None]
     station, _, topic = message.topic.partition(f"/gel/{TOPIC_VERSION}/")
     kind, _, name = topic.partition("/")
     if kind == "heatmap" and save is not None and is_ulid(name):  # nothing else may become the name of a file
+        if not message.payload:
+            tell(f"{station} has no picture of press {name}: a stop prevented it")
+            return Seen("heatmap", station, {"press_id": name, "path": None})
         save.mkdir(parents=True, exist_ok=True)
         path = save / f"{name}.png"
         path.write_bytes(message.payload)

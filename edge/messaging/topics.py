@@ -34,7 +34,14 @@ TOPICS: Final[tuple[Topic, ...]] = (
         "asyncapi", 1, True, "AsyncAPI", "this page for programs: AsyncAPI 3 with the schema of every payload"
     ),
     Topic("result", 1, False, ResultPayload, "one message per press"),
-    Topic("heatmap/<press id>", 1, False, "PNG", "the picture of one press; the id is that of the result"),
+    Topic(
+        "heatmap/<press id>",
+        1,
+        False,
+        "PNG",
+        "the picture of one press, after its result, whose id it has; empty where a stop prevented it",
+        may_be_empty=True,
+    ),
     Topic(
         "overview/<press id>", 1, False, "JPEG", "the overview camera's still of the part before the press"
     ),
@@ -44,7 +51,7 @@ TOPICS: Final[tuple[Topic, ...]] = (
         1,
         True,
         "PNG",
-        "the picture of `last/press`, on a fixed topic for dashboards; empty without one",
+        "the picture of `last/press`, on a fixed topic for dashboards; empty until it has one",
         may_be_empty=True,
     ),
     Topic(

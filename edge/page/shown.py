@@ -93,6 +93,8 @@ class Shown:
     def _see_picture(self, press_id: str, png: bytes) -> None:
         if not is_ulid(press_id) or len(png) > LARGEST_PICTURE_BYTES:
             raise ValueError("it is not the picture of a press")
+        if not png:
+            return  # a stop prevented it
         with self._changed:
             _keep(self._pictures, press_id, png, MOST_PICTURES)
             self._note()

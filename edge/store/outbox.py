@@ -7,7 +7,7 @@ next, everything else last, oldest first, each counted.
 """
 
 import sqlite3
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
@@ -24,7 +24,10 @@ __all__ = [
     "OutboxStatus",
     "drop_priority_of",
     "enforce",
+    "owe_picture",
+    "owed_pictures",
     "put",
+    "put_picture",
 ]
 
 # What a row costs besides its payload: columns, three indexes, page slack. Measured on 4 KiB pages: 150 to 250 bytes.
@@ -105,6 +108,32 @@ def put(
             "bytes": len(message.payload) + ROW_OVERHEAD_BYTES,
         }
         insert(connection, "outbox", row)
+
+
+def owe_picture(connection: sqlite3.Connection, press_id: str, verdict: str, time_ns: int) -> None:
+    """Note that the picture of a press follows its other messages, inside their transaction."""
+    connection.execute("INSERT INTO owed_pictures VALUES (?, ?, ?)", (press_id, verdict, time_ns))
+
+
+def owed_pictures(connection: sqlite3.Connection) -> list[str]:
+    """The presses whose picture is owed, oldest first."""
+    return [press_id for (press_id,) in connection.execute("SELECT press_id FROM owed_pictures ORDER BY 1")]
+
+
+def put_picture(
+    connection: sqlite3.Connection,
+    press_id: str,
+    make_messages: Callable[[bool], Iterable[Message]],
+    running_ns: int,
+) -> None:
+    """Add the picture of a press where it is owed. make_messages: from whether this is the newest press of a part."""
+    owed = "FROM owed_pictures WHERE press_id = ?"
+    row = connection.execute(f"SELECT verdict, time_ns {owed}", (press_id,)).fetchone()
+    if row is None:
+        return
+    newest = connection.execute("SELECT press_id FROM presses ORDER BY number DESC LIMIT 1").fetchone()
+    put(connection, make_messages(newest == (press_id,)), row[0], row[1], running_ns)
+    connection.execute(f"DELETE {owed}", (press_id,))
 
 
 def enforce(connection: sqlite3.Connection, bounds: Bounds, running_ns: int) -> None:

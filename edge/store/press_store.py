@@ -178,11 +178,16 @@ class Store:
         return self._database.path
 
     def record_press(
-        self, press: PressRecord, make_messages: MakeMessages, into: PressTable | None = None
+        self,
+        press: PressRecord,
+        make_messages: MakeMessages,
+        into: PressTable | None = None,
+        *,
+        owes_picture: bool = False,
     ) -> Recorded:
         """Number the press, count it and queue its messages, all or nothing.
 
-        into: its table; by default the history of parts.
+        into: its table; by default the history of parts. owes_picture: `queue_picture` follows.
 
         Recording the same press again changes nothing and returns its number and the gel as it is now, so a caller may
         repeat after an error. Errors: StoreError, also when the id belongs to another press; any error of
@@ -207,9 +212,25 @@ class Store:
             cut_history(connection)
             outbox.put(connection, make_messages(recorded), press.verdict, press.time_ns, running_ns)
             outbox.enforce(connection, self._bounds, running_ns)
+            if owes_picture:
+                outbox.owe_picture(connection, press.press_id, press.verdict, press.time_ns)
             sequence = _newest_number(connection)
         self._keep_count(recorded.gel, sequence)
         return recorded
+
+    def owed_pictures(self) -> list[str]:
+        """The ids of recorded presses whose picture is not queued, oldest first."""
+        return self.read("reading the owed pictures", outbox.owed_pictures)
+
+    def queue_picture(self, press_id: str, make_messages: Callable[[bool], Sequence[Message]]) -> None:
+        """Queue the messages of an owed picture; without effect where none is owed.
+
+        make_messages: from whether this is the newest press of a part.
+        """
+        with self._database.writing(f"queueing the picture of press {press_id}") as connection:
+            running_ns = self._running.store(connection)
+            outbox.put_picture(connection, press_id, make_messages, running_ns)
+            outbox.enforce(connection, self._bounds, running_ns)
 
     def read(self, doing: str, query: Callable[[sqlite3.Connection], T]) -> T:
         """The result of a query of one of the other tables."""

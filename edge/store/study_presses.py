@@ -55,6 +55,7 @@ class StudyTable:
     bundle_id: str
     reason: str | None
     name: ClassVar = "study_presses"
+    has_picture: ClassVar = False
 
     def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
         row = {"gel_id": gel_id, "running_ns": running_ns, "position": press.position or ""}

@@ -56,11 +56,10 @@ def test_each_press_gives_one_result_and_is_counted_once(finished: tuple[Path, l
     assert results[0].mm_per_pixel == pytest.approx((0.0634, 0.0634))
     assert topics["result"] == topics["heatmap"] == 3
     # `last`, `last/press` and `last/heatmap`: a slow sink sees the newest alone.
-    assert 3 <= topics["last"] <= 9
+    assert 3 <= topics["last"] <= 12
     assert ("ready" in states, states[-1]) == (True, "stopped")
-    for result, report in zip(results, reports, strict=True):
-        assert (folder / "out" / f"heatmap/{result.press_id}.png").is_file()
-        texts = png.texts(report.heatmap_png or b"")
+    for result in results:
+        texts = png.texts((folder / "out" / f"heatmap/{result.press_id}.png").read_bytes())
         assert (texts["press_id"], texts["verdict"]) == (result.press_id, result.verdict)
         assert result.score_ratio == pytest.approx((result.score or 0) / (result.threshold or 0))
         assert ((result.score_ratio or 0) > 1) == (result.verdict == "fail")

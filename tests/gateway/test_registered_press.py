@@ -17,7 +17,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press
 from edge.core.registration.pose import Pose
 from edge.core.sink_context import Place
-from edge.gateway.recorder import PressReport, Recorder
+from edge.gateway.recorder import PressReport, Recorder, press_drawing
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
 from edge.store.press_store import Store
@@ -41,7 +41,9 @@ Record = Callable[[Press], PressReport]
 def record(tmp_path: Path, inspector: Inspector) -> Iterator[Record]:
     """Records a press; gives its report, with the result that a subscriber reads and its picture."""
     with Store(tmp_path / "presses.db") as store:
-        recorder = Recorder(store, "SIM1", Place("site", "line", "station"), SystemClock())
+        recorder = Recorder(
+            store, "SIM1", Place("site", "line", "station"), SystemClock(), lambda drawing: None
+        )
         ids = {"bundle_id": inspector.bundle.digest}
         yield lambda press: recorder.record(
             recorder.prepare(replace(press, press_id=new_ulid(0), **ids), inspector)  # type: ignore[arg-type]
@@ -73,8 +75,10 @@ def test_the_share_of_the_part_that_left_the_field_is_published_and_dark(
     in the middle states nothing unseen."""
     middle, rim = (inspect(inspector, parts.press(parts.BLOCK, Pose(x))) for x in (0.0, 30.0))
     shares = [report.result.pose and report.result.pose.unseen_share for report in map(record, (middle, rim))]
-    pictures = [record(press).heatmap_png or b"" for press in (rim, replace(rim, registered=None))]
-    dark, bright = (cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) for png in pictures)
+    drawings = [press_drawing(press, inspector.bundle, "") for press in (rim, replace(rim, registered=None))]
+    dark, bright = (
+        cv2.imdecode(np.frombuffer(draw(), np.uint8), cv2.IMREAD_COLOR) for draw in drawings if draw
+    )
 
     assert (shares[0] or 0) < 0.05 < (shares[1] or 0)
     assert float(np.mean(dark)) < float(np.mean(bright)) - 1

@@ -7,7 +7,7 @@ from typing import Any
 import jsonschema
 import page_messages
 import pytest
-from recorded_presses import GEL, result, unscored
+from recorded_presses import GEL, PRESS_ID, result, unscored
 
 from edge.core.gel_life import GelState
 from edge.core.verdict import Kind
@@ -16,7 +16,7 @@ from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.command_payloads import CommandResponse
 from edge.messaging.descriptions.asyncapi import asyncapi_message, document
 from edge.messaging.descriptions.station import DescribedStation
-from edge.messaging.result_payload import DefectPlace, press_messages
+from edge.messaging.result_payload import DefectPlace, picture_messages, press_messages
 from edge.messaging.status_payloads import (
     GelPayload,
     InfoPayload,
@@ -117,9 +117,10 @@ MESSAGES = [
                                  centroid_mm=(0.1, 0.2), area_mm2=0.5, score=2.5)],
         ),
         GEL,
-        b"\x89PNG\r\n\x1a\n...",
         b"\xff\xd8\xff...",
     ),
+    *picture_messages(PRESS_ID, b"\x89PNG\r\n\x1a\n...", is_last=True),
+    *picture_messages(PRESS_ID, b""),
     *press_messages(unscored(), GEL),
 ]  # fmt: skip
 

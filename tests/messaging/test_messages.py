@@ -15,7 +15,7 @@ from edge.core.sink_context import Place, Station, topic_level
 from edge.gateway.commands import Change, CommandPolicy, Commands
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
 from edge.messaging.payload_base import as_replayed, iso_time
-from edge.messaging.result_payload import ResultPayload, heatmap_message, press_messages
+from edge.messaging.result_payload import ResultPayload, picture_messages, press_messages
 from edge.messaging.topics import TOPICS
 from edge.store.press_store import Store
 from edge.store.ulid import is_ulid, new_ulid
@@ -25,7 +25,7 @@ def test_the_reference_names_every_topic_a_press_publishes() -> None:
     """The page has the QoS and retention of every topic."""
     said = {topic.replace("<press id>", PRESS_ID): (qos, retained) for topic, qos, retained, *_ in TOPICS}
 
-    for message in press_messages(result(), GEL, b"png"):
+    for message in (*press_messages(result(), GEL), *picture_messages(PRESS_ID, b"png", is_last=True)):
         assert said[message.topic] == (message.qos, message.retain)
 
 
@@ -67,28 +67,23 @@ def test_a_result_refuses_nonsense(changes: Mapping[str, object]) -> None:
         result(**changes)
 
 
-def test_a_press_publishes_result_picture_last_and_gel() -> None:
-    """`last` and `last/press` repeat the result byte for byte; the gel has the numbers of its record."""
-    messages = press_messages(result(), GEL, b"png")
+def test_a_press_publishes_result_last_and_gel_and_then_its_picture() -> None:
+    """`last` and `last/press` repeat the result byte for byte; the gel has the numbers of its record. The retained
+    picture is always that of the retained result: it is emptied with the result."""
+    messages = [*press_messages(result(), GEL), *picture_messages(PRESS_ID, b"png", is_last=True)]
 
     assert [(m.topic, m.retain) for m in messages] == [
         ("result", False),
-        (f"heatmap/{PRESS_ID}", False),
         ("last/heatmap", True),
         ("last", True),
         ("last/press", True),
         ("gel", True),
+        (f"heatmap/{PRESS_ID}", False),
+        ("last/heatmap", True),
     ]
-    assert messages[0].payload is messages[3].payload is messages[4].payload  # encoded once
-    assert messages[1].payload == messages[2].payload
-    assert json.loads(messages[5].payload)["state"] == "due"
-
-
-def test_a_press_without_a_picture_empties_that_of_the_last() -> None:
-    """The retained picture is always that of the retained result, so an older one does not stay."""
-    pictures = [m for m in press_messages(result(), GEL) if m.topic == "last/heatmap"]
-
-    assert [(m.payload, m.retain) for m in pictures] == [(b"", True)]
+    assert messages[0].payload is messages[2].payload is messages[3].payload  # encoded once
+    assert [message.payload for message in (messages[1], *messages[5:])] == [b"", b"png", b"png"]
+    assert json.loads(messages[4].payload)["state"] == "due"
 
 
 def test_being_late_changes_the_mark_alone() -> None:
@@ -100,7 +95,7 @@ def test_being_late_changes_the_mark_alone() -> None:
     assert late == {**json.loads(message.payload), "is_replayed": True}
     assert ResultPayload.model_validate_json(as_replayed(message).payload).is_replayed
     for other in (
-        heatmap_message(PRESS_ID, b"\x89PNG"),
+        *picture_messages(PRESS_ID, b"\x89PNG"),
         Message("state", b'{"state":"ready"}'),
         alarm_cleared("gel"),
     ):

@@ -38,9 +38,7 @@ from .conftest import PATIENCE_S, ROOT, Listen, Listener
 
 NODE = "line1-press2"
 STATE = StatePayload(time_ns=10**18, state="ready").message()
-FAILED = press_messages(
-    result(time_ns=10**18, verdict=Kind.FAIL, score=2.5, score_ratio=2.5), GEL, b"\x89PNG"
-)
+FAILED = press_messages(result(time_ns=10**18, verdict=Kind.FAIL, score=2.5, score_ratio=2.5), GEL)
 Open = Callable[[LocalBroker], SparkplugSink]
 
 

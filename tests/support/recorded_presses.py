@@ -8,7 +8,7 @@ import pytest
 
 from edge.core.ports import Message
 from edge.core.verdict import Kind
-from edge.messaging.result_payload import ResultPayload, press_messages
+from edge.messaging.result_payload import ResultPayload, picture_messages, press_messages
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import MakeMessages, PressRecord, Recorded, Store
 from edge.store.ulid import new_ulid
@@ -59,7 +59,8 @@ def messages_of(press: PressRecord, heatmap_bytes: int = 100) -> MakeMessages:
             gel_presses=gel.presses,
             gel_limit_presses=gel.limit_presses,
         )
-        return press_messages(result, gel, bytes(heatmap_bytes))
+        first, *others = press_messages(result, gel)
+        return [first, *picture_messages(press.press_id, bytes(heatmap_bytes)), *others]
 
     return make
 

@@ -101,6 +101,7 @@ class SteppedStation:
         """Let the loop look at every frame that waits; it stops where it halts."""
         while (frame := self.parts.acquisition.next(0)) is not None:
             self.loop.step(frame)
+            self.parts.pictures.step()
             if self.loop.is_halted:
                 return
 
@@ -108,6 +109,7 @@ class SteppedStation:
         """Let the loop take this number of turns without a frame."""
         for _ in range(count):
             self.loop.step(None)
+            self.parts.pictures.step()
 
     def play(self, steps: int | None = None) -> None:
         """Read and look in turn, to the recording's end or for this number of steps."""

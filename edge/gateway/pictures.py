@@ -1,0 +1,88 @@
+"""The pictures of presses: drawn when their results have left, on a thread of its own, in order."""
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from edge.background import Background
+from edge.core.errors import StoreError
+from edge.messaging.result_payload import picture_messages
+from edge.store.press_store import Store
+
+__all__ = ["Pictures", "PressDrawing"]
+
+log = logging.getLogger(__name__)
+
+# Presses that wait for their picture, 0.5 MB each. The next start reports those beyond as missing.
+MOST_WAITING: Final = 64
+CLOSE_S: Final = 3.0
+
+
+@dataclass(frozen=True)
+class PressDrawing:
+    """The picture of a press that is recorded."""
+
+    press_id: str
+    draw: Callable[[], bytes]
+    """Returns the picture as a file. Errors: ValueError."""
+    is_last: bool
+    """Whether it also takes the place of the retained picture."""
+
+
+class Pictures:
+    """Draws and queues the pictures that are owed. Any thread may add; `step` is a turn of the own thread.
+
+    wake: called when a picture waits to be published.
+    """
+
+    def __init__(self, store: Store, wake: Callable[[], None]) -> None:
+        self._store, self._wake = store, wake
+        self._waiting: deque[PressDrawing] = deque()
+        self._thread = Background[None]("pictures", CLOSE_S)
+
+    def start(self) -> None:
+        """Begin to draw; before others come empty pictures for those that the last stop has prevented. Errors:
+        StoreError."""
+        for press_id in self._store.owed_pictures():
+            log.warning("the picture of press %s was not drawn before the last stop", press_id)
+            self._waiting.append(PressDrawing(press_id, lambda: b"", is_last=False))
+        self._thread.start()
+        self._thread.ask(self.step)
+
+    def add(self, drawing: PressDrawing) -> None:
+        """Draw this after those that wait."""
+        if len(self._waiting) >= MOST_WAITING:
+            log.error("the picture of press %s is not drawn: %d others wait", drawing.press_id, MOST_WAITING)
+            return
+        self._waiting.append(drawing)
+        self._thread.ask(self.step)
+
+    def step(self) -> None:
+        """Draw what waits. What the store refuses goes on waiting, until the next one or the end."""
+        while self._waiting:
+            drawing = self._waiting.popleft()
+            try:
+                self._queue(drawing)
+            except StoreError as error:
+                log.warning("the picture of press %s waits: %s", drawing.press_id, error)
+                self._waiting.appendleft(drawing)
+                return
+            self._wake()
+
+    def close(self) -> None:
+        """Draw what waits, and end the thread. May be called again."""
+        self._thread.close()
+        self.step()
+
+    def _queue(self, drawing: PressDrawing) -> None:
+        try:
+            picture = drawing.draw()
+        except ValueError as error:
+            log.error("the picture of press %s cannot be drawn: %s", drawing.press_id, error)
+            picture = b""
+        self._store.queue_picture(
+            drawing.press_id,
+            lambda is_newest: picture_messages(drawing.press_id, picture, drawing.is_last and is_newest),
+        )

@@ -1,0 +1,131 @@
+"""Pictures are drawn after their results have left: in order, each once, and what cannot be drawn is said."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from recorded_presses import make_press, messages_of
+
+from edge.core.errors import StoreError
+from edge.gateway import pictures as module
+from edge.gateway.pictures import Pictures, PressDrawing
+from edge.store.outbox import Outbox
+from edge.store.press_store import Store
+
+IDS = [make_press(n).press_id for n in range(4)]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "gelgate.db"
+
+
+@pytest.fixture
+def store(path: Path) -> Iterator[Store]:
+    with Store(path) as opened:
+        yield opened
+
+
+def record(store: Store, pictures: Pictures, n: int, draw: Callable[[], bytes] = lambda: b"png") -> None:
+    """Record a press that has only its result, and add its picture, as a recorder does."""
+    press = make_press(n)
+    result = messages_of(press)
+    store.record_press(press, lambda recorded: [result(recorded)[0]], owes_picture=True)
+    pictures.add(PressDrawing(press.press_id, draw, is_last=True))
+
+
+def outbox(path: Path) -> list[tuple[str, bytes]]:
+    """Topics and pictures that wait; of results only the topic."""
+    with Outbox(path) as opened:
+        messages = [row.message for row in opened.pending("mqtt", 100)]
+    return [(m.topic, b"" if m.topic == "result" else m.payload) for m in messages]
+
+
+def test_a_result_leaves_before_its_picture_is_drawn(store: Store, path: Path) -> None:
+    """Two results wait while nothing is drawn; then both pictures come, in order. The retained picture is that of the
+    newer press alone."""
+    pictures = Pictures(store, lambda: None)
+    for n in (0, 1):
+        record(store, pictures, n, lambda n=n: b"png%d" % n)  # type: ignore[misc]
+    assert outbox(path) == [("result", b"")] * 2
+
+    pictures.step()
+    assert outbox(path)[2:] == [
+        (f"heatmap/{IDS[0]}", b"png0"),
+        (f"heatmap/{IDS[1]}", b"png1"),
+        ("last/heatmap", b"png1"),
+    ]
+    assert store.owed_pictures() == []
+
+
+def test_a_picture_is_queued_once(store: Store, path: Path) -> None:
+    """A repeated write of a press adds its picture again, which is no longer owed."""
+    pictures = Pictures(store, lambda: None)
+    record(store, pictures, 0)
+    pictures.step()
+    pictures.add(PressDrawing(IDS[0], lambda: b"png", is_last=False))
+    pictures.step()
+    assert [topic for topic, _ in outbox(path)] == ["result", f"heatmap/{IDS[0]}", "last/heatmap"]
+
+
+def test_a_stop_before_the_picture_is_reported(
+    store: Store, path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """After a crash the result is there, and the next start sends an empty picture: a subscriber need not wait."""
+    record(store, Pictures(store, lambda: None), 0)
+    again = Pictures(store, lambda: None)
+    again.start()
+    record(store, again, 1)
+    again.close()
+
+    pictures = [row for row in outbox(path) if row[0] != "result"]
+    assert pictures[:2] == [(f"heatmap/{IDS[0]}", b""), (f"heatmap/{IDS[1]}", b"png")]
+    assert f"the picture of press {IDS[0]} was not drawn before the last stop" in caplog.text
+
+
+def test_a_picture_that_cannot_be_drawn_is_empty(
+    store: Store, path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The log has the reason; the next one comes."""
+
+    def broken() -> bytes:
+        raise ValueError("a map that is not finite")
+
+    pictures = Pictures(store, lambda: None)
+    record(store, pictures, 0, broken)
+    record(store, pictures, 1)
+    pictures.step()
+
+    assert [(f"heatmap/{IDS[0]}", b""), (f"heatmap/{IDS[1]}", b"png")] == outbox(path)[2:4]
+    assert f"the picture of press {IDS[0]} cannot be drawn: a map that is not finite" in caplog.text
+
+
+def test_a_full_disk_delays_the_picture(store: Store, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The result is there; the picture comes with the next one, or at the end."""
+    pictures, queue = Pictures(store, lambda: None), store.queue_picture
+    record(store, pictures, 0)
+
+    def refuse(*_: object) -> None:
+        raise StoreError("database or disk is full")
+
+    monkeypatch.setattr(store, "queue_picture", refuse)
+    pictures.step()
+    assert outbox(path) == [("result", b"")]
+
+    monkeypatch.setattr(store, "queue_picture", queue)
+    pictures.close()
+    assert (f"heatmap/{IDS[0]}", b"png") in outbox(path)
+
+
+def test_pictures_that_fall_behind_are_bounded(
+    store: Store, path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What is beyond the bound stays owed, and the next start reports it."""
+    monkeypatch.setattr(module, "MOST_WAITING", 2)
+    pictures = Pictures(store, lambda: None)
+    for n in range(3):
+        record(store, pictures, n)
+    pictures.step()
+
+    assert store.owed_pictures() == [IDS[2]]
+    assert f"the picture of press {IDS[2]} is not drawn: 2 others wait" in caplog.text
