@@ -11,11 +11,14 @@ Ref: nodered.org, "Storing flows"; mqtt in, template and http nodes of Node-RED 
 
 import hashlib
 import html
+import json
+from collections.abc import Callable
+from importlib import resources
 from string import Template
 from typing import Any, Final
 from urllib.parse import quote
 
-from edge.messaging.descriptions.station import DescribedStation, read_template
+from edge.messaging.descriptions.station import DescribedStation
 
 __all__ = ["PAGE", "discovery", "discovery_topic", "flow"]
 
@@ -43,7 +46,7 @@ def flow(
             return hashlib.sha256(f"{station.id}/{text[1:]}".encode()).hexdigest()[:16]
         return Template(text).substitute(values)
 
-    nodes: list[dict[str, Any]] = read_template("node_red.json", fill)
+    nodes: list[dict[str, Any]] = _read_template("node_red.json", fill)
     for node in nodes:
         if node["type"] == "mqtt-broker":
             node["usetls"] = has_tls
@@ -61,7 +64,21 @@ def discovery_topic(station: DescribedStation, prefix: str = DISCOVERY_PREFIX) -
 def discovery(station: DescribedStation) -> dict[str, Any]:
     """The message, plain JSON."""
     values = {name: getattr(station, name) for name in ("id", "place", "root", "version")}
-    message: dict[str, Any] = read_template(
+    message: dict[str, Any] = _read_template(
         "home_assistant.json", lambda text: Template(text).substitute(values)
     )
     return message
+
+
+def _read_template(name: str, fill: Callable[[str], str]) -> Any:
+    """Read a JSON file of this folder, with each of its texts filled in."""
+
+    def walk(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: walk(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [walk(item) for item in value]
+        return fill(value) if isinstance(value, str) else value
+
+    text = resources.files("edge.messaging.descriptions").joinpath(name).read_text(encoding="utf-8")
+    return walk(json.loads(text))

@@ -1,15 +1,13 @@
 """What the descriptions of a station need to know of it, and the names of its Sparkplug B edge node."""
 
-import json
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from importlib.metadata import version
-from typing import Any, Final, Protocol, Self
+from typing import Final, Protocol, Self
 
 from pydantic import BaseModel
 
-__all__ = ["PUBLISHED", "REQUESTED", "DescribedCommand", "DescribedStation", "SparkplugNode", "read_template"]
+__all__ = ["PUBLISHED", "REQUESTED", "DescribedCommand", "DescribedStation", "SparkplugNode"]
 
 PUBLISHED: Final = ("NBIRTH", "NDATA", "NDEATH")
 """What a Sparkplug node without devices publishes. Ref: Eclipse Sparkplug 3.0.0, 4.1 (topic namespace)."""
@@ -73,17 +71,3 @@ class SparkplugNode:
 
     def __str__(self) -> str:
         return f"{self.group}/{self.name}"
-
-
-def read_template(name: str, fill: Callable[[str], str]) -> Any:
-    """Read a JSON file of this folder, with each of its texts filled in."""
-
-    def walk(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: walk(item) for key, item in value.items()}
-        if isinstance(value, list):
-            return [walk(item) for item in value]
-        return fill(value) if isinstance(value, str) else value
-
-    text = resources.files("edge.messaging.descriptions").joinpath(name).read_text(encoding="utf-8")
-    return walk(json.loads(text))
