@@ -155,7 +155,9 @@ def hidden_package(module: str) -> str | None:
     )
 
 
+@cache
 def _package(point: EntryPoint) -> str:
+    """Name the package of an entry point. It is kept: its metadata is a file, and known alarms ask with each frame."""
     return point.dist.name if point.dist is not None else "an unknown package"
 
 
