@@ -37,7 +37,8 @@ def run(
 
 
 def at(start_ms: int, areas: Iterable[float], spacing_ms: int = 40, change: float = 0.0) -> list[Observation]:
-    return [seen(start_ms + i * spacing_ms, area, change) for i, area in enumerate(areas)]
+    motion = max(0.001, change)
+    return [seen(start_ms + i * spacing_ms, area, change, motion) for i, area in enumerate(areas)]
 
 
 def free() -> Track:

@@ -224,14 +224,17 @@ def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -
         case State.APPROACH, State.SETTLING:
             return (PressBegan(now, sequence),)
         case State.SETTLING, State.CONTACT if signal is Signal.STILL:
-            chosen = track.window.choose(track.wanted_ns)
-            touch = chosen.place or chosen.touch or Touch(0.0)
-            return (PressSettled(now, chosen.sequence, began, touch, chosen.strength),)
+            return (_settled(track, track.window.choose(track.wanted_ns), now),)
         case State.SETTLING, State.CONTACT:
             return (PressNotSettled(now, sequence, began, NotSettledReason.TIMED_OUT),)
         case State.EARLY_RELEASE, State.RECOVERY:
-            reason = NotSettledReason.RELEASED if track.is_wanted else NotSettledReason.NOT_TRIGGERED
-            return PressNotSettled(now, sequence, began, reason), PressEnded(now, sequence, began)
+            ended = PressEnded(now, sequence, began)
+            if not track.is_wanted:
+                return PressNotSettled(now, sequence, began, NotSettledReason.NOT_TRIGGERED), ended
+            peak = track.window.choose_peak(track.wanted_ns, track.strength_peak)
+            if peak is not None:
+                return _settled(track, peak, now), ended
+            return PressNotSettled(now, sequence, began, NotSettledReason.RELEASED), ended
         case State.RELEASE, State.RECOVERY:
             return (PressEnded(now, sequence, began),) if track.is_counted else (ReferenceReady(now),)
         case _, State.DOUBT:
@@ -241,6 +244,11 @@ def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -
         case State.DOUBT, State.NO_CONTACT:
             return (ReferenceReady(now),)
     return ()
+
+
+def _settled(track: Track, chosen: Observation, now: int) -> PressSettled:
+    touch = chosen.place or chosen.touch or Touch(0.0)
+    return PressSettled(now, chosen.sequence, track.began_ns, touch, chosen.strength)
 
 
 def _closed(track: Track, now: int, sequence: int, reason: NotSettledReason) -> tuple[Event, ...]:

@@ -25,7 +25,7 @@ class ContactSettings:
     # pixels, and the imprint has not grown by `growth_share` meanwhile. Chosen on simulated presses: docs/contact.md.
     settle_s: float = 0.2
     still_share: float = 0.20
-    growth_share: float = 0.06
+    growth_share: float = 0.03
     settle_timeout_s: float = 3.0
     min_frames: int = 2
     # Cameras start black or at the wrong level: the SDKs discard 10 frames.

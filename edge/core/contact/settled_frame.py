@@ -6,16 +6,22 @@ looks as slow at 60 frames a second as at 5.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from edge.core.contact.mask import Touch
 from edge.core.contact.settings import ContactSettings
 
-__all__ = ["Observation", "Window", "is_moving"]
+__all__ = ["CLEARLY_INVERSE", "Observation", "Window", "is_moving"]
 
 # Frames come slightly early or late; one that is due after `settle_s` still counts when it is this much early.
 _EARLY_SHARE = 0.05
 # Of the deepest frames, within this share of the deepest, the one that moved least is the sharpest.
 _DEEPEST_SHARE = 0.03
+# Between two frames a press is deeper than in them by no more than its step from frame to frame.
+_STEP_SHARE = 0.25
+
+CLEARLY_INVERSE: Final = -0.7
+"""A log ratio of structure (`Relief.gain`): a reference learnt from a pressed gel has more than the free gel."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,17 @@ class Window:
     frames: tuple[Observation, ...] = ()
     deepest: tuple[float, float] = (0.0, 0.0)
     """The largest depths of the frames before the anchor."""
+    peak: Observation | None = None
+    """The deepest frame that was sharp, for a press that is lifted before it rests."""
+
+    @property
+    def _all(self) -> tuple[Observation, ...]:
+        return self.frames if self.peak is None else (self.peak, *self.frames)
+
+    @property
+    def candidates(self) -> frozenset[int]:
+        """The sequences of the frames that may still be chosen."""
+        return frozenset(frame.sequence for frame in self._all)
 
     def anchor(self, now_ns: int, settings: ContactSettings) -> Observation | None:
         """Return the newest frame that is `settle_s` old, if the press lasts so long."""
@@ -85,7 +102,22 @@ class Window:
         first_ns = 0 if anchor is None else anchor.timestamp_ns
         old = [frame for frame in self.frames if frame.timestamp_ns < first_ns]
         new = tuple(frame for frame in self.frames if frame.timestamp_ns >= first_ns)
-        return Window((*new, seen), _largest([self.deepest, *(frame.depths for frame in old)]))
+        deepest = _largest([self.deepest, *(frame.depths for frame in old)])
+        return Window((*new, seen), deepest, self._peak(seen, settings))
+
+    def _peak(self, seen: Observation, settings: ContactSettings) -> Observation | None:
+        """The last frame, now that the one after it is known, where it is sharp and the deepest of such."""
+        if len(self.frames) < 2:
+            return self.peak
+        before, last = self.frames[-2:]
+        touched = max(last.area, last.relief)
+        is_sharp = (
+            touched >= settings.on_area
+            and last.imprint > CLEARLY_INVERSE
+            and min(before.depth, seen.depth) >= (1 - _STEP_SHARE) * last.depth
+            and max(last.motion, seen.motion) <= settings.still_share * touched
+        )
+        return last if is_sharp and (self.peak is None or last.depth >= self.peak.depth) else self.peak
 
     def is_growing(self, settings: ContactSettings) -> bool:
         """Tell whether the newest frames are deeper than all before them; true as well while there are none before."""
@@ -107,11 +139,19 @@ class Window:
         return seen.depth >= anchor.depth * (1 - settings.growth_share) - _NOISE
 
     def choose(self, since_ns: int) -> Observation:
-        """Choose the deepest frame at rest since then; of equally deep ones the one that moved least, the later."""
-        frames = [frame for frame in self.frames if frame.timestamp_ns >= since_ns] or [self.frames[-1]]
+        """Choose the deepest frame since then; of equally deep ones the one that moved least, the later."""
+        frames = [frame for frame in self._all if frame.timestamp_ns >= since_ns] or [self.frames[-1]]
         depth = max(frame.depth for frame in frames)
         deep = [frame for frame in frames if frame.depth >= depth * (1 - _DEEPEST_SHARE)]
         return min(reversed(deep), key=lambda frame: frame.motion)
+
+    def choose_peak(self, since_ns: int, strength_peak: float) -> Observation | None:
+        """Choose a sharp frame of a press that is over and never rested; None where none since then is as deep as the
+        press was. strength_peak: the largest strength of the press, also before an interruption."""
+        if self.peak is None or self.peak.timestamp_ns < since_ns:
+            return None
+        depths = _largest([self.deepest, (strength_peak, 0.0), *(frame.depths for frame in self.frames)])
+        return self.peak if self.peak.depth >= (1 - _DEEPEST_SHARE) * sum(depths) else None
 
 
 # Sensor noise moves strength and texture by less, in levels over the whole view.

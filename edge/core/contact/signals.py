@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from edge.core.contact.settings import ContactSettings
-from edge.core.contact.settled_frame import Observation, Window
+from edge.core.contact.settled_frame import CLEARLY_INVERSE, Observation, Window
 from edge.core.contact.table import Signal, State
 
 __all__ = [
@@ -77,7 +77,6 @@ class Track:
 
 # A log ratio of structure (`Relief.gain`): a part that presses adds some, a reference learnt from a pressed gel has
 # more than the free gel. Public frames without markers lie beyond 1.7 either way, those with markers within 0.35.
-_CLEARLY_INVERSE: Final = -0.7
 ADDS_STRUCTURE: Final = 0.35
 # Relief that a press left behind varies by this much.
 _RESIDUE_TIMES: Final = 1.2
@@ -195,7 +194,7 @@ def _doubting_signal(track: Track, seen: Observation, settings: ContactSettings)
 
 def _is_inverse(track: Track, seen: Observation) -> bool:
     """Tell whether the view lost what the reference shows, as when a part is lifted that was taken for the free gel."""
-    return not track.is_confirmed and seen.imprint <= _CLEARLY_INVERSE
+    return not track.is_confirmed and seen.imprint <= CLEARLY_INVERSE
 
 
 def _is_doubtful(track: Track, seen: Observation, settings: ContactSettings) -> bool:

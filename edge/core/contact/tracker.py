@@ -116,7 +116,7 @@ class ContactTracker:
     @property
     def candidates(self) -> frozenset[int]:
         """The sequences of the frames that may still be scored."""
-        return frozenset(frame.sequence for frame in self._track.window.frames)
+        return self._track.window.candidates
 
     def is_due(self, timestamp_ns: int) -> bool:
         """False for a frame that need not be decoded: nothing presses and the last look was a moment ago."""
@@ -137,7 +137,7 @@ class ContactTracker:
             for event in stepped
         ]
         if any(isinstance(event, ReferenceCorrected) for event in events):
-            views = [self._recent[number].level for number in self.candidates if number in self._recent]
+            views = [self._recent[frame.sequence].level for frame in self._track.window.frames]
             self._refer_to(Reference(np.mean(views, axis=0, dtype=np.float32)))
         self.level = level
         if self._track.still_ns == timestamp_ns:

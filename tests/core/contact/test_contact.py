@@ -168,6 +168,12 @@ def test_a_confirmed_reference_is_not_doubted() -> None:
     assert story(run(track, (inverse(1000 + 40 * k) for k in range(1, 20)))[1]) == HELD
 
 
+def test_a_free_gel_that_never_rests_is_no_peak() -> None:
+    """The reference was a pressed gel: what looks deepest for a moment is the free gel, and is not scored."""
+    lift = [*deep(40, [5] * 4), *(inverse(200 + 40 * k) for k in range(3)), *at(320, [FREE] * 5)]
+    assert story(run(unconfirmed(), lift)[1]) == RELEASED
+
+
 def test_doubt_ends_where_the_reference_is_seen_again() -> None:
     """The part comes down again before its lift was at rest: back to no contact, and doubted at the next lift."""
     moving = [replace(inverse(40 * k), change=0.5) for k in range(1, 8)]
@@ -222,6 +228,11 @@ def test_a_gap_in_a_settled_press_does_not_count_it_again() -> None:
 MOVING, STILL = at(40, [PRESSED] * 5, change=0.5), at(40, [PRESSED] * 10)
 GAPS = {
     "a settled press is lifted": (STILL, at(5_000, [FREE] * 30), "PressEnded"),
+    "a deeper one is held lightly, and lifted": (
+        deep(40, [10] * 5, change=0.5),
+        [*deep(5_000, [6] * 9), *at(5_360, [FREE] * 30)],
+        "PressNotSettled:RELEASED PressEnded",
+    ),
     "another one is lifted": (MOVING, at(5_000, [FREE] * 30), "PressNotSettled:RELEASED PressEnded"),
     "the timeout does not run": (MOVING, at(60_000, [PRESSED] * 30), "PressSettled"),
     "the exposure needs 0.3 s, no press": ([], at(1_000, [0.9] * 7 + [FREE] * 20), ""),
