@@ -62,6 +62,10 @@ class Detector:
     def __init__(self, path, threads=2):
         self.files = BundleFiles(path)
         manifest = self.files.manifest
+        if manifest.get("dots"):
+            raise SystemExit(
+                f"{path}: the dots of a marker gel are filled before the graphs; this program cannot"
+            )
         region = manifest["region"]
         self.frame = (region["height"], region["width"])
         self.threshold, self.tolerance = manifest["threshold"]["value"], manifest["tolerance"]

@@ -61,6 +61,11 @@ def merged_graph(bundle: Bundle) -> bytes:
             f"bundle {bundle.where} brings each press to one pose before its graphs, which a graph alone does not do; "
             "fit it again with --register never"
         )
+    if bundle.manifest.dots is not None:
+        raise BundleMismatch(
+            f"bundle {bundle.where} fills the dots of a marker gel before its graphs, which a graph alone does not do; "
+            "fit it on a gel without dots"
+        )
     if bundle.graphs.trunk is None or bundle.graphs.head is None:
         raise BundleMismatch(f"bundle {bundle.where} is already a single graph; copy its detector.onnx")
     head = onnx.load_from_string(bundle.graphs.head)

@@ -15,6 +15,7 @@ from calibration.fitting.bundle_measurements import golden_frames, measure_toler
 from calibration.fitting.fit import Fitted
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.colours import nominal_colours
+from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.contact.wear import wear
 from edge.core.detector import Bank
@@ -23,7 +24,7 @@ from edge.core.imaging.sensor_check import colour_cells, is_other_kind
 from edge.model.bundle import Bundle, GoldenFrame
 from edge.model.bundle_writer import bundle_files
 from edge.model.detectability import CARD
-from edge.model.manifest import Facts, ThresholdEntry, ToleranceEntry
+from edge.model.manifest import DotsEntry, Facts, ThresholdEntry, ToleranceEntry
 from edge.model.manifest_facts import gel_facts
 from edge.model.scorer import Scorer
 from edge.model.tile_runner import most_typical
@@ -40,7 +41,7 @@ _MOST_CHANGE: Final = 2.5
 # ten times as much.
 _SAME_SHADING, _SAME_LEVEL = 0.6, 0.02
 # Facts that hold for the old gel's scores alone.
-_OF_OLD_GEL: Final = (CARD, "press_again")
+_OF_OLD_GEL: Final = (CARD, "press_again", "dots")
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ class CarryConfig:
 def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -> Fitted:
     """The bundle for the gel of these presses. Errors: FitError for presses that do not allow it."""
     _check_bundle(bundle)
+    presses = take_out_dots(presses, bundle.profile.pixels_per_mm)
     _check_presses(bundle, presses)
     scorer = Scorer(bundle, config.threads)
     scores = _scores(scorer, presses)
@@ -154,7 +156,7 @@ def _scores(scorer: Scorer, presses: NominalPresses) -> NDArray[np.float64]:
     scores = []
     for name, frame in zip(presses.names, presses.frames, strict=True):
         try:
-            scores.append(scorer.score(frame).anomaly_score)
+            scores.append(scorer.score_filled(frame).anomaly_score)
         except PoseNotFound as error:
             raise FitError(f"press {name} does not show the learnt part: {error}") from error
     return np.array(scores)
@@ -204,10 +206,11 @@ def _facts(
         **{
             **{name: getattr(old, name) for name in Facts.model_fields},
             "revision": config.revision or (old.revision or 0) + 1,
-            "facts": {**facts, "gel": {**known, **came}},
+            "facts": {**facts, **presses.facts, "gel": {**known, **came}},
             "threshold": threshold,
             "tolerance": tolerance,
             "colours": nominal_colours(presses.frames),
+            "dots": None if presses.dots is None else DotsEntry.of(presses.dots),
             "accuracy": None,
             "provenance": said,
         }

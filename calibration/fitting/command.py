@@ -129,6 +129,7 @@ def fit(given: FitArguments) -> None:
     """
     from calibration.fitting.fit import fit_files
     from calibration.fitting.fit_config import FitConfig
+    from calibration.fitting.presses.dots import take_out_dots
     from calibration.fitting.presses.nominal_presses import read_presses
     from edge.core.imaging.region import Region
 
@@ -164,6 +165,7 @@ def fit(given: FitArguments) -> None:
         leave_out=given.leave_out,
         pattern=given.pattern,
     )
+    presses = take_out_dots(presses, sensor.pixels_per_mm)
     how = f"{config.detector.name} ({config.mode}) on {config.trunk.id}"
     typer.echo(f"{count_presses(len(presses))}, {how}, region {config.region}")
     make(partial(fit_files, presses, config), given.output, given.overwrite)
@@ -313,6 +315,7 @@ def summarise(fitted: "Fitted", output: Path) -> None:
     facts = manifest.facts
     sentences = {
         "free gel": facts.get("free_gel"),
+        "marker dots": facts.get("dots"),
         "registration": facts.get("registration"),
         "augmentation": choice_sentence(facts, AUGMENTATION),
         f"threshold {threshold.value:.5g}": threshold.method,

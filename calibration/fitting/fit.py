@@ -58,6 +58,7 @@ from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.manifest import (
     ColourEntry,
+    DotsEntry,
     Facts,
     GridEntry,
     Manifest,
@@ -352,8 +353,7 @@ def _measure(learnt: _Learnt, created: str, watch: _Watch) -> Fitted:
 def _pack(learnt: _Learnt, facts: Facts, golden: Sequence[GoldenFrame]) -> Fitted:
     """Make the bundle. golden: none for one that is only measured."""
     features, config = learnt.features, learnt.features.plan.config
-    presses = features.plan.presses
-    free = presses.no_contact
+    presses, free = features.plan.presses, features.plan.presses.no_contact
     manifest, files = bundle_files(
         facts,
         Graphs(trunk=config.trunk.graph, head=learnt.head),
@@ -394,5 +394,6 @@ def _facts(learnt: _Learnt, created: str) -> Facts:
         tolerance=tolerance,
         contact=contact_range(plan.presses),
         colours=plan.colours,
+        dots=None if plan.presses.dots is None else DotsEntry.of(plan.presses.dots),
         provenance=provenance(created, plan.presses, config.seed, learnt.warnings),
     )

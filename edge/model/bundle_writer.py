@@ -91,7 +91,7 @@ def bundle_files(
 
 def manifest_bytes(manifest: Manifest) -> bytes:
     """The manifest's file; its SHA-256 is the bundle's identity. Older programs read it where nothing newer is set."""
-    unset = {name for name in ("revision", "registration") if getattr(manifest, name) is None}
+    unset = {name for name in ("revision", "registration", "dots") if getattr(manifest, name) is None}
     return (
         json.dumps(manifest.model_dump(mode="json", exclude=unset), indent=1, ensure_ascii=False) + "\n"
     ).encode()

@@ -51,6 +51,7 @@ class Inspector:
             self.bundle.bank.get(USUAL_CONTACT),
             self.bundle.region,
             self.bundle.profile.size,
+            scorer.fill_dots,
         )
 
     def inspect(self, frame: CameraFrame, touch: Touch, press: Press | None = None) -> Press:
@@ -71,14 +72,18 @@ class Inspector:
         latency = {"decode": (self._clock.monotonic_ns() - started_ns) / 1e6}
         rgb = np.ascontiguousarray(self.bundle.region.crop(picture))
         press = replace(press, rgb=rgb, latency_ms=latency)
+        started_ns = self._clock.monotonic_ns()
+        filled = self.scorer.fill_dots(rgb)
+        if filled is not rgb:
+            latency["dots"] = (self._clock.monotonic_ns() - started_ns) / 1e6
         rejection = check_light(picture)
         if rejection is None and self._colours is not None:
-            rejection = check_sensor(rgb, self._colours)
+            rejection = check_sensor(filled, self._colours)
         if rejection is None and self.bundle.manifest.contact is not None:
             rejection = check_contact(touch, self.bundle.manifest.contact, self.bundle.profile.size)
         if rejection is not None:
             return press.reject(rejection)
-        return self._score(press, rgb)
+        return self._score(press, filled)
 
     def score_map(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32] | None:
         """Score another picture of the region, uint8 (h, w, 3); float32 (h, w), None where it cannot be scored."""
@@ -87,10 +92,10 @@ class Inspector:
         except (PoseNotFound, NotScorable):
             return None
 
-    def _score(self, press: Press, rgb: NDArray[np.uint8]) -> Press:
+    def _score(self, press: Press, filled: NDArray[np.uint8]) -> Press:
         latency = dict(press.latency_ms)
         try:
-            scored = self.scorer.score(rgb)
+            scored = self.scorer.score_filled(filled)
             verdict = self.bundle.manifest.decide(scored.anomaly_score)
         except PoseNotFound as error:
             return press.reject(Rejection(Reason.NO_POSE, str(error)))

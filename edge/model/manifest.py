@@ -21,6 +21,7 @@ from edge.model.manifest_files import (
     MAX_BUNDLE_BYTES,
     ArrayEntry,
     Count,
+    DotsEntry,
     Entry,
     FileEntry,
     Name,
@@ -34,6 +35,7 @@ __all__ = [
     "BackboneEntry",
     "ColourEntry",
     "CostCard",
+    "DotsEntry",
     "Facts",
     "FileEntry",
     "GoldenEntry",
@@ -262,6 +264,7 @@ class Facts(Entry):
     tolerance: ToleranceEntry
     contact: NominalContact | None = None
     colours: ColourEntry | None = None
+    dots: DotsEntry | None = None
     cost: CostCard | None = None
     accuracy: dict[str, float] | None = None
     provenance: Provenance

@@ -4,19 +4,24 @@ The limits are the program's: a manifest cannot raise them.
 """
 
 import math
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
 from edge.core.detector import Packing
 from edge.core.imaging.sensor_profile import LONGEST_SIDE
 from edge.model.archive import MAX_FILE_BYTES
 
+if TYPE_CHECKING:
+    from edge.core.imaging.marker_dots import MarkerDots
+
 __all__ = [
     "MAX_ARRAY_BYTES",
     "MAX_BUNDLE_BYTES",
     "ArrayEntry",
     "Count",
+    "DotsEntry",
     "Entry",
     "FileEntry",
     "Name",
@@ -112,3 +117,34 @@ class RegistrationEntry(Entry):
     def files(self) -> tuple[FileEntry, ...]:
         pictures = self.free, self.template, self.learnt
         return pictures if self.gel_limits is None else (*pictures, self.gel_limits)
+
+
+Pixels = Annotated[float, Field(ge=-LONGEST_SIDE, le=2 * LONGEST_SIDE)]
+
+
+class DotsEntry(Entry):
+    """`MarkerDots`, in pixels of the region: the dots of the gel, which are filled in a press before anything else.
+
+    places: x and y on the free gel. darker: the share of the light by which a dot's pixel is darker.
+    """
+
+    places: tuple[tuple[Pixels, Pixels], ...] = Field(min_length=1, max_length=4096)
+    apart_px: Pixels
+    width_px: float = Field(ge=1, le=LONGEST_SIDE)
+    darker: float = Field(gt=0, lt=1)
+
+    @classmethod
+    def of(cls, dots: "MarkerDots") -> "DotsEntry":
+        places = tuple((float(x), float(y)) for x, y in dots.places)
+        return cls(places=places, apart_px=dots.apart_px, width_px=dots.width_px, darker=dots.darker)
+
+    def open(self) -> "MarkerDots":
+        """Make what fills them in presses."""
+        from edge.core.imaging.marker_dots import MarkerDots
+
+        return MarkerDots(np.array(self.places), self.apart_px, self.width_px, self.darker)
+
+    @model_validator(mode="after")
+    def _apart(self) -> "DotsEntry":
+        self.open()
+        return self

@@ -92,6 +92,7 @@ class Scorer:
         self._free: FreeGel | None = None
         self._open_tiles(is_skipping)
         self._pipe = self._open_pipe()
+        self._dots = None if bundle.manifest.dots is None else bundle.manifest.dots.open()
         self._registrar = None if bundle.registration is None else bundle.registration.open()
 
     @property
@@ -99,8 +100,16 @@ class Scorer:
         """The number of runs of the trunk on a tile; 0 for a trunk without tiles."""
         return 0 if self._runner is None else self._runner.runs
 
+    def fill_dots(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Fill the dots of a marker gel in the region, uint8 (h, w, 3); the same array where the gel has none."""
+        return rgb if self._dots is None else self._dots.fill(rgb)
+
     def score(self, rgb: NDArray[np.uint8]) -> Scored:
-        """Score one press of the inspected region. rgb: uint8 (h, w, 3).
+        """Score one press of the inspected region as the camera shows it. Errors as `score_filled`."""
+        return self.score_filled(self.fill_dots(rgb))
+
+    def score_filled(self, rgb: NDArray[np.uint8]) -> Scored:
+        """Score one press of the inspected region, its marker dots filled. rgb: uint8 (h, w, 3).
 
         A bundle with registration brings it to the bank's pose first; the map is then of the press again, and places
         that the bank does not know, or that have left the field, count neither for the score nor in the map. Errors:

@@ -14,6 +14,7 @@ from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.pose.registration import in_pose_of
 from calibration.fitting.presses.augmentation import Copies
+from calibration.fitting.presses.dots import fill_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.tap_reader import TapReader
 from edge import registry
@@ -122,14 +123,20 @@ def _apart(bundle: Bundle, presses: NominalPresses) -> list[int]:
     origin = bundle.manifest.provenance
     known = {*origin.presses, *origin.left_out}
     apart = [k for k, name in enumerate(presses.names) if name not in known]
-    golden = {frame.rgb.tobytes() for frame in bundle.golden}
+    golden, filled = {frame.rgb.tobytes() for frame in bundle.golden}, _fill_dots(bundle, presses)
     for k in apart:
-        if presses.frames[k].tobytes() in golden:
+        if filled.frames[k].tobytes() in golden:
             raise DatasetError(
                 f"press {presses.names[k]} is one that bundle {bundle.where} has learnt, under another name; give the "
                 "sources of the fit as they were, or presses that it has not learnt"
             )
     return apart
+
+
+def _fill_dots(bundle: Bundle, presses: NominalPresses) -> NominalPresses:
+    """Fill marker dots as in the learnt presses."""
+    dots = bundle.manifest.dots
+    return presses if dots is None else fill_dots(presses, dots.open())
 
 
 def _require_complete(bundle: Bundle, found: int, apart: int) -> None:
@@ -191,6 +198,7 @@ def _learner(bundle: Bundle, learnt: NominalPresses, threads: int) -> tuple[Lear
     detector, seed = registry.detector(manifest.method), manifest.provenance.seed or 0
     settings = {name: value for name, value in manifest.parameters.items() if name != "mode"}
     parameters = detector.parameters(manifest.mode or "corrected", **settings)
+    learnt = _fill_dots(bundle, learnt)
     trunk, frame = bundle.graphs.trunk or b"", learnt.frames.shape[1:3]
     where = f"bundle {bundle.where}: trunk.onnx"
     reader = TapReader(trunk, detector.taps(parameters), frame, scale, threads, where)

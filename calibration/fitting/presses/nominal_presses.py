@@ -23,6 +23,7 @@ from edge.core.contact.mask import Touch, touched
 from edge.core.contact.press_detector import PressDetector
 from edge.core.errors import DatasetError, FitError
 from edge.core.imaging.decode import decode
+from edge.core.imaging.marker_dots import MarkerDots
 from edge.core.imaging.quality import BLACK_LEVEL
 from edge.core.imaging.region import Region, touched_in
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -82,6 +83,8 @@ class NominalPresses:
     """Parts of the sources that could not be read or found, and doubts about the free gel, a sentence each."""
     estimated: str = ""
     """How the free gel was estimated from the presses; empty where it was seen."""
+    dots: MarkerDots | None = None
+    """The dots of a marker gel, filled in the pictures; None where they are none, or are not filled."""
 
     def __post_init__(self) -> None:
         if self.frames.ndim != 4 or self.frames.shape[3] != 3 or self.frames.dtype != np.uint8:
@@ -98,7 +101,8 @@ class NominalPresses:
     @property
     def facts(self) -> dict[str, str]:
         """What the manifest says of the free gel."""
-        return {"free_gel": self.estimated} if self.estimated else {}
+        said = {"free_gel": self.estimated, "dots": "" if self.dots is None else str(self.dots)}
+        return {name: sentence for name, sentence in said.items() if sentence}
 
     def first(self, count: int) -> "NominalPresses":
         """Return the first ones."""

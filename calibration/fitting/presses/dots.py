@@ -1,0 +1,55 @@
+"""The dots of a marker gel, taken out of nominal presses as the gateway takes them out of each press.
+
+They are looked for on the free gel. Where no picture shows it, several presses must show the same regular dots: a part
+with a regular dark texture may do so too, but on coloured lights relief turns colours and does not darken all of them.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
+from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots
+
+__all__ = ["fill_dots", "take_out_dots"]
+
+U8 = NDArray[np.uint8]
+
+# Presses that show dots where no free gel does, and how alike these are.
+_WITNESSES, _ALIKE = 5, 0.2
+# Levels between the brightest and the darkest colour, in the median: under white light relief is grey, as dots are.
+_LEAST_COLOUR = 10.0
+
+
+def take_out_dots(presses: NominalPresses, pixels_per_mm: float) -> NominalPresses:
+    """Find the dots of a marker gel and fill them in presses and free gel; the same presses where there are none."""
+    dots = _find(presses, pixels_per_mm)
+    return presses if dots is None else fill_dots(presses, dots)
+
+
+def fill_dots(presses: NominalPresses, dots: MarkerDots) -> NominalPresses:
+    """Fill these dots in presses and free gel."""
+    free = presses.no_contact
+    return replace(
+        presses,
+        frames=np.stack([dots.fill(rgb) for rgb in presses.frames]),
+        no_contact=None if free is None else np.stack([dots.fill(rgb) for rgb in free]),
+        dots=dots,
+    )
+
+
+def _find(presses: NominalPresses, pixels_per_mm: float) -> MarkerDots | None:
+    free = presses.no_contact
+    if free is not None:
+        mean = np.rint(free.mean(axis=0, dtype=np.float64)).astype(np.uint8)
+        return find_marker_dots(mean, pixels_per_mm)
+    rows = np.linspace(0, len(presses) - 1, min(len(presses), _WITNESSES)).round().astype(int)
+    some = presses.frames[rows]
+    if len(some) < MIN_PRESSES or float(np.median(np.ptp(some, axis=3))) < _LEAST_COLOUR:
+        return None
+    found = [dots for rgb in some if (dots := find_marker_dots(rgb, pixels_per_mm)) is not None]
+    sizes = np.array([(dots.apart_px, dots.width_px) for dots in found])
+    if len(found) < len(some) or np.any(np.ptp(sizes, axis=0) > _ALIKE * sizes.mean(axis=0)):
+        return None
+    return max(found, key=lambda dots: len(dots.places))

@@ -1,0 +1,262 @@
+"""The dots of a marker gel, taken out of a picture of a press.
+
+Dots move with the gel's shear, so two presses of one part show them at different places, and a detector takes that for
+damage. They are found in the free gel, found again in each press as dark blobs near where they are expected, and filled
+from what surrounds them. What lies under a dot is not seen, and nothing is judged there.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["MarkerDots", "find_marker_dots"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+# On four real marker gels a dot is 0.7 to 0.95 mm wide, its centre darker than its surroundings by 48 to 62 % in all
+# colours, and its next neighbours are 1.7 to 2.1 mm away, alike within 10 %.
+_SURROUNDINGS_MM, _DARKER = 1.5, 0.3
+_WIDTH_MM: Final = (0.3, 1.4)
+_APART: Final = (0.75, 1.25)
+# Of the dots on a gel these shares must have neighbours at that distance and in the lattice's directions, and cover the
+# region. Free gels without dots have none, grids of balls in a coloured picture of a press neither.
+_REGULAR, _IN_LINE, _COVERED = 0.75, 0.8, 0.6
+_FEWEST: Final = 12
+# Within this many distances lie the next dots, those on the diagonal too.
+_DIAGONAL: Final = 1.6
+# Of its width a dot's rim, out of focus and with a coloured fringe.
+_RIM: Final = 0.25
+# A dot may look this many times as large as usual where a part stretches or hides it.
+_SIZE: Final = (0.25, 2.2)
+# How far from where its neighbours are shifted to a dot is looked for, in distances between dots. Dots that moved by
+# more than half of that distance are reached from round to round, over neighbours that moved less.
+_REACH, _ROUNDS = 0.3, 6
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerDots:
+    """The dots of a marker gel in the inspected region."""
+
+    places: F64
+    """Centres on the free gel, float64 (n, 2), x and y in pixels of the region; also those that shear may bring in."""
+    apart_px: float
+    """Distance of next neighbours."""
+    width_px: float
+    darker: float
+    """Share of the light by which a pixel of a dot is darker than the brightest around it."""
+
+    def __post_init__(self) -> None:
+        if self.places.ndim != 2 or self.places.shape[1] != 2 or not len(self.places):
+            raise ValueError(f"places of dots are (n, 2), found {self.places.shape}")
+        if not (0 < self.width_px < self.apart_px and 0 < self.darker < 1):
+            raise ValueError(
+                f"dots are narrower than they lie apart, and darker lies in (0, 1): found {self.width_px}, "
+                f"{self.apart_px}, {self.darker}"
+            )
+
+    def __str__(self) -> str:
+        hidden = min(1.0, _disc((1 + 2 * _RIM) * self.width_px) / self.apart_px**2)
+        return (
+            f"{self.width_px:.0f} pixels wide, {self.apart_px:.0f} apart; they are filled from their surroundings, and "
+            f"nothing is judged under them, {hidden:.0%} of the gel"
+        )
+
+    def fill(self, rgb: U8) -> U8:
+        """Return a picture with its dots filled from their surroundings, uint8 (h, w, 3); other pixels are kept.
+
+        Errors: ValueError for another shape or dtype.
+        """
+        if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8:
+            raise ValueError(f"a picture is uint8 (h, w, 3), found {rgb.dtype} {rgb.shape}")
+        hidden = self.find(rgb)
+        filled = rgb.copy()
+        filled[hidden] = np.rint(_continue_into(rgb, hidden)[hidden])
+        return filled
+
+    def find(self, rgb: U8) -> Mask:
+        """Find the dots of a picture with their rims, bool (h, w). rgb: uint8 (h, w, 3).
+
+        A dot is one dark blob near its place, shifted about as its neighbours are. So a further dark blob is none.
+        """
+        blobs = _Blobs.of(_dark(rgb, 2 * self.width_px, self.darker))
+        low, high = (share * _disc(self.width_px) for share in _SIZE)
+        able = np.flatnonzero((blobs.areas < high) & (blobs.is_cut | (blobs.areas > low)))
+        is_dot = np.zeros(len(blobs.areas), np.bool_)
+        is_dot[able[self._match(blobs.centres[able])]] = True
+        return _grow(blobs.mask(is_dot), max(1, round(_RIM * self.width_px)))
+
+    def _match(self, centres: F64) -> NDArray[np.int64]:
+        """Return which blobs are dots, by their centres, float64 (m, 2)."""
+        if not len(centres):
+            return np.zeros(0, np.int64)
+        rows = np.arange(len(self.places))
+        nearest = _distances(self.places, centres).argmin(axis=1)
+        common = np.median(centres[nearest] - self.places, axis=0)
+        shift, is_near = common, rows < 0
+        for _ in range(_ROUNDS):
+            distance = _distances(self.places + shift, centres)
+            nearest = distance.argmin(axis=1)
+            is_near = distance[rows, nearest] < _REACH * self.apart_px
+            is_near &= distance.argmin(axis=0)[nearest] == rows
+            weight = self._nearness * is_near
+            moved = weight @ (centres[nearest] - self.places) + 1e-3 * common
+            shift = moved / (weight.sum(axis=1, keepdims=True) + 1e-3)
+        return np.asarray(nearest[is_near], np.int64)
+
+    @cached_property
+    def _nearness(self) -> F64:
+        return np.exp(-((_distances(self.places, self.places) / self.apart_px) ** 2))
+
+
+def find_marker_dots(rgb: U8, pixels_per_mm: float) -> MarkerDots | None:
+    """Find the regular dark dots that cover a picture, uint8 (h, w, 3); None where there are none."""
+    blobs = _Blobs.of(_dark(rgb, _SURROUNDINGS_MM * pixels_per_mm, _DARKER))
+    low, high = (_disc(width * pixels_per_mm) for width in _WIDTH_MM)
+    is_dot = (blobs.areas > low) & (blobs.areas < high) & blobs.is_round & ~blobs.is_cut
+    if not is_dot.any():
+        return None
+    usual = float(np.median(blobs.areas[is_dot]))
+    is_dot &= (blobs.areas > 0.4 * usual) & (blobs.areas < 2 * usual)
+    places, width = blobs.centres[is_dot], math.sqrt(usual * 4 / math.pi)
+    apart = _lattice_distance(places, rgb.shape[0] * rgb.shape[1])
+    if apart is None or apart < width:
+        return None
+    inside = blobs.mask(is_dot) > 0
+    brightest = _brightest(rgb)
+    around = np.maximum(_close(brightest, 2 * width), 1)
+    darker = float(np.median(1 - brightest[inside] / around[inside]))
+    lattice = np.round(_extend(places, apart, rgb.shape[:2]), 2)
+    return MarkerDots(lattice, round(apart, 2), round(width, 2), round(darker / 2, 3))
+
+
+def _lattice_distance(places: F64, area_px: int) -> float | None:
+    """Return how far neighbours lie apart, in pixels; None where places are no lattice that covers the area."""
+    if len(places) < _FEWEST:
+        return None
+    distance = _distances(places, places)
+    np.fill_diagonal(distance, np.inf)
+    nearest = np.sort(distance, axis=1)[:, :2]
+    apart = float(np.median(nearest))
+    low, high = (share * apart for share in _APART)
+    is_regular = (nearest[:, 0] > low) & (nearest[:, 1] < high)
+    one, other = np.nonzero((distance > low) & (distance < high))
+    across, down = (places[other] - places[one]).T
+    # Neighbours lie in directions that are alike but for quarter turns.
+    in_line = abs(np.exp(4j * np.arctan2(down, across)).mean()) if len(one) else 0.0
+    is_lattice = is_regular.mean() > _REGULAR and in_line > _IN_LINE
+    return apart if is_lattice and len(places) * apart**2 > _COVERED * area_px else None
+
+
+def _extend(places: F64, apart: float, shape: tuple[int, ...]) -> F64:
+    """Continue a lattice beyond the border of (h, w), and where dots are missing."""
+    found, before = list(places), 0
+    while len(found) > before:
+        before, known = len(found), np.array(found)
+        one, other = np.nonzero(_distances(known, known) < _DIAGONAL * apart)
+        for x, y in 2 * known[one] - known[other]:
+            is_near = -apart < x < shape[1] + apart and -apart < y < shape[0] + apart
+            if is_near and min(math.hypot(x - at[0], y - at[1]) for at in found) > 0.6 * apart:
+                found.append(np.array([x, y]))
+    return np.array(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Blobs:
+    """Connected dark pixels."""
+
+    labels: NDArray[np.int32]
+    """0 for none, else the blob's number from 1, (h, w)."""
+    boxes: NDArray[np.int32]
+    """Left, top, width, height and area of each, (n, 5)."""
+    centres: F64
+    """x and y, (n, 2)."""
+
+    @classmethod
+    def of(cls, dark: U8) -> "_Blobs":
+        closed = cv2.morphologyEx(dark, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
+        _, labels, boxes, centres = cv2.connectedComponentsWithStats(closed, connectivity=4)
+        return cls(np.asarray(labels, np.int32), np.asarray(boxes[1:], np.int32), np.asarray(centres[1:]))
+
+    @property
+    def areas(self) -> NDArray[np.int32]:
+        return self.boxes[:, cv2.CC_STAT_AREA]
+
+    @property
+    def is_round(self) -> Mask:
+        width, height = self.boxes[:, cv2.CC_STAT_WIDTH], self.boxes[:, cv2.CC_STAT_HEIGHT]
+        is_even = np.maximum(width, height) < 1.8 * np.minimum(width, height)
+        return np.asarray(is_even & (self.areas > 0.6 * math.pi / 4 * width * height))
+
+    @property
+    def is_cut(self) -> Mask:
+        """Cut by the border."""
+        left, top, width, height, _ = self.boxes.T
+        down, across = self.labels.shape
+        return np.asarray((left == 0) | (top == 0) | (left + width == across) | (top + height == down))
+
+    def mask(self, chosen: Mask) -> U8:
+        """Return where these blobs are, 0 or 1, (h, w)."""
+        return np.concatenate([[False], chosen]).astype(np.uint8)[self.labels]
+
+
+def _dark(rgb: U8, surroundings_px: float, darker: float) -> U8:
+    """Find what is darker than the brightest around it, 0 or 1, (h, w)."""
+    brightest = _brightest(rgb)
+    limit = cv2.convertScaleAbs(_close(brightest, surroundings_px), alpha=1 - darker)
+    return np.asarray(brightest < limit, np.uint8)
+
+
+def _brightest(rgb: U8) -> U8:
+    """Return each pixel's brightest colour, (h, w). Relief turns colours, and paint darkens all."""
+    red, green, blue = cv2.split(rgb)
+    return np.asarray(cv2.max(cv2.max(red, green), blue), np.uint8)
+
+
+def _close(plane: U8, across_px: float) -> U8:
+    """Fill what is dark and narrower than this, (h, w)."""
+    side = 2 * round(across_px / 2) + 1
+    return np.asarray(cv2.morphologyEx(plane, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8)), np.uint8)
+
+
+def _disc(width_px: float) -> float:
+    """Return the area of a disc."""
+    return math.pi / 4 * width_px**2
+
+
+def _grow(mask: U8, px: int) -> Mask:
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * px + 1, 2 * px + 1))
+    return np.asarray(cv2.dilate(mask, disc) > 0)
+
+
+def _continue_into(rgb: U8, hidden: Mask) -> F32:
+    """Continue a picture smoothly into what is hidden, float32 (h, w, 3), which holds only there.
+
+    Pull and push: each hidden place has the mean of what is known around it, at the finest scale that knows any. Ref:
+    Gortler et al., The Lumigraph, SIGGRAPH 1996.
+    """
+    known = (~hidden).astype(np.float32)
+    # The fourth plane is what share of a place is known.
+    levels = [np.asarray(cv2.merge([*cv2.split(rgb * known[..., None]), known]), np.float32)]
+    while max(levels[-1].shape[:2]) > 1:
+        height, width = levels[-1].shape[:2]
+        half = cv2.resize(levels[-1], ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA)
+        levels.append(np.asarray(half, np.float32))
+    picture = levels[-1] / np.maximum(levels[-1][..., 3:], np.float32(1e-6))
+    for finer in levels[-2:0:-1]:
+        coarse = np.asarray(cv2.resize(picture, finer.shape[1::-1]), np.float32)
+        picture = finer + coarse * (1 - finer[..., 3:])
+    return np.asarray(cv2.resize(picture, hidden.shape[::-1])[..., :3], np.float32)
+
+
+def _distances(one: F64, other: F64) -> F64:
+    """Return the distances of places, float64 (n, m)."""
+    across, down = (one[:, None, k] - other[None, :, k] for k in (0, 1))
+    return np.asarray(np.hypot(across, down), np.float64)

@@ -1,0 +1,161 @@
+"""Marker dots: where they are found, where nothing is taken for them, and what is filled."""
+
+import re
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+from marker_gel import APART_PX, WIDTH_PX, dotted, lattice, light, spread
+from numpy.typing import NDArray
+
+from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots
+
+U8 = NDArray[np.uint8]
+PIXELS_PER_MM = 15.8
+LIGHT = light()
+PLACES = lattice(LIGHT.shape)
+
+
+def known(places: NDArray[np.float64] = PLACES) -> MarkerDots:
+    dots = find_marker_dots(dotted(LIGHT, places), PIXELS_PER_MM)
+    assert dots is not None
+    return dots
+
+
+def whole(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The places of dots that the border does not cut."""
+    inside = (places > WIDTH_PX) & (places < 224 - WIDTH_PX)
+    return np.asarray(places[inside.all(axis=1)], np.float64)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 3.0, 12.0, 40.0])
+def test_dots_of_a_rendered_grid_are_found_to_a_quarter_of_a_pixel(turn_deg: float) -> None:
+    """Also where the grid is turned; places beyond the border and at it continue the grid."""
+    places = lattice(LIGHT.shape, turn_deg)
+    dots = known(places)
+    away = np.linalg.norm(whole(places)[:, None] - dots.places[None], axis=2).min(axis=1)
+    assert away.max() < 0.25
+    assert dots.apart_px == pytest.approx(APART_PX, abs=0.1)
+    assert dots.width_px == pytest.approx(WIDTH_PX, abs=1)
+    shown = places[((places > -WIDTH_PX / 2) & (places < 224 + WIDTH_PX / 2)).all(axis=1)]
+    assert np.linalg.norm(shown[:, None] - dots.places[None], axis=2).min(axis=1).max() < 1
+
+
+def specks(rgb: U8) -> U8:
+    rng = np.random.default_rng(1)
+    return dotted(rgb, rng.uniform(10, 214, (30, 2)))
+
+
+def coloured_bumps(rgb: U8) -> U8:
+    """A part with bumps at the places of dots: each is dark in one colour and bright in another, as lamps show it."""
+    v, u = np.mgrid[0:224, 0:224].astype(float)
+    x, y = ((g - PLACES[0, k] + APART_PX / 2) % APART_PX - APART_PX / 2 for k, g in enumerate((u, v)))
+    bump = np.exp(-(x**2 + y**2) / 40)
+    slopes = np.stack([-y * bump * 12, x * bump * 8, y * bump * 12], axis=-1)
+    return np.asarray(np.clip(rgb + slopes, 0, 255), np.uint8)
+
+
+def half_of_them(rgb: U8) -> U8:
+    return dotted(rgb, PLACES[PLACES[:, 0] < 112])
+
+
+def grooves(rgb: U8) -> U8:
+    lines = rgb.copy()
+    for at in range(10, 224, 20):
+        lines[:, at : at + 6] //= 3
+    return lines
+
+
+@pytest.mark.parametrize(
+    "change", [lambda rgb: rgb, lambda rgb: rgb * 0, specks, coloured_bumps, half_of_them, grooves]
+)
+def test_no_dots_are_found_where_none_are(change: Callable[[U8], U8]) -> None:
+    """A plain gel, a black picture, specks anywhere, a regular part, a part with dots on one side, dark lines."""
+    assert find_marker_dots(change(LIGHT), PIXELS_PER_MM) is None
+
+
+def test_noise_is_no_dots() -> None:
+    rng = np.random.default_rng(0)
+    assert find_marker_dots(rng.integers(0, 256, (224, 224, 3), np.uint8), PIXELS_PER_MM) is None
+
+
+@pytest.mark.parametrize(
+    "moved",
+    [
+        PLACES,
+        PLACES + np.array([4.0, -7.0]),
+        spread(PLACES),
+        spread(PLACES, (30.0, 190.0)),
+        PLACES + np.array([0.0, 11.0]),
+        spread(PLACES, px=18.0),
+    ],
+    ids=[
+        "still",
+        "shifted",
+        "spread",
+        "spread at the border",
+        "a row enters",
+        "beyond half of their distance",
+    ],
+)
+def test_moved_dots_are_filled_and_nothing_else_changes(moved: NDArray[np.float64]) -> None:
+    """What is filled is the light that was there; further away every pixel is the camera's."""
+    press = dotted(LIGHT, moved)
+    filled = known().fill(press)
+    assert np.abs(filled.astype(int) - LIGHT).max() <= 8
+    apart = np.linalg.norm(np.mgrid[0:224, 0:224].T[:, :, None] - moved[None, None], axis=3).min(axis=2)
+    far = apart > 1.3 * WIDTH_PX
+    assert far.any()
+    assert (filled == press)[far].all()
+
+
+def test_a_further_dark_spot_between_dots_stays() -> None:
+    """It is as large and as dark as a dot, and belongs to the part."""
+    spot = PLACES[np.abs(PLACES - 112).sum(axis=1).argmin()] + APART_PX / 2
+    press = dotted(LIGHT, np.vstack([spread(PLACES), spot]))
+    filled = known().fill(press)
+    x, y = np.rint(spot).astype(int)
+    assert filled[y, x].tolist() == press[y, x].tolist()
+    assert filled[y, x].max() < 0.4 * LIGHT[y, x].max()
+
+
+def test_what_hides_a_dot_and_is_larger_stays() -> None:
+    """Dark damage over a dot is no dot, and the dots around it are filled."""
+    press = dotted(LIGHT, PLACES)
+    x, y = np.rint(PLACES[np.abs(PLACES - 112).sum(axis=1).argmin()]).astype(int)
+    cv2.rectangle(press, (x - 12, y - 12), (x + 12, y + 12), (20, 20, 20), -1)
+    filled = known().fill(press)
+    near = filled[y - 12 : y + 13, x - 12 : x + 13]
+    assert near.max() == 20
+    filled[y - 16 : y + 17, x - 16 : x + 17] = LIGHT[y - 16 : y + 17, x - 16 : x + 17]
+    assert np.abs(filled.astype(int) - LIGHT).max() <= 8
+
+
+def test_a_dot_that_a_bright_part_hides_is_missed_by_none() -> None:
+    """Nothing is filled where a dot is expected and none is seen."""
+    gone = np.abs(PLACES - 112).sum(axis=1).argmin()
+    press = dotted(LIGHT, np.delete(PLACES, gone, axis=0))
+    filled = known().fill(press)
+    x, y = np.rint(PLACES[gone]).astype(int)
+    assert (filled == press)[y - 6 : y + 7, x - 6 : x + 7].all()
+
+
+@pytest.mark.parametrize("rgb", [np.zeros((224, 224, 3), np.uint8), np.full((40, 30, 3), 255, np.uint8)])
+def test_a_picture_without_dots_is_kept(rgb: U8) -> None:
+    """Also a black one, and one of another size."""
+    assert (known().fill(rgb) == rgb).all()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (lambda: known().fill(np.zeros((4, 4), np.uint8)), "uint8 (h, w, 3), found uint8 (4, 4)"),
+        (lambda: known().fill(np.zeros((4, 4, 3), np.float32)), "uint8 (h, w, 3), found float32 (4, 4, 3)"),
+        (lambda: MarkerDots(np.zeros((0, 2)), 30, 11, 0.3), "places of dots are (n, 2), found (0, 2)"),
+        (lambda: MarkerDots(np.zeros((1, 2)), 10, 11, 0.3), "narrower than they lie apart"),
+    ],
+)
+def test_nonsense_is_refused(wrong: Callable[[], object], said: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(said)):
+        wrong()
