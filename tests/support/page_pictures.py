@@ -28,15 +28,15 @@ from edge.page.shown import Shown
 TOKEN: Final = "correct-horse"
 
 # The press of the README's picture, as it is written there.
-SCORE, THRESHOLD = 5.234, 1.0
+SCORE, THRESHOLD = 47.06, 13.53
 PART: Final = {"part": "PZ1", "position": "pos1"}
 REJECTED: Final = {"picture": None, "verdict": Kind.REJECTED, "score": None, "score_ratio": None}
 
 PASSED: Final = (
     *press(1, **PART, picture=None),
-    *press(2, **PART, picture=None, score=0.71, score_ratio=0.71),
+    *press(2, **PART, picture=None, score=0.71 * THRESHOLD, score_ratio=0.71),
     *press(3, **PART, **REJECTED, reason="off_position: press again"),
-    *press(4, **PART, picture=None, score=0.62, score_ratio=0.62),
+    *press(4, **PART, picture=None, score=0.62 * THRESHOLD, score_ratio=0.62),
 )
 FAILED: Final = press(
     5,
