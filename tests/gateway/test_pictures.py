@@ -58,6 +58,34 @@ def test_a_result_leaves_before_its_picture_is_drawn(store: Store, path: Path) -
     assert store.owed_pictures() == []
 
 
+def test_the_retained_picture_is_never_that_of_another_press(store: Store, path: Path) -> None:
+    """The broker has the first press and was away for two more, with their pictures. Wherever the connection breaks
+    then, its `last/heatmap` is that of its `last/press`, or empty."""
+    pictures, kept = Pictures(store, lambda: None), dict[str, bytes]()
+
+    def record_all(n: int) -> None:
+        store.record_press(make_press(n), messages_of(make_press(n)), owes_picture=True)
+        pictures.add(PressDrawing(IDS[n], IDS[n].encode, is_last=True))
+        pictures.step()
+
+    def send() -> None:
+        with Outbox(path) as opened:
+            opened.register(["mqtt"])
+            for row in opened.pending("mqtt", 100):
+                kept[row.message.topic] = row.message.payload
+                opened.acknowledge(row.row_id, "mqtt")
+                picture = kept.get("last/heatmap", b"")
+                assert picture in kept.get("last/press", b"") or row.message.topic in ("last", "last/heatmap")
+
+    record_all(0)
+    send()
+    assert kept["last/heatmap"] == IDS[0].encode()
+    record_all(1)
+    record_all(2)
+    send()
+    assert kept["last/heatmap"] == IDS[2].encode()
+
+
 def test_a_picture_is_queued_once(store: Store, path: Path) -> None:
     """A repeated write of a press adds its picture again, which is no longer owed."""
     pictures = Pictures(store, lambda: None)
