@@ -2,8 +2,8 @@
 
 The transaction that records a press adds rows (`put`, `enforce`); the publisher removes them through its own `Outbox`.
 A retained message replaces an older one that still waits on its topic, and rows leave in order: a retained topic never
-returns to an older value. One that empties the topic stays before what fills it. A row is deleted when all sinks acknowledged it, or by the limits: pictures first, passes
-next, everything else last, oldest first, each counted.
+returns to an older value. One that empties the topic stays before what fills it. A row is deleted when all sinks
+acknowledged it, or by the limits: pictures first, passes next, everything else last, oldest first, each counted.
 """
 
 import sqlite3
