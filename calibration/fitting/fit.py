@@ -47,7 +47,7 @@ from calibration.fitting.presses.augmentation import (
 )
 from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
-from calibration.fitting.presses.scatter import is_placed, scatter_warnings
+from calibration.fitting.presses.scatter import scatter_warnings
 from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings, unproven_warnings
 from calibration.fitting.tap_reader import TapReader
 from calibration.progress import Report
@@ -210,7 +210,6 @@ class _Features:
             plan.presses.specimens,
             plan.config.alpha,
             self.learner.grid.pixels_per_mm,
-            is_placed(self.presses, plan.config.profile),
         )
 
     def choose_relief(self, head: bytes) -> ReliefChoice:
@@ -309,7 +308,7 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
             if choice.other is not None:
                 head, bank = append(head, bank, choice.other.limit)
             unit = 1.0 if choice.other else plan.find_threshold(scores).value
-            found = chosen.evidence.count_found(choice, unit)
+            found = chosen.evidence.count_found(choice)
             again = chosen.evidence.press_again_facts(choice, scores)
         relief = features.choose_relief(head)
     head, bank = relief.append_to(head, bank, unit)

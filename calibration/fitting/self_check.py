@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting.limits.limit_choice import DamageFound
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES
 from edge.core.errors import FitError
 from edge.model.manifest import ThresholdEntry
@@ -32,11 +33,11 @@ APART_SHARE = 0.1
 """More presses than this share are not outliers: sound presses then have more than one look."""
 
 
-def unproven_warnings(separated: float | None, found: tuple[int, int] | None) -> list[str]:
+def unproven_warnings(separated: float | None, found: DamageFound | None) -> list[str]:
     """Say what the fit's own evidence does not show, the worst first.
 
     separated: image AUROC of rendered damage, where it decided on registration. found: how many presses with rendered
-    damage the bundle finds, and their number. Each is None where it was not measured.
+    damage the bundle finds. Each is None where it was not measured.
     """
     said = []
     if separated is not None and separated <= AT_CHANCE:
@@ -44,10 +45,11 @@ def unproven_warnings(separated: float | None, found: tuple[int, int] | None) ->
             f"of damage rendered into its own presses {separated:.2f} is separated from sound presses, as by chance "
             "(0.5): the bundle will pass damage"
         )
-    if found is not None and found[0] < LEAST_FOUND * found[1]:
+    if found is not None and found.found < LEAST_FOUND * found.count:
+        of = f" ({found.why})" if found.why else ""
         said.append(
-            f"the bundle finds {found[0]} of {found[1]} small pieces of damage rendered into its own "
-            "presses: it will pass most damage that small"
+            f"the bundle finds {found.found} of {found.count} small pieces of damage rendered into its own "
+            f"presses{of}: it will pass most damage that small"
         )
     todo = "hold the part at one place, press more, or name another --method or --backbone; then press damaged parts"
     return [f"{UNPROVEN}{one}; {todo}" for one in said]

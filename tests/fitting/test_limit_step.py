@@ -42,7 +42,7 @@ def test_a_fit_says_what_it_chose(presses: NominalPresses, config: FitConfig) ->
     """The manifest has the share that every kind of limit finds, and scores without limit arrays stay raw."""
     manifest = fit_files(presses, config, created="").manifest
     found = manifest.facts["limit"]["found"]
-    assert {"plain", "places", "surroundings"} <= found.keys()
+    assert {"plain", "surroundings"} == found.keys()
     assert 0 < found["plain"] < 1
     assert choice_sentence(manifest.facts, LIMIT).startswith(manifest.facts["limit"]["kind"])
     assert (manifest.threshold.value == 1) == ("limit_grid" in manifest.bank)

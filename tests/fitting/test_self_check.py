@@ -6,6 +6,7 @@ import pytest
 import turned_parts as parts
 from registered_bundle import fitted, nominal
 
+from calibration.fitting.limits.limit_choice import DamageFound
 from calibration.fitting.self_check import apart_warnings, standing_apart, unproven_warnings
 
 
@@ -57,14 +58,20 @@ def test_the_warning_names_the_press_and_the_way_out() -> None:
     ("separated", "found", "said"),
     [
         (None, None, []),
-        (0.84, (11, 48), []),
-        (0.51, (20, 48), ["0.51 is separated from sound presses, as by chance"]),
-        (None, (1, 48), ["finds 1 of 48 small pieces of damage rendered into its own presses"]),
-        (0.51, (0, 48), ["0.51 is separated", "finds 0 of 48"]),
+        (0.84, DamageFound(11, 48), []),
+        (0.51, DamageFound(20, 48), ["0.51 is separated from sound presses, as by chance"]),
+        (
+            None,
+            DamageFound(1, 48, "dent of 0.1 mm: 1 of 6; with --alpha 0.2 9 would fail"),
+            [
+                "finds 1 of 48 small pieces of damage rendered into its own presses (dent of 0.1 mm: 1 of 6; with"
+            ],
+        ),
+        (0.51, DamageFound(0, 48), ["0.51 is separated", "finds 0 of 48"]),
     ],
 )
 def test_evidence_that_shows_nothing_is_said(
-    separated: float | None, found: tuple[int, int] | None, said: list[str]
+    separated: float | None, found: DamageFound | None, said: list[str]
 ) -> None:
     """A bundle that does not see its own damage is not proven, chance before few; one with evidence has no warning."""
     warned = unproven_warnings(separated, found)

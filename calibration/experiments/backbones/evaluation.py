@@ -19,7 +19,6 @@ from calibration.fitting.limits.held_out import Learner, ShownPresses, score_hel
 from calibration.fitting.limits.limit_choice import Evidence, choose_limit
 from calibration.fitting.limits.map_limit import relate
 from calibration.fitting.limits.threshold import conformal_threshold
-from calibration.fitting.presses.scatter import is_placed
 from calibration.fitting.tap_reader import TapReader
 from calibration.metrics import image_weights, interval, pixel_measures
 from calibration.metrics.summary import image_auroc_of
@@ -238,7 +237,6 @@ def _fit_limit(
         specimens,
         alpha,
         learner.grid.pixels_per_mm,
-        is_placed(trial.nominal, PROFILE),
     )
     other = choose_limit(evidence).other
     return plain, None if other is None else partial(relate, other.limit)

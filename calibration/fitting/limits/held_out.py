@@ -61,12 +61,6 @@ class ScoredPresses:
         """Return the highest value that counts of these maps of the presses, (n,)."""
         return np.asarray(self.weigh(maps).max(axis=(1, 2)), np.float64)
 
-    def choose(self, rows: NDArray[np.int64]) -> "ScoredPresses":
-        """Return these presses alone."""
-        seen = None if self.seen is None else self.seen[rows]
-        limits = None if self.gel_limits is None else self.gel_limits[rows]
-        return ScoredPresses(self.maps[rows], self.scores[rows], seen=seen, gel_limits=limits)
-
     def put(self, rows: NDArray[np.int64], scored: "ScoredPresses") -> None:
         """Write other presses into these rows."""
         self.maps[rows], self.scores[rows], self.head_ms[rows] = scored.maps, scored.scores, scored.head_ms

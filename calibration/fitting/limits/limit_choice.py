@@ -1,10 +1,8 @@
-"""Which limit a bundle has: that by which banks without them find most of the damage rendered into nominal presses.
+"""Which limit a bundle has, by the damage rendered into nominal presses that banks without them find.
 
-Every kind of limit gets the same chance of a false alarm: it is the conformal threshold of the nominal presses'
-out-of-fold scores. No label is used. A kind has to find clearly more than the plain limit.
-
-Where a limit learns from the presses at each place, a press is compared with what the other folds show there: a press
-that takes part in its own range looks more usual than the next one will.
+Both kinds of limit get the same chance of a false alarm: the conformal threshold of the nominal presses' out-of-fold
+scores. No label is used. The surroundings are taken unless the plain limit finds clearly more: in 15 fits (five real
+ones, simulated parts; PaDiM and PatchCore) their map has an AU-PRO from 0.002 less to 0.071 more.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,18 +16,30 @@ from numpy.typing import NDArray
 from calibration.fitting.damage.damaged_presses import DamagedPresses
 from calibration.fitting.limits.folds import Folds
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
-from calibration.fitting.limits.map_limit import KINDS, PLACES, PLAIN, Limit, Spread, learn_spread, relate
+from calibration.fitting.limits.map_limit import (
+    PLAIN,
+    SURROUNDINGS,
+    WINDOW_MM,
+    Limit,
+    find_contrast,
+    make_limit,
+    make_window,
+    relate,
+)
 from calibration.fitting.limits.threshold import conformal_threshold, pieces_of
 from edge.core.press_again import KnownScores
 from edge.model.again_facts import PRESS_AGAIN, score_facts
 from edge.model.manifest import ThresholdEntry
 
-__all__ = ["WORTH", "Choice", "Evidence", "OtherLimit", "choose_limit"]
+__all__ = ["WORTH", "Choice", "DamageFound", "Evidence", "OtherLimit", "choose_limit"]
 
 Float = NDArray[np.float64]
 
 WORTH = 0.05
-"""A kind of limit has to find this share of the rendered damage more than the plain limit."""
+"""A limit has to find this share of the rendered damage more than the usual one."""
+
+LOOSE_ALPHA = 0.2
+"""What a station could find that promises less is said where little is found."""
 
 # Where the largest value of a map is not the press's score to this share, the score is something else.
 _SAME = 1e-4
@@ -46,6 +56,8 @@ class OtherLimit:
     """Scores of the nominal presses in units of the limit, (n,)."""
     damaged: Float
     """Scores of the presses with rendered damage, (m,)."""
+    is_found: NDArray[np.bool_]
+    """Of that damage what lies above the limit, (m,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +77,16 @@ class Choice:
         return {"kind": self.kind, "why": self.why, "found": shares}
 
 
+@dataclass(frozen=True)
+class DamageFound:
+    """How many presses with rendered damage a bundle finds."""
+
+    found: int
+    count: int
+    why: str = ""
+    """How many of the largest size of each kind, and by another promise."""
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """The raw maps and scores from which a limit is chosen."""
@@ -79,8 +101,6 @@ class Evidence:
     specimens: Sequence[str | None]
     alpha: float
     pixels_per_mm: float
-    is_placed: bool = True
-    """Whether parts lie at one place; where they lie anywhere the next one lies where no range is known."""
 
     @property
     def scores(self) -> Float:
@@ -96,13 +116,31 @@ class Evidence:
         sound = self.held_out.sound
         return bool(np.allclose(sound.highest(sound.maps), sound.scores, rtol=_SAME, atol=0))
 
-    def count_found(self, choice: Choice, threshold: float) -> tuple[int, int]:
-        """Count the presses with rendered damage that are found, and all of them.
+    def find_damage(self, exceeds: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the rendered damage on which a map exceeds its limit, bool (m,). exceeds: bool (m, h, w)."""
+        return np.asarray((exceeds & self.damage.masks).any(axis=(1, 2)))
 
-        threshold: the score that a press fails above, where the choice has not counted them.
-        """
-        above = float((self.held_out.edited.scores > threshold).mean())
-        return round(choice.found.get(choice.kind, above) * len(self.damage)), len(self.damage)
+    @cached_property
+    def is_found_plainly(self) -> NDArray[np.bool_]:
+        """The rendered damage that the plain limit finds, (m,)."""
+        edited = self.held_out.edited
+        if not self.is_score_a_maximum:
+            return np.asarray(edited.scores > self.plain.value)
+        return self.find_damage(edited.weigh(edited.maps) > self.plain.value)
+
+    def count_found(self, choice: Choice) -> DamageFound:
+        """Count the presses with rendered damage that are found."""
+        is_found = choice.other.is_found if choice.other else self.is_found_plainly
+        kinds = {name.split()[0]: name for name in self.damage.names}  # the last size of each is the largest
+        names = np.array(self.damage.names)
+        sizes = [
+            f"{name}: {is_found[names == name].sum()} of {(names == name).sum()}" for name in kinds.values()
+        ]
+        scores = choice.other.scores if choice.other else self.scores
+        damaged = choice.other.damaged if choice.other else self.held_out.edited.scores
+        value = conformal_threshold(scores, LOOSE_ALPHA, specimens=self.specimens).value
+        looser = f"with --alpha {LOOSE_ALPHA:g} {(damaged > value).sum()} would fail"
+        return DamageFound(int(is_found.sum()), len(self.damage), "; ".join([", ".join(sizes), looser]))
 
     def press_again_facts(self, choice: Choice, scores: Float) -> dict[str, Any]:
         """Return what a station needs to know whether one more press pays.
@@ -118,92 +156,44 @@ class Evidence:
         return {PRESS_AGAIN: score_facts(KnownScores(sound, groups), names)}
 
 
-class _Candidate:
-    """One kind of limit, learnt from the evidence."""
-
-    def __init__(self, kind: str, evidence: Evidence) -> None:
-        self.kind, self.evidence = kind, evidence
-        sound, known = evidence.held_out.sound, evidence.known
-        self.spread = self._learn(sound)
-        scores = known.highest(self.spread.standardise(known.maps))
-        self.folds: list[tuple[NDArray[np.int64], Spread]] = []
-        for held in evidence.folds:
-            others = np.setdiff1d(np.arange(len(scores)), held)
-            without = self._learn(sound.choose(others)) if kind == PLACES else self.spread
-            self.folds.append((held, without))
-            apart = sound.choose(held)
-            scores[held] = np.maximum(scores[held], apart.highest(without.standardise(apart.maps)))
-        self.threshold = conformal_threshold(scores, evidence.alpha, specimens=evidence.specimens)
-
-    def _learn(self, presses: ScoredPresses) -> Spread:
-        return learn_spread(self.kind, presses.maps, self.evidence.pixels_per_mm, presses.seen)
-
-    def _limit(self, spread: Spread) -> Limit:
-        return spread.limit(self.threshold.value, self.evidence.plain.value)
-
-    @property
-    def is_usable(self) -> bool:
-        """The limit is positive, and a black frame fails by it if it fails by the plain one."""
-        plain, black = self.evidence.plain.value, self.evidence.black
-        if not (self.threshold.value > 0 and plain > 0):
-            return False
-        if black is None or black.scores[0] <= plain:
-            return True
-        return bool(black.highest(relate(self._limit(self.spread), black.maps))[0] > 1)
-
-    @cached_property
-    def damaged(self) -> tuple[NDArray[np.bool_], Float]:
-        """The damage that is found by the limit without its press, bool (m,), and the scores in units of that, (m,)."""
-        damage, edited = self.evidence.damage, self.evidence.held_out.edited
-        is_found, scores = np.zeros(len(damage), np.bool_), np.empty(len(damage))
-        for held, spread in self.folds:
-            rows = np.flatnonzero(np.isin(damage.press, held))
-            if not rows.size:
-                continue
-            shown = edited.choose(rows)
-            relative = shown.weigh(relate(self._limit(spread), shown.maps))
-            is_found[rows] = ((relative > 1) & damage.masks[rows]).any(axis=(1, 2))
-            scores[rows] = relative.max(axis=(1, 2))
-        return is_found, scores
-
-    @property
-    def found(self) -> float:
-        """The share of the rendered damage that lies above the limit."""
-        return float(self.damaged[0].mean())
-
-    def finish(self) -> OtherLimit:
-        """Return the limit; a press lies above 1 where its standardised score lies above the threshold of those."""
-        limit = self._limit(self.spread)
-        known, sound = self.evidence.known, self.evidence.held_out.sound
-        scores = known.highest(relate(limit, known.maps))
-        for held, spread in self.folds:
-            apart = sound.choose(held)
-            scores[held] = np.maximum(scores[held], apart.highest(relate(self._limit(spread), apart.maps)))
-        words = f"compared with {KINDS[self.kind]}; {self.threshold.method}"
-        changed = {"value": 1.0, "method": words, "nominal_scores": tuple(map(float, np.sort(scores)))}
-        return OtherLimit(limit, self.threshold.model_copy(update=changed), scores, self.damaged[1])
-
-
 def choose_limit(evidence: Evidence) -> Choice:
-    """Choose the kind that finds most: the first among equals, the plain one unless another finds WORTH more."""
+    """Choose the surroundings, but the plain limit where it finds WORTH more, or where neither finds anything."""
     if not evidence.is_score_a_maximum:
         return Choice(PLAIN, "the method's score is not the highest value of its map")
-    edited = evidence.held_out.edited
-    above = (edited.weigh(edited.maps) > evidence.plain.value) & evidence.damage.masks
-    usual = float(above.any(axis=(1, 2)).mean())
-    found, best = {PLAIN: usual}, None
-    for kind in KINDS:
-        if kind == PLAIN or (kind == PLACES and not evidence.is_placed):
-            continue
-        candidate = _Candidate(kind, evidence)
-        if not candidate.is_usable:
-            continue
-        found[kind] = candidate.found
-        if candidate.found > (best.found if best else usual):
-            best = candidate
-    count = len(evidence.damage)
+    count, usual = len(evidence.damage), float(evidence.is_found_plainly.mean())
     plainly = f"{round(usual * count)} of {count} small pieces of rendered damage"
-    if best is None or best.found < usual + WORTH:
-        return Choice(PLAIN, f"it finds {plainly}, and no other limit clearly more", None, found)
-    more = f"{round(best.found * count)} of {count} small pieces of rendered damage"
-    return Choice(best.kind, f"finds {more}, one limit for all places {plainly}", best.finish(), found)
+    other = _compare_surroundings(evidence)
+    if other is None:
+        return Choice(
+            PLAIN, f"it finds {plainly}, and another limit would pass a black frame", None, {PLAIN: usual}
+        )
+    share = float(other.is_found.mean())
+    found, more = {PLAIN: usual, SURROUNDINGS: share}, f"{other.is_found.sum()} of {count}"
+    if share == 0 or usual >= share + WORTH:
+        return Choice(PLAIN, f"it finds {plainly}, compared with its surroundings {more}", None, found)
+    return Choice(SURROUNDINGS, f"finds {more}, one limit for all places {plainly}", other, found)
+
+
+def _compare_surroundings(evidence: Evidence) -> OtherLimit | None:
+    """Make the limit by surroundings; None where it is not positive, or a black frame passes that fails plainly."""
+    sound, known, black = evidence.held_out.sound, evidence.known, evidence.black
+    window = make_window(sound.maps.shape[1:], evidence.pixels_per_mm)
+    contrasts = [one.highest(find_contrast(window, one.maps)) for one in (sound, known)]
+    threshold = conformal_threshold(np.maximum(*contrasts), evidence.alpha, specimens=evidence.specimens)
+    plain = evidence.plain.value
+    if not (threshold.value > 0 and plain > 0):
+        return None
+    limit = make_limit(window, threshold.value, plain)
+    if black is not None and black.scores[0] > plain and not black.highest(relate(limit, black.maps))[0] > 1:
+        return None
+    scores = np.maximum(*(one.highest(relate(limit, one.maps)) for one in (sound, known)))
+    words = f"compared with its surroundings ({WINDOW_MM:g} mm); {threshold.method}"
+    changed = {"value": 1.0, "method": words, "nominal_scores": tuple(map(float, np.sort(scores)))}
+    damaged = evidence.held_out.edited.weigh(relate(limit, evidence.held_out.edited.maps))
+    return OtherLimit(
+        limit,
+        threshold.model_copy(update=changed),
+        scores,
+        damaged.max(axis=(1, 2)),
+        evidence.find_damage(damaged > 1),
+    )

@@ -8,18 +8,12 @@ from edge.core.errors import FitError
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.manifest_facts import UNPROVEN
 
-__all__ = ["is_placed", "scatter_mm", "scatter_warnings"]
+__all__ = ["scatter_mm", "scatter_warnings"]
 
 
 def scatter_mm(presses: NominalPresses, profile: SensorProfile) -> float | None:
     """Measure how far half of the contacts lie from their common middle; None where no touch is known."""
     return spread_mm(presses.touches, profile) if presses.touches else None
-
-
-def is_placed(presses: NominalPresses, profile: SensorProfile) -> bool:
-    """Tell whether the contacts are known to lie at one place."""
-    scatter = scatter_mm(presses, profile)
-    return scatter is not None and scatter <= SCATTERED_MM
 
 
 def scatter_warnings(

@@ -8,6 +8,7 @@ from calibration.fitting.damage.damaged_presses import DamagedPresses
 from calibration.fitting.limits.gel_limits import LimitsChosen, choose_limits, learn_gel_limits
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses, ShownPresses
 from calibration.fitting.limits.limit_choice import Evidence
+from calibration.fitting.limits.map_limit import relate
 from edge.core.registration.pose import Pose, PoseUncertainty, Registered, warp
 from plugins.onnx_builder import Graph
 
@@ -80,7 +81,7 @@ def test_a_cut_of_the_gel_does_not_rule_the_limit_of_parts_anywhere() -> None:
     assert found.gel_limits[CUT].min() > 2
     assert np.median(found.gel_limits) == 1
     assert found.share_found > 0.9
-    assert found.scores.max() < DAMAGE
+    assert found.evidence.scores.max() < DAMAGE
 
 
 def test_a_gel_without_cuts_has_one_limit() -> None:
@@ -97,9 +98,9 @@ def test_new_sound_presses_fail_no_more_than_promised() -> None:
         if found.gel_limits is not None:
             limits = [np.maximum(warp(found.gel_limits, one.pose), 1) for one in poses]
             poses = [replace(one, gel_limits=of) for one, of in zip(poses, limits, strict=True)]
-        scores = [one.score(m) for one, m in zip(poses, sound_maps(poses, rng, is_cut=True), strict=True)]
-        assert found.choice.other is None
-        rates.append(np.mean(np.array(scores) > found.evidence.plain.value))
+        assert found.choice.other is not None
+        maps = relate(found.choice.other.limit, sound_maps(poses, rng, is_cut=True)).astype(np.float32)
+        rates.append(np.mean([one.score(m) > 1 for one, m in zip(poses, maps, strict=True)]))
     assert 0 < np.mean(rates) <= 0.05
 
 

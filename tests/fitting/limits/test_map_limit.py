@@ -5,7 +5,7 @@ import onnxruntime as ort
 import pytest
 
 from calibration.fitting.limits.appended import append, can_extend
-from calibration.fitting.limits.map_limit import GUARD, PLACES, SURROUNDINGS, Limit, learn_spread, relate
+from calibration.fitting.limits.map_limit import GUARD, Limit, find_contrast, make_limit, make_window, relate
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from plugins.onnx_builder import Graph
@@ -15,6 +15,7 @@ PX = 4.0
 
 RNG = np.random.default_rng(0)
 NOMINAL = (1 + 0.1 * RNG.random((12, 48, 40))).astype(np.float32)
+WINDOW = make_window((48, 40), PX)
 
 
 def spot(value: float) -> np.ndarray:
@@ -26,49 +27,29 @@ def spot(value: float) -> np.ndarray:
 
 def test_the_surroundings_of_an_even_map_are_the_map() -> None:
     """Nothing stands out of an even map, whatever its level, and a single pixel stands out by nearly its height."""
-    spread = learn_spread(SURROUNDINGS, NOMINAL, PX)
-    assert spread.standardise(7 * np.ones((1, 48, 40))) == pytest.approx(np.zeros((1, 48, 40)), abs=1e-9)
-    assert 0.9 < float(spread.standardise(spot(2.0)).max()) < 1
+    assert find_contrast(WINDOW, 7 * np.ones((1, 48, 40))) == pytest.approx(np.zeros((1, 48, 40)), abs=1e-9)
+    assert 0.9 < float(find_contrast(WINDOW, spot(2.0)).max()) < 1
 
 
 def test_a_window_keeps_what_is_wider_than_itself() -> None:
     """The mean of a slope is the slope, away from the border."""
     slope = np.broadcast_to(np.arange(40.0), (48, 40))[None]
-    contrast = learn_spread(SURROUNDINGS, NOMINAL, PX).standardise(slope)
+    contrast = find_contrast(WINDOW, slope)
     assert contrast[0, :, 8:32] == pytest.approx(np.zeros((48, 24)), abs=0.05)
 
 
 def test_a_press_exceeds_one_where_it_exceeds_the_limit() -> None:
-    """By place: the map is above 1 exactly where the standardised map is above L, and 1 where it equals L."""
-    spread = learn_spread(PLACES, NOMINAL, PX)
-    limit = spread.limit(3.0, 100.0)
+    """The map is above 1 exactly where the contrast is above L."""
     maps = (1 + 0.3 * RNG.random((4, 48, 40))).astype(np.float32)
-    assert np.array_equal(relate(limit, maps) > 1, spread.standardise(maps) > 3)
-    assert (spread.standardise(maps) > 3).any()
-    assert not (spread.standardise(maps) > 3).all()
-
-
-def test_a_place_that_is_lively_on_every_press_has_a_higher_limit() -> None:
-    """A place that varies between nominal presses allows more than a quiet one."""
-    lively = NOMINAL.copy()
-    lively[:, 10:30, 10:30] += RNG.normal(0, 2, (12, 1, 1)).astype(np.float32)
-    limit = learn_spread(PLACES, lively, PX).limit(3.0, 100.0)
-    limits = 1 / relate(limit, np.ones((1, 48, 40)))[0]
-    assert limits[20, 20] > 2 * limits[44, 2]
-
-
-def test_a_quiet_place_has_the_median_spread() -> None:
-    """A place that never varies does not fail at the first noise."""
-    still = NOMINAL.copy()
-    still[:, :12] = 1
-    spread = learn_spread(PLACES, still, PX)
-    assert spread.spread.min() >= 0.5 * np.median(spread.spread)
-    assert float(spread.standardise(still + np.float32(0.01)).max()) < 20
+    above = find_contrast(WINDOW, maps) > 0.1
+    assert np.array_equal(relate(make_limit(WINDOW, 0.1, 100.0), maps) > 1, above)
+    assert above.any()
+    assert not above.all()
 
 
 def test_wide_damage_fails_by_the_guard() -> None:
     """An even rise has no contrast; from GUARD times the plain limit on it fails all the same."""
-    limit = learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.5, 2.0)
+    limit = make_limit(WINDOW, 0.5, 2.0)
     assert float(relate(limit, np.full((1, 48, 40), 1.01 * GUARD * 2)).max()) > 1
     assert float(relate(limit, np.full((1, 48, 40), 0.99 * GUARD * 2)).max()) < 1
 
@@ -77,7 +58,7 @@ def test_wide_damage_fails_by_the_guard() -> None:
 def test_limits_are_positive(limits: tuple[float, float]) -> None:
     """Units of a limit of 0 or less have no meaning."""
     with pytest.raises(ValueError, match="limits are positive"):
-        learn_spread(SURROUNDINGS, NOMINAL, PX).limit(*limits)
+        make_limit(WINDOW, *limits)
 
 
 def raw_head(opset: int = 18) -> bytes:
@@ -93,16 +74,20 @@ def raw_head(opset: int = 18) -> bytes:
     )
 
 
-def both() -> Limit:
-    """A limit by place of what exceeds the surroundings, as earlier fits made it."""
-    window = learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.3, 1.5)
-    return {**window, **learn_spread(PLACES, NOMINAL, PX).limit(0.3, 1.5)}
+def by_place() -> Limit:
+    """A limit by place, as earlier fits made it: of 6x5 cells."""
+    grid = 0.9 + 0.1 * RNG.random((6, 5))
+    rows, columns = (np.kron(np.eye(n), np.ones((8, 1))) for n in (6, 5))
+    return {**make_limit({}, 1.0, 1.5), "limit_grid": grid, "limit_rows": rows, "limit_columns": columns.T}
 
 
-@pytest.mark.parametrize("kind", [PLACES, SURROUNDINGS, "both"])
-def test_the_graph_computes_the_oracle(kind: str) -> None:
+@pytest.mark.parametrize(
+    "limit",
+    [by_place(), make_limit(WINDOW, 0.3, 1.5), {**WINDOW, **by_place()}],
+    ids=["places", "surroundings", "both"],
+)
+def test_the_graph_computes_the_oracle(limit: Limit) -> None:
     """Map and score of three presses agree to float32, where the contrast rules and where the guard does."""
-    limit = both() if kind == "both" else learn_spread(kind, NOMINAL, PX).limit(0.3, 1.5)
     head, bank = append(raw_head(), Bank({}), limit)
     assert bank.arrays.keys() == limit.keys()
     maps = np.concatenate([spot(1.4), spot(1.0), 4 * spot(1.2)])
@@ -123,7 +108,7 @@ def test_a_graph_of_an_older_opset_is_not_extended() -> None:
 def test_another_bank_takes_over_the_limit() -> None:
     """A bank of a fold gets the arrays of the complete bundle; without arrays nothing changes. A detector
     with an array of that name is refused, not overwritten."""
-    limit = learn_spread(SURROUNDINGS, NOMINAL, PX).limit(0.3, 1.5)
+    limit = make_limit(WINDOW, 0.3, 1.5)
     bank = Bank({"rows": np.ones((2, 2), np.float32)})
     _, limited = append(raw_head(), bank, {**limit, "rows": np.zeros(1)})
     assert limited.arrays.keys() == {"rows", *limit}
