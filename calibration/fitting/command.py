@@ -129,7 +129,6 @@ def fit(given: FitArguments) -> None:
     """
     from calibration.fitting.fit import fit_files
     from calibration.fitting.fit_config import FitConfig
-    from calibration.fitting.presses.dots import take_out_dots
     from calibration.fitting.presses.nominal_presses import read_presses
     from edge.core.imaging.region import Region
 
@@ -165,7 +164,6 @@ def fit(given: FitArguments) -> None:
         leave_out=given.leave_out,
         pattern=given.pattern,
     )
-    presses = take_out_dots(presses, sensor.pixels_per_mm)
     how = f"{config.detector.name} ({config.mode}) on {config.trunk.id}"
     typer.echo(f"{count_presses(len(presses))}, {how}, region {config.region}")
     make(partial(fit_files, presses, config), given.output, given.overwrite)

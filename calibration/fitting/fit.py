@@ -46,6 +46,7 @@ from calibration.fitting.presses.augmentation import (
     render_copies,
 )
 from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
+from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from calibration.fitting.presses.scatter import scatter_warnings
 from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings, unproven_warnings
@@ -100,7 +101,7 @@ def fit_files(
 ) -> Fitted:
     """Fit a bundle in memory. created: the date for the provenance. Errors: FitError, ConfigError."""
     watch = _Watch(report)
-    plan = _plan_fit(presses, config)
+    plan = _plan_fit(take_out_dots(presses, config.profile.pixels_per_mm, config.mode), config)
     with watch.time("features"):
         features = _take_features(plan, partial(report, "features"))
     return _measure(_learn_bank(features, watch), created, watch)

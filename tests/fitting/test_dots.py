@@ -53,8 +53,7 @@ def pressed(first: int = 1, *, has_dots: bool = True) -> NominalPresses:
 
 @cache
 def fitted(*, has_dots: bool = True) -> Fitted:
-    presses = take_out_dots(pressed(has_dots=has_dots), SENSOR.pixels_per_mm)
-    return fit_files(presses, CONFIG, created="2026-01-01")
+    return fit_files(pressed(has_dots=has_dots), CONFIG, created="2026-01-01")
 
 
 def test_a_bundle_carried_to_another_marker_gel_has_the_dots_of_that_gel() -> None:
@@ -98,6 +97,10 @@ def test_dots_of_the_free_gel_are_filled_in_presses_and_free_gel() -> None:
 def test_without_dots_nothing_changes() -> None:
     presses = pressed(has_dots=False)
     assert take_out_dots(presses, SENSOR.pixels_per_mm) is presses
+
+
+def test_the_published_methods_learn_dots_as_they_are() -> None:
+    assert take_out_dots(pressed(), SENSOR.pixels_per_mm, "paper") is pressed()
 
 
 @pytest.mark.parametrize(

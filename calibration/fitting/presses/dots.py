@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
+from edge.core.detector import Mode
 from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots
 
 __all__ = ["fill_dots", "take_out_dots"]
@@ -22,9 +23,12 @@ _WITNESSES, _ALIKE = 5, 0.2
 _LEAST_COLOUR = 10.0
 
 
-def take_out_dots(presses: NominalPresses, pixels_per_mm: float) -> NominalPresses:
-    """Find the dots of a marker gel and fill them in presses and free gel; the same presses where there are none."""
-    dots = _find(presses, pixels_per_mm)
+def take_out_dots(presses: NominalPresses, pixels_per_mm: float, mode: Mode = "corrected") -> NominalPresses:
+    """Find the dots of a marker gel and fill them in presses and free gel.
+
+    The same presses where there are none, and in the mode `paper`: the published methods learn them as they are.
+    """
+    dots = None if mode == "paper" else _find(presses, pixels_per_mm)
     return presses if dots is None else fill_dots(presses, dots)
 
 
