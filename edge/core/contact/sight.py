@@ -8,6 +8,8 @@ from collections import deque
 from statistics import median
 from typing import Final, final
 
+import cv2
+
 from edge.core.contact.mask import is_black
 from edge.core.contact.reference import View
 
@@ -66,7 +68,7 @@ def _blindness(view: View) -> str | None:
         return f"its picture is black, mean level {level:.1f}"
     if level > _WHITE_LEVEL:
         return f"its picture is white, mean level {level:.1f}"
-    contrast = float(view.std(axis=(0, 1)).max())
+    contrast = float(cv2.meanStdDev(view)[1].max())  # many times as fast as numpy's `std`
     if contrast < _LEAST_CONTRAST_LEVELS:
         return f"its picture is of one colour, which varies by {contrast:.1f} levels over the view"
     return None
