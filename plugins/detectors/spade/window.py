@@ -223,11 +223,11 @@ def window_nearest(
     h, w = queries.shape[:2]
     q = queries.astype(np.float64)
     best = np.full((h, w), np.inf)
-    for dy in range(-min(window, h - 1), min(window, h - 1) + 1):
-        rows = np.clip(np.arange(h) + dy, 0, h - 1)
-        for dx in range(-min(window, w - 1), min(window, w - 1) + 1):
-            columns = np.clip(np.arange(w) + dx, 0, w - 1)
-            for press in gallery:
-                difference = q - press[rows][:, columns]
+    rows, columns = min(window, h - 1), min(window, w - 1)
+    around = np.pad(gallery, ((0, 0), (rows, rows), (columns, columns), (0, 0)), mode="edge")
+    for dy in range(2 * rows + 1):
+        for dx in range(2 * columns + 1):
+            for press in around[:, dy : dy + h, dx : dx + w]:
+                difference = q - press
                 best = np.minimum(best, np.einsum("hwc,hwc->hw", difference, difference))
     return np.asarray(np.sqrt(best))
