@@ -6,8 +6,8 @@ Ref: AsyncAPI 3.0.0, MQTT bindings 0.2.0 (asyncapi.com).
 
 import json
 import re
-from collections.abc import Iterable
-from functools import partial
+from collections.abc import Mapping
+from functools import cache, partial
 from typing import Any, Final
 
 from pydantic import BaseModel
@@ -54,7 +54,7 @@ def document(station: DescribedStation) -> dict[str, Any]:
     """Plain JSON that meets the published schema of AsyncAPI 3.0.0."""
     published = [topic for topic in TOPICS if not topic.name.startswith("cmd/")]
     models = dict.fromkeys(topic.payload for topic in published if not isinstance(topic.payload, str))
-    schemas = payload_schemas([*models, CommandResponse])
+    schemas = payload_schemas((*models, CommandResponse))
     arguments = {_request_name(command): command.arguments for command in station.commands}
     requests = {name: request_schema(CommandRequest, model) for name, model in arguments.items()}
     return {
@@ -168,7 +168,8 @@ def _receives(command: DescribedCommand) -> dict[str, Any]:
     }
 
 
-def payload_schemas(models: Iterable[type[BaseModel]]) -> dict[str, Any]:
+@cache
+def payload_schemas(models: tuple[type[BaseModel], ...]) -> Mapping[str, Any]:
     """Make the schemas of published payloads, draft-07, by the model's name, with the definitions that they need.
 
     Every field is required, as it is always there. Fields that are not known are allowed: a later version adds some.
