@@ -132,13 +132,13 @@ class Film:
         """Time and view, float32 (120, 160, 3), in whole levels, with the jitter of a real camera's clock."""
         rng = np.random.default_rng([self.seed, 7])
         views = series(self.part, self.gel)
-        grains = _grains()
+        noises = grains()
         number = 0
         while (t := 0.1 + number / self.fps + float(rng.uniform(-0.1, 0.1)) / self.fps) < self.end_s:
             number += 1
             press = next((p for p in self.presses if p.onset_s <= t <= p.end_s), None)
             clean = views[0] if press is None else _pressed(views, press.depth_at(t), press.place_at(t))
-            noise = grains[rng.integers(len(grains))] * np.float32(rng.choice((-1, 1)))
+            noise = noises[rng.integers(len(noises))] * np.float32(rng.choice((-1, 1)))
             yield t, np.clip(np.rint(clean * self._light_at(t) + noise), 0, 255).astype(np.float32)
 
     def _light_at(self, t: float) -> F32:
@@ -158,7 +158,8 @@ class Film:
 
 
 @cache
-def _grains() -> tuple[F32, ...]:
+def grains() -> tuple[F32, ...]:
+    """The noise of frames."""
     rng = np.random.default_rng(3)
     return tuple(rng.normal(0, NOISE_SD, (120, 160, 3)).astype(np.float32) for _ in range(24))
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from press_films import NOISE_SD, series
+from press_films import grains, series
 
 from edge.core.contact.events import (
     PressBegan,
@@ -32,8 +32,8 @@ class Station:
         """depth: which of the part's depths."""
         for _ in range(round(seconds * FPS)):
             self.count += 1
-            noise = self.rng.normal(0, NOISE_SD, self.views[0].shape)
-            view = np.clip(np.rint(self.views[depth] + noise), 0, 255).astype(np.float32)
+            noise = grains()[self.rng.integers(len(grains()))] * np.float32(self.rng.choice((-1, 1)))
+            view = np.clip(np.rint(self.views[depth] + noise), 0, 255)
             self.events += self.tracker.feed(view, round(self.count * 1e9 / FPS), self.count)
 
     def press(self, seconds: float = 1.0) -> None:

@@ -1,5 +1,6 @@
 """The reference, the level fit, and where a view is touched."""
 
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ from edge.core.contact.mask import Touch, is_black, measure_change, touched, tou
 from edge.core.contact.reference import Levels, Reference, View, fit_levels
 
 
+@cache
 def free_gel(seed: int = 0) -> View:
     """A vignetted three-colour background, 120x160, levels 40 to 160."""
     y, x = np.mgrid[0:120, 0:160].astype(np.float32)
@@ -31,6 +33,7 @@ def ball(view: View, radius: float = 20, x: float = 80, y: float = 60) -> View:
     return (view + slopes).astype(np.float32)
 
 
+@cache
 def reference() -> Reference:
     mean = np.mean([free_gel(seed) for seed in range(10)], axis=0).astype(np.float32)
     return Reference(mean)
@@ -81,7 +84,7 @@ def test_a_part_over_most_of_the_view_keeps_its_edge(share: float, gain: float, 
         np.random.default_rng(0).normal(0, 1, (120, 160, 3)).astype(np.float32), (0, 0), 3
     )
     edge = int(160 * share)
-    view = free_gel(99)
+    view = free_gel(99).copy()
     view[:, :edge] += (35 / relief.std() * relief)[:, :edge]
     mask = touched_mask(
         reference().difference((view * np.float32(gain) + np.float32(offset)).astype(np.float32))
