@@ -1,9 +1,10 @@
 """What every test shares: strict arithmetic, and the real frames where they are at hand."""
 
+import gc
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,13 +19,15 @@ from calibration.threads import one_blas_thread
 TESTS = Path(__file__).resolve().parent
 REAL_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
-# Tests of experiments: `make test-lab` runs them, and single tests elsewhere that are marked `lab`.
-LAB = {
-    "acquisition",
-    "docs/test_studies.py",
-    "experiments",
-    "sensor_fit",
-    "soak",
+# The marker that tests have by their place. `make test-lab` runs what is `lab`, also single tests elsewhere.
+MARKERS = {
+    "acquisition": "lab",
+    "bench": "bench",
+    "docs/test_studies.py": "lab",
+    "experiments": "lab",
+    "sensor_fit": "lab",
+    "soak": "lab",
+    "training": "train",
 }
 
 # The same examples in every run, without a limit of time: a run finds what the change before it broke, and not by luck.
@@ -43,20 +46,28 @@ sys.dont_write_bytecode = False
 @cache
 def find_marker(path: Path) -> str | None:
     """Return the marker that a file's tests have by its place."""
-    if path.is_relative_to(TESTS / "training"):
-        return "train"
-    return "lab" if any(path.is_relative_to(TESTS / place) for place in LAB) else None
+    return next((marker for place, marker in MARKERS.items() if path.is_relative_to(TESTS / place)), None)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Import no experiment that is not selected."""
+    """Import nothing that is not selected."""
     marker = find_marker(collection_path)
     return True if marker and f"not {marker}" in config.option.markexpr else None
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Look for no garbage among modules and tests, which stay to the end: half of the time of collection."""
+    gc.disable()
+    done = yield
+    gc.freeze()
+    gc.enable()
+    return done
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the experiments before pytest selects by marker."""
+    """Mark tests by their place before pytest selects by marker."""
     for item in items:
         if marker := find_marker(item.path):
             item.add_marker(marker)
