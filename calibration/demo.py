@@ -232,13 +232,13 @@ def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[tuple[dict[str
         if topic == "result":
             content = json.loads(message.payload)
             results[content["press_id"]] = content["verdict"] or "error"
-        elif topic.startswith("heatmap/"):
+            if content["heatmap_topic"] is None:
+                complete.add(content["press_id"])
+        elif topic.startswith("heatmap/") and topic.removeprefix("heatmap/") in results:
             press = topic.removeprefix("heatmap/")
-            (heatmaps / f"{len(results):02d}-{results.get(press, 'unknown')}.png").write_bytes(
-                message.payload
-            )
-        elif topic == "last/press":  # after the picture
-            complete.add(json.loads(message.payload)["press_id"])
+            number = list(results).index(press) + 1
+            (heatmaps / f"{number:02d}-{results[press]}.png").write_bytes(message.payload)
+            complete.add(press)
 
     broker = Broker(local.host, local.port, "gelgate-demo-subscriber", level=_level(local))
     connection = Connection.open(broker, on_received=arrived)

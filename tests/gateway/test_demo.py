@@ -1,13 +1,17 @@
 """The demonstration's wiring: its station runs, over a broker, to its subscriber."""
 
+import json
 from pathlib import Path
 
 import pytest
 from station import Motion, press_recording
 
-from calibration.demo import _inspect
+from calibration.demo import ROOT, _await, _inspect, _level, _subscriber
 from edge.core.errors import PressesMissed
+from edge.core.ports import Message
 from edge.messaging.local_broker import LocalBroker
+from edge.messaging.mqtt_broker import Broker
+from edge.messaging.mqtt_connection import Connection
 
 
 @pytest.mark.parametrize("hold", [10, 0])
@@ -34,3 +38,34 @@ def test_the_demo_inspects_over_a_broker(
     assert [path.stem for path in sorted(heatmaps.iterdir())] == ["01-pass", "02-fail", "03-pass"]
     assert "3 of 1000 presses, good" in said
     assert "3 results over MQTT" in said
+
+
+def test_pictures_that_follow_several_results_keep_their_numbers(tmp_path: Path) -> None:
+    """The subscriber has a press when its picture is there: last/press comes before it. One without has none."""
+    presses = ("a", "pass"), ("b", "pass"), ("c", "error")
+    results = [
+        json.dumps(
+            {"press_id": name, "verdict": word, "heatmap_topic": None if name == "c" else "its"}
+        ).encode()
+        for name, word in presses
+    ]
+    with LocalBroker() as broker, _subscriber(broker, tmp_path) as (received, complete):
+        sender = Connection.open(Broker(broker.host, broker.port, "sender", level=_level(broker)))
+
+        def say(topic: str, payload: bytes) -> None:
+            sender.publish(Message(f"{ROOT}/{topic}", payload, qos=1))
+
+        for result in results:
+            say("result", result)
+            say("last/press", result)
+        _await(lambda: len(received) == 3)
+        assert complete == {"c"}
+        for name in "ab":
+            say(f"heatmap/{name}", name.encode())
+        _await(lambda: len(complete) == 3)
+        sender.close()
+
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
+        "01-pass.png": b"a",
+        "02-pass.png": b"b",
+    }
