@@ -104,7 +104,7 @@ class Press:
     latency_ms: dict[str, float] = field(default_factory=dict)
     """Stage to milliseconds."""
     judged_ns: int | None = None
-    """When the judged frame came, monotonic."""
+    """When the judged frame came, monotonic; for a peak long before the end, `settle_s` before it was decided."""
     overview: OverviewView | None = None
     """What the overview camera saw before the press."""
     registered: Registered | None = None

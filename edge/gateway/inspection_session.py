@@ -216,11 +216,14 @@ class InspectionSession:
         frame, findings = settled.frame, settled.findings
         if frame is None or findings is None:
             return replace(press, error=f"frame {settled.sequence}, chosen for this press, was not kept")
-        scored = self.inspector.inspect(frame, settled.touch, press)
+        # A peak may be seconds old when the press is decided: it counts as the oldest frame of a rest would.
+        settle_ns = round(self._detector.tracker.settings.settle_s * 1e9)
+        came_ns = max(frame.timestamp_ns, settled.timestamp_ns - settle_ns)
+        scored = self.inspector.inspect(frame, settled.touch, press, came_ns)
         return replace(
             scored,
             # A frame that was made on demand has its recorded time.
-            judged_ns=started_ns if frame.is_on_demand else frame.timestamp_ns,
+            judged_ns=started_ns if frame.is_on_demand else came_ns,
             judged=JudgedFrame(frame, settled.touch, findings.free),
         )
 

@@ -54,14 +54,18 @@ class Inspector:
             scorer.fill_dots,
         )
 
-    def inspect(self, frame: CameraFrame, touch: Touch, press: Press | None = None) -> Press:
+    def inspect(
+        self, frame: CameraFrame, touch: Touch, press: Press | None = None, came_ns: int | None = None
+    ) -> Press:
         """Judge one frame; `touch` is the touched part of the gel. Returns the press, a new one by default, with what
-        was found. Never raises because of a frame's content."""
+        was found. came_ns: since when it waits for its verdict, by default since its own time. Never raises because of
+        a frame's content."""
         press = press or Press()
         if self.fault is not None:
             return replace(press, error=self.fault)
         now_ns = self._clock.monotonic_ns()
-        stale = None if frame.is_on_demand else check_freshness(frame.timestamp_ns, now_ns)
+        came_ns = frame.timestamp_ns if came_ns is None else came_ns
+        stale = None if frame.is_on_demand else check_freshness(came_ns, now_ns)
         if stale:
             return press.reject(stale)
         started_ns = self._clock.monotonic_ns()

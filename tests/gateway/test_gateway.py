@@ -84,6 +84,28 @@ def test_a_result_says_where_the_defect_is(finished: tuple[Path, list[PressRepor
     assert dented.defect_area_mm2 == pytest.approx(areas, abs=0.001)
 
 
+def test_a_peak_is_not_late_because_the_lift_is_slow(tmp_path: Path, bundle: Path) -> None:
+    """A press that never rests, lifted for two seconds, is judged at its peak when the gel is free: the machine is not
+    too slow by that, and a reject gate has its time from then on."""
+    rng, depths = np.random.default_rng(5), [0.0] * 28 + [0.3, 0.6, 0.9, 1.0, 1.0]
+    with RecordingWriter(tmp_path / "lifted", HEADER) as writer:
+        for number, depth in enumerate([*depths, *np.linspace(1.0, 0.0, 40), *[0.0] * 14]):
+            writer.add(jpeg(gel(rng, float(depth))), round(number * 1e9 / FPS))
+    ages: list[float] = []
+
+    def note(report: PressReport) -> None:
+        ages.append((station.clock.monotonic_ns() - (report.press.judged_ns or 0)) / 1e9)
+
+    config = station_config(tmp_path / "station", tmp_path / "lifted", bundle, pace=1.0)
+    with SteppedStation(config, on_press=note) as station:
+        station.play()
+        station.loop.publish_stats()
+        assert station.raised == []
+
+    assert [(result.verdict, result.reason) for result in station.results] == [("pass", None)]
+    assert ages[0] < 0.3
+
+
 def test_a_sensor_pulled_out_during_a_press_is_reconnected_each_time(tmp_path: Path, bundle: Path) -> None:
     """Two presses, each unplugged while held: no crash, two results, two counts, two reconnections."""
     motion = Motion(idle=14, hold=40)
