@@ -311,6 +311,7 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
             unit = 1.0 if choice.other else plan.find_threshold(scores).value
             found = chosen.evidence.count_found(choice)
             again = chosen.evidence.press_again_facts(choice, scores)
+            unit *= chosen.highest_limit
         relief = features.choose_relief(head)
     head, bank = relief.append_to(head, bank, unit)
     apart = apart_warnings(scores, plan.presses.names)

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from pressed_dome import DEPTH_MM, PROFILE, REGION, Bench, dome_bench, dome_presses, pillow
 
+from calibration.fitting import fit
 from calibration.fitting.damage.conditions import change_presses, dim, relight
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.limits.folds import divide_presses
+from calibration.fitting.limits.gel_limits import choose_limits
 from calibration.fitting.limits.missing_relief import find_missing
 from calibration.fitting.limits.relief_step import USEFUL, ReliefChoice, choose_relief, finest_tap
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
@@ -173,6 +175,23 @@ def test_a_bundle_fails_a_smoother_object_and_passes_the_part(fitted: Fitted, pr
         assert found.anomaly_score > threshold.value
     known = [scorer.score(rgb).anomaly_score for rgb in presses.learnt.frames]
     assert max(known) <= max(threshold.nominal_scores) * (1 + 1e-4)
+
+
+def test_places_of_the_gel_with_a_higher_limit_hide_no_missing_relief(
+    presses: Presses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The limit is four times as high on all of the gel, and the smoother object fails."""
+    four_times = np.full(presses.learnt.frames.shape[1:3], 4, np.float32)
+    monkeypatch.setattr(
+        fit, "choose_limits", lambda *given: replace(choose_limits(*given), gel_limits=four_times)
+    )
+    detector = registry.detector("subspace")
+    trunk = open_trunk("tactile_resnet18", detector.taps(detector.parameters("corrected")))
+    config = FitConfig("dome", "top", PROFILE, REGION, detector, trunk, threads=1, register="always")
+    fitted = fit_files(presses.learnt, config, created="")
+    scorer, threshold = Scorer(fitted.bundle(), 1), fitted.manifest.threshold
+    assert min(scorer.score(rgb).anomaly_score for rgb in presses.smooth) > threshold.value
+    assert max(scorer.score(rgb).anomaly_score for rgb in presses.learnt.frames) <= threshold.value
 
 
 def answers(bundle: Bundle, free: np.ndarray, pictures: list[np.ndarray]) -> set[str]:

@@ -63,6 +63,11 @@ class LimitsChosen:
         return part and replace(part, gel_limits=self.gel_limits)
 
     @property
+    def highest_limit(self) -> float:
+        """By how much a score is divided at most; the map of missing relief is multiplied by it, and hides nowhere."""
+        return 1.0 if self.gel_limits is None else float(self.gel_limits.max())
+
+    @property
     def scores(self) -> NDArray[np.float64]:
         """Scores of the nominal presses, in units of the bundle's score, (n,)."""
         return self.choice.other.scores if self.choice.other else self.evidence.scores
