@@ -30,6 +30,12 @@ def plain() -> bytes:
     return build_trunk(random_state("resnet18"), "resnet18", TAPS)
 
 
+@cache
+def tiled() -> bytes:
+    return tile_trunk(plain(), TILES)
+
+
+@cache
 def session(graph: bytes) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(graph, providers=["CPUExecutionProvider"])
 
@@ -55,7 +61,7 @@ def test_a_mosaic_holds_every_tiles_own_features() -> None:
 
 def test_the_fit_finds_the_layout_in_the_trunk() -> None:
     """trunk_grid reads the tiles from the metadata; PaDiM fitted on them scores a frame as its oracle does."""
-    trunk = session(tile_trunk(plain(), TILES))
+    trunk = session(tiled())
     grid = trunk_grid(trunk, TAPS[:3], (96, 160), 15.77)
     assert grid.tiles == TILES
     assert grid.taps["layer1"] == (64, 32, 64)
@@ -82,7 +88,7 @@ def test_the_full_frame_needs_nothing_of_its_own() -> None:
 
 def test_neighbours_end_at_a_tile() -> None:
     """The 3x3 neighbourhood of a cell at a seam repeats it instead of reading from the next tile."""
-    trunk = session(tile_trunk(plain(), TILES))
+    trunk = session(tiled())
     grid = trunk_grid(trunk, TAPS[:2], (96, 160), 15.77)
     train = extract(trunk, frames(2), grid, lambda fraction: None)
     parameters = padim.parameters(
@@ -99,9 +105,9 @@ def test_neighbours_end_at_a_tile() -> None:
 def test_only_a_plain_trunk_is_tiled_for_its_region() -> None:
     """A tiled trunk, tiles that the strides do not divide, and a region of another size are refused."""
     with pytest.raises(FitError, match=r"\(96, 160\).*\(64, 64\)"):
-        trunk_grid(session(tile_trunk(plain(), TILES)), TAPS[:3], (64, 64), 15.77)
+        trunk_grid(session(tiled()), TAPS[:3], (64, 64), 15.77)
     with pytest.raises(ConfigError, match="no tiles yet"):
-        tile_trunk(tile_trunk(plain(), TILES), TILES)
+        tile_trunk(tiled(), TILES)
     with pytest.raises(ConfigError, match="multiple of 32"):
         tile_trunk(plain(), tiling((96, 160), 48, 16))
 
