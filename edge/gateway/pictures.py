@@ -26,7 +26,7 @@ class PressDrawing:
 
     press_id: str
     draw: Callable[[], bytes]
-    """Returns the picture as a file. Errors: ValueError."""
+    """Returns the picture as a file. Where it raises, an empty one is published."""
     is_last: bool
     """Whether it also takes the place of the retained picture."""
 
@@ -79,7 +79,7 @@ class Pictures:
     def _queue(self, drawing: PressDrawing) -> None:
         try:
             picture = drawing.draw()
-        except ValueError as error:
+        except Exception as error:  # noqa: BLE001 - whatever it is, those that wait are drawn, and the end is orderly
             log.error("the picture of press %s cannot be drawn: %s", drawing.press_id, error)
             picture = b""
         self._store.queue_picture(

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import cv2
 import pytest
 from recorded_presses import make_press, messages_of
 
@@ -111,13 +112,14 @@ def test_a_stop_before_the_picture_is_reported(
     assert f"the picture of press {IDS[0]} was not drawn before the last stop" in caplog.text
 
 
+@pytest.mark.parametrize("kind", [ValueError, MemoryError, cv2.error])
 def test_a_picture_that_cannot_be_drawn_is_empty(
-    store: Store, path: Path, caplog: pytest.LogCaptureFixture
+    store: Store, path: Path, caplog: pytest.LogCaptureFixture, kind: type[Exception]
 ) -> None:
     """The log has the reason; the next one comes."""
 
     def broken() -> bytes:
-        raise ValueError("a map that is not finite")
+        raise kind("a map that is not finite")
 
     pictures = Pictures(store, lambda: None)
     record(store, pictures, 0, broken)
