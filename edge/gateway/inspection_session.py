@@ -230,7 +230,9 @@ class InspectionSession:
     def _add(self, presses: list[Press]) -> None:
         for press in presses:
             if len(self._waiting) < MOST_WAITING:
-                self._waiting.append(self._recorder.prepare(press, self.inspector))
+                waiting = self._recorder.prepare(press, self.inspector)
+                is_refused = bool(self._waiting)  # by the store, perhaps for long
+                self._waiting.append(waiting.drawn() if is_refused else waiting)
             else:
                 self._uncounted += 1
 

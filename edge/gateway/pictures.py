@@ -3,7 +3,7 @@
 import logging
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from edge.background import Background
@@ -15,8 +15,9 @@ __all__ = ["Pictures", "PressDrawing"]
 
 log = logging.getLogger(__name__)
 
-# Presses that wait for their picture, 0.5 MB each. The next start reports those beyond as missing.
-MOST_WAITING: Final = 64
+# Pictures that wait, 2 MB each at most: those of all presses that waited for a store that refused, and some more. The
+# next start reports those beyond as missing.
+MOST_WAITING: Final = 320
 CLOSE_S: Final = 3.0
 
 
@@ -30,6 +31,15 @@ class PressDrawing:
     is_last: bool
     """Whether it also takes the place of the retained picture."""
 
+    def drawn(self) -> "PressDrawing":
+        """Draw it now: what waits long then takes the room of a file. Empty where it cannot be drawn."""
+        try:
+            picture = self.draw()
+        except Exception as error:  # noqa: BLE001 - whatever it is, those that wait are drawn, and the end is orderly
+            log.error("the picture of press %s cannot be drawn: %s", self.press_id, error)
+            picture = b""
+        return replace(self, draw=lambda: picture)
+
 
 class Pictures:
     """Draws and queues the pictures that are owed. Any thread may add; `step` is a turn of the own thread.
@@ -40,6 +50,7 @@ class Pictures:
     def __init__(self, store: Store, wake: Callable[[], None]) -> None:
         self._store, self._wake = store, wake
         self._waiting: deque[PressDrawing] = deque()
+        self._drawn: deque[PressDrawing] = deque()
         self._thread = Background[None]("pictures", CLOSE_S)
 
     def start(self) -> None:
@@ -53,21 +64,23 @@ class Pictures:
 
     def add(self, drawing: PressDrawing) -> None:
         """Draw this after those that wait."""
-        if len(self._waiting) >= MOST_WAITING:
+        if len(self._waiting) + len(self._drawn) >= MOST_WAITING:
             log.error("the picture of press %s is not drawn: %d others wait", drawing.press_id, MOST_WAITING)
             return
         self._waiting.append(drawing)
         self._thread.ask(self.step)
 
     def step(self) -> None:
-        """Draw what waits. What the store refuses goes on waiting, until the next one or the end."""
+        """Draw what waits, and queue it. What the store refuses goes on waiting, until the next one or the end."""
         while self._waiting:
-            drawing = self._waiting.popleft()
+            self._drawn.append(self._waiting.popleft().drawn())
+        while self._drawn:
+            drawing = self._drawn.popleft()
             try:
                 self._queue(drawing)
             except StoreError as error:
                 log.warning("the picture of press %s waits: %s", drawing.press_id, error)
-                self._waiting.appendleft(drawing)
+                self._drawn.appendleft(drawing)
                 return
             self._wake()
 
@@ -77,12 +90,9 @@ class Pictures:
         self.step()
 
     def _queue(self, drawing: PressDrawing) -> None:
-        try:
-            picture = drawing.draw()
-        except Exception as error:  # noqa: BLE001 - whatever it is, those that wait are drawn, and the end is orderly
-            log.error("the picture of press %s cannot be drawn: %s", drawing.press_id, error)
-            picture = b""
         self._store.queue_picture(
             drawing.press_id,
-            lambda is_newest: picture_messages(drawing.press_id, picture, drawing.is_last and is_newest),
+            lambda is_newest: picture_messages(
+                drawing.press_id, drawing.draw(), drawing.is_last and is_newest
+            ),
         )

@@ -1,7 +1,7 @@
 """From a judged press to a recorded one: its picture, its result, and the one transaction that keeps both."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -36,10 +36,14 @@ class WaitingPress:
     row: PressRecord
     result: Mapping[str, Any]
     """The fields of the ResultPayload except those from the ledger."""
-    draw: Callable[[], bytes] | None
-    """Draws its picture; None where none is published."""
+    drawing: PressDrawing | None
+    """Its picture; None where none is published."""
     table: OwnTable | None
     """Where it is kept; None for the history of parts."""
+
+    def drawn(self) -> "WaitingPress":
+        """Draw its picture now, which takes a tenth of the room."""
+        return self if self.drawing is None else replace(self, drawing=self.drawing.drawn())
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,8 @@ class Recorder:
             **{name: value for stage in self._stages for name, value in stage.fields(press).items()},
             "heatmap_topic": f"heatmap/{press.press_id}" if draw else None,
         }
-        return WaitingPress(press.drop_pictures(), row, result, draw, table)
+        drawing = None if draw is None else PressDrawing(press.press_id, draw, is_last=table is None)
+        return WaitingPress(press.drop_pictures(), row, result, drawing, table)
 
     def record(self, waiting: WaitingPress) -> PressReport:
         """Write press, count and messages in one transaction; its picture follows. Errors: StoreError; the call may be
@@ -129,10 +134,10 @@ class Recorder:
             own, sentences = table.publish(result, recorded.sequence)
             return [*own, GelPayload.of(recorded.gel, result.time_ns).message()]
 
-        owes = waiting.draw is not None
-        recorded = self._store.record_press(waiting.row, messages, table, owes_picture=owes)
-        if waiting.draw is not None:
-            self._add_picture(PressDrawing(press.press_id, waiting.draw, is_last=table is None))
+        drawing = waiting.drawing
+        recorded = self._store.record_press(waiting.row, messages, table, owes_picture=drawing is not None)
+        if drawing is not None:
+            self._add_picture(drawing)
         return PressReport(press, _result(waiting, recorded), recorded.gel, sentences)
 
     def count(self, presses: int) -> GelRecord:

@@ -6,10 +6,15 @@ from pathlib import Path
 import cv2
 import pytest
 from recorded_presses import make_press, messages_of
+from station import station_config
+from stepped_station import SteppedStation
 
 from edge.core.errors import StoreError
 from edge.gateway import pictures as module
+from edge.gateway import recorder
+from edge.gateway.inspection_session import MOST_WAITING as MOST_PRESSES_WAITING
 from edge.gateway.pictures import Pictures, PressDrawing
+from edge.pictures.press_picture import PressCaption
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store
 
@@ -145,6 +150,50 @@ def test_a_full_disk_delays_the_picture(store: Store, path: Path, monkeypatch: p
     monkeypatch.setattr(store, "queue_picture", queue)
     pictures.close()
     assert (f"heatmap/{IDS[0]}", b"png") in outbox(path)
+
+
+def test_presses_that_wait_for_the_store_hold_no_arrays(
+    tmp_path: Path, recording: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While the disk is full the presses behind the first are drawn, which takes a fraction of the memory. When there
+    is room again, each picture comes."""
+    drawn: list[str] = []
+
+    def draw(rgb: object, score_map: object, caption: PressCaption) -> bytes:
+        drawn.append(caption.press_id)
+        return caption.press_id.encode()
+
+    monkeypatch.setattr(recorder, "press_png", draw)
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        with station.refusing("presses"):
+            while not station.has_ended:
+                station.play(1)
+            assert (station.loop.is_halted, len(drawn)) == (True, 2)
+        station.turn()
+        ids = [result.press_id for result in station.results]
+        pictures = [(f"heatmap/{name}", name.encode()) for name in ids]
+        assert [row for row in outbox(station.parts.store.path) if row[0].startswith("heatmap")] == pictures
+    assert (sorted(drawn), len(ids)) == (sorted(ids), 3)
+
+
+def test_pictures_that_the_store_refuses_wait_drawn(
+    store: Store, monkeypatch: pytest.MonkeyPatch, path: Path
+) -> None:
+    """As many as presses that wait for a store: each is drawn once, and none is lost when there is room again."""
+    pictures, queue, drawn = Pictures(store, lambda: None), store.queue_picture, list[int]()
+
+    def refuse(*_: object) -> None:
+        raise StoreError("database or disk is full")
+
+    monkeypatch.setattr(store, "queue_picture", refuse)
+    for n in range(MOST_PRESSES_WAITING):
+        record(store, pictures, n, lambda n=n: drawn.append(n) or b"png")  # type: ignore[misc]
+        pictures.step()
+    assert drawn == list(range(MOST_PRESSES_WAITING))
+
+    monkeypatch.setattr(store, "queue_picture", queue)
+    pictures.close()
+    assert (store.owed_pictures(), len(drawn)) == ([], MOST_PRESSES_WAITING)
 
 
 def test_pictures_that_fall_behind_are_bounded(
