@@ -34,13 +34,17 @@ _NEAR_MM, _ABOVE, _QUARTILE, _USUAL = 0.6, 1.5, 0.25, 1.25
 _PRESSES_EACH = 40
 
 
-def learn_gel_limits(maps: F32, pixels_per_mm: float) -> F32:
-    """Learn the limits, float32 (h, w), from raw maps of nominal presses as they lie, (n, h, w), 0 where unseen."""
+def learn_gel_limits(maps: F32, pixels_per_mm: float, presses: int) -> F32:
+    """Learn the limits, float32 (h, w), from raw maps of nominal presses as they lie, (n, h, w), 0 where unseen.
+
+    presses: how many the fit has. Without some of them as many are passed over as with all, else these limits would be
+    higher than the bundle's, and a press judged by them would look more usual than the next one will.
+    """
     usual = _USUAL * float(np.quantile(maps.max(axis=(1, 2)), _QUARTILE))
     reach = 2 * round(_NEAR_MM * pixels_per_mm) + 1
     near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     ordered = np.sort(np.stack([cv2.dilate(one, near) for one in maps]), axis=0)
-    highest = ordered[-1 - len(maps) // _PRESSES_EACH]
+    highest = ordered[-1 - presses // _PRESSES_EACH]
     if not usual > 0:
         return np.ones_like(highest)
     limits = np.where(highest > usual, _ABOVE * highest / usual, 1)
@@ -96,7 +100,7 @@ def choose_limits(
             for one, found in zip(shown.registered, evidence.held_out.sound.maps, strict=True)
         ]
     )
-    limits = learn_gel_limits(lying, evidence.pixels_per_mm)
+    limits = learn_gel_limits(lying, evidence.pixels_per_mm, len(lying))
     if not (limits > 1).any():
         return usual
     weighed = _weigh_all(evidence, lying, limits, shown.registered, damaged.registered)
@@ -121,7 +125,7 @@ def _weigh_all(
     for number, held in enumerate(evidence.folds):
         fold_of[held] = number
     mm = evidence.pixels_per_mm
-    apart = [learn_gel_limits(np.delete(lying, held, axis=0), mm) for held in evidence.folds]
+    apart = [learn_gel_limits(np.delete(lying, held, axis=0), mm, len(lying)) for held in evidence.folds]
     sound, edited = evidence.held_out.sound, evidence.held_out.edited
     held_out = HeldOut(
         _weigh(sound, [apart[k] for k in fold_of], poses),

@@ -109,6 +109,14 @@ def test_of_many_presses_a_few_odd_ones_raise_no_limit() -> None:
     maps = np.ones((80, SIDE, SIDE), np.float32)
     for k in range(4):
         maps[k, 8 * k + 8, 8] = 9
-    assert learn_gel_limits(maps, PX).max() == 1
+    assert learn_gel_limits(maps, PX, 80).max() == 1
     maps[:3, 30, 50] = 9
-    assert learn_gel_limits(maps, PX)[30, 50] > 1
+    assert learn_gel_limits(maps, PX, 80)[30, 50] > 1
+
+
+def test_limits_without_some_presses_are_not_more_generous() -> None:
+    """Forty presses pass one over; the 32 of them that judge a fold do so too, for the next press is judged by forty."""
+    maps = np.ones((40, SIDE, SIDE), np.float32)
+    maps[:2, 30, 50] = 9
+    assert learn_gel_limits(maps, PX, 40)[30, 50] > 1
+    assert learn_gel_limits(maps[1:33], PX, 40).max() == 1
