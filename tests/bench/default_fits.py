@@ -1,6 +1,6 @@
 """One row for each development kind of press: what a complete fit from pictures sees, and what it reports of that.
 
-`python tests/bench/default_fits.py ROWS.jsonl --tactile FOLDER [KIND...]` prints the table, worst first. A row is kept
+`python tests/bench/default_fits.py ROWS.jsonl [KIND...] --tactile FOLDER` prints the table, worst first. A row is kept
 as soon as it is measured, and is not measured again; another trunk, method or free gel is another row.
 A kind takes about a minute of one core. Real frames are of the development sensors of `sets.toml` alone.
 
@@ -30,6 +30,7 @@ from calibration.experiments.harness.rows import Rows
 from calibration.fitting.damage.conditions import relight
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.options import DEFAULT_METHOD
+from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.metrics import aupro, auroc
@@ -137,6 +138,7 @@ KINDS: Mapping[str, Maker] = {
 
 def fit_pictures(presses: NominalPresses, method: str, backbone: str, **changes: Any) -> Fitted:
     """Fit as `gelgate fit` does. changes: of the configuration."""
+    presses = take_out_dots(presses, PROFILE.pixels_per_mm)
     detector = registry.detector(method)
     trunk = open_trunk(backbone, detector.taps(detector.parameters()))
     config = FitConfig(
