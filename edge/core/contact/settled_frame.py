@@ -19,6 +19,8 @@ _EARLY_SHARE = 0.05
 _DEEPEST_SHARE = 0.03
 # Between two frames a press is deeper than in them by no more than its step from frame to frame.
 _STEP_SHARE = 0.25
+# Of a light press one depth is measured a tenth larger than the next; the strength grows with the square of the depth.
+_PEAK_SHARE = 0.1
 
 CLEARLY_INVERSE: Final = -0.7
 """A log ratio of structure (`Relief.gain`): a reference learnt from a pressed gel has more than the free gel."""
@@ -136,6 +138,8 @@ class Window:
         anchor = self.anchor(seen.timestamp_ns, settings)
         if anchor is None or is_moving(seen, settings) or self.is_growing(settings):
             return False
+        if len(self.frames) == 2 and sum(self.deepest) < (1 - _STEP_SHARE) * anchor.depth:
+            return False
         return seen.depth >= anchor.depth * (1 - settings.growth_share) - _NOISE
 
     def choose(self, since_ns: int) -> Observation:
@@ -151,7 +155,7 @@ class Window:
         if self.peak is None or self.peak.timestamp_ns < since_ns:
             return None
         depths = _largest([self.deepest, (strength_peak, 0.0), *(frame.depths for frame in self.frames)])
-        return self.peak if self.peak.depth >= (1 - _DEEPEST_SHARE) * sum(depths) else None
+        return self.peak if self.peak.depth >= (1 - _PEAK_SHARE) * sum(depths) else None
 
 
 # Sensor noise moves strength and texture by less, in levels over the whole view.

@@ -16,6 +16,7 @@ __all__ = [
     "UNJUDGED",
     "WATCHED",
     "Track",
+    "is_recoil",
     "level_of",
     "seconds",
     "signal_of",
@@ -85,6 +86,8 @@ _RESIDUE_TIMES: Final = 1.2
 # a shorter time.
 RESIDUE_SHARE: Final = 0.4
 _RESIDUE_S: Final = 0.2
+# A soft part is not off the gel at its release: for this time it may move, and leave more than it did.
+_RECOIL_S: Final = 0.3
 # Over a residue, an imprint of this many times its strength is a new press.
 _NEW_PRESS_TIMES: Final = 2.0
 # A light press is over when its relief has fallen to this share: it has no area to decide by.
@@ -105,6 +108,16 @@ def level_of(track: Track, seen: Observation, settings: ContactSettings) -> Sign
         or _stands_out(track, seen, settings)
     )
     return Signal.TOUCH if is_touch else Signal.FAINT
+
+
+def is_recoil(track: Track, seen: Observation, settings: ContactSettings) -> bool:
+    """Tell whether the view still belongs to the press just released: as weak as a residue, and a moment after it."""
+    return (
+        track.state is State.RECOVERY
+        and track.peak >= settings.on_area
+        and seconds(seen.timestamp_ns, track.since_ns) <= _RECOIL_S
+        and seen.strength < RESIDUE_SHARE * track.strength_peak
+    )
 
 
 def _stands_out(track: Track, seen: Observation, settings: ContactSettings) -> bool:

@@ -83,6 +83,20 @@ def test_the_manual_shows_this_table() -> None:
     assert table_markdown() in page.read_text(encoding="utf-8")
 
 
+def springing(relief: float, strength: float) -> list[Observation]:
+    """A press of 10 is released, and 0.12 s later this shows for a second, then nothing."""
+    shown = (
+        [(0.1, 0.1, 10.0)] * 12
+        + [(0.0, 0.02, 0.0)] * 6
+        + [(0.0, relief, strength)] * 25
+        + [(0.0, 0.0, 0.0)] * 10
+    )
+    return [
+        replace(seen(40 + 40 * k, area), relief=relief, strength=strength, texture=relief)
+        for k, (area, relief, strength) in enumerate(shown)
+    ]
+
+
 STORIES = {
     "one frame is no press": (at(40, [FREE, PRESSED, FREE, PRESSED, FREE]), ""),
     "less than the onset time is no press": (at(40, [PRESSED] * 5 + [FREE] * 20, spacing_ms=10), ""),
@@ -93,6 +107,8 @@ STORIES = {
     "texture before area": ([light(40 * k, 0.03 if 5 <= k < 20 else 0.0) for k in range(1, 30)], PRESS),
     "a fingertip rolls, then holds lightly": (deep(40, [10] * 10 + [2] * 5 + [10] * 10 + [5] * 50), HELD),
     "the residue of one that never rested": (deep(40, [10] * 8, 0.5) + deep(360, [3] * 40), RELEASED),
+    "a soft part springs back": (springing(0.05, 0.5), PRESS),
+    "another one just after it": (springing(0.12, 6.0), f"{PRESS} {PRESS}"),
     "one more during recovery": (at(40, ([PRESSED] * 10 + [FREE] * 4) * 2), f"{PRESS} {PRESS}"),
 }
 

@@ -114,9 +114,18 @@ def slid(spacing_ms: int) -> list[Observation]:
 
 
 LIFTED = [pressed(1040 + k * 40, 10.0 * (1 - k / 25)) for k in range(1, 20)]
+BLURRED = ((6, 0.01), (8, 0.01), (9.2, 0.01), (9.2, 0.01), (10, 0.05), (8, 0.01), (6, 0.01))
 RAMPS = {
     "lifted while it deepens": ([*ramped(40, 320, 0), *at(400, [FREE] * 5)], RELEASED),
     "slowly up again at once": ([*ramped(40, 1000, 0), *LIFTED, *at(1900, [FREE] * 5)], PRESS),
+    "straddled at 5 frames a second": (
+        [pressed(200, 3.0), pressed(400, 6.7), pressed(600, 6.7), *at(800, [FREE] * 5, spacing_ms=200)],
+        RELEASED,
+    ),
+    "its deepest frame is blurred": (
+        [*(pressed(40 + 40 * k, d, m) for k, (d, m) in enumerate(BLURRED)), *at(400, [FREE] * 5)],
+        PRESS,
+    ),
     "slid all the time": (slid(40), RELEASED),
     "six seconds down, for the timeout runs from the last growth": (ramped(40, 6000, 600), HELD),
 }
