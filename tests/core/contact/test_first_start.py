@@ -52,10 +52,13 @@ def free_view(part: str, gel: str = "clear") -> View:
     return series(part, gel)[0]
 
 
-@pytest.mark.parametrize("part", ["PZ3", "ball"])
-def test_a_pressed_first_start_recovers_by_itself(part: str) -> None:
+@pytest.mark.parametrize(
+    ("part", "gel"),
+    [("PZ3", "clear"), ("ball", "clear"), ("PZ2", "marker"), ("PZ3", "marker"), ("PZ5", "marker")],
+)
+def test_a_pressed_first_start_recovers_by_itself(part: str, gel: str) -> None:
     """Nothing is known of the gel: the lift is doubted and not counted, and then three presses are three."""
-    station = Station(ContactTracker(), part)
+    station = Station(ContactTracker(), part, gel)
     station.show(3.0, 12)
     station.show(1.0, 0)
     assert station.of(*PRESSES) == []
@@ -65,7 +68,7 @@ def test_a_pressed_first_start_recovers_by_itself(part: str) -> None:
         station.press()
     assert [len(station.of(kind)) for kind in (PressBegan, PressSettled, PressEnded)] == [3, 3, 3]
     assert station.tracker.reference is not None
-    assert np.abs(station.tracker.reference.view - free_view(part)).mean() < 1.5
+    assert np.abs(station.tracker.reference.view - free_view(part, gel)).mean() < 1.5
 
 
 @pytest.mark.parametrize("gel", ["clear", "marker"])
