@@ -35,7 +35,6 @@ from edge.core.contact.signals import (
     UNJUDGED,
     WATCHED,
     Track,
-    is_recoil,
     level_of,
     signal_of,
 )
@@ -51,7 +50,7 @@ def step(track: Track, seen: Observation, settings: ContactSettings) -> tuple[Tr
     track = _resumed(replace(track, last_ns=seen.timestamp_ns), seen, settings)
     if seen.is_black or seen.timestamp_ns < track.blind_until_ns:
         return replace(track, state=TABLE[track.state, Signal.BLIND]), ()
-    track = _measure(_update_rest(track, seen, settings), seen, settings)
+    track = _measure(_update_rest(track, seen, settings), seen)
     track = _watched(track, seen, settings)
     return _transition(track, signal_of(track, seen, settings), seen, settings)
 
@@ -119,8 +118,8 @@ def _watched(track: Track, seen: Observation, settings: ContactSettings) -> Trac
     return replace(track, window=window, grown_ns=grown_ns)
 
 
-def _measure(track: Track, seen: Observation, settings: ContactSettings) -> Track:
-    """The press's largest area and relief, and the last one's residue, which only shrinks once it has come to rest."""
+def _measure(track: Track, seen: Observation) -> Track:
+    """The press's largest area and relief, and the last one's residue, which only shrinks."""
     if track.state in PRESSED:
         strength_peak = max(track.strength_peak, seen.strength)
         sunk_ns = seen.timestamp_ns if track.sunk_ns is None else track.sunk_ns
@@ -131,12 +130,11 @@ def _measure(track: Track, seen: Observation, settings: ContactSettings) -> Trac
             strength_peak=strength_peak,
             sunk_ns=sunk_ns if seen.strength < RESIDUE_SHARE * strength_peak else None,
         )
-    bound = max if is_recoil(track, seen, settings) else min
     return replace(
         track,
-        residue=bound(track.residue, seen.area),
-        relief_residue=bound(track.relief_residue, seen.relief),
-        strength_residue=bound(track.strength_residue, seen.strength),
+        residue=min(track.residue, seen.area),
+        relief_residue=min(track.relief_residue, seen.relief),
+        strength_residue=min(track.strength_residue, seen.strength),
     )
 
 

@@ -16,7 +16,6 @@ __all__ = [
     "UNJUDGED",
     "WATCHED",
     "Track",
-    "is_recoil",
     "level_of",
     "seconds",
     "signal_of",
@@ -86,8 +85,8 @@ _RESIDUE_TIMES: Final = 1.2
 # a shorter time.
 RESIDUE_SHARE: Final = 0.4
 _RESIDUE_S: Final = 0.2
-# A soft part is not off the gel at its release: for this time it may move, and leave more than it did.
-_RECOIL_S: Final = 0.3
+# Foam springs back and still lies on the gel after its release, with less than this share of its largest strength.
+_RECOIL_SHARE: Final = 0.1
 # Over a residue, an imprint of this many times its strength is a new press.
 _NEW_PRESS_TIMES: Final = 2.0
 # A light press is over when its relief has fallen to this share: it has no area to decide by.
@@ -107,17 +106,13 @@ def level_of(track: Track, seen: Observation, settings: ContactSettings) -> Sign
         or seen.relief >= settings.on_area + _RESIDUE_TIMES * track.relief_residue
         or _stands_out(track, seen, settings)
     )
-    return Signal.TOUCH if is_touch else Signal.FAINT
+    return Signal.TOUCH if is_touch and not _is_recoil(track, seen, settings) else Signal.FAINT
 
 
-def is_recoil(track: Track, seen: Observation, settings: ContactSettings) -> bool:
-    """Tell whether the view still belongs to the press just released: as weak as a residue, and a moment after it."""
-    return (
-        track.state is State.RECOVERY
-        and track.peak >= settings.on_area
-        and seconds(seen.timestamp_ns, track.since_ns) <= _RECOIL_S
-        and seen.strength < RESIDUE_SHARE * track.strength_peak
-    )
+def _is_recoil(track: Track, seen: Observation, settings: ContactSettings) -> bool:
+    """Tell whether so little shows just after a press that it is the rest of it, not another one."""
+    has_just_ended = track.state is State.RECOVERY and track.peak >= settings.on_area
+    return has_just_ended and seen.depth < _RECOIL_SHARE * track.strength_peak
 
 
 def _stands_out(track: Track, seen: Observation, settings: ContactSettings) -> bool:
