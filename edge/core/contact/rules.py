@@ -167,13 +167,14 @@ def _entered(track: Track, before: Track, seen: Observation, settings: ContactSe
         case State.BASELINE, State.CONTACT:
             return replace(_start_press(track, seen), is_counted=False)
         case State.SETTLING, State.CONTACT:
-            return replace(track, adds_structure=seen.imprint >= ADDS_STRUCTURE)
+            return replace(track, imprint=seen.imprint)
         case State.DOUBT, State.RECOVERY:
             return replace(
                 track,
                 residue=0.0,
                 relief_residue=0.0,
                 strength_residue=0.0,
+                earlier_imprints=0.0,
                 is_confirmed=False,
                 is_cycled=False,
             )
@@ -193,13 +194,14 @@ def _start_press(track: Track, seen: Observation) -> Track:
         relief_peak=seen.relief,
         strength_peak=seen.strength,
         sunk_ns=None,
-        adds_structure=False,
+        imprint=0.0,
     )
 
 
 def _over(track: Track, before: Track, seen: Observation) -> Track:
     """A press is over: its residue, and what it shows about the reference."""
     is_whole = before.state is State.RELEASE
+    imprints = track.earlier_imprints + track.imprint
     return replace(
         track,
         residue=seen.area,
@@ -208,7 +210,9 @@ def _over(track: Track, before: Track, seen: Observation) -> Track:
         is_wanted=False,
         is_counted=True,
         is_cycled=track.is_cycled or (is_whole and before.is_counted),
-        is_confirmed=track.is_confirmed or (is_whole and (before.adds_structure or not before.is_counted)),
+        earlier_imprints=imprints,
+        is_confirmed=track.is_confirmed
+        or (is_whole and (imprints >= ADDS_STRUCTURE or not before.is_counted)),
     )
 
 

@@ -65,7 +65,10 @@ class Track:
     """Another picture of the free gel, or a press, has shown that the reference is one."""
     is_cycled: bool = False
     """A press has come and gone."""
-    adds_structure: bool = False
+    imprint: float = 0.0
+    """Whether the view of this press has more structure than the reference, or less, at rest (`Relief.gain`)."""
+    earlier_imprints: float = 0.0
+    """The sum over the presses since the reference was learnt."""
     is_interrupted: bool = False
     blind_until_ns: int = 0
 
@@ -76,7 +79,7 @@ class Track:
 
 
 # A log ratio of structure (`Relief.gain`): a part that presses adds some, a reference learnt from a pressed gel has
-# more than the free gel. Public frames without markers lie beyond 1.7 either way, those with markers within 0.35.
+# more than the free gel. Public frames without markers lie beyond 1.4 either way.
 ADDS_STRUCTURE: Final = 0.35
 # Relief that a press left behind varies by this much.
 _RESIDUE_TIMES: Final = 1.2
@@ -201,8 +204,11 @@ def _doubting_signal(track: Track, seen: Observation, settings: ContactSettings)
 
 
 def _is_inverse(track: Track, seen: Observation) -> bool:
-    """Tell whether the view lost what the reference shows, as when a part is lifted that was taken for the free gel."""
-    return not track.is_confirmed and seen.imprint <= CLEARLY_INVERSE
+    """Tell whether the view lost what the reference shows, as when a part is lifted that was taken for the free gel.
+
+    What one press does not decide, several do: their log ratios add up.
+    """
+    return not track.is_confirmed and track.earlier_imprints + seen.imprint <= CLEARLY_INVERSE
 
 
 def _is_doubtful(track: Track, seen: Observation, settings: ContactSettings) -> bool:

@@ -176,6 +176,18 @@ def test_a_lift_from_a_pressed_reference_is_no_press() -> None:
     assert story(run(unconfirmed(), later)[1]).startswith("PressBegan PressNotSettled:DOUBTED PressEnded")
 
 
+def test_what_no_press_decides_several_do() -> None:
+    """Each takes a little structure: the third is doubted. Where each adds a little, the reference is confirmed."""
+    presses = [
+        replace(frame, imprint=-0.3, strength=10.0) if frame.area else frame
+        for frame in at(40, ([PRESSED] * 10 + [FREE] * 5) * 3)
+    ]
+    assert story(run(unconfirmed(), presses)[1]).startswith(f"{PRESS} {PRESS} ReferenceDoubted")
+    added = [replace(frame, imprint=-frame.imprint) for frame in presses]
+    track, events = run(unconfirmed(), added)
+    assert (story(events), track.is_confirmed) == (f"{PRESS} {PRESS} {PRESS}", True)
+
+
 def test_a_confirmed_reference_is_not_doubted() -> None:
     """Once a press has added structure and gone, a press that looks inverse is a press."""
     press = [inverse(40 * k, imprint=2.0) for k in range(1, 20)]

@@ -71,6 +71,20 @@ def test_a_pressed_first_start_recovers_by_itself(part: str, gel: str) -> None:
     assert np.abs(station.tracker.reference.view - free_view(part, gel)).mean() < 1.5
 
 
+def test_presses_that_decide_little_decide_together() -> None:
+    """A smooth ball over markers hardly adds structure: the lift counts as a press, and within ten it is noticed."""
+    station = Station(ContactTracker(), "ball", "marker")
+    station.show(3.0, 12)
+    station.show(1.0, 0)
+    for _ in range(10):
+        station.press()
+    assert station.of(ReferenceCorrected)
+    station.events.clear()
+    for _ in range(3):
+        station.press()
+    assert [len(station.of(kind)) for kind in (PressBegan, PressSettled, PressEnded)] == [3, 3, 3]
+
+
 @pytest.mark.parametrize("gel", ["clear", "marker"])
 def test_the_bundles_free_gel_shows_a_pressed_first_start(gel: str) -> None:
     """With the picture that the bundle was fitted with, it is noticed before anything is learnt."""
