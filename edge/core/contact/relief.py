@@ -93,9 +93,9 @@ class Relief:
         """Has the view more structure than the reference (positive), or less, where they differ? A log ratio.
 
         A part that presses adds structure; a reference that was learnt from a pressed gel has more of it than the free
-        gel. On public frames of balls it is 1.4 to 2.7 for a press, and the same negative when the two are exchanged. On a
-        gel with markers it is 0.8 and more for parts with edges, and may be near 0 for smooth ones. mask: bool (h, w)
-        of the view.
+        gel. On public frames of balls it is 1.4 to 2.7 for a press, and the same negative when the two are exchanged.
+        On a simulated gel with markers it is 0.8 and more for parts with edges, and near 0 for smooth ones. mask: bool
+        (h, w) of the view.
         """
         rows, columns = self.mask.shape
         where = cv2.resize(mask.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST) > 0
