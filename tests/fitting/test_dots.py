@@ -140,7 +140,8 @@ def test_the_gateway_fills_what_the_fit_filled() -> None:
 
 
 def test_dots_at_other_places_are_no_damage() -> None:
-    """New presses of the part pass, and damaged ones fail."""
+    """Of new presses of the part no more fail than eight nominal ones promise, 1 in 9; each damaged one fails, and
+    scores higher than every sound one."""
     scorer, limit = Scorer(fitted().bundle(), 1), fitted().manifest.threshold.value
     scores = [
         [
@@ -149,8 +150,8 @@ def test_dots_at_other_places_are_no_damage() -> None:
         ]
         for is_dented in (False, True)
     ]
-    assert max(scores[0]) <= limit
-    assert min(scores[1]) > limit
+    assert sum(score > limit for score in scores[0]) <= 2
+    assert min(scores[1]) > max(limit, *scores[0])
 
 
 def test_a_bundle_without_dots_says_nothing_of_them() -> None:

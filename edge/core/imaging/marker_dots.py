@@ -24,6 +24,7 @@ Mask = NDArray[np.bool_]
 # On four real marker gels a dot is 0.7 to 0.95 mm wide, its centre darker than its surroundings by 48 to 62 % in all
 # colours, and its next neighbours are 1.7 to 2.1 mm away, alike within 10 %.
 _SURROUNDINGS_MM, _DARKER = 1.5, 0.3
+_LARGER: Final = 2.5
 _WIDTH_MM: Final = (0.3, 1.4)
 _APART: Final = (0.75, 1.25)
 # Of the dots on a gel these shares must have neighbours at that distance and in the lattice's directions, and cover the
@@ -208,10 +209,14 @@ class _Blobs:
 
 
 def _dark(rgb: U8, surroundings_px: float, darker: float) -> U8:
-    """Find what is darker than the brightest around it, 0 or 1, (h, w)."""
-    brightest = _brightest(rgb)
-    limit = cv2.convertScaleAbs(_close(brightest, surroundings_px), alpha=1 - darker)
-    return np.asarray(brightest < limit, np.uint8)
+    """Find what is darker than its surroundings, 0 or 1, (h, w).
+
+    These are the brightest nearby, or the mean of a larger area where that is less: beside a bright edge of the part
+    a groove is as dark as a dot, and not of the light of the gel.
+    """
+    brightest, side = _brightest(rgb), 2 * round(_LARGER * surroundings_px / 2) + 1
+    light = cv2.min(_close(brightest, surroundings_px), cv2.blur(brightest, (side, side)))
+    return np.asarray(brightest < cv2.convertScaleAbs(light, alpha=1 - darker), np.uint8)
 
 
 def _brightest(rgb: U8) -> U8:

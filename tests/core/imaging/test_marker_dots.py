@@ -110,6 +110,15 @@ def test_moved_dots_are_filled_and_nothing_else_changes(moved: NDArray[np.float6
     assert (filled == press)[far].all()
 
 
+def test_dots_that_grooves_of_the_part_touch_are_filled() -> None:
+    """A thread: beside its bright crests the gel is as dark as a dot, and joins the dots."""
+    rgb = LIGHT.copy()
+    for top in range(30, 190, 20):
+        rgb[top : top + 6, 70:150, 0] = 230
+    filled = known().fill(dotted(rgb, PLACES))
+    assert filled.max(axis=2).min() > 0.7 * LIGHT.max(axis=2).min()
+
+
 def test_a_further_dark_spot_between_dots_stays() -> None:
     """It is as large and as dark as a dot, and belongs to the part."""
     spot = PLACES[np.abs(PLACES - 112).sum(axis=1).argmin()] + APART_PX / 2
