@@ -60,6 +60,8 @@ class CarryConfig:
 def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -> Fitted:
     """The bundle for the gel of these presses. Errors: FitError for presses that do not allow it."""
     _check_bundle(bundle)
+    if bundle.registration is not None:  # another gel has other cuts
+        bundle = replace(bundle, registration=replace(bundle.registration, gel_limits=None))
     presses = take_out_dots(presses, bundle.profile.pixels_per_mm)
     _check_presses(bundle, presses)
     scorer = Scorer(bundle, config.threads)
@@ -232,6 +234,5 @@ def _files(
         with_trunk=manifest.backbone is None or manifest.backbone.in_bundle,
         free_gel=most_typical(free) if bundle.free_gel is not None and free is not None else None,
         free_view=presses.free_view,
-        # Another gel has other cuts.
-        registration=bundle.registration and replace(bundle.registration, gel_limits=None),
+        registration=bundle.registration,
     )

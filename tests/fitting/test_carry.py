@@ -8,8 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import turned_parts as parts
 from command_line import Outcome, gelgate
 from numpy.typing import NDArray
+from registered_bundle import nominal as registered_presses
+from registered_bundle import registered
 from station import gel
 from tiny_fit import config as tiny_config
 from tiny_fit import presses as tiny_presses
@@ -32,6 +35,23 @@ REGION = Region.centre(SENSOR.size)
 # Red, green and blue of the old gel, and of the new one in shares of them.
 OLD, TINT = (1.0, 1.0, 1.0), (1.004, 0.9965, 1.001)
 CONFIG = CarryConfig("2026-02-01", "G2", threads=1)
+
+
+def test_limits_of_the_old_gel_are_gone_before_the_new_presses_are_scored(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Another gel has other cuts: with the old limits in the scores the new threshold would be too low."""
+    bundle = registered().bundle()
+    assert bundle.registration is not None
+    limits = np.full(bundle.registration.learnt.shape, 4, np.float32)
+    cut = replace(bundle, registration=replace(bundle.registration, gel_limits=limits))
+    presses = registered_presses(parts.anywhere(parts.BLOCK, 8, 300)[1])
+    for check in ("_check_presses", "_check_change"):
+        monkeypatch.setattr(f"calibration.fitting.carry.{check}", lambda *_: None)
+    plainly, carried = (carry_bundle(one, presses, CONFIG) for one in (bundle, cut))
+    assert carried.bundle().registration is not None
+    assert carried.bundle().registration.gel_limits is None  # type: ignore[union-attr]
+    assert carried.manifest.threshold.value == plainly.manifest.threshold.value
 
 
 def picture(rng: np.random.Generator, depth: float, tint: Sequence[float], *, dent: bool = False) -> U8:

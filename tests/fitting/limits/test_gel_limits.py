@@ -115,7 +115,7 @@ def test_of_many_presses_a_few_odd_ones_raise_no_limit() -> None:
 
 
 def test_limits_without_some_presses_are_not_more_generous() -> None:
-    """Forty presses pass one over; the 32 of them that judge a fold do so too, for the next press is judged by forty."""
+    """Forty presses pass one over; the 32 that judge a fold do so too, for the next press is judged by forty."""
     maps = np.ones((40, SIDE, SIDE), np.float32)
     maps[:2, 30, 50] = 9
     assert learn_gel_limits(maps, PX, 40)[30, 50] > 1
