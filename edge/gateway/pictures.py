@@ -1,6 +1,7 @@
 """The pictures of presses: drawn when their results have left, on a thread of its own, in order."""
 
 import logging
+import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -52,6 +53,7 @@ class Pictures:
         self._waiting: deque[PressDrawing] = deque()
         self._drawn: deque[PressDrawing] = deque()
         self._thread = Background[None]("pictures", CLOSE_S)
+        self._turn = threading.Lock()  # of the thread, and of `close` where the thread is still busy
 
     def start(self) -> None:
         """Begin to draw; before others come empty pictures for those that the last stop has prevented. Errors:
@@ -72,17 +74,17 @@ class Pictures:
 
     def step(self) -> None:
         """Draw what waits, and queue it. What the store refuses goes on waiting, until the next one or the end."""
-        while self._waiting:
-            self._drawn.append(self._waiting.popleft().drawn())
-        while self._drawn:
-            drawing = self._drawn.popleft()
-            try:
-                self._queue(drawing)
-            except StoreError as error:
-                log.warning("the picture of press %s waits: %s", drawing.press_id, error)
-                self._drawn.appendleft(drawing)
-                return
-            self._wake()
+        with self._turn:
+            while self._waiting:
+                self._drawn.append(self._waiting.popleft().drawn())
+            while self._drawn:
+                try:
+                    self._queue(self._drawn[0])
+                except StoreError as error:
+                    log.warning("the picture of press %s waits: %s", self._drawn[0].press_id, error)
+                    return
+                self._drawn.popleft()
+                self._wake()
 
     def close(self) -> None:
         """Draw what waits, and end the thread. May be called again."""

@@ -1,5 +1,6 @@
 """Pictures are drawn after their results have left: in order, each once, and what cannot be drawn is said."""
 
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -208,3 +209,27 @@ def test_pictures_that_fall_behind_are_bounded(
 
     assert store.owed_pictures() == [IDS[2]]
     assert f"the picture of press {IDS[2]} is not drawn: 2 others wait" in caplog.text
+
+
+def test_an_end_while_the_thread_draws_keeps_the_order(
+    store: Store, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Closing waits for a picture that takes longer than the thread is given, and draws the others after it."""
+    monkeypatch.setattr(module, "CLOSE_S", 0.0)
+    is_drawing, may_end = threading.Event(), threading.Event()
+
+    def slow() -> bytes:
+        is_drawing.set()
+        may_end.wait(10)
+        return b"slow"
+
+    pictures = Pictures(store, lambda: None)
+    pictures.start()
+    record(store, pictures, 0, slow)
+    is_drawing.wait(10)
+    record(store, pictures, 1)
+    threading.Timer(0.05, may_end.set).start()
+    pictures.close()
+
+    topics = [topic for topic, _ in outbox(path) if topic.startswith("heatmap/")]
+    assert topics == [f"heatmap/{IDS[0]}", f"heatmap/{IDS[1]}"]
