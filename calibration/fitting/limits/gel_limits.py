@@ -44,7 +44,7 @@ def learn_gel_limits(maps: F32, pixels_per_mm: float, presses: int) -> F32:
     reach = 2 * round(_NEAR_MM * pixels_per_mm) + 1
     near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     ordered = np.sort(np.stack([cv2.dilate(one, near) for one in maps]), axis=0)
-    highest = ordered[-1 - presses // _PRESSES_EACH]
+    highest = ordered[max(-1 - presses // _PRESSES_EACH, -len(maps))]
     if not usual > 0:
         return np.ones_like(highest)
     limits = np.where(highest > usual, _ABOVE * highest / usual, 1)

@@ -120,3 +120,4 @@ def test_limits_without_some_presses_are_not_more_generous() -> None:
     maps[:2, 30, 50] = 9
     assert learn_gel_limits(maps, PX, 40)[30, 50] > 1
     assert learn_gel_limits(maps[1:33], PX, 40).max() == 1
+    assert learn_gel_limits(maps[:1], PX, 40).shape == (SIDE, SIDE)  # the other presses are of one piece
