@@ -79,6 +79,8 @@ def _rows(manifest: Manifest) -> Iterator[tuple[str, str]]:
     yield "threshold", f"{limit.value:.6g} ({limit.method})"
     yield "limit", choice_sentence(facts, LIMIT) or "plain"
     yield "missing relief", choice_sentence(facts, MISSING) or "not checked"
+    if dots := facts.get("dots"):
+        yield "marker dots", str(dots)
     yield "false alarms", promise(limit)
     yield "press again", again_sentence(plan_for(manifest, DEFAULT_COSTS))
     absolute = f"score {tolerance.score:.2g}, map {tolerance.score_map:.2g}"

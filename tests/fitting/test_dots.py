@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_line import gelgate
 from marker_gel import dotted, lattice, light, spread
 from numpy.typing import NDArray
 from station import gel
@@ -184,6 +185,13 @@ def test_dots_that_make_no_sense_are_refused_by_name(change: dict[str, object], 
 def test_a_graph_alone_does_not_replace_such_a_bundle() -> None:
     with pytest.raises(BundleMismatch, match="dots of a marker gel"):
         merged_graph(fitted().bundle())
+
+
+def test_a_bundle_says_what_is_not_judged(tmp_path: Path) -> None:
+    """`gelgate bundle inspect` has the sentence of the fit."""
+    for has_dots in (True, False):
+        bundle = fitted(has_dots=has_dots).write(tmp_path / f"bolt-{has_dots}")
+        assert ("nothing is judged under them" in gelgate("bundle", "inspect", bundle).out) == has_dots
 
 
 def test_the_example_refuses_such_a_bundle(tmp_path: Path) -> None:
