@@ -103,7 +103,7 @@ class Listener:
     def __init__(self) -> None:
         self.asked: list[bytes] = []
 
-    def inspect(self, frame: CameraFrame, touch: Touch, press: Press) -> Press:
+    def inspect(self, frame: CameraFrame, touch: Touch, press: Press, came_ns: int) -> Press:
         self.asked.append(frame.payload)
         return replace(press, error="not judged")
 
