@@ -17,7 +17,7 @@ from edge.config import Config
 from edge.core.errors import ConfigError
 from edge.core.ports import Message
 from edge.extras import needs
-from edge.messaging.alarm_payload import known_alarms
+from edge.messaging.alarm_payload import list_alarms
 from edge.page.access import Access
 from edge.page.http_server import HttpHandler, HttpServer
 from edge.press_stage import PressStage, StageParts
@@ -104,7 +104,7 @@ class Metrics(PressStage):
         with self._lock:
             stats, state, alarms = dict(self._stats), self._state, set(self._alarms)
         yield _family("gauge", "ready", "1 while the station inspects", "", {"": float(state == "ready")})
-        raised = {alarm: float(alarm in alarms) for alarm in known_alarms()}
+        raised = {alarm: float(alarm in alarms) for alarm in list_alarms()}
         yield _family("gauge", "alarm", "1 while the alarm is raised", "alarm", raised)
         if stats:
             said = {"": stats["time_ns"] / 1e9}

@@ -16,7 +16,7 @@ from edge.gateway.features import load_every_feature, load_features
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.self_test import self_test
 from edge.gateway.station_loop import StationLoop
-from edge.messaging.alarm_payload import known_alarms
+from edge.messaging.alarm_payload import list_alarms
 from edge.messaging.command_payloads import (
     AcknowledgeAlarmArguments,
     CommandArguments,
@@ -80,7 +80,7 @@ def _reload(loop: StationLoop, arguments: NoArguments) -> Data:
 
 
 def _acknowledge_alarm(loop: StationLoop, arguments: AcknowledgeAlarmArguments) -> Data:
-    alarm, raised, known = arguments.alarm, _alarms(loop), known_alarms()
+    alarm, raised, known = arguments.alarm, _alarms(loop), list_alarms()
     if alarm not in known:
         raise ValueError(f"no alarm is named '{alarm}'; {suggestion(alarm, sorted(known))}")
     if not known[alarm].stays:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from edge import registry
 from edge.config import Config
 from edge.core.errors import ConfigError
-from edge.messaging.alarm_payload import known_alarms
+from edge.messaging.alarm_payload import list_alarms
 from edge.press_stage import PressStage
 
 __all__ = ["Features", "load_every_feature", "load_features"]
@@ -29,7 +29,7 @@ def load_features(config: Config) -> Features:
     before = list(ours).index("outputs")
     names = [*list(ours)[:before], *others, *list(ours)[before:]]
     features = {name: _load(name) for name in names if ours.get(name, True)}
-    known_alarms()
+    list_alarms()
     return features
 
 

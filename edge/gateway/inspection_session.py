@@ -232,7 +232,7 @@ class InspectionSession:
             if len(self._waiting) < MOST_WAITING:
                 waiting = self._recorder.prepare(press, self.inspector)
                 is_refused = bool(self._waiting)  # by the store, perhaps for long
-                self._waiting.append(waiting.drawn() if is_refused else waiting)
+                self._waiting.append(waiting.draw_now() if is_refused else waiting)
             else:
                 self._uncounted += 1
 

@@ -32,7 +32,7 @@ class PressDrawing:
     is_last: bool
     """Whether it also takes the place of the retained picture."""
 
-    def drawn(self) -> "PressDrawing":
+    def draw_now(self) -> "PressDrawing":
         """Draw it now: what waits long then takes the room of a file. Empty where it cannot be drawn."""
         try:
             picture = self.draw()
@@ -76,7 +76,7 @@ class Pictures:
         """Draw what waits, and queue it. What the store refuses goes on waiting, until the next one or the end."""
         with self._turn:
             while self._waiting:
-                self._drawn.append(self._waiting.popleft().drawn())
+                self._drawn.append(self._waiting.popleft().draw_now())
             while self._drawn:
                 try:
                     self._queue(self._drawn[0])

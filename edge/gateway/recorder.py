@@ -41,9 +41,9 @@ class WaitingPress:
     table: OwnTable | None
     """Where it is kept; None for the history of parts."""
 
-    def drawn(self) -> "WaitingPress":
+    def draw_now(self) -> "WaitingPress":
         """Draw its picture now, which takes a tenth of the room."""
-        return self if self.drawing is None else replace(self, drawing=self.drawing.drawn())
+        return self if self.drawing is None else replace(self, drawing=self.drawing.draw_now())
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from edge.acquisition import AcquisitionState, AcquisitionStatus
 from edge.core.digital_io import StationView
 from edge.core.gel_life import GelState
 from edge.core.ports import Clock, DeviceIdentity, Message
-from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, known_alarms
+from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, list_alarms
 from edge.messaging.status_payloads import (
     GelPayload,
     InfoPayload,
@@ -130,7 +130,7 @@ class StationStatus:
         inspection, and no start would empty its topic.
         """
         with self._lock:
-            is_declared = alarm in ALARMS or alarm in known_alarms()
+            is_declared = alarm in ALARMS or alarm in list_alarms()
             if sentence is None:
                 self._raised.discard(alarm)
                 if is_declared:

@@ -12,7 +12,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import topic_level
 from edge.messaging.payload_base import Payload
 
-__all__ = ["ALARMS", "Alarm", "AlarmPayload", "alarm_cleared", "known_alarms"]
+__all__ = ["ALARMS", "Alarm", "AlarmPayload", "alarm_cleared", "list_alarms"]
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ ALARMS: Final[Mapping[str, Alarm]] = {
 outlives the process that raised it."""
 
 
-def known_alarms() -> Mapping[str, Alarm]:
+def list_alarms() -> Mapping[str, Alarm]:
     """Return gelgate's alarms and those of installed features of other packages.
 
     Errors: ConfigError for a feature that cannot be loaded, or whose alarm's id is no topic level or another's.
@@ -179,6 +179,6 @@ class AlarmPayload(Payload):
 
 def alarm_cleared(alarm: str) -> Message:
     """Removes the retained alarm from the broker. Errors: ValueError for an id that no one declares."""
-    if alarm not in ALARMS and alarm not in (known := known_alarms()):
+    if alarm not in ALARMS and alarm not in (known := list_alarms()):
         raise ValueError(f"alarm {alarm!r} is not known; known: {', '.join(known)}")
     return Message(f"alarm/{alarm}", b"", qos=1, retain=True)

@@ -14,7 +14,7 @@ from edge.core.backoff import Backoff
 from edge.core.errors import SinkError, SinkRejected, SinkUnavailable, StoreError
 from edge.core.ports import Clock, Message, Sink
 from edge.logs import about_press
-from edge.messaging.alarm_payload import alarm_cleared, known_alarms
+from edge.messaging.alarm_payload import alarm_cleared, list_alarms
 from edge.messaging.payload_base import as_replayed
 from edge.store.outbox import Outbox, OutboxRow
 
@@ -102,7 +102,7 @@ class RetainedState:
         self._latest: dict[str, tuple[int, Message]] = {}
         self._version = 0
         self._rows: dict[str, int] = {}
-        for alarm in known_alarms():
+        for alarm in list_alarms():
             self.announce(alarm_cleared(alarm))
 
     def announce(self, message: Message) -> bool:

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from edge.core.ports import Message
 from edge.core.sink_context import topic_level
-from edge.messaging.alarm_payload import Alarm, AlarmPayload, known_alarms
+from edge.messaging.alarm_payload import Alarm, AlarmPayload, list_alarms
 from edge.messaging.payload_base import Payload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import GelPayload, InfoPayload, StatePayload, StatsPayload
@@ -64,7 +64,7 @@ class Shown:
         self._place = place
         self._away = away
         self._status: dict[str, Any] = dict.fromkeys(_STATUS)
-        self._known_alarms = known_alarms()
+        self._known_alarms = list_alarms()
         self._alarms: dict[str, Any] = {}
         self._presses: OrderedDict[str, Any] = OrderedDict()
         self._pictures: OrderedDict[str, bytes] = OrderedDict()

@@ -8,7 +8,7 @@ from functools import cache
 from typing import Any, Final
 
 from edge.core.ports import Message
-from edge.messaging.alarm_payload import known_alarms
+from edge.messaging.alarm_payload import list_alarms
 
 __all__ = ["DataType", "Metric", "decode", "encode", "initial_metrics", "metrics_of"]
 
@@ -178,7 +178,7 @@ _FIELDS: Final[Mapping[str, tuple[tuple[str, DataType, str], ...]]] = {
 def initial_metrics(time_ms: int) -> list[Metric]:
     """Every metric that the node has, null or not raised: a birth certificate names them all."""
     fields = [Metric(name, kind, None, time_ms) for rows in _FIELDS.values() for name, kind, _ in rows]
-    return [*fields, *(Metric(f"Alarm/{alarm}", _B, False, time_ms) for alarm in known_alarms())]
+    return [*fields, *(Metric(f"Alarm/{alarm}", _B, False, time_ms) for alarm in list_alarms())]
 
 
 def metrics_of(message: Message, time_ms: int) -> Iterator[Metric]:

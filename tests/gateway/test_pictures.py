@@ -1,12 +1,12 @@
 """Pictures are drawn after their results have left: in order, each once, and what cannot be drawn is said."""
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import pytest
-from recorded_presses import make_press, messages_of
+from recorded_presses import make_press, messages_of, path, store
 from station import station_config
 from stepped_station import SteppedStation
 
@@ -19,18 +19,9 @@ from edge.pictures.press_picture import PressCaption
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store
 
+__all__ = ["path", "store"]  # fixtures
+
 IDS = [make_press(n).press_id for n in range(4)]
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "gelgate.db"
-
-
-@pytest.fixture
-def store(path: Path) -> Iterator[Store]:
-    with Store(path) as opened:
-        yield opened
 
 
 def record(store: Store, pictures: Pictures, n: int, draw: Callable[[], bytes] = lambda: b"png") -> None:

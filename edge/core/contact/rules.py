@@ -228,7 +228,7 @@ def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -
         case State.APPROACH, State.SETTLING:
             return (PressBegan(now, sequence),)
         case State.SETTLING, State.CONTACT if signal is Signal.STILL:
-            return (_settled(track, track.window.choose(track.wanted_ns), now),)
+            return (_settle(track, track.window.choose(track.wanted_ns), now),)
         case State.SETTLING, State.CONTACT:
             return (PressNotSettled(now, sequence, began, NotSettledReason.TIMED_OUT),)
         case State.EARLY_RELEASE, State.RECOVERY:
@@ -237,7 +237,7 @@ def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -
                 return PressNotSettled(now, sequence, began, NotSettledReason.NOT_TRIGGERED), ended
             peak = track.window.choose_peak(track.wanted_ns, track.strength_peak)
             if peak is not None:
-                return _settled(track, peak, now), ended
+                return _settle(track, peak, now), ended
             return PressNotSettled(now, sequence, began, NotSettledReason.RELEASED), ended
         case State.RELEASE, State.RECOVERY:
             return (PressEnded(now, sequence, began),) if track.is_counted else (ReferenceReady(now),)
@@ -250,7 +250,7 @@ def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -
     return ()
 
 
-def _settled(track: Track, chosen: Observation, now: int) -> PressSettled:
+def _settle(track: Track, chosen: Observation, now: int) -> PressSettled:
     touch = chosen.place or chosen.touch or Touch(0.0)
     return PressSettled(now, chosen.sequence, track.began_ns, touch, chosen.strength)
 

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from edge.core.ports import Message
-from edge.messaging.alarm_payload import known_alarms
+from edge.messaging.alarm_payload import list_alarms
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
 from edge.messaging.descriptions.station import DescribedCommand, DescribedStation
 from edge.messaging.topics import TOPICS, Topic
@@ -35,7 +35,7 @@ _CONTENT: Final = {
 
 def _parameter(name: str) -> dict[str, Any]:
     if name == "alarm":
-        return {"description": "the alarm's id", "enum": list(known_alarms())}
+        return {"description": "the alarm's id", "enum": list(list_alarms())}
     return {"description": "the `press_id` of the result, a ULID"}
 
 
