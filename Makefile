@@ -89,7 +89,7 @@ lint: $(VENV)/.test
 docs: $(VENV)/.test
 	$(BIN)/python docs/generate.py
 
-# Predicted against measured a90 on simulated parts; the table of docs/limits.md.
+# Predicted against measured a90 on simulated parts; the figures of docs/studies.md.
 detectability: $(VENV)/.test
 	$(BIN)/pytest tests/bench/test_detectability.py -m bench -s
 

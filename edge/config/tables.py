@@ -103,7 +103,7 @@ class InspectionTable(Table):
     press_again: Literal["never", "unsure"] = Field(
         default="never",
         description="unsure: a press a little above the threshold asks for a second one of the same piece, where the "
-        "costs of [press_again] say that it pays; see limits.md",
+        "costs of [press_again] say that it pays; see operations.md",
     )
 
     @model_validator(mode="after")
@@ -233,7 +233,7 @@ class StoreTable(Table):
 
 class PressAgainTable(Table):
     """What presses and wrong verdicts cost, in any one unit: by that, and by the scores of the fit, a station decides
-    when one more press of a piece pays. See limits.md.
+    when one more press of a piece pays. See operations.md.
     """
 
     missed_defect: float = Field(

@@ -1,4 +1,4 @@
-"""The predicted a90 against that of parts that are really damaged: the tables of docs/limits.md.
+"""The predicted a90 against that of parts that are really damaged: the figures of docs/studies.md.
 
 Run with `make detectability`. Random parts on which nothing was chosen; for each 24 nominal presses of 8 pieces. The
 prediction knows these presses alone. Measured is a90 on six other pieces with damage in their geometry, rendered

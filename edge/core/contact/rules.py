@@ -23,6 +23,7 @@ from edge.core.contact.events import (
     TriggerRepeated,
     TriggerWithoutContact,
 )
+from edge.core.contact.mask import Touch
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation, Window, is_moving
 from edge.core.contact.signals import (
@@ -145,7 +146,7 @@ def _transition(
     if state is track.state:
         first_ns = track.since_ns if track.frames else seen.timestamp_ns
         return replace(track, frames=track.frames + 1, since_ns=first_ns), ()
-    events = _events_for(track, signal, state, seen, settings)
+    events = _events_for(track, signal, state, seen)
     return _entered(
         replace(track, state=state, since_ns=seen.timestamp_ns, frames=1), track, seen, settings
     ), events
@@ -215,9 +216,7 @@ def _over(track: Track, before: Track, seen: Observation) -> Track:
     )
 
 
-def _events_for(
-    track: Track, signal: Signal, state: State, seen: Observation, settings: ContactSettings
-) -> tuple[Event, ...]:
+def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -> tuple[Event, ...]:
     now, sequence, began = seen.timestamp_ns, seen.sequence, track.began_ns
     match track.state, state:
         case State.BASELINE, State.NO_CONTACT:
@@ -229,7 +228,7 @@ def _events_for(
         case State.APPROACH, State.SETTLING:
             return (PressBegan(now, sequence),)
         case State.SETTLING, State.CONTACT if signal is Signal.STILL:
-            return (_settle(track, track.window.choose(track.wanted_ns, settings), now),)
+            return (_settle(track, track.window.choose(track.wanted_ns), now),)
         case State.SETTLING, State.CONTACT:
             return (PressNotSettled(now, sequence, began, NotSettledReason.TIMED_OUT),)
         case State.EARLY_RELEASE, State.RECOVERY:
@@ -252,7 +251,8 @@ def _events_for(
 
 
 def _settle(track: Track, chosen: Observation, now: int) -> PressSettled:
-    return PressSettled(now, chosen.sequence, track.began_ns, chosen.contact, chosen.strength)
+    touch = chosen.place or chosen.touch or Touch(0.0)
+    return PressSettled(now, chosen.sequence, track.began_ns, touch, chosen.strength)
 
 
 def _closed(track: Track, now: int, sequence: int, reason: NotSettledReason) -> tuple[Event, ...]:
