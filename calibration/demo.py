@@ -223,6 +223,7 @@ def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[tuple[dict[str
     """
     from edge.messaging.mqtt_broker import Broker, Received
     from edge.messaging.mqtt_connection import Connection
+    from edge.pictures.image_file import SUFFIXES, content_type
 
     results: dict[str, str] = {}
     complete: set[str] = set()
@@ -237,7 +238,9 @@ def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[tuple[dict[str
         elif topic.startswith("heatmap/") and topic.removeprefix("heatmap/") in results:
             press = topic.removeprefix("heatmap/")
             number = list(results).index(press) + 1
-            (heatmaps / f"{number:02d}-{results[press]}.png").write_bytes(message.payload)
+            if message.payload:
+                suffix = SUFFIXES[content_type(message.payload)]
+                (heatmaps / f"{number:02d}-{results[press]}{suffix}").write_bytes(message.payload)
             complete.add(press)
 
     broker = Broker(local.host, local.port, "gelgate-demo-subscriber", level=_level(local))

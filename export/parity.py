@@ -25,7 +25,7 @@ from edge.core.errors import BundleCorrupt
 from edge.model.bundle_writer import write_file
 from edge.model.scorer import Scorer
 from edge.pictures.heatmap import FULL_SCALE, paint_scores
-from edge.pictures.png import encode
+from edge.pictures.image_file import encode
 
 __all__ = [
     "ORDER_LEAST",

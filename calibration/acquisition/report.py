@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from calibration.acquisition.coverage import EARLIEST, LEAST, PAYS, ROUND, Coverage, Standing
 from edge.core.binomial import trials_needed
 from edge.pictures.heatmap import paint_scores
-from edge.pictures.png import encode
+from edge.pictures.image_file import encode
 
 __all__ = ["coverage_png", "forecast_lines", "press_line", "promise_line", "signals", "summary_lines"]
 

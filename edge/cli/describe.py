@@ -113,6 +113,12 @@ def _text(
 ) -> str:
     if form is Format.HOME_ASSISTANT:
         document = discovery(station)
+        if not station.keeps_heatmap:
+            typer.echo(
+                f"gelgate: {printable(station.place)} retains no picture, so Home Assistant shows none: set "
+                "station.last_heatmap = true, or home_assistant in the options of its mqtt sink",
+                err=True,
+            )
     elif form is Format.NODE_RED:
         document = flow(station, host, port, has_tls=has_tls)
     return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
@@ -141,7 +147,20 @@ def station_at(
     ((root, document),) = documents.items()
     info = document.get("info")
     version = info.get("version") if isinstance(info, dict) else None
-    return replace(DescribedStation.of_root(root), version=str(version)), document
+    keeps_heatmap, picture_type = _pictures(document)
+    described = replace(DescribedStation.of_root(root), version=str(version))
+    return replace(described, keeps_heatmap=keeps_heatmap, picture_type=picture_type), document
+
+
+def _pictures(document: Mapping[str, Any]) -> tuple[bool, str]:
+    """Read whether the station retains its newest picture, and the content type of its pictures. Anybody may publish:
+    what cannot be read is as by default."""
+    try:
+        is_retained = "last_heatmap_picture" in document["channels"]["last_heatmap"]["messages"]
+        is_png = document["components"]["messages"]["heatmap_picture"]["contentType"] == "image/png"
+    except (KeyError, TypeError):
+        return False, "image/jpeg"
+    return is_retained, "image/png" if is_png else "image/jpeg"
 
 
 def _not_one(broker: Broker, topic_filter: str, roots: list[str]) -> str:

@@ -54,7 +54,7 @@ def replay(
     ] = None,
     picture: Annotated[
         Path | None,
-        typer.Option(help="Write the picture as this .png; for several presses, into this folder."),
+        typer.Option(help="Write the picture as this .png or .jpg; for several presses, into this folder."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")] = False,
 ) -> None:
@@ -153,12 +153,14 @@ def _print_changes(made_again: Iterable[tuple[KnownPress, Replayed]], *, as_json
 def _write_picture(made_again: Replayed, inspector: Inspector, path: Path) -> None:
     then = made_again.then
     press = replace(made_again.now, press_id=then.press_id, time_ns=then.time_ns)
-    draw = press_drawing(press, inspector.bundle, then.station)
+    draw = press_drawing(
+        press, inspector.bundle, then.station, "jpeg" if path.suffix in (".jpg", ".jpeg") else "png"
+    )
     if draw is None:
         typer.echo(f"{then.press_id}  has no score, so no picture", err=True)
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(draw())
+    path.write_bytes(draw().sheet)
 
 
 def _places(config: Path, database: Path | None, bundles: list[Path]) -> tuple[Path, list[Path]]:

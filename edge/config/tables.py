@@ -29,7 +29,7 @@ TopicLevel = Annotated[str, AfterValidator(topic_level)]
 
 
 class StationTable(Table):
-    """The place of this gateway in the plant: the levels of its MQTT topics, and how often it reports.
+    """The place of this gateway in the plant: the levels of its MQTT topics, how often it reports, and its pictures.
 
     Each level has 1 to 64 characters, no space, and none of + # / $.
     """
@@ -45,6 +45,16 @@ class StationTable(Table):
         ge=0.5,
         le=60,
         description="seconds between two `stats`; disk, clock and receivers are checked as often",
+    )
+    # Two users: people, to whom both look alike, and programs of version 0.1, which read the PNG and its text chunks.
+    heatmap: Literal["jpeg", "png"] = Field(
+        default="jpeg",
+        description="form of the picture of a press: jpeg; or png, as in version 0.1, six times as many bytes",
+    )
+    last_heatmap: bool = Field(
+        default=False,
+        description="retain the newest picture on `last/heatmap`, for dashboards and pages that start later; always "
+        "where an `mqtt` sink has `home_assistant`",
     )
 
     @property
@@ -331,6 +341,12 @@ class Config(Table):
     actuators: list[ActuatorTable] = Field(
         default_factory=list, description="lights and relays; one table each"
     )
+
+    @property
+    def keeps_heatmap(self) -> bool:
+        """Say whether a dashboard asks for the retained picture: Home Assistant has no other."""
+        asks = any(sink.plugin == "mqtt" and sink.options.get("home_assistant") for sink in self.sinks)
+        return self.station.last_heatmap or asks
 
     @property
     def features(self) -> Mapping[str, bool]:

@@ -92,6 +92,8 @@ class Station:
     """Makes the answer to a request that the sink refuses; None for no answer."""
     page: PageRequests | None = None
     """For sinks that people use."""
+    picture_type: str = "image/jpeg"
+    """Content type of the pictures of presses."""
 
     def __post_init__(self) -> None:
         if not self.root or self.root.startswith("/") or self.root.endswith("/"):

@@ -29,6 +29,7 @@ from edge.gateway.station_loop import OnPress, Parts, StationLoop
 from edge.gateway.status import StationStatus
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.publisher import Publisher, PublisherLock
+from edge.messaging.result_payload import empty_last_heatmap
 from edge.messaging.sink_worker import RetainedState
 from edge.messaging.status_payloads import StatePayload, availability_message
 from edge.press_stage import PressStage, StageParts
@@ -89,7 +90,9 @@ def _build(
     listeners: list[Callable[[Message], object]] = [publisher.announce]
     status = StationStatus(lambda message: [hear(message) for hear in listeners], clock)
     closing.callback(publisher.stop)
-    pictures = Pictures(store, publisher.wake)
+    pictures = Pictures(store, publisher.wake, keeps_last=config.keeps_heatmap)
+    if not config.keeps_heatmap:
+        _forget_last_heatmap(store, retained_state)
     closing.callback(pictures.close)
     status.set_waiting_for("the sensor")
     device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
@@ -120,6 +123,15 @@ def _build(
     return Parts(
         config, opened, selection, store, publisher, status, acquisition, pictures, free_space, calls, clock
     )
+
+
+def _forget_last_heatmap(store: Store, retained_state: RetainedState) -> None:
+    """Empty `last/heatmap`, where an earlier configuration may have left a picture. Errors: StoreError."""
+    empty = empty_last_heatmap()
+    retained_state.announce(empty)
+    doing, waiting = "forgetting the retained picture", (empty.topic,)
+    if store.read(doing, lambda c: c.execute("SELECT 1 FROM outbox WHERE topic = ?", waiting).fetchone()):
+        store.write(doing, lambda c: c.execute("DELETE FROM outbox WHERE topic = ?", waiting))
 
 
 def _open_stages(
@@ -180,6 +192,7 @@ def _sink_context(config: Config, clock: Clock, retained_state: RetainedState, c
         on_command=commands,
         on_refused=commands.refuse,
         page=PageRequests(commands.page_verbs, commands.from_page, commands.refuse_at_page),
+        picture_type=f"image/{config.station.heatmap}",
     )
 
 

@@ -185,6 +185,8 @@ def describe_station(config: Config) -> DescribedStation:
         version=version("gelgate"),
         commands=[one for one in station_commands(config) if one.verb in served],
         signed=commands.signed,
+        picture_type=f"image/{config.station.heatmap}",
+        keeps_heatmap=config.keeps_heatmap,
     )
 
 

@@ -9,7 +9,7 @@ from typing import Final
 
 from edge.background import Background
 from edge.core.errors import StoreError
-from edge.messaging.result_payload import picture_messages
+from edge.messaging.result_payload import PressFiles, picture_messages
 from edge.store.press_store import Store
 
 __all__ = ["Pictures", "PressDrawing"]
@@ -27,29 +27,27 @@ class PressDrawing:
     """The picture of a press that is recorded."""
 
     press_id: str
-    draw: Callable[[], bytes]
-    """Returns the picture as a file. Where it raises, an empty one is published."""
-    is_last: bool
-    """Whether it also takes the place of the retained picture."""
+    draw: Callable[[], PressFiles]
+    """Returns its pictures. Where it raises, empty ones are published."""
 
     def draw_now(self) -> "PressDrawing":
         """Draw it now: what waits long then takes the room of a file. Empty where it cannot be drawn."""
         try:
-            picture = self.draw()
+            files = self.draw()
         except Exception as error:  # noqa: BLE001 - whatever it is, those that wait are drawn, and the end is orderly
             log.error("the picture of press %s cannot be drawn: %s", self.press_id, error)
-            picture = b""
-        return replace(self, draw=lambda: picture)
+            files = PressFiles()
+        return replace(self, draw=lambda: files)
 
 
 class Pictures:
     """Draws and queues the pictures that are owed. Any thread may add; `step` is a turn of the own thread.
 
-    wake: called when a picture waits to be published.
+    wake: called when a picture waits to be published. keeps_last: that of the newest press of a part is retained.
     """
 
-    def __init__(self, store: Store, wake: Callable[[], None]) -> None:
-        self._store, self._wake = store, wake
+    def __init__(self, store: Store, wake: Callable[[], None], *, keeps_last: bool = False) -> None:
+        self._store, self._wake, self._keeps_last = store, wake, keeps_last
         self._waiting: deque[PressDrawing] = deque()
         self._drawn: deque[PressDrawing] = deque()
         self._thread = Background[None]("pictures", CLOSE_S)
@@ -60,7 +58,7 @@ class Pictures:
         StoreError."""
         for press_id in self._store.owed_pictures():
             log.warning("the picture of press %s was not drawn before the last stop", press_id)
-            self._waiting.append(PressDrawing(press_id, lambda: b"", is_last=False))
+            self._waiting.append(PressDrawing(press_id, PressFiles))
         self._thread.start()
         self._thread.ask(self.step)
 
@@ -95,6 +93,6 @@ class Pictures:
         self._store.queue_picture(
             drawing.press_id,
             lambda is_newest: picture_messages(
-                drawing.press_id, drawing.draw(), drawing.is_last and is_newest
+                drawing.press_id, drawing.draw(), is_last=self._keeps_last and is_newest
             ),
         )

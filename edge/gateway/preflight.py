@@ -147,6 +147,7 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     found.try_part("database", lambda: _database(config))
     found.try_part("commands", lambda: _commands(config))
+    found.try_part("pictures", lambda: _pictures(config))
     found.try_features(config)
     for index, sink in enumerate(config.sinks):
         found.try_part(f"sink {sink.plugin}", partial(_try_sink, sink, f"sinks.{index}"))
@@ -224,6 +225,16 @@ def _commands(config: Config) -> str:
     words += [f"{verb} (signed)" for verb in sorted(policy.signed)]
     words += [f"{verb} (page)" for verb in sorted(policy.page)] if has_page else []
     return ", ".join(words) or "none"
+
+
+def _pictures(config: Config) -> str:
+    retained = "the newest one is retained on last/heatmap"
+    if not config.keeps_heatmap:
+        retained = (
+            "none is retained on last/heatmap: Home Assistant, and dashboards and pages that start later, show none "
+            "until the next press; station.last_heatmap = true retains it"
+        )
+    return f"{config.station.heatmap}; {retained}"
 
 
 def _try_sink(table: PluginTable, key: str) -> str:

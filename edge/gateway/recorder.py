@@ -15,11 +15,20 @@ from edge.core.sink_context import Place
 from edge.core.verdict import Kind
 from edge.gateway.pictures import PressDrawing
 from edge.messaging.payload_base import iso_time
-from edge.messaging.result_payload import MOST_DEFECTS, DefectPlace, PosePlace, ResultPayload, press_messages
+from edge.messaging.result_payload import (
+    MOST_DEFECTS,
+    DefectPlace,
+    PosePlace,
+    PressFiles,
+    ResultPayload,
+    press_messages,
+)
 from edge.messaging.status_payloads import GelPayload
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
-from edge.pictures.press_picture import PressCaption, press_png
+from edge.pictures.image_file import PictureForm
+from edge.pictures.press_picture import PressCaption, encode_press
+from edge.pictures.score_map import encode_scores
 from edge.press_stage import OwnTable, PressStage
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, Recorded, Store
@@ -65,8 +74,8 @@ class PressReport:
 class Recorder:
     """Writes presses of one sensor, judged at one place in the plant, into the store.
 
-    add_picture: takes the picture of each recorded press, to be drawn. wear_index: the gel's optical wear when it was
-    last free, stored with every press; None until measured.
+    add_picture: takes the picture of each recorded press, to be drawn. heatmap: its form. keeps_heatmap: the newest one
+    is retained. wear_index: the gel's optical wear when it was last free, stored with every press; None until measured.
     """
 
     wear_index: float | None = None
@@ -79,9 +88,13 @@ class Recorder:
         clock: Clock,
         add_picture: Callable[[PressDrawing], None],
         stages: Sequence[PressStage] = (),
+        *,
+        heatmap: PictureForm = "jpeg",
+        keeps_heatmap: bool = False,
     ) -> None:
         self._store, self._serial, self._place, self._clock = store, serial, place, clock
         self._add_picture, self._stages = add_picture, stages
+        self._heatmap, self._keeps_heatmap = heatmap, keeps_heatmap
 
     def prepare(self, press: Press, inspector: Inspector) -> WaitingPress:
         """Make everything of a press that its place in the ledger does not decide."""
@@ -105,7 +118,7 @@ class Recorder:
         tables = (stage.table(press, row) for stage in self._stages)
         table = next((table for table in tables if table is not None), None)
         is_shown = table is None or table.has_picture
-        draw = press_drawing(press, bundle, str(self._place)) if is_shown else None
+        draw = press_drawing(press, bundle, str(self._place), self._heatmap) if is_shown else None
         result = {
             "site": self._place.site,
             "line": self._place.line,
@@ -116,7 +129,7 @@ class Recorder:
             **{name: value for stage in self._stages for name, value in stage.fields(press).items()},
             "heatmap_topic": f"heatmap/{press.press_id}" if draw else None,
         }
-        drawing = None if draw is None else PressDrawing(press.press_id, draw, is_last=table is None)
+        drawing = None if draw is None else PressDrawing(press.press_id, draw)
         return WaitingPress(press.drop_pictures(), row, result, drawing, table)
 
     def record(self, waiting: WaitingPress) -> PressReport:
@@ -130,7 +143,7 @@ class Recorder:
             result = _result(waiting, recorded)
             if table is None:
                 still = press.overview.jpeg if press.overview else None
-                return press_messages(result, recorded.gel, still)
+                return press_messages(result, recorded.gel, still, keeps_heatmap=self._keeps_heatmap)
             own, sentences = table.publish(result, recorded.sequence)
             return [*own, GelPayload.of(recorded.gel, result.time_ns).message()]
 
@@ -145,9 +158,12 @@ class Recorder:
         return self._store.count_presses(self._serial, presses, self._clock.time_ns())
 
 
-def press_drawing(press: Press, bundle: Bundle, station: str) -> Callable[[], bytes] | None:
+def press_drawing(
+    press: Press, bundle: Bundle, station: str, heatmap: PictureForm
+) -> Callable[[], PressFiles] | None:
     """Return what draws a press as it is published; None for one without a score. station: site/line/station."""
-    if press.rgb is None or press.score_map is None or press.score is None:
+    rgb, score_map = press.rgb, press.score_map
+    if rgb is None or score_map is None or press.score is None:
         return None
     manifest = bundle.manifest
     caption = PressCaption(
@@ -160,7 +176,8 @@ def press_drawing(press: Press, bundle: Bundle, station: str) -> Callable[[], by
         part="/".join(word for word in (manifest.part, manifest.position) if word),
         time=iso_time(press.time_ns),
     )
-    return partial(press_png, _dim_unjudged(press.rgb, press), press.score_map, caption)
+    sheet = partial(encode_press, _dim_unjudged(rgb, press), score_map, caption, heatmap)
+    return lambda: PressFiles(sheet(), encode_scores(score_map, caption))
 
 
 def _dim_unjudged(rgb: NDArray[np.uint8], press: Press) -> NDArray[np.uint8]:

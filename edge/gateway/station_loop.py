@@ -227,7 +227,16 @@ class StationLoop:
     def _recorder_of(self, serial: str) -> Recorder:
         parts = self.parts
         place, add_picture = parts.config.station.place, parts.pictures.add
-        return Recorder(parts.store, serial, place, parts.clock, add_picture, parts.stages)
+        return Recorder(
+            parts.store,
+            serial,
+            place,
+            parts.clock,
+            add_picture,
+            parts.stages,
+            heatmap=parts.config.station.heatmap,
+            keeps_heatmap=parts.config.keeps_heatmap,
+        )
 
     def _record(self) -> None:
         """Write the presses that wait. Errors: StoreError; no press is lost."""

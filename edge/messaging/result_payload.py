@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar, Final, Literal, Self
+from typing import ClassVar, Final, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -15,6 +15,7 @@ from edge.core.registration.pose import Registered
 from edge.core.verdict import Cause, Kind
 from edge.messaging.payload_base import Payload, PressId
 from edge.messaging.status_payloads import GelPayload
+from edge.pictures.image_file import content_type
 from edge.store.gel_ledger import GelRecord
 
 __all__ = [
@@ -24,8 +25,10 @@ __all__ = [
     "DefectPlace",
     "PosePlace",
     "PressAgainPart",
+    "PressFiles",
     "ReferencePayload",
     "ResultPayload",
+    "empty_last_heatmap",
     "picture_messages",
     "press_messages",
 ]
@@ -231,29 +234,51 @@ class ResultPayload(Payload):
         return self
 
 
-def picture_messages(press_id: str, png: bytes, is_last: bool = False) -> Sequence[Message]:
-    """The picture of one press, empty where there is none. The press id is in the topic, which both protocol levels
-    can carry. is_last: it is the retained picture too."""
-    picture = Message(f"heatmap/{press_id}", png, qos=1, content_type="image/png")
-    return [picture, replace(picture, topic="last/heatmap", retain=True)] if is_last else [picture]
+class PressFiles(NamedTuple):
+    """The pictures of one press, as files; empty ones where there are none."""
+
+    sheet: bytes = b""
+    """For people: PNG or JPEG."""
+    score_map: bytes = b""
+    """For programs: PNG."""
+
+
+def picture_messages(press_id: str, files: PressFiles, *, is_last: bool = False) -> Sequence[Message]:
+    """The pictures of one press. The press id is in the topic, which both protocol levels can carry. is_last: the sheet
+    is the retained picture too."""
+    sheet_type = content_type(files.sheet) if files.sheet else "image/jpeg"
+    sheet = Message(f"heatmap/{press_id}", files.sheet, qos=1, content_type=sheet_type)
+    return [
+        Message(f"scoremap/{press_id}", files.score_map, qos=1, content_type="image/png"),
+        sheet,
+        *([replace(sheet, topic="last/heatmap", retain=True)] if is_last else []),
+    ]
+
+
+def empty_last_heatmap() -> Message:
+    """Removes the retained picture from the broker."""
+    return Message("last/heatmap", b"", qos=1, retain=True, content_type="image/jpeg")
 
 
 def press_messages(
     result: ResultPayload,
     gel: GelRecord,
     overview_jpeg: bytes | None = None,
+    *,
+    keeps_heatmap: bool = False,
 ) -> Sequence[Message]:
     """The first messages of one press, in order: result, the still before it, then the retained result on its two
-    topics, and `gel`. Its picture follows (`picture_messages`).
+    topics, and `gel`. Its pictures follow (`picture_messages`).
 
-    The retained picture is always that of the retained result: until the press has one, the topic is empty.
+    keeps_heatmap: the newest picture is retained. It is that of an older press until the new one comes, so that a
+    dashboard sees one change for each press; a press that has none empties the topic before its retained result.
     """
     encoded, press_id = result.encode(), result.press_id
     still = Message(f"overview/{press_id}", overview_jpeg or b"", qos=1, content_type="image/jpeg")
     return [
         Message("result", encoded, qos=1),
         *([] if overview_jpeg is None else [still]),
-        Message("last/heatmap", b"", qos=1, retain=True, content_type="image/png"),
+        *([empty_last_heatmap()] if keeps_heatmap and result.heatmap_topic is None else []),
         Message("last", encoded, qos=1, retain=True),
         Message("last/press", encoded, qos=1, retain=True),
         GelPayload.of(gel, result.time_ns).message(),

@@ -17,6 +17,7 @@ from edge.core.printable import score_texts
 from edge.core.sink_context import TOPIC_VERSION
 from edge.messaging.mqtt_broker import Broker, Received, tls_context
 from edge.messaging.mqtt_connection import Connection
+from edge.pictures.image_file import SUFFIXES, content_type
 from edge.store.ulid import is_ulid
 
 __all__ = [
@@ -88,7 +89,7 @@ def watch(
 ) -> Iterator[Seen]:
     """The received messages, until `count` results or `timeout_s` seconds, else for ever. A press id comes once.
 
-    save: heatmaps become `<press id>.png` there. tell: called with problems that do not end the watch.
+    save: heatmaps become `<press id>.jpg` or `.png` there. tell: called with problems that do not end the watch.
     Errors: SinkUnavailable if there is no broker at the start, or the subscription is refused.
     """
     end = _End.after(timeout_s)
@@ -214,10 +215,14 @@ def _interpret(message: Received, save: Path | None, tell: Callable[[str], None]
     kind, _, name = topic.partition("/")
     if kind == "heatmap" and save is not None and is_ulid(name):  # nothing else may become the name of a file
         if not message.payload:
-            tell(f"{station} has no picture of press {name}: a stop prevented it")
+            tell(f"{station} has no picture of press {name}: it could not be drawn")
             return Seen("heatmap", station, {"press_id": name, "path": None})
+        try:
+            path = save / f"{name}{SUFFIXES[content_type(message.payload)]}"
+        except ValueError as error:
+            tell(f"the picture of press {name} is left out: {error}")
+            return None
         save.mkdir(parents=True, exist_ok=True)
-        path = save / f"{name}.png"
         path.write_bytes(message.payload)
         return Seen("heatmap", station, {"press_id": name, "path": str(path)})
     if kind not in ("result", "state", "alarm") or (kind == "alarm" and not message.payload):

@@ -16,6 +16,7 @@ from edge.messaging.payload_base import Payload
 from edge.messaging.topics import TOPICS
 from edge.pictures.heatmap import FULL_SCALE
 from edge.pictures.press_picture import LARGEST_BYTES, TEXT_KEYWORDS
+from edge.pictures.score_map import CELL, SCALE_KEYWORDS
 
 __all__ = ["reference"]
 
@@ -36,7 +37,9 @@ def reference(commands: Iterable[DescribedCommand]) -> str:
         version=TOPIC_VERSION,
         topics="\n".join(_overview()),
         full_scale=f"{FULL_SCALE:g}",
-        keywords=", ".join(f"`{keyword}`" for keyword in TEXT_KEYWORDS),
+        keywords=_list(TEXT_KEYWORDS),
+        cell=CELL,
+        scale=_list(SCALE_KEYWORDS),
         largest_mib=LARGEST_BYTES >> 20,
         commands="\n".join(_commands(commands)),
         largest=LARGEST_REQUEST_BYTES,
@@ -47,6 +50,10 @@ def reference(commands: Iterable[DescribedCommand]) -> str:
         alarms="\n".join(f"| `{alarm}` | {kind.meaning} |" for alarm, kind in ALARMS.items()),
         payloads="\n".join(_payloads()),
     )
+
+
+def _list(keywords: Iterable[str]) -> str:
+    return ", ".join(f"`{keyword}`" for keyword in keywords)
 
 
 def _overview() -> Iterator[str]:

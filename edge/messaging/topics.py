@@ -38,8 +38,16 @@ TOPICS: Final[tuple[Topic, ...]] = (
         "heatmap/<press id>",
         1,
         False,
+        "picture",
+        "the picture of one press for people, after its result, whose id it has; empty where there is none",
+        may_be_empty=True,
+    ),
+    Topic(
+        "scoremap/<press id>",
+        1,
+        False,
         "PNG",
-        "the picture of one press, after its result, whose id it has; empty where a stop prevented it",
+        "the scores of one press for programs, just before its `heatmap`; empty where there are none",
         may_be_empty=True,
     ),
     Topic(
@@ -50,8 +58,8 @@ TOPICS: Final[tuple[Topic, ...]] = (
         "last/heatmap",
         1,
         True,
-        "PNG",
-        "the picture of `last/press`, on a fixed topic for dashboards; empty until it has one",
+        "picture",
+        "the newest `heatmap` of a part, on a fixed topic for dashboards; only with `last_heatmap`, otherwise empty",
         may_be_empty=True,
     ),
     Topic(

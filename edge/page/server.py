@@ -5,7 +5,7 @@
     /station.json                state, info, gel, reference, stats, alarms with what to do, and what may be changed
     /state.json, /info.json, /gel.json, /reference.json, /stats.json, /alarms.json    one of these
     /presses.json                the newest results, newest first
-    /pictures/<press id>.png
+    /pictures/<press id>         JPEG or PNG, as the station draws it
     POST /requests/<verb>        a request as on `cmd/<verb>`, with `Authorization: Bearer <token>`
 
 A status other than 200 says that the request was not admitted; how an admitted one ended is in its answer.
@@ -122,12 +122,12 @@ class _Handler(HttpHandler):
         return {**self.shown.station(), "changes": self.changes.offer()}
 
     def _picture(self, path: str) -> None:
-        press_id = path.removeprefix("/pictures/").removesuffix(".png")
-        picture = self.shown.picture(press_id) if path == f"/pictures/{press_id}.png" else None
+        press_id = path.removeprefix("/pictures/")
+        picture = self.shown.picture(press_id) if path == f"/pictures/{press_id}" else None
         if picture is None:
             self.say(404, "there is no such page")
         else:
-            self.answer(200, "image/png", picture)
+            self.answer(200, picture.content_type, picture.data)
 
     def _json(self, content: object) -> None:
         self.answer(200, "application/json", json.dumps(content).encode())

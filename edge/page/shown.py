@@ -4,7 +4,7 @@ import json
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
@@ -14,6 +14,7 @@ from edge.messaging.alarm_payload import Alarm, AlarmPayload, list_alarms
 from edge.messaging.payload_base import Payload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import GelPayload, InfoPayload, StatePayload, StatsPayload
+from edge.pictures.image_file import content_type, texts
 from edge.store.ulid import is_ulid
 
 __all__ = [
@@ -51,6 +52,13 @@ _MODELS: Final[Mapping[str, type[Payload]]] = {
 _STATUS: Final = ("state", "info", "gel", "reference", "stats")
 
 
+class Picture(NamedTuple):
+    """A picture of a press: its file and content type."""
+
+    data: bytes
+    content_type: str
+
+
 class Shown:
     """The newest messages. Any thread may use it.
 
@@ -67,7 +75,7 @@ class Shown:
         self._known_alarms = list_alarms()
         self._alarms: dict[str, Any] = {}
         self._presses: OrderedDict[str, Any] = OrderedDict()
-        self._pictures: OrderedDict[str, bytes] = OrderedDict()
+        self._pictures: OrderedDict[str, Picture] = OrderedDict()
 
     def see(self, message: Message) -> None:
         """topic: below the root. Others than those that are shown have no effect. Errors: ValueError, one sentence for
@@ -90,25 +98,24 @@ class Shown:
                 self._status[message.topic] = content
                 self._note()
 
-    def _see_picture(self, press_id: str, png: bytes) -> None:
-        if not is_ulid(press_id) or len(png) > LARGEST_PICTURE_BYTES:
+    def _see_picture(self, press_id: str, data: bytes) -> None:
+        if not is_ulid(press_id) or len(data) > LARGEST_PICTURE_BYTES:
             raise ValueError("it is not the picture of a press")
-        if not png:
-            return  # a stop prevented it
+        if not data:
+            return  # it could not be drawn
+        picture = Picture(data, content_type(data))
         with self._changed:
-            _keep(self._pictures, press_id, png, MOST_PICTURES)
+            _keep(self._pictures, press_id, picture, MOST_PICTURES)
             self._note()
 
-    def _see_last_picture(self, png: bytes) -> None:
+    def _see_last_picture(self, data: bytes) -> None:
         """Keep the retained picture of `last/press` for pages that are opened later. The id is in the file."""
-        from edge.pictures.png import texts
-
-        if png and len(png) <= LARGEST_PICTURE_BYTES:
-            press_id = texts(png).get("press_id", "")
+        if data and len(data) <= LARGEST_PICTURE_BYTES:
+            press_id = texts(data).get("press_id", "")
             with self._changed:
-                if is_ulid(press_id) and press_id not in self._pictures:
-                    _keep(self._pictures, press_id, png, MOST_PICTURES)
-                    self._note()
+                is_new = press_id not in self._pictures
+            if is_ulid(press_id) and is_new:
+                self._see_picture(press_id, data)
 
     def _see_alarm(self, name: str, payload: bytes) -> None:
         """Show it; one of a newer station, or of a feature that is not installed here, without what to do."""
@@ -164,8 +171,8 @@ class Shown:
                 for key, press in reversed(self._presses.items())
             ]
 
-    def picture(self, press_id: str) -> bytes | None:
-        """PNG; None for a press without one, and for one that is too old."""
+    def picture(self, press_id: str) -> Picture | None:
+        """None for a press without one, and for one that is too old."""
         with self._changed:
             return self._pictures.get(press_id)
 

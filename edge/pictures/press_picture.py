@@ -1,8 +1,8 @@
 """The picture of one press for people: the press on the left, its scores in colour on the right.
 
 The press is not covered: only the contour of the threshold is drawn on it, around a defect. Verdict, score, scale in mm
-and the names of the press are written around the panels. The text chunks of the file hold the same facts, so that a
-saved picture is complete.
+and the names of the press are written around the panels. Texts in the file hold the same facts, so that a saved picture
+is complete.
 """
 
 from typing import Final, NamedTuple
@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.printable import score_texts
-from edge.pictures import png
 from edge.pictures.heatmap import FULL_SCALE, draw_contour, paint_scores, relative_scores, score_at
+from edge.pictures.image_file import PictureForm, encode, encode_jpeg
 
-__all__ = ["LARGEST_BYTES", "TEXT_KEYWORDS", "PressCaption", "draw_press", "press_png"]
+__all__ = ["LARGEST_BYTES", "TEXT_KEYWORDS", "PressCaption", "draw_press", "encode_press"]
 
 # The longest side of one panel in pixels. Small regions are enlarged by a whole number, large ones shrunk.
 _SMALLEST_PANEL: Final = 384
@@ -41,7 +41,7 @@ U8 = NDArray[np.uint8]
 
 
 class PressCaption(NamedTuple):
-    """The text on a picture, and in the PNG's text chunks."""
+    """The text on a picture, and in its file."""
 
     press_id: str
     verdict: str
@@ -55,7 +55,7 @@ class PressCaption(NamedTuple):
     time: str
 
     def texts(self) -> dict[str, str]:
-        """Keyword to text, as in the PNG."""
+        """Keyword to text, as in the file."""
         x, y = self.mm_per_pixel
         numbers = {
             "score": f"{self.score:.9g}",
@@ -68,11 +68,13 @@ class PressCaption(NamedTuple):
 TEXT_KEYWORDS: Final = PressCaption._fields
 
 
-def press_png(rgb: U8, score_map: NDArray[np.floating], caption: PressCaption) -> bytes:
-    """`draw_press` as a PNG of at most LARGEST_BYTES whose text chunks hold the caption."""
-    largest_panel = _LARGEST_PANEL
+def encode_press(
+    rgb: U8, score_map: NDArray[np.floating], caption: PressCaption, form: PictureForm = "jpeg"
+) -> bytes:
+    """`draw_press` as a file of at most LARGEST_BYTES whose texts are the caption."""
+    write, largest_panel = encode if form == "png" else encode_jpeg, _LARGEST_PANEL
     while True:
-        picture = png.encode(draw_press(rgb, score_map, caption, largest_panel), caption.texts())
+        picture = write(draw_press(rgb, score_map, caption, largest_panel), caption.texts())
         if len(picture) <= LARGEST_BYTES:
             return picture
         largest_panel //= 2

@@ -2,8 +2,8 @@
 
 The transaction that records a press adds rows (`put`, `enforce`); the publisher removes them through its own `Outbox`.
 A retained message replaces an older one that still waits on its topic, and rows leave in order: a retained topic never
-returns to an older value. One that empties the topic stays before what fills it. A row is deleted when all sinks
-acknowledged it, or by the limits: pictures first, passes next, everything else last, oldest first, each counted.
+returns to an older value. A row is deleted when all sinks acknowledged it, or by the limits: pictures first, passes
+next, everything else last, oldest first, each counted.
 """
 
 import sqlite3
@@ -37,7 +37,7 @@ ROW_OVERHEAD_BYTES: Final = 256
 class DropPriority(IntEnum):
     """What is dropped first when there is no room; column `worth` of the tables.
 
-    RETAINED is never dropped: there is at most one row per topic, and one that empties it.
+    RETAINED is never dropped: there is at most one row per topic.
     """
 
     HEATMAP = 0
@@ -97,9 +97,7 @@ def put(
     """Add messages, in order, inside the caller's transaction. time_ns: wall clock, for people alone."""
     for message in messages:
         if message.retain:
-            # Without the emptying, the picture of an older press would stay beside the new `last/press` until then.
-            replaced = "topic = ? AND retain = 1 AND (length(payload) > 0 OR ?)"
-            connection.execute(f"DELETE FROM outbox WHERE {replaced}", (message.topic, not message.payload))
+            connection.execute("DELETE FROM outbox WHERE topic = ? AND retain = 1", (message.topic,))
         names = ("topic", "qos", "content_type", "expiry_s", "payload")
         row = {
             **{name: getattr(message, name) for name in names},

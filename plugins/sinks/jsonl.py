@@ -1,7 +1,7 @@
 """Appends messages to a file: one JSON line each, and pictures as files of their own.
 
 A line is `{"topic": ..., "retain": ..., "payload": {...}}`, with a text for plain text, or
-`"file": "heatmap/<press id>.png"` for a picture. A line is on the disk before `send` returns. Beyond `keep_mb` the
+`"file": "heatmap/<press id>.jpg"` for a picture. A line is on the disk before `send` returns. Beyond `keep_mb` the
 oldest are removed: `messages.jsonl` becomes `messages.1.jsonl` when it has a quarter of the room, and the oldest
 pictures go. What it does not do: it has no subscribers and takes no commands. A retained topic is an ordinary line, and
 the last one counts.
@@ -19,10 +19,9 @@ from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.plugins import SinkPlugin
 from edge.core.ports import Message
 from edge.core.sink_context import Station
+from edge.pictures.image_file import SUFFIXES
 
 __all__ = ["Jsonl", "JsonlOptions", "JsonlSink", "plugin"]
-
-_SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg"}
 
 
 class JsonlOptions(BaseModel):
@@ -82,7 +81,7 @@ class JsonlSink:
         """Nothing stays open between messages."""
 
     def _picture(self, message: Message) -> str:
-        name = message.topic + _SUFFIXES.get(message.content_type, ".bin")
+        name = message.topic + SUFFIXES.get(message.content_type, ".bin")
         path = self._folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_name(path.name + ".part")
@@ -98,7 +97,7 @@ class JsonlSink:
             return
         self._unchecked_bytes = 0
         pictures = [
-            (path, path.stat()) for suffix in _SUFFIXES.values() for path in self._folder.rglob(f"*{suffix}")
+            (path, path.stat()) for suffix in SUFFIXES.values() for path in self._folder.rglob(f"*{suffix}")
         ]
         excess = sum(stat.st_size for _, stat in pictures) - self._keep_bytes // 2
         for path, stat in sorted(pictures, key=lambda one: one[1].st_mtime_ns)[:-1]:

@@ -337,14 +337,15 @@ class Mqtt(SinkPlugin[MqttOptions]):
             station,
             backoff,
             has_availability=options.availability,
-            announcements=_announcements(options, station.root),
+            announcements=_announcements(options, station),
         ).start()
 
 
-def _announcements(options: MqttOptions, root: str) -> list[Message]:
+def _announcements(options: MqttOptions, station: Station) -> list[Message]:
     if options.home_assistant is None:
         return []
-    described = DescribedStation.of_root(root)
+    described = DescribedStation.of_root(station.root)
+    described = replace(described, picture_type=station.picture_type, keeps_heatmap=True)
     topic = discovery_topic(described, options.home_assistant)
     return [Message(topic, json.dumps(discovery(described)).encode(), retain=True)]
 

@@ -21,6 +21,7 @@ version = 1
 [station]
 site = "plant"
 station = "press2"
+heatmap = "png"
 [device]
 plugin = "usb_mock"
 options = { recording = "none" }
@@ -76,6 +77,17 @@ def test_a_station_without_a_broker_is_described_too(tmp_path: Path) -> None:
 
     assert "user press2" in text(path, "mosquitto").splitlines()
     assert json.loads(text(path, "node-red"))[1]["broker"] == "localhost"
+
+
+def test_a_picture_that_home_assistant_will_not_have_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By a station that retains none: the device has no picture, and the sentence says how it gets one."""
+    path = tmp_path / "gelgate.toml"
+    path.write_text(CONFIG.replace(', home_assistant = "ha"', ""), encoding="utf-8")
+
+    assert "picture" not in json.loads(text(path, "homeassistant"))["components"]
+    assert "set station.last_heatmap = true" in capsys.readouterr().err
 
 
 def test_it_is_printed_or_written(config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -97,19 +97,19 @@ def test_each_press_is_given_once_and_its_picture_is_saved(broker: LocalBroker, 
         ("heatmap/../../escape", b"x"),
         ("heatmap/escape", b"x"),
         ("result", result(0)),
-        (f"heatmap/{IDS[0]}", b"png0"),
+        (f"heatmap/{IDS[0]}", b"\x89PNG0"),
         ("result", result(0, is_replayed=True)),
         ("result", result(1)),
         ("result", result(2)),
-        (f"heatmap/{IDS[1]}", b"png1"),
+        (f"heatmap/{IDS[1]}", b"\xff\xd81"),
     )
 
     heard = listen(broker, run, save=tmp_path / "maps", count=2)
 
     assert [content["press_id"] for kind, content in heard if kind == "result"] == IDS[:2]
     assert {path.name: path.read_bytes() for path in (tmp_path / "maps").iterdir()} == {
-        f"{IDS[0]}.png": b"png0",
-        f"{IDS[1]}.png": b"png1",
+        f"{IDS[0]}.png": b"\x89PNG0",
+        f"{IDS[1]}.jpg": b"\xff\xd81",
     }
     assert not list(tmp_path.rglob("*escape*"))
 

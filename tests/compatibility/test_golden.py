@@ -42,7 +42,7 @@ from edge.features.overview import Overview
 from edge.features.snapshots import Snapshots
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
-from edge.pictures.png import texts
+from edge.pictures.image_file import texts
 from plugins.sinks.memory import MemorySink
 
 GOLDEN: Final = Path(__file__).parent / "golden"
@@ -284,8 +284,7 @@ def _payload(message: Message) -> Any:
         return message.payload.decode()
     picture = cv2.imdecode(np.frombuffer(message.payload, np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
-    written = texts(message.payload) if message.payload.startswith(PNG) else {}
-    return {"shape": list(picture.shape), "texts": written}
+    return {"shape": list(picture.shape), "texts": texts(message.payload)}
 
 
 def test_what_a_station_leaves_on_the_disk(played: Played) -> None:

@@ -60,7 +60,8 @@ def play(config: Path) -> tuple[Played, SteppedStation]:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory, recording: Path, bundle: Path) -> Played:
     """Three presses, the second one dented."""
-    return play(station_config(tmp_path_factory.mktemp("station"), recording, bundle))[0]
+    png = '[station]\nheatmap = "png"'
+    return play(station_config(tmp_path_factory.mktemp("station"), recording, bundle, tables=png))[0]
 
 
 @pytest.fixture

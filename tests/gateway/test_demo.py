@@ -61,11 +61,11 @@ def test_pictures_that_follow_several_results_keep_their_numbers(tmp_path: Path)
         _await(lambda: len(received) == 3)
         assert complete == {"c"}
         for name in "ab":
-            say(f"heatmap/{name}", name.encode())
+            say(f"heatmap/{name}", b"\xff\xd8" + name.encode())
         _await(lambda: len(complete) == 3)
         sender.close()
 
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {
-        "01-pass.png": b"a",
-        "02-pass.png": b"b",
+        "01-pass.jpg": b"\xff\xd8a",
+        "02-pass.jpg": b"\xff\xd8b",
     }

@@ -18,7 +18,7 @@ from edge.config import load_config
 from edge.core.errors import BundleMismatch
 from edge.gateway.build import open_station
 from edge.gateway.recorder import PressReport
-from edge.pictures import png
+from edge.pictures.image_file import texts
 from edge.recording.format import RecordingWriter
 from edge.store.press_store import Store
 
@@ -54,13 +54,14 @@ def test_each_press_gives_one_result_and_is_counted_once(finished: tuple[Path, l
     assert count(folder / "gelgate.toml") == 3
     assert {(result.site, result.line, result.station) for result in results} == {("site", "line", "station")}
     assert results[0].mm_per_pixel == pytest.approx((0.0634, 0.0634))
-    assert topics["result"] == topics["heatmap"] == 3
-    # `last`, `last/press` and `last/heatmap`: a slow sink sees the newest alone.
-    assert 3 <= topics["last"] <= 12
+    assert topics["result"] == topics["heatmap"] == topics["scoremap"] == 3
+    # `last` and `last/press`, of which a slow sink sees the newest alone, and the empty `last/heatmap` of the start.
+    assert 3 <= topics["last"] <= 7
     assert ("ready" in states, states[-1]) == (True, "stopped")
     for result in results:
-        texts = png.texts((folder / "out" / f"heatmap/{result.press_id}.png").read_bytes())
-        assert (texts["press_id"], texts["verdict"]) == (result.press_id, result.verdict)
+        for name in (f"heatmap/{result.press_id}.jpg", f"scoremap/{result.press_id}.png"):
+            written = texts((folder / "out" / name).read_bytes())
+            assert (written["press_id"], written["verdict"]) == (result.press_id, result.verdict)
         assert result.score_ratio == pytest.approx((result.score or 0) / (result.threshold or 0))
         assert ((result.score_ratio or 0) > 1) == (result.verdict == "fail")
         stages = dict(result.latency_ms)

@@ -1,5 +1,6 @@
 """Pictures are drawn after their results have left: in order, each once, and what cannot be drawn is said."""
 
+import json
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -7,14 +8,16 @@ from pathlib import Path
 import cv2
 import pytest
 from recorded_presses import make_press, messages_of, path, store
-from station import station_config
+from station import MQTT, station_config
 from stepped_station import SteppedStation
 
+from edge.config import load_config
 from edge.core.errors import StoreError
 from edge.gateway import pictures as module
 from edge.gateway import recorder
 from edge.gateway.inspection_session import MOST_WAITING as MOST_PRESSES_WAITING
 from edge.gateway.pictures import Pictures, PressDrawing
+from edge.messaging.result_payload import PressFiles
 from edge.pictures.press_picture import PressCaption
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store
@@ -24,46 +27,58 @@ __all__ = ["path", "store"]  # fixtures
 IDS = [make_press(n).press_id for n in range(4)]
 
 
-def record(store: Store, pictures: Pictures, n: int, draw: Callable[[], bytes] = lambda: b"png") -> None:
+def files(name: str = "") -> PressFiles:
+    """A JPEG and a PNG, as far as their first bytes."""
+    return PressFiles(b"\xff\xd8" + name.encode(), b"\x89PNG" + name.encode())
+
+
+def record(store: Store, pictures: Pictures, n: int, draw: Callable[[], PressFiles] = files) -> None:
     """Record a press that has only its result, and add its picture, as a recorder does."""
     press = make_press(n)
     result = messages_of(press)
     store.record_press(press, lambda recorded: [result(recorded)[0]], owes_picture=True)
-    pictures.add(PressDrawing(press.press_id, draw, is_last=True))
+    pictures.add(PressDrawing(press.press_id, draw))
 
 
 def outbox(path: Path) -> list[tuple[str, bytes]]:
-    """Topics and pictures that wait; of results only the topic."""
+    """Topics and pictures that wait; of results only the topic. Each score map comes just before its sheet."""
     with Outbox(path) as opened:
         messages = [row.message for row in opened.pending("mqtt", 100)]
-    return [(m.topic, b"" if m.topic == "result" else m.payload) for m in messages]
+    for message, following in zip(messages, [*messages[1:], None], strict=True):
+        if following is not None and message.topic.startswith("scoremap/"):
+            assert following.topic == message.topic.replace("scoremap/", "heatmap/")
+            assert bool(message.payload) == bool(following.payload)
+    shown = [m for m in messages if not m.topic.startswith("scoremap/")]
+    return [(m.topic, b"" if m.topic == "result" else m.payload) for m in shown]
 
 
 def test_a_result_leaves_before_its_picture_is_drawn(store: Store, path: Path) -> None:
     """Two results wait while nothing is drawn; then both pictures come, in order. The retained picture is that of the
     newer press alone."""
-    pictures = Pictures(store, lambda: None)
+    pictures = Pictures(store, lambda: None, keeps_last=True)
     for n in (0, 1):
-        record(store, pictures, n, lambda n=n: b"png%d" % n)  # type: ignore[misc]
+        record(store, pictures, n, lambda n=n: files(str(n)))  # type: ignore[misc]
     assert outbox(path) == [("result", b"")] * 2
 
     pictures.step()
     assert outbox(path)[2:] == [
-        (f"heatmap/{IDS[0]}", b"png0"),
-        (f"heatmap/{IDS[1]}", b"png1"),
-        ("last/heatmap", b"png1"),
+        (f"heatmap/{IDS[0]}", files("0").sheet),
+        (f"heatmap/{IDS[1]}", files("1").sheet),
+        ("last/heatmap", files("1").sheet),
     ]
     assert store.owed_pictures() == []
 
 
-def test_the_retained_picture_is_never_that_of_another_press(store: Store, path: Path) -> None:
+def test_the_retained_picture_changes_once_a_press_and_after_it(store: Store, path: Path) -> None:
     """The broker has the first press and was away for two more, with their pictures. Wherever the connection breaks
-    then, its `last/heatmap` is that of its `last/press`, or empty."""
-    pictures, kept = Pictures(store, lambda: None), dict[str, bytes]()
+    then, its `last/heatmap` names its own press, never one later than `last/press`; at the end both are one press. It
+    changes once: Home Assistant shows no empty picture between two."""
+    pictures, kept = Pictures(store, lambda: None, keeps_last=True), dict[str, bytes]()
+    changes = list[bytes]()
 
     def record_all(n: int) -> None:
         store.record_press(make_press(n), messages_of(make_press(n)), owes_picture=True)
-        pictures.add(PressDrawing(IDS[n], IDS[n].encode, is_last=True))
+        pictures.add(PressDrawing(IDS[n], lambda: files(IDS[n])))
         pictures.step()
 
     def send() -> None:
@@ -71,17 +86,17 @@ def test_the_retained_picture_is_never_that_of_another_press(store: Store, path:
             opened.register(["mqtt"])
             for row in opened.pending("mqtt", 100):
                 kept[row.message.topic] = row.message.payload
+                if row.message.topic == "last/heatmap":
+                    changes.append(row.message.payload)
+                    assert json.loads(kept["last/press"])["press_id"].encode() in row.message.payload
                 opened.acknowledge(row.row_id, "mqtt")
-                picture = kept.get("last/heatmap", b"")
-                assert picture in kept.get("last/press", b"") or row.message.topic in ("last", "last/heatmap")
 
     record_all(0)
     send()
-    assert kept["last/heatmap"] == IDS[0].encode()
     record_all(1)
     record_all(2)
     send()
-    assert kept["last/heatmap"] == IDS[2].encode()
+    assert changes == [files(IDS[0]).sheet, files(IDS[2]).sheet]
 
 
 def test_a_picture_is_queued_once(store: Store, path: Path) -> None:
@@ -89,9 +104,9 @@ def test_a_picture_is_queued_once(store: Store, path: Path) -> None:
     pictures = Pictures(store, lambda: None)
     record(store, pictures, 0)
     pictures.step()
-    pictures.add(PressDrawing(IDS[0], lambda: b"png", is_last=False))
+    pictures.add(PressDrawing(IDS[0], files))
     pictures.step()
-    assert [topic for topic, _ in outbox(path)] == ["result", f"heatmap/{IDS[0]}", "last/heatmap"]
+    assert [topic for topic, _ in outbox(path)] == ["result", f"heatmap/{IDS[0]}"]
 
 
 def test_a_stop_before_the_picture_is_reported(
@@ -105,7 +120,7 @@ def test_a_stop_before_the_picture_is_reported(
     again.close()
 
     pictures = [row for row in outbox(path) if row[0] != "result"]
-    assert pictures[:2] == [(f"heatmap/{IDS[0]}", b""), (f"heatmap/{IDS[1]}", b"png")]
+    assert pictures[:2] == [(f"heatmap/{IDS[0]}", b""), (f"heatmap/{IDS[1]}", files().sheet)]
     assert f"the picture of press {IDS[0]} was not drawn before the last stop" in caplog.text
 
 
@@ -115,7 +130,7 @@ def test_a_picture_that_cannot_be_drawn_is_empty(
 ) -> None:
     """The log has the reason; the next one comes."""
 
-    def broken() -> bytes:
+    def broken() -> PressFiles:
         raise kind("a map that is not finite")
 
     pictures = Pictures(store, lambda: None)
@@ -123,7 +138,7 @@ def test_a_picture_that_cannot_be_drawn_is_empty(
     record(store, pictures, 1)
     pictures.step()
 
-    assert [(f"heatmap/{IDS[0]}", b""), (f"heatmap/{IDS[1]}", b"png")] == outbox(path)[2:4]
+    assert [(f"heatmap/{IDS[0]}", b""), (f"heatmap/{IDS[1]}", files().sheet)] == outbox(path)[2:4]
     assert f"the picture of press {IDS[0]} cannot be drawn: a map that is not finite" in caplog.text
 
 
@@ -141,7 +156,7 @@ def test_a_full_disk_delays_the_picture(store: Store, path: Path, monkeypatch: p
 
     monkeypatch.setattr(store, "queue_picture", queue)
     pictures.close()
-    assert (f"heatmap/{IDS[0]}", b"png") in outbox(path)
+    assert (f"heatmap/{IDS[0]}", files().sheet) in outbox(path)
 
 
 def test_presses_that_wait_for_the_store_hold_no_arrays(
@@ -151,11 +166,11 @@ def test_presses_that_wait_for_the_store_hold_no_arrays(
     is room again, each picture comes."""
     drawn: list[str] = []
 
-    def draw(rgb: object, score_map: object, caption: PressCaption) -> bytes:
+    def draw(rgb: object, score_map: object, caption: PressCaption, form: str) -> bytes:
         drawn.append(caption.press_id)
-        return caption.press_id.encode()
+        return files(caption.press_id).sheet
 
-    monkeypatch.setattr(recorder, "press_png", draw)
+    monkeypatch.setattr(recorder, "encode_press", draw)
     with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
         with station.refusing("presses"):
             while not station.has_ended:
@@ -163,7 +178,7 @@ def test_presses_that_wait_for_the_store_hold_no_arrays(
             assert (station.loop.is_halted, len(drawn)) == (True, 2)
         station.turn()
         ids = [result.press_id for result in station.results]
-        pictures = [(f"heatmap/{name}", name.encode()) for name in ids]
+        pictures = [(f"heatmap/{name}", files(name).sheet) for name in ids]
         assert [row for row in outbox(station.parts.store.path) if row[0].startswith("heatmap")] == pictures
     assert (sorted(drawn), len(ids)) == (sorted(ids), 3)
 
@@ -179,7 +194,7 @@ def test_pictures_that_the_store_refuses_wait_drawn(
 
     monkeypatch.setattr(store, "queue_picture", refuse)
     for n in range(MOST_PRESSES_WAITING):
-        record(store, pictures, n, lambda n=n: drawn.append(n) or b"png")  # type: ignore[misc]
+        record(store, pictures, n, lambda n=n: drawn.append(n) or files())  # type: ignore[misc]
         pictures.step()
     assert drawn == list(range(MOST_PRESSES_WAITING))
 
@@ -209,10 +224,10 @@ def test_an_end_while_the_thread_draws_keeps_the_order(
     monkeypatch.setattr(module, "CLOSE_S", 0.0)
     is_drawing, may_end = threading.Event(), threading.Event()
 
-    def slow() -> bytes:
+    def slow() -> PressFiles:
         is_drawing.set()
         may_end.wait(10)
-        return b"slow"
+        return files("slow")
 
     pictures = Pictures(store, lambda: None)
     pictures.start()
@@ -224,3 +239,25 @@ def test_an_end_while_the_thread_draws_keeps_the_order(
 
     topics = [topic for topic, _ in outbox(path) if topic.startswith("heatmap/")]
     assert topics == [f"heatmap/{IDS[0]}", f"heatmap/{IDS[1]}"]
+
+
+def test_a_picture_of_an_earlier_configuration_is_forgotten(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """Where the newest picture is no longer retained: at every connection the topic is emptied, and what waited for it
+    is not sent. A sink that announces itself to Home Assistant has it retained."""
+
+    def is_retained(tables: str, sinks: str = "") -> tuple[bool, bool, bool]:
+        config = station_config(tmp_path, recording, bundle, tables=tables, sinks=sinks)
+        with SteppedStation(config) as station:
+            station.play()
+            birth = {message.topic for message in station.parts.publisher.retained_state.all()}
+            waits = any(
+                topic == "last/heatmap" and picture for topic, picture in outbox(tmp_path / "gelgate.db")
+            )
+            return load_config(config).keeps_heatmap, "last/heatmap" in birth, waits
+
+    home_assistant = MQTT.replace(" }", ', home_assistant = "ha" }') % 1
+    assert is_retained("[station]\nlast_heatmap = true") == (True, False, True)
+    assert is_retained("") == (False, True, False)
+    assert is_retained("", home_assistant) == (True, False, True)

@@ -68,7 +68,7 @@ def test_a_start_after_the_check_opens_everything_once(
     counted = Counted(monkeypatch)
     config, clock = load_config(station_config(tmp_path, recording, bundle)), SystemClock()
     with preflight(config, clock) as checked, open_station(config, clock, checked=checked) as station:
-        assert [finding.error for finding in checked.findings] == [None] * 5
+        assert [finding.error for finding in checked.findings] == [None] * 6
         acquisition = station.parts.acquisition
         acquisition.step()
         acquisition.step()

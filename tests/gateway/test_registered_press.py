@@ -75,9 +75,11 @@ def test_the_share_of_the_part_that_left_the_field_is_published_and_dark(
     in the middle states nothing unseen."""
     middle, rim = (inspect(inspector, parts.press(parts.BLOCK, Pose(x))) for x in (0.0, 30.0))
     shares = [report.result.pose and report.result.pose.unseen_share for report in map(record, (middle, rim))]
-    drawings = [press_drawing(press, inspector.bundle, "") for press in (rim, replace(rim, registered=None))]
+    drawings = [
+        press_drawing(press, inspector.bundle, "", "jpeg") for press in (rim, replace(rim, registered=None))
+    ]
     dark, bright = (
-        cv2.imdecode(np.frombuffer(draw(), np.uint8), cv2.IMREAD_COLOR) for draw in drawings if draw
+        cv2.imdecode(np.frombuffer(draw().sheet, np.uint8), cv2.IMREAD_COLOR) for draw in drawings if draw
     )
 
     assert (shares[0] or 0) < 0.05 < (shares[1] or 0)

@@ -16,7 +16,7 @@ from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.command_payloads import CommandResponse
 from edge.messaging.descriptions.asyncapi import asyncapi_message, document
 from edge.messaging.descriptions.station import DescribedStation
-from edge.messaging.result_payload import DefectPlace, picture_messages, press_messages
+from edge.messaging.result_payload import DefectPlace, PressFiles, picture_messages, press_messages
 from edge.messaging.status_payloads import (
     GelPayload,
     InfoPayload,
@@ -37,6 +37,7 @@ STATION = DescribedStation(
     "0.2.0",
     every_command(),
     ["relearn"],
+    keeps_heatmap=True,
 )
 
 
@@ -119,8 +120,8 @@ MESSAGES = [
         GEL,
         b"\xff\xd8\xff...",
     ),
-    *picture_messages(PRESS_ID, b"\x89PNG\r\n\x1a\n...", is_last=True),
-    *picture_messages(PRESS_ID, b""),
+    *picture_messages(PRESS_ID, PressFiles(b"\xff\xd8\xff...", b"\x89PNG\r\n\x1a\n..."), is_last=True),
+    *picture_messages(PRESS_ID, PressFiles()),
     *press_messages(unscored(), GEL),
 ]  # fmt: skip
 
@@ -156,8 +157,8 @@ def changed(**changes: Any) -> bytes:
         ("result", b"[" * 100_000, "cannot be read"),
         ("availability", b"on", "'on' is not one of"),
         ("state", b"", "cannot be read"),
-        ("heatmap/1", b"GIF89a", "no image/png"),
-        ("last/heatmap", b"GIF89a", "no image/png"),
+        ("heatmap/1", b"GIF89a", "no image/jpeg"),
+        ("last/heatmap", b"GIF89a", "no image/jpeg"),
         ("weather", b"{}", "no channel"),
         ("alarm/gel/more", b"", "no channel"),
     ],

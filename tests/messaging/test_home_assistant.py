@@ -5,6 +5,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import jinja2
@@ -31,7 +32,7 @@ from plugins.sinks.mqtt_options import MqttOptions
 from .conftest import PATIENCE_S, ROOT, Listen
 
 STATION = DescribedStation.of_root(ROOT)
-DEVICE = discovery(STATION)
+DEVICE = discovery(replace(STATION, keeps_heatmap=True))
 
 
 AT = {"time_ns": 10**18}
@@ -106,7 +107,7 @@ def test_a_station_is_one_device_with_its_own_topics_and_words() -> None:
     assert named <= own
     assert f"{ROOT}/last/heatmap" in named
     assert len({one["unique_id"] for one in entities.values()}) == len(entities)
-    assert discovery(STATION) == DEVICE
+    assert discovery(STATION)["components"].keys() == entities.keys() - {"picture"}
     assert discovery_topic(other) != discovery_topic(STATION)
     assert discovery(other)["device"]["identifiers"] != DEVICE["device"]["identifiers"]
     for component, words in (("verdict", Kind), ("cause", Cause), ("gel_state", GelState)):

@@ -15,17 +15,19 @@ from edge.core.sink_context import Place, Station, topic_level
 from edge.gateway.commands import Change, CommandPolicy, Commands
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
 from edge.messaging.payload_base import as_replayed, iso_time
-from edge.messaging.result_payload import ResultPayload, picture_messages, press_messages
+from edge.messaging.result_payload import PressFiles, ResultPayload, picture_messages, press_messages
 from edge.messaging.topics import TOPICS
 from edge.store.press_store import Store
 from edge.store.ulid import is_ulid, new_ulid
+
+FILES = PressFiles(b"\xff\xd8jpeg", b"\x89PNG")
 
 
 def test_the_reference_names_every_topic_a_press_publishes() -> None:
     """The page has the QoS and retention of every topic."""
     said = {topic.replace("<press id>", PRESS_ID): (qos, retained) for topic, qos, retained, *_ in TOPICS}
 
-    for message in (*press_messages(result(), GEL), *picture_messages(PRESS_ID, b"png", is_last=True)):
+    for message in (*press_messages(result(), GEL), *picture_messages(PRESS_ID, FILES, is_last=True)):
         assert said[message.topic] == (message.qos, message.retain)
 
 
@@ -67,23 +69,39 @@ def test_a_result_refuses_nonsense(changes: Mapping[str, object]) -> None:
         result(**changes)
 
 
-def test_a_press_publishes_result_last_and_gel_and_then_its_picture() -> None:
-    """`last` and `last/press` repeat the result byte for byte; the gel has the numbers of its record. The retained
-    picture is always that of the retained result: it is emptied with the result."""
-    messages = [*press_messages(result(), GEL), *picture_messages(PRESS_ID, b"png", is_last=True)]
+def test_a_press_publishes_result_last_and_gel_and_then_its_pictures() -> None:
+    """`last` and `last/press` repeat the result byte for byte; the gel has the numbers of its record. Each picture says
+    what it is."""
+    messages = [*press_messages(result(), GEL), *picture_messages(PRESS_ID, FILES, is_last=True)]
 
-    assert [(m.topic, m.retain) for m in messages] == [
-        ("result", False),
-        ("last/heatmap", True),
-        ("last", True),
-        ("last/press", True),
-        ("gel", True),
-        (f"heatmap/{PRESS_ID}", False),
-        ("last/heatmap", True),
+    assert [(m.topic, m.retain, m.content_type.partition("/")[2]) for m in messages] == [
+        ("result", False, "json"),
+        ("last", True, "json"),
+        ("last/press", True, "json"),
+        ("gel", True, "json"),
+        (f"scoremap/{PRESS_ID}", False, "png"),
+        (f"heatmap/{PRESS_ID}", False, "jpeg"),
+        ("last/heatmap", True, "jpeg"),
     ]
-    assert messages[0].payload is messages[2].payload is messages[3].payload  # encoded once
-    assert [message.payload for message in (messages[1], *messages[5:])] == [b"", b"png", b"png"]
-    assert json.loads(messages[4].payload)["state"] == "due"
+    assert messages[0].payload == messages[1].payload == messages[2].payload
+    assert [message.payload for message in messages[4:]] == [FILES.score_map, FILES.sheet, FILES.sheet]
+    assert json.loads(messages[3].payload)["state"] == "due"
+
+
+@pytest.mark.parametrize(
+    ("heatmap_topic", "keeps_heatmap", "is_emptied"),
+    [(None, True, True), (f"heatmap/{PRESS_ID}", True, False), (None, False, False)],
+)
+def test_a_press_without_a_picture_empties_the_retained_one(
+    heatmap_topic: str | None, keeps_heatmap: bool, is_emptied: bool
+) -> None:
+    """Before its own retained result, so that it never shows that of another press; where none is retained, and where
+    a picture follows, no message does."""
+    said = press_messages(result(heatmap_topic=heatmap_topic), GEL, keeps_heatmap=keeps_heatmap)
+    topics = [(m.topic, m.payload == b"") for m in said]
+
+    assert (("last/heatmap", True) in topics[: topics.index(("last/press", False))]) is is_emptied
+    assert len(topics) == 4 + is_emptied
 
 
 def test_being_late_changes_the_mark_alone() -> None:
@@ -95,7 +113,7 @@ def test_being_late_changes_the_mark_alone() -> None:
     assert late == {**json.loads(message.payload), "is_replayed": True}
     assert ResultPayload.model_validate_json(as_replayed(message).payload).is_replayed
     for other in (
-        *picture_messages(PRESS_ID, b"\x89PNG"),
+        *picture_messages(PRESS_ID, FILES),
         Message("state", b'{"state":"ready"}'),
         alarm_cleared("gel"),
     ):

@@ -90,6 +90,7 @@ def test_no_payload_ends_the_page(kind: str, changed: dict[int, Any]) -> None:
         ("heatmap/01M80FCK12K6JA76JMBJCQMHM/F", b"\x89PNG", "not the picture of a press"),
         (f"heatmap/{'0' * 26}", bytes(5 << 20), "not the picture of a press"),
         ("last/heatmap", b"GIF89a", "not a PNG"),
+        (f"heatmap/{'0' * 26}", b"<svg/>", "not a PNG"),
     ],
 )
 def test_a_picture_has_the_id_of_a_press(topic: str, payload: bytes, words: str) -> None:

@@ -21,7 +21,7 @@ from edge.core.sink_context import Station
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
 from edge.page.http_server import MOST_OF_ONE, REQUEST_S, HttpHandler, HttpServer
 from edge.page.shown import MOST_PICTURES, MOST_PRESSES
-from edge.pictures import png
+from edge.pictures.image_file import encode, encode_jpeg
 from plugins.sinks.page import PageOptions, PageSink, plugin
 
 
@@ -61,11 +61,11 @@ def test_presses_are_newest_first_each_with_its_picture(sink: PageSink) -> None:
     assert [one["gel_presses"] for one in presses] == list(range(MOST_PRESSES + 19, 19, -1))
     pictured = [n for n, one in enumerate(presses) if one["has_picture"]]
     assert (len(pictured), 19 in pictured) == (MOST_PICTURES, False)
-    assert ask(sink.port, f"/pictures/{presses[0]['press_id']}.png") == (
+    assert ask(sink.port, f"/pictures/{presses[0]['press_id']}") == (
         200,
         b"\x89PNG%d" % (MOST_PRESSES + 19),
     )
-    assert ask(sink.port, f"/pictures/{presses[19]['press_id']}.png")[0] == 404
+    assert ask(sink.port, f"/pictures/{presses[19]['press_id']}")[0] == 404
 
 
 @pytest.mark.parametrize(
@@ -96,17 +96,20 @@ def test_a_browser_that_waits_is_answered_when_something_comes(sink: PageSink) -
     assert asked(sink.port, "/live.json?after=x")["version"] == version + 1
 
 
-def test_the_newest_picture_is_found_by_the_id_inside(sink: PageSink) -> None:
+@pytest.mark.parametrize("write", [encode, encode_jpeg])
+def test_the_newest_picture_is_found_by_the_id_inside(
+    sink: PageSink, write: Callable[[np.ndarray, dict[str, str]], bytes]
+) -> None:
     """A page that was opened after the press has it from the retained topic; one that names no press is left."""
     newest = press(1, picture=None)[0]
     press_id = json.loads(newest.payload)["press_id"]
-    pixels = png.encode(np.zeros((2, 2, 3), np.uint8), {"press_id": press_id})
+    pixels = write(np.zeros((2, 2, 3), np.uint8), {"press_id": press_id})
     sink.send(Message("last/press", newest.payload))
     sink.send(Message("last/heatmap", pixels))
     sink.send(Message("last/heatmap", b""))
 
     assert [one["has_picture"] for one in asked(sink.port, "/presses.json")] == [True]
-    assert ask(sink.port, f"/pictures/{press_id}.png") == (200, pixels)
+    assert ask(sink.port, f"/pictures/{press_id}") == (200, pixels)
 
 
 def test_only_this_machine_reaches_it(sink: PageSink) -> None:

@@ -73,7 +73,7 @@ def station(unit: Path, real_tactile: Path, tmp_path_factory: pytest.TempPathFac
 
 def _thread_on_this_unit(unit: Path, real_tactile: Path, path: Path) -> Path:
     """The thread's imprint, as what it adds to its own picture's smooth light, on this unit's free gel."""
-    thread = cv2.imread(str(sorted((real_tactile / STRANGER).glob("*.png"))[0]))
+    thread = cv2.imread(str(sorted((real_tactile / STRANGER).glob("*.jpg"))[0]))
     free = cv2.imread(str(unit / "background.png"))
     assert thread is not None
     assert free is not None
@@ -122,7 +122,7 @@ def test_every_real_press_is_seen_and_counted_once(station: Path, reports: list[
 
     assert len(reports) == gel.presses == presses
     assert len({line["payload"]["press_id"] for line in lines if line["topic"] == "result"}) == presses
-    assert len(list((station.parent / "out/heatmap").glob("*.png"))) == presses
+    assert len(list((station.parent / "out/heatmap").glob("*.jpg"))) == presses
 
 
 def test_other_presses_of_the_ball_pass(reports: list[PressReport]) -> None:

@@ -95,7 +95,7 @@ def test_a_retained_topic_keeps_its_newest_message_alone(store: Store, outbox: O
     rows = outbox.pending("mqtt", 100)
 
     retained = [row.message.topic for row in rows if row.message.retain]
-    assert retained == ["last/heatmap", "last", "last/press", "gel"]
+    assert retained == ["last", "last/press", "gel"]
     assert b'"presses":3' in rows[-1].message.payload
     assert rows[-2].row_id > max(row.row_id for row in rows if row.message.topic == "result")
 

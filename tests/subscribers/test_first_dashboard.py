@@ -24,7 +24,7 @@ from edge.config import load_config
 from edge.gateway.build import open_station
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_broker import Broker
-from edge.pictures import png
+from edge.pictures.image_file import texts
 from edge.store.outbox import Outbox
 from plugins.sinks.sparkplug_metrics import DataType, Metric, encode
 
@@ -50,7 +50,8 @@ def config(broker: LocalBroker, tmp_path_factory: pytest.TempPathFactory) -> Pat
     folder = tmp_path_factory.mktemp("station")
     bundle = small_bundle(folder / "bundle", press_recording(folder / "nominal", 12, seed=1))
     recording = press_recording(folder / "presses", 3, dented=[1], seed=2)
-    path = station_config(folder, recording, bundle, sinks=MQTT % broker.port)
+    retained = "[station]\nlast_heatmap = true"
+    path = station_config(folder, recording, bundle, sinks=MQTT % broker.port, tables=retained)
     loaded = load_config(path)
     with open_station(loaded, SystemClock()) as gateway:
         gateway.run(threading.Event(), 3)
@@ -129,11 +130,11 @@ def test_the_verdict_is_on_a_page_of_node_red(dashboard: str) -> None:
 
 
 def test_the_picture_is_that_of_the_verdict(dashboard: str) -> None:
-    """A PNG, with the facts inside."""
-    texts = png.texts(get(f"{dashboard}/picture.png"))
+    """With the facts inside."""
+    written = texts(get(f"{dashboard}/picture"))
 
-    assert texts["verdict"] == "pass"
-    assert texts["part"] == "PZ0/pos1"
+    assert written["verdict"] == "pass"
+    assert written["part"] == "PZ0/pos1"
 
 
 READ = """

@@ -10,7 +10,7 @@ from edge.core.ports import Message
 from edge.core.reference_press.charts import ReferencePress, judge
 from edge.core.verdict import Kind
 from edge.messaging.reference_message import describe_reference_press
-from edge.messaging.result_payload import ResultPayload, picture_messages
+from edge.messaging.result_payload import PressFiles, ResultPayload, picture_messages
 from edge.messaging.status_payloads import (
     GelPayload,
     InfoPayload,
@@ -39,7 +39,7 @@ def press(n: int, *, picture: bytes | None = b"\x89PNG", **outcome: Any) -> list
         gel_limit_presses=1000,
         **fields,
     )
-    pictures = [] if picture is None else picture_messages(press_id, picture)
+    pictures = [] if picture is None else picture_messages(press_id, PressFiles(picture))
     return [Message("result", result.encode()), *pictures]
 
 

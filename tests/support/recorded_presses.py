@@ -8,7 +8,7 @@ import pytest
 
 from edge.core.ports import Message
 from edge.core.verdict import Kind
-from edge.messaging.result_payload import ResultPayload, picture_messages, press_messages
+from edge.messaging.result_payload import PressFiles, ResultPayload, picture_messages, press_messages
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import MakeMessages, PressRecord, Recorded, Store
 from edge.store.ulid import new_ulid
@@ -60,7 +60,8 @@ def messages_of(press: PressRecord, heatmap_bytes: int = 100) -> MakeMessages:
             gel_limit_presses=gel.limit_presses,
         )
         first, *others = press_messages(result, gel)
-        return [first, *picture_messages(press.press_id, bytes(heatmap_bytes)), *others]
+        files = PressFiles(b"\xff\xd8" + bytes(heatmap_bytes - 2))
+        return [first, picture_messages(press.press_id, files)[-1], *others]
 
     return make
 

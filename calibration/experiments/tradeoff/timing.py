@@ -27,7 +27,7 @@ from edge.core.imaging.region import CENTRE_SIDE
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions, open_session
-from edge.pictures.press_picture import PressCaption, press_png
+from edge.pictures.press_picture import PressCaption, encode_press
 
 __all__ = ["STAGES", "Lane", "Samples", "bundle_lanes", "camera_frames", "measure_rounds", "scale_of"]
 
@@ -86,7 +86,7 @@ class Lane:
             part=self.part,
             time="2026-01-01T00:00:00Z",
         )
-        press_png(rgb, score_map, caption)
+        encode_press(rgb, score_map, caption)
         end = time.perf_counter()
         return (decoded - start) * 1e3, trunk_ms, head_ms, (end - scored) * 1e3
 

@@ -25,9 +25,11 @@ REFERENCE: Final = "#/components/schemas/{model}"
 
 _CLOSED: Final = ("additionalProperties", False)
 
+_BINARY: Final = {"type": "string", "format": "binary"}
+
 _CONTENT: Final = {
-    "PNG": ("image/png", {"type": "string", "format": "binary"}),
-    "JPEG": ("image/jpeg", {"type": "string", "format": "binary"}),
+    "PNG": ("image/png", _BINARY),
+    "JPEG": ("image/jpeg", _BINARY),
     "text": ("text/plain", {"enum": ["online", "offline"]}),
     "AsyncAPI": ("application/json", {"type": "object", "required": ["asyncapi", "channels"]}),
 }
@@ -82,7 +84,7 @@ def document(station: DescribedStation) -> dict[str, Any]:
         "components": {
             "schemas": {**schemas, **requests},
             "messages": {
-                **dict(map(_message, published)),
+                **dict(_message(station, topic) for topic in published),
                 "Empty": _EMPTY,
                 "CommandResponse": _of(CommandResponse),
             },
@@ -104,10 +106,10 @@ def _message_name(topic: Topic) -> str:
     return f"{_key(topic)}_{topic.payload}" if isinstance(topic.payload, str) else topic.payload.__name__
 
 
-def _message(topic: Topic) -> tuple[str, dict[str, Any]]:
+def _message(station: DescribedStation, topic: Topic) -> tuple[str, dict[str, Any]]:
     if not isinstance(topic.payload, str):
         return _message_name(topic), _of(topic.payload)
-    content_type, payload = _CONTENT[topic.payload]
+    content_type, payload = {**_CONTENT, "picture": (station.picture_type, _BINARY)}[topic.payload]
     return _message_name(topic), {"contentType": content_type, "payload": payload}
 
 
@@ -124,7 +126,8 @@ def _channel(station: DescribedStation, topic: Topic) -> dict[str, Any]:
     address = topic.name
     for name, parameter in named.items():
         address = address.replace(f"<{name}>", f"{{{parameter}}}")
-    names = [_message_name(topic), *(["Empty"] if topic.may_be_empty else [])]
+    is_sent = station.keeps_heatmap or topic.name != "last/heatmap"
+    names = [*([_message_name(topic)] if is_sent else []), *(["Empty"] if topic.may_be_empty else [])]
     channel: dict[str, Any] = {
         "address": f"{station.root}/{address}",
         "description": topic.meaning,

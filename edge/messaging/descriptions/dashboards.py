@@ -62,11 +62,13 @@ def discovery_topic(station: DescribedStation, prefix: str = DISCOVERY_PREFIX) -
 
 
 def discovery(station: DescribedStation) -> dict[str, Any]:
-    """The message, plain JSON."""
-    values = {name: getattr(station, name) for name in ("id", "place", "root", "version")}
+    """The message, plain JSON. It has a picture where the station retains one."""
+    values = {name: getattr(station, name) for name in ("id", "place", "root", "version", "picture_type")}
     message: dict[str, Any] = _read_template(
         "home_assistant.json", lambda text: Template(text).substitute(values)
     )
+    if not station.keeps_heatmap:
+        del message["components"]["picture"]
     return message
 
 

@@ -40,6 +40,10 @@ class DescribedStation:
     """The commands that it serves."""
     signed: Collection[str] = ()
     """Verbs that it serves only with a signature."""
+    picture_type: str = "image/jpeg"
+    """Content type of the pictures of presses."""
+    keeps_heatmap: bool = False
+    """Whether the newest picture is retained on `last/heatmap`; otherwise the topic is empty."""
 
     @classmethod
     def of_root(cls, root: str) -> Self:

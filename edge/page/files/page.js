@@ -116,7 +116,7 @@ function showRow(press) {
   const row = document.createElement("tr"), time = element("td", clock(press));
   if (press.has_picture) {
     const link = element("a", clock(press));
-    link.href = `pictures/${press.press_id}.png`;
+    link.href = `pictures/${press.press_id}`;
     link.target = "_blank";
     link.setAttribute("aria-label", `Picture of the press at ${clock(press)}`);
     time.replaceChildren(link);
@@ -140,7 +140,7 @@ function showPresses(presses) {
     setTimeout(() => at("verdict").classList.remove("fresh"), FRESH_MS);
   }
   shownPress = last.press_id;
-  const picture = last.has_picture ? `pictures/${last.press_id}.png` : "";
+  const picture = last.has_picture ? `pictures/${last.press_id}` : "";
   at("frame").hidden = !picture;
   at("frame").href = picture;
   at("picture").alt = `the press, and its scores: ${word(last)}, ${at("facts").textContent}`;
