@@ -24,12 +24,13 @@ from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.gateway.part_selection import PartSelection
 from edge.gateway.pictures import Pictures
 from edge.gateway.preflight import Preflight
+from edge.gateway.recorder import draw_archived
 from edge.gateway.report import FreeSpace
 from edge.gateway.station_loop import OnPress, Parts, StationLoop
 from edge.gateway.status import StationStatus
 from edge.messaging.descriptions.asyncapi import asyncapi_message
 from edge.messaging.publisher import Publisher, PublisherLock
-from edge.messaging.result_payload import empty_last_heatmap
+from edge.messaging.result_payload import PressFiles, empty_last_heatmap
 from edge.messaging.sink_worker import RetainedState
 from edge.messaging.status_payloads import StatePayload, availability_message
 from edge.press_stage import PressStage, StageParts
@@ -90,9 +91,9 @@ def _build(
     listeners: list[Callable[[Message], object]] = [publisher.announce]
     status = StationStatus(lambda message: [hear(message) for hear in listeners], clock)
     closing.callback(publisher.stop)
-    pictures = Pictures(store, publisher.wake, keeps_last=config.keeps_heatmap)
     if not config.keeps_heatmap:
         _forget_last_heatmap(store, retained_state)
+    pictures = _open_pictures(config, store, bundles, publisher.wake)
     closing.callback(pictures.close)
     status.set_waiting_for("the sensor")
     device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
@@ -123,6 +124,14 @@ def _build(
     return Parts(
         config, opened, selection, store, publisher, status, acquisition, pictures, free_space, calls, clock
     )
+
+
+def _open_pictures(config: Config, store: Store, bundles: BundleSet, wake: Callable[[], None]) -> Pictures:
+    def draw_again(press_id: str) -> PressFiles:
+        opened = [one.bundle for one in bundles.bundles.values()]
+        return draw_archived(press_id, store, opened, config.station.heatmap)
+
+    return Pictures(store, wake, draw_again, keeps_last=config.keeps_heatmap)
 
 
 def _forget_last_heatmap(store: Store, retained_state: RetainedState) -> None:

@@ -5,6 +5,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 from edge.background import Background
@@ -43,22 +44,30 @@ class PressDrawing:
 class Pictures:
     """Draws and queues the pictures that are owed. Any thread may add; `step` is a turn of the own thread.
 
-    wake: called when a picture waits to be published. keeps_last: that of the newest press of a part is retained.
+    wake: called when a picture waits to be published. draw_again: draws a press that a stop has left without its
+    pictures. keeps_last: that of the newest press of a part is retained.
     """
 
-    def __init__(self, store: Store, wake: Callable[[], None], *, keeps_last: bool = False) -> None:
-        self._store, self._wake, self._keeps_last = store, wake, keeps_last
+    def __init__(
+        self,
+        store: Store,
+        wake: Callable[[], None],
+        draw_again: Callable[[str], PressFiles] = lambda press_id: PressFiles(),
+        *,
+        keeps_last: bool = False,
+    ) -> None:
+        self._store, self._wake, self._draw_again, self._keeps_last = store, wake, draw_again, keeps_last
         self._waiting: deque[PressDrawing] = deque()
         self._drawn: deque[PressDrawing] = deque()
         self._thread = Background[None]("pictures", CLOSE_S)
         self._turn = threading.Lock()  # of the thread, and of `close` where the thread is still busy
 
     def start(self) -> None:
-        """Begin to draw; before others come empty pictures for those that the last stop has prevented. Errors:
+        """Begin to draw; before others come the pictures that the last stop has prevented, or empty ones. Errors:
         StoreError."""
         for press_id in self._store.owed_pictures():
             log.warning("the picture of press %s was not drawn before the last stop", press_id)
-            self._waiting.append(PressDrawing(press_id, PressFiles))
+            self._waiting.append(PressDrawing(press_id, partial(self._draw_again, press_id)))
         self._thread.start()
         self._thread.ask(self.step)
 

@@ -1,6 +1,6 @@
 """From a judged press to a recorded one: its picture, its result, and the one transaction that keeps both."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -9,10 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.defects import find_defects
+from edge.core.errors import ArchiveError
+from edge.core.imaging.decode import decode
+from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, Message
-from edge.core.press import Press
+from edge.core.press import Press, ScarFindings
 from edge.core.sink_context import Place
-from edge.core.verdict import Kind
+from edge.core.verdict import Blame, Cause, Kind, Verdict
 from edge.gateway.pictures import PressDrawing
 from edge.messaging.payload_base import iso_time
 from edge.messaging.result_payload import (
@@ -31,9 +34,10 @@ from edge.pictures.press_picture import PressCaption, encode_press
 from edge.pictures.score_map import encode_scores
 from edge.press_stage import OwnTable, PressStage
 from edge.store.gel_ledger import GelRecord
+from edge.store.press_archive import ArchiveFolder
 from edge.store.press_store import PressRecord, Recorded, Store
 
-__all__ = ["PressReport", "Recorder", "WaitingPress", "press_drawing"]
+__all__ = ["PressReport", "Recorder", "WaitingPress", "draw_archived", "press_drawing"]
 
 
 @dataclass(frozen=True)
@@ -178,6 +182,38 @@ def press_drawing(
     )
     sheet = partial(encode_press, _dim_unjudged(rgb, press), score_map, caption, heatmap)
     return lambda: PressFiles(sheet(), encode_scores(score_map, caption))
+
+
+def draw_archived(press_id: str, store: Store, bundles: Iterable[Bundle], heatmap: PictureForm) -> PressFiles:
+    """Draw a recorded press again, from what its verdict was made from: the same pictures, byte for byte.
+
+    Nothing is scored, so another thread than that of the scorer may call it. Errors: ArchiveError for a press that is
+    not in the archive, or whose bundle is not open; StoreError.
+    """
+    query = "SELECT evidence FROM presses WHERE press_id = ?"
+    row = store.read(f"finding press {press_id}", lambda c: c.execute(query, (press_id,)).fetchone())
+    archive = ArchiveFolder(store.path.with_suffix(".archive"))
+    then = archive.press(press_id, row[0] if row else None)
+    bundle = next((bundle for bundle in bundles if bundle.digest == then.bundle_id), None)
+    if bundle is None:
+        raise ArchiveError(f"the bundle {then.bundle_id} that judged press {press_id} is not open any more")
+    frame = archive.read(then.frame, f"the judged frame of press {press_id}")
+    picture = decode(CameraFrame(frame, 0, 0, is_on_demand=True), bundle.profile)
+    rgb = np.ascontiguousarray(bundle.region.crop(picture))
+    dots, part = bundle.manifest.dots, bundle.registration
+    filled = rgb if dots is None else dots.open().fill(rgb)
+    blame = Blame(Cause.UNSURE, "see the recorded result")
+    press = Press(
+        press_id=press_id,
+        time_ns=then.time_ns,
+        rgb=rgb,
+        score_map=archive.read_map(then),
+        verdict=Verdict(Kind(then.verdict), then.score, then.threshold, 0.0),
+        registered=None if part is None else part.open().register(filled),
+        scars=None if then.masked is None else ScarFindings(blame, archive.read_masked(then)),
+    )
+    draw = press_drawing(press, bundle, then.station, heatmap)
+    return PressFiles() if draw is None else draw()
 
 
 def _dim_unjudged(rgb: NDArray[np.uint8], press: Press) -> NDArray[np.uint8]:

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from edge.core.errors import ArchiveError
@@ -34,12 +36,15 @@ __all__ = [
     "PressArchive",
     "find_press",
     "list_presses",
+    "map_bytes",
+    "mask_bytes",
     "presses_since",
 ]
 
 OBJECTS: Final = "objects"
 PRESSES: Final = "presses"
 _DIGEST: Final = re.compile(rb"\b[0-9a-f]{64}\b")
+_MAP: Final = np.dtype("<f4")
 
 Digest = str
 """SHA-256 in hexadecimal digits."""
@@ -96,6 +101,16 @@ class ArchivedPress(BaseModel):
     def encode(self) -> bytes:
         """The record's file."""
         return self.model_dump_json().encode()
+
+
+def map_bytes(score_map: NDArray[np.float32]) -> bytes:
+    """A score map as it is archived: float32 little-endian, row by row."""
+    return np.ascontiguousarray(score_map, _MAP).tobytes()
+
+
+def mask_bytes(masked: NDArray[np.bool_]) -> bytes:
+    """Places as they are archived: one bit each, row by row."""
+    return np.packbits(masked).tobytes()
 
 
 class PressArchive:
@@ -289,6 +304,23 @@ class ArchiveFolder:
             raise ArchiveError(
                 f"{path} cannot be read by this version ({error.errors()[0]['msg']}); use the version that wrote it"
             ) from error
+
+    def read_map(self, press: ArchivedPress) -> NDArray[np.float32]:
+        """The score map of a press, float32 (h, w)."""
+        data, shape = self._read_of(press, press.score_map, "score map")
+        return np.frombuffer(data, _MAP).reshape(shape)
+
+    def read_masked(self, press: ArchivedPress) -> NDArray[np.bool_]:
+        """The places of a press that were not judged, bool (h, w) of its score map."""
+        data, shape = self._read_of(press, press.masked, "mask of places that were not judged")
+        return np.unpackbits(np.frombuffer(data, np.uint8), count=shape[0] * shape[1]).reshape(shape) > 0
+
+    def _read_of(
+        self, press: ArchivedPress, digest: Digest | None, name: str
+    ) -> tuple[bytes, tuple[int, int]]:
+        if digest is None or press.map_shape is None:
+            raise ArchiveError(f"press {press.press_id} has no {name}: it was not scored")
+        return self.read(digest, f"the {name} of press {press.press_id}"), press.map_shape
 
     def read(self, digest: Digest, what: str) -> bytes:
         """The bytes of this SHA-256. what: in words, for errors."""

@@ -1,6 +1,8 @@
 """Pictures are drawn after their results have left: in order, each once, and what cannot be drawn is said."""
 
 import json
+import re
+import shutil
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -109,19 +111,53 @@ def test_a_picture_is_queued_once(store: Store, path: Path) -> None:
     assert [topic for topic, _ in outbox(path)] == ["result", f"heatmap/{IDS[0]}"]
 
 
-def test_a_stop_before_the_picture_is_reported(
-    store: Store, path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """After a crash the result is there, and the next start sends an empty picture: a subscriber need not wait."""
-    record(store, Pictures(store, lambda: None), 0)
-    again = Pictures(store, lambda: None)
-    again.start()
-    record(store, again, 1)
-    again.close()
+def lose_the_frames(folder: Path) -> None:
+    for damaged in (folder / "gelgate.archive" / "objects").iterdir():
+        damaged.write_bytes(b"")
 
-    pictures = [row for row in outbox(path) if row[0] != "result"]
-    assert pictures[:2] == [(f"heatmap/{IDS[0]}", b""), (f"heatmap/{IDS[1]}", files().sheet)]
-    assert f"the picture of press {IDS[0]} was not drawn before the last stop" in caplog.text
+
+def lose_the_archive(folder: Path) -> None:
+    shutil.rmtree(folder / "gelgate.archive")
+
+
+@pytest.mark.parametrize(
+    ("lose", "words"),
+    [
+        (lambda folder: None, "was not drawn before the last stop"),
+        (lose_the_frames, "cannot be drawn: the judged frame of press .* is damaged"),
+        (lose_the_archive, "cannot be drawn: press .* is gone"),
+    ],
+)
+def test_a_stop_before_the_picture_is_made_good(
+    tmp_path: Path,
+    recording: Path,
+    bundle: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    lose: Callable[[Path], None],
+    words: str,
+) -> None:
+    """After a crash the results are there. The next start draws the pictures from the archived bytes, byte for byte;
+    where they are gone it sends empty ones, and says why: a subscriber need not wait."""
+    config, expected = station_config(tmp_path, recording, bundle), dict[str, PressFiles]()
+    with monkeypatch.context() as killed:
+        killed.setattr(Pictures, "add", lambda self, one: expected.setdefault(one.press_id, one.draw()))
+        with SteppedStation(config) as station:
+            station.play()
+    lose(tmp_path)
+    with SteppedStation(config) as station:
+        station.parts.pictures.start()
+        station.parts.pictures.close()
+
+    if words.startswith("cannot"):
+        expected = dict.fromkeys(expected, PressFiles())
+    with Outbox(tmp_path / "gelgate.db") as opened:
+        waiting = {row.message.topic: row.message.payload for row in opened.pending("mqtt", 100)}
+    assert len(expected) == 3
+    for press_id, drawn in expected.items():
+        assert waiting[f"scoremap/{press_id}"] == drawn.score_map
+        assert waiting[f"heatmap/{press_id}"] == drawn.sheet
+    assert re.search(words, caplog.text)
 
 
 @pytest.mark.parametrize("kind", [ValueError, MemoryError, cv2.error])

@@ -17,14 +17,13 @@ from edge.core.ports import Clock
 from edge.core.press import Press, ScarFindings
 from edge.core.press_again import is_asked, second_verdict, unsure
 from edge.core.verdict import Blame, Cause
-from edge.features.black_box.stage import MAP_DTYPE, map_bytes, read_mask
 from edge.features.scars import mask_scars
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
 from edge.model.session import fingerprint, how_they_differ
-from edge.store.press_archive import ArchivedPress, ArchiveFolder
+from edge.store.press_archive import ArchivedPress, ArchiveFolder, map_bytes
 
 __all__ = ["Bundles", "Replayed", "judge_again"]
 
@@ -96,8 +95,7 @@ def _without_scars(press: ArchivedPress, now: Press, archive: ArchiveFolder, ins
     """The places that were not judged then are not judged now."""
     if press.masked is None or now.score_map is None or press.map_shape != now.score_map.shape:
         return now
-    data = archive.read(press.masked, f"the places of press {press.press_id} that were not judged")
-    places = read_mask(data, now.score_map.shape)
+    places = archive.read_masked(press)
     return mask_scars(now, ScarFindings(_AS_THEN, places, is_too_blind=press.is_too_blind), inspector.bundle)
 
 
@@ -142,10 +140,10 @@ def _of_maps(press: ArchivedPress, now: NDArray[np.float32] | None, archive: Arc
     if now.shape != press.map_shape:
         return f"score map of {press.map_shape} (h, w) then, {now.shape} now"
     try:
-        data = archive.read(press.score_map, f"the score map of press {press.press_id}")
+        before = archive.read_map(press)
     except ArchiveError as error:
         return f"the score map has another SHA-256; where it differs cannot be said: {error}"
-    change = now.astype(np.float64) - np.frombuffer(data, MAP_DTYPE).reshape(press.map_shape)
+    change = now.astype(np.float64) - before
     row, column = np.unravel_index(int(np.abs(change).argmax()), change.shape)
     return (
         f"score map differs at {int(np.count_nonzero(change))} of {change.size} pixels, most at x {column}, y {row} "

@@ -3,10 +3,9 @@
 import hashlib
 import io
 from dataclasses import replace
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from edge.core.contact.reference import View
 from edge.core.imaging.quality import Reason
@@ -15,11 +14,9 @@ from edge.model.inspector import Inspector
 from edge.model.session import fingerprint, fingerprint_bytes
 from edge.press_stage import Alarms, PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
-from edge.store.press_archive import ArchivedPress, PressArchive
+from edge.store.press_archive import ArchivedPress, PressArchive, map_bytes, mask_bytes
 
-__all__ = ["BlackBox", "map_bytes", "mask_bytes", "read_mask"]
-
-MAP_DTYPE: Final = np.dtype("<f4")
+__all__ = ["BlackBox"]
 
 
 class BlackBox(PressStage):
@@ -95,22 +92,6 @@ class BlackBox(PressStage):
             np.save(stream, view, allow_pickle=False)
             self._reference = view, _name_by_hash(stream.getvalue())
         return self._reference[1]
-
-
-def map_bytes(score_map: NDArray[np.float32]) -> bytes:
-    """A score map as it is archived: float32 little-endian, row by row."""
-    return np.ascontiguousarray(score_map, MAP_DTYPE).tobytes()
-
-
-def mask_bytes(masked: NDArray[np.bool_]) -> bytes:
-    """Places as they are archived: one bit each, row by row."""
-    return np.packbits(masked).tobytes()
-
-
-def read_mask(data: bytes, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Unpack a mask to bool of this shape. Errors: ValueError for another number of bytes."""
-    bits = np.unpackbits(np.frombuffer(data, np.uint8), count=shape[0] * shape[1])
-    return bits.reshape(shape).astype(np.bool_)
 
 
 def _name_by_hash(data: bytes) -> tuple[str, bytes]:
