@@ -71,6 +71,7 @@ class Resettable(Protocol[AnyOptions]):
         """Reset the sensor selected by the options, and return its name. Errors: as `DevicePlugin.open`."""
 
 
+@runtime_checkable
 class Played(Protocol):
     """A recording, to which a run that played it is compared."""
 

@@ -193,7 +193,16 @@ def check_mode(bundle: Bundle, sensor: DeviceIdentity) -> None:
 
 
 def played_recording(table: PluginTable) -> Played | None:
-    """The recording that the configured device plays; None where it is a sensor. Errors: RecordingError."""
+    """The recording that the configured device plays; None where it is a sensor. Errors: RecordingError; ConfigError
+    for a plugin whose recording cannot be compared."""
     plugin = registry.device(table.plugin)
     options = plugin.Options.model_validate(table.options)
-    return plugin.recording(options) if isinstance(plugin, PlaysRecording) else None
+    if not isinstance(plugin, PlaysRecording):
+        return None
+    played: object = plugin.recording(options)
+    if not isinstance(played, Played):
+        raise ConfigError(
+            f"the device plugin '{table.plugin}' gives a {type(played).__name__} as its recording, expected an object "
+            "with check_presses; correct its package"
+        )
+    return played

@@ -148,11 +148,18 @@ outlives the process that raised it."""
 def list_alarms() -> Mapping[str, Alarm]:
     """Return gelgate's alarms and those of installed features of other packages.
 
-    Errors: ConfigError for a feature that cannot be loaded, or whose alarm's id is no topic level or another's.
+    Errors: ConfigError for a feature that cannot be loaded, or whose alarms are none, or have an id that is no topic
+    level or another's.
     """
     known = dict(ALARMS)
     for name in registry.foreign("features"):
-        for alarm, kind in getattr(registry.feature(name), "alarms", {}).items():
+        alarms: object = getattr(registry.feature(name), "alarms", {})
+        if not isinstance(alarms, Mapping) or not all(isinstance(kind, Alarm) for kind in alarms.values()):
+            raise ConfigError(
+                f"the feature '{name}' declares the alarms {alarms!r:.80}, expected a mapping of each id to an Alarm; "
+                "correct its package"
+            )
+        for alarm, kind in alarms.items():
             if alarm in known:
                 raise ConfigError(
                     f"the feature '{name}' declares the alarm '{alarm}', which is another's; rename it"

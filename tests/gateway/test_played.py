@@ -7,14 +7,18 @@ import pytest
 from command_line import gelgate
 from station import Motion, press_recording, station_config
 
+from edge import registry
 from edge.clock import SystemClock
+from edge.config import PluginTable
 from edge.core.contact.mask import Touch
-from edge.core.errors import PressesMissed
+from edge.core.errors import ConfigError, PressesMissed
 from edge.core.imaging.frames import CameraFrame
+from edge.gateway.opening import played_recording
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
 from edge.recording.format import Recording
+from plugins.devices.recorded import RecordedOptions
 
 
 @pytest.mark.parametrize(
@@ -49,6 +53,22 @@ def test_a_frame_on_demand_has_no_age(bundle: Path, recording: Path) -> None:
 
     assert reason(False) == "stale"
     assert reason(True) != "stale"
+
+
+class NamesItsRecording:
+    """A plugin whose author took the recording for its folder."""
+
+    Options = RecordedOptions
+
+    def recording(self, options: RecordedOptions) -> Path:
+        return options.recording
+
+
+def test_a_recording_that_cannot_be_compared_is_refused_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the plugin's name, and not after the last press."""
+    monkeypatch.setattr(registry, "device", lambda name: NamesItsRecording())
+    with pytest.raises(ConfigError, match="device plugin 'films' gives a PosixPath as its recording"):
+        played_recording(PluginTable(plugin="films", options={"recording": "presses"}))
 
 
 def test_a_run_that_missed_a_press_fails(tmp_path: Path, bundle: Path) -> None:

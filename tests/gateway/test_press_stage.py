@@ -97,12 +97,14 @@ def test_a_request_is_served_by_one(config: Path, monkeypatch: pytest.MonkeyPatc
             {"too bright": Alarm("the lamp")},
             "the feature 'lamp' declares the alarm 'too bright': a topic level has",
         ),
+        (["lamp_lost"], "declares the alarms .'lamp_lost'., expected a mapping of each id to an Alarm"),
+        ({"lamp_lost": "it is dark"}, "'it is dark'}, expected a mapping of each id to an Alarm"),
     ],
 )
 def test_an_alarm_is_declared_by_one(
-    config: Path, monkeypatch: pytest.MonkeyPatch, declared: dict[str, Alarm], sentence: str
+    config: Path, monkeypatch: pytest.MonkeyPatch, declared: object, sentence: str
 ) -> None:
-    """A feature of another package cannot raise or end an alarm of gelgate's."""
+    """A feature of another package cannot raise or end an alarm of gelgate's; what declares none is refused."""
     monkeypatch.setattr(PressStage, "alarms", declared)
     with pytest.raises(ConfigError, match=sentence):
         load_with(monkeypatch, load_config(config), "edge.press_stage:PressStage")

@@ -1,11 +1,14 @@
 """The MQTT sink against real brokers, at both protocol levels."""
 
+import gc
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
+import weakref
+from collections.abc import Callable
 
 import pytest
 
@@ -49,6 +52,8 @@ def test_the_will_is_published_when_the_process_dies(mosquitto: LocalBroker, lis
     listener = listen(mosquitto)
     program = f"""
 import time
+import weakref
+from collections.abc import Callable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from plugins.sinks.mqtt import plugin
@@ -196,3 +201,24 @@ def test_without_threads_every_attempt_is_a_step(listen: Listen, stepped: SinkTo
     assert 0 < pause_s <= 0.2
     with pytest.raises(SinkUnavailable, match="broker"):
         sink.send(Message("result", b"2"))
+
+
+@pytest.mark.parametrize("end", [Connection.close, lambda one: one.abandon("given up")])
+def test_an_ended_connection_leaves_no_socket(
+    mosquitto: LocalBroker, end: Callable[[Connection], None]
+) -> None:
+    """The library closes its own with its client: that one is gone with the connection, without the collector."""
+    gc.disable()
+    try:
+        connection = Connection.open(
+            Broker(mosquitto.host, mosquitto.port, "ends", level="5", timeout_s=60.0)
+        )
+        client = weakref.ref(connection._client)
+        end(connection)
+        del connection
+        deadline = time.monotonic() + PATIENCE_S
+        while client() is not None and time.monotonic() < deadline:  # its thread ends in its own time
+            time.sleep(0.01)
+        assert client() is None
+    finally:
+        gc.enable()
