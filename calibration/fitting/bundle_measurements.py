@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.limits.threshold import count_needed, pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
+from calibration.fitting.presses.strangers import find_copies
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.quality import NominalContact
 from edge.model.bundle import GoldenFrame
@@ -150,15 +151,12 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
         raise FitError(
             f"presses are {presses.frames.shape[1:3]}, the region is {frame} (h, w); read them again"
         )
-    found = list(presses.faults)
-    distinct = len({rgb.tobytes() for rgb in presses.frames})
-    if alpha is not None and distinct == 1 < n:
+    found = [*presses.faults, *find_copies(presses.names, list(presses.frames))]
+    if alpha is not None and n > 1 and len({rgb.tobytes() for rgb in presses.frames}) == 1:
         raise FitError(
             f"all {n} presses are one picture: they do not show how sound presses differ, so there is no threshold; "
             "give different presses, or state a threshold yourself"
         )
-    if distinct < n:
-        found.append(f"{n - distinct} of {n} presses are exact copies of another: they teach nothing")
     pieces = len(set(pieces_of(presses.specimens)))
     if alpha is not None and n == 1:
         found.append(

@@ -66,15 +66,3 @@ def test_what_is_not_seen_is_said_and_no_picture_is_refused_by_it() -> None:
         assert found.doubt == doubt
         assert str(found).endswith(doubt)
         assert found.find_foreign(picture(light(tilt=40))) == ""
-
-
-def test_a_press_that_does_not_belong_is_named() -> None:
-    """Turned by half, or of another light; the others show their part alone."""
-    for places in (ANYWHERE, ONE_PLACE):
-        pictures = presses(places)
-        names = [f"{k}" for k in range(len(pictures))]
-        assert estimate_free_gel(pictures).find_strangers(names, pictures) == []
-        pictures += [pictures[3][::-1, ::-1].copy(), picture(light(tilt=60))]
-        said = estimate_free_gel(pictures).find_strangers([*names, "turned", "red"], pictures)
-        assert [one.split("'")[1] for one in said] == ["turned", "red"]
-        assert "--leave-out 'turned'" in said[0]

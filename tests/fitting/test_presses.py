@@ -248,17 +248,20 @@ def other_light(payload: bytes) -> bytes:
 
 
 def test_a_gently_curved_part_at_one_place_is_no_other_light(tmp_path: Path) -> None:
-    """The estimate takes a lying cylinder for light: the right picture is kept, and the doubt is said."""
+    """The estimate takes a lying cylinder for light: the right picture is kept. Without it the doubt is said."""
     down = np.linspace(-1, 1, 120)[:, None, None]
     for k in range(4):
-        curved = cv2.imdecode(np.frombuffer(gel(k), np.uint8), cv2.IMREAD_COLOR) + 90 * (down - down**3)
+        deep = (90 + 8 * k) * (down - down**3)
+        curved = cv2.imdecode(np.frombuffer(gel(k), np.uint8), cv2.IMREAD_COLOR) + deep
         write(tmp_path / "good", f"{k}.png", png(np.clip(curved, 0, 255).astype(np.uint8)))
     write(tmp_path / "own", "free.png", gel(9))
     presses = read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / "own"])
     assert presses.estimated == ""
     assert min(touch.area for touch in presses.touches) > 0.4
-    (said,) = presses.faults
-    assert "or a part that always lies at one place; the picture is kept" in said
+    assert all("a smooth part that always lies at one place looks the same" in one for one in presses.faults)
+    guessed = read_presses([tmp_path / "good"], PROFILE, REGION)
+    assert guessed.no_contact is None
+    assert "it may hold the part: no contact is known by it" in guessed.faults[0]
 
 
 def test_by_an_estimate_no_place_is_left_out(tmp_path: Path) -> None:
@@ -291,7 +294,9 @@ def test_one_foreign_picture_among_right_ones_is_left_out(tmp_path: Path) -> Non
     write(tmp_path / "free", "a.png", other_light(gel(9)))
     write(tmp_path / "free", "b.png", gel(8))
     presses = read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / "free"])
-    assert presses.faults[0].startswith("1 of 2 pictures of the free gel left out: ")
+    (said,) = presses.faults
+    assert said.startswith("1 of 2 pictures of the free gel ('free/a.png') differs by")
+    assert said.endswith("left out")
     assert presses.no_contact is not None
     assert len(presses.no_contact) == 1
 
@@ -304,16 +309,37 @@ def test_a_foreign_picture_beside_a_recording_is_left_out(recording: Path, tmp_p
         read_presses([recording], PROFILE, REGION, no_contact=[tmp_path / name for name in names])
         for names in (["free"], ["own"], [])
     )
-    assert foreign.faults[0].startswith("1 of 1 pictures of the free gel left out: ")
+    (said,) = foreign.faults
+    assert said.startswith("the picture of the free gel ('free/a.png') differs by")
+    assert said.endswith("left out")
     assert own.faults == ()
     assert foreign.no_contact is not None
     np.testing.assert_array_equal(foreign.no_contact, none.no_contact)
 
 
+def test_the_free_gel_of_a_recording_serves_the_pictures_beside_it_too(
+    recording: Path, tmp_path: Path
+) -> None:
+    """Of another light these are named, and do not replace it."""
+    alone = read_presses([recording], PROFILE, REGION)
+    for k in range(4):
+        write(tmp_path / "own", f"{k}.png", gel(k, (52 + 15 * k, 60)))
+        write(tmp_path / "foreign", f"{k}.png", other_light(gel(k, (52 + 15 * k, 60))))
+    own, foreign = (
+        read_presses([recording, tmp_path / name], PROFILE, REGION) for name in ("own", "foreign")
+    )
+    for presses in (own, foreign):
+        assert presses.estimated == ""
+        np.testing.assert_array_equal(presses.no_contact, alone.no_contact)  # type: ignore[arg-type]
+    assert [touch.x * 160 for touch in own.touches[3:]] == pytest.approx([52, 67, 82, 97], abs=2)
+    assert own.faults == ()
+    assert any("beside the presses of the pictures" in fault for fault in foreign.faults)
+
+
 def test_with_three_presses_a_foreign_picture_is_suspected(tmp_path: Path) -> None:
     """Too few for an estimate: the contacts alone tell."""
     for k in range(3):
-        write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60), 9))
+        write(tmp_path / "good", f"{k}.png", gel(k, (52 + 15 * k, 60), 9))
     write(tmp_path / "free", "a.png", other_light(gel(9)))
     write(tmp_path / "own", "a.png", gel(9))
     foreign, own = (

@@ -9,7 +9,7 @@ from edge.core.imaging.quality import BLACK_LEVEL
 from edge.core.imaging.sensor_check import check_sensor, colour_cells, colour_distance
 from edge.model.manifest import ColourEntry
 
-__all__ = ["colour_warnings", "nominal_colours", "refuses"]
+__all__ = ["CELLS", "colour_warnings", "nominal_colours", "refuses"]
 
 CELLS: Final = (8, 8)
 """Cells of the region, rows and columns. 4 x 4 brings foreign frames nearer (19.0 % instead of 19.8 %), 14 x 14 shows

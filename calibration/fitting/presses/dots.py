@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
+from calibration.fitting.presses.strangers import list_names
 from edge.core.detector import Mode
-from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots
+from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots, shows_marker_dots
 
 __all__ = ["fill_dots", "take_out_dots"]
 
@@ -26,9 +27,15 @@ _LEAST_COLOUR = 10.0
 def take_out_dots(presses: NominalPresses, pixels_per_mm: float, mode: Mode = "corrected") -> NominalPresses:
     """Find the dots of a marker gel and fill them in presses and free gel.
 
-    The same presses where there are none, and in the mode `paper`: the published methods learn them as they are.
+    The same presses where there are none, and in the mode `paper`: the published methods learn them as they are. Faults
+    name the presses of another gel: without the dots that the others have, or with dots.
     """
-    dots = None if mode == "paper" else _find(presses, pixels_per_mm)
+    if mode == "paper":
+        return presses
+    dots = _find(presses, pixels_per_mm)
+    mixed = _find_mixed(presses, pixels_per_mm, dots is not None)
+    if mixed:
+        presses = replace(presses, faults=(*presses.faults, *mixed))
     return presses if dots is None else fill_dots(presses, dots)
 
 
@@ -57,3 +64,21 @@ def _find(presses: NominalPresses, pixels_per_mm: float) -> MarkerDots | None:
     if len(found) < len(some) or np.any(np.ptp(sizes, axis=0) > _ALIKE * sizes.mean(axis=0)):
         return None
     return max(found, key=lambda dots: len(dots.places))
+
+
+def _find_mixed(presses: NominalPresses, pixels_per_mm: float, has_dots: bool) -> list[str]:
+    """Name the presses that show dots where the gel has none, or the reverse."""
+    shows = np.array([shows_marker_dots(rgb, pixels_per_mm) for rgb in presses.frames])
+    odd = [name for name, has in zip(presses.names, shows, strict=True) if has != has_dots]
+    if not odd:
+        return []
+    if len(odd) == len(presses):
+        shown = "no press shows the dots that the free gel has"
+        if not has_dots:
+            shown = "all presses show regular dark dots, or the part has them, and the free gel does not"
+        return [f"{shown}: it is of another gel; give a picture of the gel of the presses"]
+    what = "no dots of a marker gel" if has_dots else "the dots of a marker gel"
+    return [
+        f"{what} in {list_names(odd, len(presses))}, unlike the gel that is learnt: they are of another gel; leave "
+        f"them out (--leave-out '{odd[0]}'), and fit them alone"
+    ]

@@ -16,11 +16,18 @@ from numpy.typing import NDArray
 from calibration.dataset.files import SUFFIXES, read_rgb
 from calibration.dataset.press import numbered
 from calibration.fitting.presses.free_gel import view_of
-from calibration.fitting.presses.gel_choice import MIN_PRESSES, choose_free_gel, contact_finder, drop_foreign
+from calibration.fitting.presses.gel_choice import MIN_PRESSES, choose_free_gel, contact_finder
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
 from calibration.fitting.presses.sources import check_present
+from calibration.fitting.presses.strangers import (
+    find_empty,
+    find_repeated,
+    find_saturated,
+    find_strangers,
+)
 from edge.core.contact.mask import Touch, touched
 from edge.core.contact.press_detector import PressDetector
+from edge.core.contact.reference import View
 from edge.core.errors import DatasetError, FitError
 from edge.core.imaging.decode import decode
 from edge.core.imaging.marker_dots import MarkerDots
@@ -123,6 +130,8 @@ class _Press:
     name: str
     specimen: str | None
     mask: _Mask
+    view: View
+    """The whole picture as contact detection sees it."""
 
 
 @dataclass
@@ -134,23 +143,18 @@ class _Gathered:
     unwanted: frozenset[str] = frozenset()
     presses: list[_Press] = field(default_factory=list)
     free: list[NDArray[np.uint8]] = field(default_factory=list)
-    """Whole pictures of the free gel."""
+    """Whole pictures of the free gel, until it is chosen those of recordings."""
     left_out: list[str] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
     estimated: str = ""
     is_doubtful: bool = False
 
-    def add_free(self, given: list[NDArray[np.uint8]], *, is_checked: bool) -> None:
-        """Put given pictures before the recorded ones; is_checked: those alone that are of their light."""
-        said: list[str] = []
-        if is_checked:
-            given, said = drop_foreign(given, self.free)
-        self.free, self.faults = [*given, *self.free], [*self.faults, *said]
-
-    def check_free_gel(self, names: Sequence[str], pictures: Sequence[NDArray[np.uint8]]) -> None:
-        """Choose the free gel by the presses, and check each by it."""
-        chosen = choose_free_gel(names, pictures, self.free, self.profile)
+    def choose_gel(
+        self, pictures: Sequence[NDArray[np.uint8]], given: Mapping[str, NDArray[np.uint8]]
+    ) -> None:
+        """Choose the free gel by the presses of pictures, from given pictures, recordings or the presses."""
+        chosen = choose_free_gel(pictures, given, self.free, self.profile)
         self.free, self.estimated, self.is_doubtful = chosen.pictures, chosen.estimated, chosen.is_doubtful
         self.faults += chosen.faults
 
@@ -158,7 +162,18 @@ class _Gathered:
         if name in self.unwanted:
             self.left_out.append(name)
         else:
-            self.presses.append(_Press(self.region.crop(picture).copy(), name, specimen, mask))
+            self.presses.append(
+                _Press(self.region.crop(picture).copy(), name, specimen, mask, view_of(picture))
+            )
+
+    def find_odd(self) -> list[str]:
+        """Name the presses that do not belong to the others, where enough of them tell, or teach nothing."""
+        names, views = [press.name for press in self.presses], [press.view for press in self.presses]
+        said = find_saturated(names, views) + find_repeated(names, views)
+        if len(names) < MIN_PRESSES:
+            return said
+        empty = [] if self.is_doubtful else find_empty(names, [press.mask for press in self.presses])
+        return [*find_strangers(names, views), *empty, *said]
 
     def finish(self) -> NominalPresses:
         """Return all presses; their contacts count where every one is known, by a free gel without doubt."""
@@ -182,7 +197,7 @@ class _Gathered:
             free_view=np.rint(np.mean(views, axis=0, dtype=np.float64)).astype(np.uint8)
             if free and not self.estimated
             else None,
-            faults=tuple(self.faults),
+            faults=(*self.find_odd(), *self.faults),
             estimated=self.estimated,
         )
 
@@ -220,10 +235,10 @@ def read_presses(
     files = list_pictures([source for source in sources if not is_recording(source)], pattern)
     files = [path for path in files if not any(path.samefile(one) for one in free_files)]
     pictures = _pictures(files, profile, resize)
-    gathered.add_free([picture for _, picture in free], is_checked=not files)
     names = [f"{path.parent.name}/{path.name}" for path, _ in pictures]
     kept = [k for k, name in enumerate(names) if name not in gathered.unwanted]
-    gathered.check_free_gel([names[k] for k in kept], [pictures[k][1] for k in kept])
+    given = {f"{path.parent.name}/{path.name}": picture for path, picture in free}
+    gathered.choose_gel([pictures[k][1] for k in kept], given)
     contact = _contacts(gathered.free)
     for name, (path, picture) in zip(names, pictures, strict=True):
         gathered.add(picture, name, specimens.get(path) or specimen_of(path), contact(picture))

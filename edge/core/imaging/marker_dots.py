@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MarkerDots", "find_marker_dots"]
+__all__ = ["MarkerDots", "find_marker_dots", "shows_marker_dots"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -119,6 +119,24 @@ class MarkerDots:
 
 def find_marker_dots(rgb: U8, pixels_per_mm: float) -> MarkerDots | None:
     """Find the regular dark dots that cover a picture, uint8 (h, w, 3); None where there are none."""
+    seen = _find_lattice(rgb, pixels_per_mm)
+    if seen is None:
+        return None
+    inside, places, apart, width = seen
+    brightest = _brightest(rgb)
+    around = np.maximum(_close(brightest, 2 * width), 1)
+    darker = float(np.median(1 - brightest[inside] / around[inside]))
+    lattice = np.round(_extend(places, apart, rgb.shape[:2]), 2)
+    return MarkerDots(lattice, round(apart, 2), round(width, 2), round(darker / 2, 3))
+
+
+def shows_marker_dots(rgb: U8, pixels_per_mm: float) -> bool:
+    """Tell whether regular dark dots cover a picture, uint8 (h, w, 3)."""
+    return _find_lattice(rgb, pixels_per_mm) is not None
+
+
+def _find_lattice(rgb: U8, pixels_per_mm: float) -> tuple[Mask, F64, float, float] | None:
+    """Return where dots are, their centres, how far they lie apart, and their width; None for no lattice."""
     blobs = _Blobs.of(_dark(rgb, _SURROUNDINGS_MM * pixels_per_mm, _DARKER))
     low, high = (_disc(width * pixels_per_mm) for width in _WIDTH_MM)
     is_dot = (blobs.areas > low) & (blobs.areas < high) & blobs.is_round & ~blobs.is_cut
@@ -128,14 +146,7 @@ def find_marker_dots(rgb: U8, pixels_per_mm: float) -> MarkerDots | None:
     is_dot &= (blobs.areas > 0.4 * usual) & (blobs.areas < 2 * usual)
     places, width = blobs.centres[is_dot], math.sqrt(usual * 4 / math.pi)
     apart = _lattice_distance(places, rgb.shape[0] * rgb.shape[1])
-    if apart is None or apart < width:
-        return None
-    inside = blobs.mask(is_dot) > 0
-    brightest = _brightest(rgb)
-    around = np.maximum(_close(brightest, 2 * width), 1)
-    darker = float(np.median(1 - brightest[inside] / around[inside]))
-    lattice = np.round(_extend(places, apart, rgb.shape[:2]), 2)
-    return MarkerDots(lattice, round(apart, 2), round(width, 2), round(darker / 2, 3))
+    return None if apart is None or apart < width else (blobs.mask(is_dot) > 0, places, apart, width)
 
 
 def _lattice_distance(places: F64, area_px: int) -> float | None:

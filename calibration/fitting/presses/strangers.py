@@ -1,0 +1,119 @@
+"""Which presses do not belong to the others, a sentence for each reason that names them and says what to do."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.mask import squared_distance, touched
+from edge.core.contact.reference import Reference, View
+from edge.core.contact.settings import ContactSettings
+from edge.core.imaging.quality import check_light
+
+__all__ = ["find_copies", "find_empty", "find_repeated", "find_saturated", "find_strangers", "list_names"]
+
+U8 = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+_WITNESSES = 16
+# In levels, in the median over the view, and times the usual distance to the nearest press. That distance is 1.8 to 4.0
+# on real and simulated sets, at most 2.5 times as much for a press; one that is mirrored is 8 to 18 away, one that is
+# turned 20 and more, one of another unit 8 and more.
+_STRANGE_LEVELS, _STRANGE_TIMES = 6.0, 3.0
+# Two presses of one part in a fixture differ by 2.8 levels and more at some place of 0.4 mm, two frames of one press by
+# 1.1, a copy that was compressed again by 1.
+_SAME_LEVELS, _PLACE_PX = 2.0, 1.5
+_MOST_NAMES = 8
+
+
+def find_strangers(names: Sequence[str], views: Sequence[View]) -> list[str]:
+    """Name the presses of another light than most others. views: float32 (h, w, 3) each, complete pictures.
+
+    Presses belong together that are near one another, or near a third one, in the median over the view: between the
+    parts, so that no light has to be known.
+    """
+    rows = np.unique(np.linspace(0, len(views) - 1, _WITNESSES).round().astype(int))
+    levels = np.stack([_levels(views[k], views) for k in rows], axis=1)
+    levels[rows, np.arange(len(rows))] = np.inf
+    most = max(_STRANGE_LEVELS, _STRANGE_TIMES * float(np.median(levels.min(axis=1))))
+    is_near = levels <= most
+    is_near[rows, np.arange(len(rows))] = True
+    belongs = is_near[:, is_near.sum(axis=0).argmax()]
+    while np.any(more := is_near[:, belongs[rows]].any(axis=1) & ~belongs):
+        belongs = belongs | more
+    strange = np.flatnonzero(~belongs)
+    if not len(strange):
+        return []
+    away = levels[strange][:, belongs[rows]].min()
+    return [
+        f"between the parts {list_names([names[k] for k in strange.tolist()], len(names))} differ from the others, by "
+        f"{away:.0f} levels or more: turned or mirrored, or of another light, gel or sensor; look at them, and leave "
+        f"them out (--leave-out '{names[int(strange[0])]}')"
+    ]
+
+
+def find_empty(names: Sequence[str], masks: Sequence[Mask | None]) -> list[str]:
+    """Name the presses that show no contact. masks: where each touches in the view; None where it is not known."""
+    known = [(name, mask) for name, mask in zip(names, masks, strict=True) if mask is not None]
+    empty = [name for name, mask in known if touched(mask).area < ContactSettings.on_area]
+    if not empty:
+        return []
+    if 2 * len(empty) > len(known):
+        why = "the picture of the free gel may be of a press; take one with nothing on the gel"
+    else:
+        why = f"they may be of the free gel; look at them, and leave them out (--leave-out '{empty[0]}')"
+    return [f"no contact is seen in {list_names(empty, len(known))}: {why}"]
+
+
+def find_saturated(names: Sequence[str], views: Sequence[View]) -> list[str]:
+    """Name the presses that a gateway rejects as saturated. views: as above."""
+    bright = [
+        n for n, view in zip(names, views, strict=True) if check_light(view.astype(np.uint8)) is not None
+    ]
+    if not bright:
+        return []
+    return [
+        f"too bright a light in {list_names(bright, len(names))}: a gateway rejects such presses; lower the exposure "
+        f"and press again, or leave them out (--leave-out '{bright[0]}')"
+    ]
+
+
+def find_copies(names: Sequence[str], frames: Sequence[U8]) -> list[str]:
+    """Name the presses that are exact copies of an earlier one. frames: uint8 (h, w, 3) each."""
+    first: dict[bytes, int] = {}
+    copies = [k for k, rgb in enumerate(frames) if first.setdefault(rgb.tobytes(), k) != k]
+    if not copies:
+        return []
+    return [
+        f"{list_names([names[k] for k in copies], len(names))} are exact copies of another: they teach nothing"
+    ]
+
+
+def find_repeated(names: Sequence[str], views: Sequence[View]) -> list[str]:
+    """Name the presses that differ from an earlier one by noise alone; not its exact copies. views: as above."""
+    broad = np.stack([cv2.GaussianBlur(view, (0, 0), _PLACE_PX)[::2, ::2] for view in views])
+    same = [
+        names[k]
+        for k in range(1, len(broad))
+        if 0 < min(float(np.abs(broad[k] - one).max()) for one in broad[:k]) < _SAME_LEVELS
+    ]
+    if not same:
+        return []
+    return [
+        f"{list_names(same, len(names))} are the same as an earlier one, but for noise: they teach nothing, and the "
+        "false-alarm rate counts them as presses; give each press once"
+    ]
+
+
+def list_names(names: Sequence[str], count: int) -> str:
+    """Say which of so many presses are meant."""
+    rest = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+    quoted = ", ".join(f"'{name}'" for name in names[:_MOST_NAMES])
+    return f"{len(names)} of {count} presses ({quoted}{rest})"
+
+
+def _levels(view: View, others: Sequence[View]) -> NDArray[np.float64]:
+    """Measure by how many levels others differ from a view, in the median over it, float64 (n,)."""
+    reference = Reference(view)
+    return np.array([np.median(np.sqrt(squared_distance(reference.difference(one)))) for one in others])

@@ -1,0 +1,106 @@
+"""Bad input of pictures: each has a sentence that names the picture and says what to do."""
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from marker_gel import dotted, lattice
+from numpy.typing import NDArray
+
+from calibration.fitting.presses.dots import take_out_dots
+from calibration.fitting.presses.nominal_presses import read_presses
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+
+U8 = NDArray[np.uint8]
+SIZE = 320, 240
+PROFILE = SensorProfile("test", SIZE, (0.0, 0.0), SIZE, 4, 15.77)
+ROWS, COLUMNS = np.mgrid[:240, :320]
+X, Y = COLUMNS / 160 - 1, ROWS / 120 - 1
+DOTS = lattice((240, 320))
+
+
+def gel(number: int, added: float | NDArray[np.float64] = 0.0, tilt: float = 0.0) -> U8:
+    """The gel under a light that falls off to the sides, and what a part adds."""
+    light = np.stack(
+        [130 - 30 * X**2 + 20 * Y, 120 + 25 * X - 10 * X * Y, 110 - 20 * Y**2 + tilt * X], axis=-1
+    )
+    noise = np.random.default_rng(number).normal(0, 1, light.shape)
+    return np.clip(np.rint(light + added + noise), 0, 255).astype(np.uint8)
+
+
+def press(number: int) -> U8:
+    """A ball in a fixture, one side brighter, the other darker."""
+    x, y, radius = np.random.default_rng([1, number]).uniform((155, 115, 58), (165, 125, 64))
+    inside = (COLUMNS - x) ** 2 + (ROWS - y) ** 2 < radius**2
+    return gel(number, np.where(inside, 60 * np.sign(COLUMNS - x + 1e-9), 0)[..., None])
+
+
+def curved(number: int) -> U8:
+    """A lying cylinder, pressed less and more."""
+    return gel(number, (25 + 3 * number) * (Y - Y**3)[..., None])
+
+
+def same(number: int) -> U8:
+    noise = np.random.default_rng(number).normal(0, 1, (240, 320, 3))
+    return np.clip(np.rint(press(1) + noise), 0, 255).astype(np.uint8)
+
+
+def bright(number: int) -> U8:
+    return np.clip(press(number).astype(int) * 2, 0, 255).astype(np.uint8)
+
+
+@cache
+def marked(number: int) -> U8:
+    return dotted(press(number), DOTS)
+
+
+Presses = Callable[[int], U8]
+TWO = "2 of 12 presses ('good/a.png', 'good/b.png')"
+BAD: dict[str, tuple[Presses, Presses, U8 | None, str]] = {
+    "turned": (press, lambda k: press(k)[::-1, ::-1], gel(99), f"between the parts {TWO}"),
+    "mirrored": (press, lambda k: press(k)[:, ::-1], None, "turned or mirrored"),
+    "another light": (press, lambda k: gel(k, tilt=60), None, "--leave-out 'good/a.png'"),
+    "free gel": (press, gel, gel(99), f"no contact is seen in {TWO}"),
+    "one press again": (press, same, None, f"{TWO} are the same as an earlier one"),
+    "too bright": (press, bright, None, f"too bright a light in {TWO}"),
+    "markers": (press, marked, gel(99), f"the dots of a marker gel in {TWO}"),
+    "no markers": (marked, press, dotted(gel(99), DOTS), f"no dots of a marker gel in {TWO}"),
+    "markers on all": (marked, marked, gel(99), "of another gel"),
+    "picture of a press": (press, press, press(50), "('free/free.png') show the part, and are left out"),
+    "picture of another light": (press, press, gel(99, tilt=60), "('free/free.png') differs by"),
+    "curved part": (curved, lambda k: curved(k - 20), None, "it may hold the part"),
+}
+
+
+def save(path: Path, rgb: U8) -> Path:
+    path.parent.mkdir(exist_ok=True)
+    cv2.imwrite(str(path), np.ascontiguousarray(rgb[..., ::-1]))
+    return path
+
+
+def read(folder: Path, good: Presses, other: Presses, free: U8 | None) -> tuple[str, ...]:
+    """Read ten presses and two others as `gelgate fit` does; what it says."""
+    for k in range(10):
+        save(folder / "good" / f"{k}.png", good(k))
+    for k, name in ((20, "a"), (21, "b")):
+        save(folder / "good" / f"{name}.png", other(k))
+    files = [] if free is None else [save(folder / "free" / "free.png", free)]
+    presses = read_presses([folder / "good"], PROFILE, Region.full(SIZE), no_contact=files)
+    return take_out_dots(presses, PROFILE.pixels_per_mm).faults
+
+
+@pytest.mark.parametrize(("good", "other", "free", "said"), BAD.values(), ids=BAD)
+def test_bad_input_is_named(
+    tmp_path: Path, good: Presses, other: Presses, free: U8 | None, said: str
+) -> None:
+    faults = read(tmp_path, good, other, free)
+    assert any(said in fault for fault in faults), faults
+
+
+@pytest.mark.parametrize(("good", "free"), [(press, None), (press, gel(99)), (marked, dotted(gel(99), DOTS))])
+def test_of_good_input_nothing_is_said(tmp_path: Path, good: Presses, free: U8 | None) -> None:
+    assert read(tmp_path, good, good, free) == ()
