@@ -14,7 +14,7 @@ from edge.core.errors import ConfigError
 from edge.model.bundle import Bundle
 from edge.model.scorer import FRAMES, Scorer
 from export.onnx_values import first_conv_input, run_values
-from export.parity import Kind, ParityReport, Stage, compare, order_stage, score_frames
+from export.parity import Kind, ParityReport, Stage, compare, order_stage, score_frames, show_frames
 
 __all__ = ["bundle_stages", "compare_bundle", "read_stages"]
 
@@ -56,16 +56,17 @@ def compare_bundle(bundle: Bundle, file: Path) -> ParityReport:
 def bundle_stages(
     bundle: Bundle, frames: NDArray[np.uint8], names: tuple[str, ...]
 ) -> dict[str, NDArray[Any]]:
-    """These stages for frames uint8 (n, h, w, 3), in the order of the computation.
+    """These stages for frames uint8 (n, h, w, 3) of presses, in the order of the computation.
 
     names: `input`, taps, names of values inside the head, `map`, `score`. Errors: ConfigError for an unknown name, or a
     stage inside the network of a bundle with tiles.
     """
     arrays: dict[str, NDArray[Any]] = {}
     inner = [name for name in names if name not in ("map", "score")]
+    scorer = Scorer(bundle, is_skipping=False)
     if inner:
-        arrays |= _inside(bundle, frames, inner)
-    last = zip(("map", "score"), score_frames(Scorer(bundle, is_skipping=False), frames), strict=True)
+        arrays |= _inside(bundle, show_frames(scorer, frames), inner)
+    last = zip(("map", "score"), score_frames(scorer, frames), strict=True)
     return arrays | {name: array for name, array in last if name in names}
 
 

@@ -38,6 +38,7 @@ __all__ = [
     "rank_correlation",
     "score_frames",
     "score_stages",
+    "show_frames",
 ]
 
 Array = NDArray[Any]
@@ -200,6 +201,15 @@ def score_frames(scorer: Scorer, frames: Iterable[NDArray[np.uint8]]) -> Maps:
     scored = [scorer.score(frame) for frame in frames]
     return np.stack([press.score_map for press in scored]), np.array(
         [press.anomaly_score for press in scored]
+    )
+
+
+def show_frames(scorer: Scorer, frames: Iterable[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Return frames (h, w, 3) as the network sees them: marker dots filled, in the bank's pose, uint8 (n, h, w, 3)."""
+    filled = [scorer.fill_dots(frame) for frame in frames]
+    registered = [scorer.score_filled(frame).registered for frame in filled]
+    return np.stack(
+        [frame if one is None else one.rgb for frame, one in zip(filled, registered, strict=True)]
     )
 
 

@@ -1,8 +1,9 @@
 """A bundle in another precision: measured on the part's nominal frames, chosen by measurement, written to its card.
 
-float32, float16 storage, and int8. int8 is calibrated on nominal frames, as they are and with a painted square; layers
-that it harms most stay in float until the score maps agree within the limit. `auto` takes int8 only where this machine
-computes it correctly (a probe for VNNI) and faster, float16 storage where the maps stay the same, float32 otherwise.
+float32, float16 storage, and int8. int8 is calibrated on nominal frames as the network sees them, also with a painted
+square; layers that it harms most stay in float until the score maps agree within the limit. `auto` takes int8 only
+where this machine computes it correctly (a probe for VNNI) and faster, float16 storage where the maps stay the same,
+float32 otherwise.
 """
 
 import time
@@ -25,7 +26,7 @@ from edge.model.scorer import Scorer
 from edge.model.session import saturates
 from export.finish import paint_square
 from export.merge import score_again
-from export.parity import score_frames
+from export.parity import score_frames, show_frames
 
 __all__ = [
     "LIMIT",
@@ -123,7 +124,7 @@ def measure_precisions(
     results.append(comparison.of("float16", halved(network)))
     report("int8", 0.0)
     try:
-        results.append(_int8(network, frames, comparison, limit, report))
+        results.append(_int8(network, comparison, limit, report))
     except Exception as error:  # noqa: BLE001 (the quantiser raises anything on operators that it does not know)
         faults.append(f"onnxruntime cannot quantise it ({str(error).strip()[:150] or type(error).__name__})")
     return Precisions(tuple(results), not saturates(), limit, tuple(faults))
@@ -183,11 +184,9 @@ def in_precision(
     return _bundle_files(bundle, facts.model_copy(update=measured_facts), graphs, golden)
 
 
-def _int8(
-    network: bytes, frames: NDArray[np.uint8], comparison: "_Comparison", limit: float, report: Report
-) -> Measured:
+def _int8(network: bytes, comparison: "_Comparison", limit: float, report: Report) -> Measured:
     """int8, with as many of the most sensitive layers in float as the limit needs."""
-    some = frames[:: max(1, len(frames) // CALIBRATION_FRAMES)][:CALIBRATION_FRAMES]
+    some = comparison.show(CALIBRATION_FRAMES)
     # Ranges of nominal frames alone would cut what damage shows: each is also given with a painted square.
     both = np.concatenate([some, [paint_square(frame) for frame in some]])
     best = comparison.of("int8", quantise_graph(network, both))
@@ -234,6 +233,10 @@ class _Comparison:
             bytes=len(graph),
             in_float=tuple(in_float),
         )
+
+    def show(self, most: int) -> NDArray[np.uint8]:
+        """Return up to so many of the frames, evenly spread, as the network sees them."""
+        return show_frames(self._plain, self._frames[:: max(1, len(self._frames) // most)][:most])
 
     def map_difference(self, graph: bytes, count: int) -> float:
         """Compare the first frames alone."""

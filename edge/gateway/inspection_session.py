@@ -77,6 +77,7 @@ class InspectionSession:
         self._stages = stages
         self._label: PressLabel | None = None
         self._waiting: deque[WaitingPress] = deque()
+        self._ahead_ns = 0  # the time of the frame at which a press was last scored ahead
         self._uncounted = 0  # presses for which there was no room to wait
         stored, bundle = references.load_picture(gel.serial, gel.gel_id, "last"), inspector.bundle
         self._detector = PressDetector(bundle.profile, settings, stored, bundle.free_reference)
@@ -120,6 +121,7 @@ class InspectionSession:
         for stage in self._stages:
             stage.look(look)
         self._add(presses)
+        self._score_ahead(frame)
 
     def record(self) -> Iterator[PressReport]:
         """Write the waiting presses, oldest first. Errors: StoreError; that press and the later ones keep waiting."""
@@ -211,6 +213,17 @@ class InspectionSession:
             return press
         total_ms = (self._clock.monotonic_ns() - started_ns) / 1e6
         return replace(press, latency_ms={**press.latency_ms, "total": total_ms})
+
+    def _score_ahead(self, newest: CameraFrame) -> None:
+        """Score the frame that a press which nearly rests is most likely judged by, so that its score is ready when it
+        rests; at most once in half of `settle_s`."""
+        half_ns = self._detector.tracker.settings.settle_s * 0.5e9
+        if newest.timestamp_ns - self._ahead_ns < half_ns:
+            return
+        probable = self._detector.probable
+        if probable is not None:
+            self._ahead_ns = newest.timestamp_ns
+            self.inspector.examine_ahead(*probable)
 
     def _score(self, press: Press, settled: PressSettled, started_ns: int) -> Press:
         frame, findings = settled.frame, settled.findings

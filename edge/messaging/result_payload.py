@@ -199,7 +199,8 @@ class ResultPayload(Payload):
     gel_presses: int = Field(ge=0, description="presses of this gel, including this one")
     gel_limit_presses: int = Field(ge=1)
     latency_ms: dict[str, float] = Field(
-        default_factory=dict, description="stage to milliseconds; `total` is frame to verdict"
+        default_factory=dict,
+        description="stage to milliseconds; `total` is rest to verdict, stages may run before",
     )
     heatmap_topic: str | None = Field(
         default=None, description="where this press's picture is sent, below the root"

@@ -83,7 +83,7 @@ class StatsPayload(Payload):
     )
     verdicts: dict[str, int] = Field(default_factory=dict, description="verdict to number; `error` for none")
     reconnects: int = Field(default=0, ge=0, description="of the sensor")
-    latency_ms_p50: float | None = Field(default=None, description="frame to verdict, of scored presses only")
+    latency_ms_p50: float | None = Field(default=None, description="rest to verdict, of scored presses only")
     latency_ms_max: float | None = Field(default=None, description="likewise")
     outbox_rows: int = Field(default=0, ge=0)
     outbox_bytes: int = Field(default=0, ge=0)

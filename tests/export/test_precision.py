@@ -13,8 +13,10 @@ from onnx import numpy_helper
 
 from calibration.quantise import halved, layers, quantise_graph
 from edge.core.errors import BundleMismatch, FitError
+from edge.core.imaging.marker_dots import MarkerDots
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, write_bundle
+from edge.model.manifest import DotsEntry
 from edge.model.scorer import Scorer, map_peaks
 from export import precision as module
 from export.precision import Measured, Precisions, choose_precision, in_precision, measure_precisions
@@ -83,6 +85,17 @@ def test_int8_is_in_the_graph_per_channel() -> None:
     assert len(weights) == 3
     assert {len(a) for name, a in arrays.items() if name.endswith("_scale") and a.ndim == 1} == {8, 1}
     assert [one.name for one in model.graph.input] == ["frames"]
+
+
+def test_int8_is_calibrated_on_what_the_network_sees() -> None:
+    """On a marker gel that is a press without its dots."""
+    dots = MarkerDots(np.array([[8.0, 8.0], [24.0, 20.0]]), 16.0, 6.0, 0.3)
+    facts = tiny.tiny_facts(threshold=4.0, grid=None, dots=DotsEntry.of(dots))
+    plain = Bundle.in_memory(*bundle_files(facts, Graphs(detector=network())))
+    press = np.full((32, 32, 3), 120, np.uint8)
+    press[6:11, 6:11], press[18:23, 22:27] = 20, 20
+    (seen,) = module._Comparison(plain, press[None], ((), ()), 1).show(4)
+    assert seen.min() > 110
 
 
 def test_sensitive_layers_stay_in_float_until_the_maps_agree() -> None:

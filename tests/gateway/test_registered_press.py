@@ -29,9 +29,13 @@ def inspector() -> Inspector:
     return Inspector(Scorer(registered().bundle(), 1), SystemClock())
 
 
-def inspect(inspector: Inspector, rgb: NDArray[np.uint8]) -> Press:
+def jpeg_frame(rgb: NDArray[np.uint8]) -> CameraFrame:
     payload = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 98])[1]
-    return inspector.inspect(CameraFrame(payload.tobytes(), 0, 0, True), Touch(0.1))
+    return CameraFrame(payload.tobytes(), 0, 0, True)
+
+
+def inspect(inspector: Inspector, rgb: NDArray[np.uint8]) -> Press:
+    return inspector.inspect(jpeg_frame(rgb), Touch(0.1))
 
 
 Record = Callable[[Press], PressReport]
@@ -66,6 +70,29 @@ def test_a_press_anywhere_passes_and_its_result_states_where_it_lay(
     assert second.turn_deg - first.turn_deg == pytest.approx(np.degrees(0.75), abs=0.5)
     assert first.match > 0.9
     assert 0 < first.x_sd_mm < 0.1
+
+
+def test_a_press_that_is_scored_ahead_has_the_same_verdict_once(inspector: Inspector) -> None:
+    """What is scored ahead serves the very frame and touch only, is trusted no longer than the bundle, and leaves."""
+    frames = [
+        jpeg_frame(parts.press(parts.BLOCK, pose)) for pose in (Pose(-4.0, 6.0, 0.5), Pose(8.0, 1.0, 1.25))
+    ]
+    touch, at_once = Touch(0.1), [inspector.inspect(frame, Touch(0.1)) for frame in frames]
+    for asked, expected in zip(frames, at_once, strict=True):
+        inspector.examine_ahead(frames[0], touch)
+        press = inspector.inspect(asked, touch)
+        np.testing.assert_array_equal(press.score_map, expected.score_map)
+        assert press.verdict == expected.verdict
+
+    inspector.examine_ahead(frames[0], touch)
+    inspector.fault = "the golden frames score differently"
+    try:
+        assert inspector.inspect(frames[0], touch).error == inspector.fault
+    finally:
+        inspector.fault = None
+    late = replace(frames[0], is_on_demand=False)
+    inspector.examine_ahead(late, touch)
+    assert "stale" in str(inspector.inspect(late, touch, came_ns=-(10**12)).reason)
 
 
 def test_the_share_of_the_part_that_left_the_field_is_published_and_dark(

@@ -102,6 +102,10 @@ class Listener:
 
     def __init__(self) -> None:
         self.asked: list[bytes] = []
+        self.ahead: list[bytes] = []
+
+    def examine_ahead(self, frame: CameraFrame, touch: Touch) -> None:
+        self.ahead.append(frame.payload)
 
     def inspect(self, frame: CameraFrame, touch: Touch, press: Press, came_ns: int) -> Press:
         self.asked.append(frame.payload)
@@ -109,6 +113,10 @@ class Listener:
 
 
 def scored_by_the_gateway(folder: Path, device: str = "recorded", pace: float = 1.0) -> list[bytes]:
+    return listen_to_the_gateway(folder, device, pace).asked
+
+
+def listen_to_the_gateway(folder: Path, device: str = "recorded", pace: float = 1.0) -> Listener:
     """The gateway's chain, from a device that plays at the recorded times."""
     clock, listener = ManualClock(), Listener()
     plugin = registry.device(device)
@@ -122,7 +130,7 @@ def scored_by_the_gateway(folder: Path, device: str = "recorded", pace: float = 
         except FrameCorrupt:
             continue
         except RecordingEnded:
-            return listener.asked
+            return listener
 
 
 def learnt_by_fit(folder: Path) -> list[bytes]:
@@ -150,6 +158,15 @@ def test_a_hole_is_an_interruption_for_both(tmp_path: Path) -> None:
     stretches = [Stretch(1.0, 3, 0), Stretch(1.0, 20, 15), Stretch(0.0, 20, 0)]
     recording = recorded(tmp_path / "hole", stretches, 18.75)
     assert len(learnt_by_fit(recording)) == len(scored_by_the_gateway(recording)) == 2
+
+
+@pytest.mark.parametrize("fps", [18.75, 60.0])
+def test_a_steady_press_is_scored_once_before_it_rests(tmp_path: Path, fps: float) -> None:
+    """The frame that is scored ahead is the one that the press is judged by: no press costs a second score."""
+    stretches = [Stretch(depth, round(fps / 2), 0) for depth in (1.0, 0.0, 0.6, 0.0)]
+    heard = listen_to_the_gateway(recorded(tmp_path / "steady", stretches, fps))
+    assert heard.ahead == heard.asked
+    assert len(heard.asked) == 3
 
 
 @pytest.mark.parametrize(("nominal_fps", "pace"), [(25.0, 0.0), (60.0, 1.0)])

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Final, final
 
 from edge.core.contact.events import Event, PressSettled
+from edge.core.contact.mask import Touch
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.sight import Sight
@@ -75,6 +76,13 @@ class PressDetector:
             for event in events
         )
         return Look(frame.timestamp_ns, found, self.tracker.state, self.sight, level)
+
+    @property
+    def probable(self) -> tuple[CameraFrame, Touch] | None:
+        """The frame that the press will most likely be judged by, and what it touches, while the press nearly rests."""
+        probable = self.tracker.probable
+        frame = None if probable is None else self._kept.get(probable.sequence)
+        return None if probable is None or frame is None else (frame, probable.contact)
 
     def _take(self, frame: CameraFrame) -> tuple[list[Event], View | None]:
         if not self._is_sound(frame) or not self._is_new(frame):

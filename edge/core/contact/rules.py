@@ -23,7 +23,6 @@ from edge.core.contact.events import (
     TriggerRepeated,
     TriggerWithoutContact,
 )
-from edge.core.contact.mask import Touch
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation, Window, is_moving
 from edge.core.contact.signals import (
@@ -146,7 +145,7 @@ def _transition(
     if state is track.state:
         first_ns = track.since_ns if track.frames else seen.timestamp_ns
         return replace(track, frames=track.frames + 1, since_ns=first_ns), ()
-    events = _events_for(track, signal, state, seen)
+    events = _events_for(track, signal, state, seen, settings)
     return _entered(
         replace(track, state=state, since_ns=seen.timestamp_ns, frames=1), track, seen, settings
     ), events
@@ -216,7 +215,9 @@ def _over(track: Track, before: Track, seen: Observation) -> Track:
     )
 
 
-def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -> tuple[Event, ...]:
+def _events_for(
+    track: Track, signal: Signal, state: State, seen: Observation, settings: ContactSettings
+) -> tuple[Event, ...]:
     now, sequence, began = seen.timestamp_ns, seen.sequence, track.began_ns
     match track.state, state:
         case State.BASELINE, State.NO_CONTACT:
@@ -228,7 +229,7 @@ def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -
         case State.APPROACH, State.SETTLING:
             return (PressBegan(now, sequence),)
         case State.SETTLING, State.CONTACT if signal is Signal.STILL:
-            return (_settle(track, track.window.choose(track.wanted_ns), now),)
+            return (_settle(track, track.window.choose(track.wanted_ns, settings), now),)
         case State.SETTLING, State.CONTACT:
             return (PressNotSettled(now, sequence, began, NotSettledReason.TIMED_OUT),)
         case State.EARLY_RELEASE, State.RECOVERY:
@@ -251,8 +252,7 @@ def _events_for(track: Track, signal: Signal, state: State, seen: Observation) -
 
 
 def _settle(track: Track, chosen: Observation, now: int) -> PressSettled:
-    touch = chosen.place or chosen.touch or Touch(0.0)
-    return PressSettled(now, chosen.sequence, track.began_ns, touch, chosen.strength)
+    return PressSettled(now, chosen.sequence, track.began_ns, chosen.contact, chosen.strength)
 
 
 def _closed(track: Track, now: int, sequence: int, reason: NotSettledReason) -> tuple[Event, ...]:

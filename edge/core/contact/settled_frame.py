@@ -15,8 +15,10 @@ __all__ = ["CLEARLY_INVERSE", "Observation", "Window", "is_moving"]
 
 # Frames come slightly early or late; one that is due after `settle_s` still counts when it is this much early.
 _EARLY_SHARE = 0.05
-# Of the deepest frames, within this share of the deepest, the one that moved least is the sharpest.
+# Frames within this share of the deepest are equally deep.
 _DEEPEST_SHARE = 0.03
+# A frame that differs from the one before in a smaller share of the touched pixels is as sharp as any.
+_CALM_SHARE = 0.05
 # Between two frames a press is deeper than in them by no more than its step from frame to frame.
 _STEP_SHARE = 0.25
 # Of a light press one depth is measured a tenth larger than the next; the strength grows with the square of the depth.
@@ -57,6 +59,11 @@ class Observation:
         return 0.0 if self.touch is None else self.touch.area
 
     @property
+    def contact(self) -> Touch:
+        """What is touched, by relief where the area is too light."""
+        return self.place or self.touch or Touch(0.0)
+
+    @property
     def depth(self) -> float:
         """All of it together; it grows with depth."""
         return self.strength + self.texture
@@ -71,7 +78,7 @@ def is_moving(seen: Observation, settings: ContactSettings) -> bool:
     """Tell whether the view moves: a contact's worth of change without a reference, else a share of what is touched."""
     if seen.touch is None:
         return seen.change > settings.on_area
-    return seen.change > settings.still_share * max(seen.area, seen.relief, settings.on_area)
+    return seen.change > settings.still_share * _touched(seen, settings)
 
 
 @dataclass(frozen=True)
@@ -86,7 +93,9 @@ class Window:
 
     @property
     def _all(self) -> tuple[Observation, ...]:
-        return self.frames if self.peak is None else (self.peak, *self.frames)
+        """The oldest first."""
+        is_apart = self.peak is not None and self.peak not in self.frames
+        return (self.peak, *self.frames) if self.peak is not None and is_apart else self.frames
 
     @property
     def candidates(self) -> frozenset[int]:
@@ -142,12 +151,26 @@ class Window:
             return False
         return seen.depth >= anchor.depth * (1 - settings.growth_share) - _NOISE
 
-    def choose(self, since_ns: int) -> Observation:
-        """Choose the deepest frame since then; of equally deep ones the one that moved least, the later."""
+    def is_nearly_at_rest(self, settings: ContactSettings) -> bool:
+        """Compare the newest frame with the one half of `settle_s` before it: it hardly moves, and is as deep."""
+        seen = self.frames[-1]
+        half_ns = seen.timestamp_ns - round(settings.settle_s * 0.5e9)
+        earlier = next((frame for frame in reversed(self.frames) if frame.timestamp_ns <= half_ns), None)
+        if earlier is None or seen.motion > settings.still_share * _touched(seen, settings):
+            return False
+        growth = settings.growth_share / 2
+        return earlier.depth * (1 - growth) - _NOISE <= seen.depth <= earlier.depth * (1 + growth) + _NOISE
+
+    def choose(self, since_ns: int, settings: ContactSettings) -> Observation:
+        """Choose of the deepest frames since then the first that hardly moved, else the one that moved least.
+
+        The first stays the choice while the press rests, so it can be scored before the rest is over.
+        """
         frames = [frame for frame in self._all if frame.timestamp_ns >= since_ns] or [self.frames[-1]]
         depth = max(frame.depth for frame in frames)
         deep = [frame for frame in frames if frame.depth >= depth * (1 - _DEEPEST_SHARE)]
-        return min(reversed(deep), key=lambda frame: frame.motion)
+        calm = (frame for frame in deep if frame.motion <= _CALM_SHARE * _touched(frame, settings))
+        return next(calm, None) or min(reversed(deep), key=lambda frame: frame.motion)
 
     def choose_peak(self, since_ns: int, strength_peak: float) -> Observation | None:
         """Choose a sharp frame of a press that is over and never rested; None where none since then is as deep as the
@@ -160,6 +183,10 @@ class Window:
 
 # Sensor noise moves strength and texture by less, in levels over the whole view.
 _NOISE = 0.005
+
+
+def _touched(seen: Observation, settings: ContactSettings) -> float:
+    return max(seen.area, seen.relief, settings.on_area)
 
 
 def _largest(depths: Sequence[tuple[float, float]]) -> tuple[float, float]:

@@ -118,6 +118,15 @@ class ContactTracker:
         """The sequences of the frames that may still be scored."""
         return self._track.window.candidates
 
+    @property
+    def probable(self) -> Observation | None:
+        """The frame that is taken if the press, which nearly rests, comes to rest now; None for any other state."""
+        track = self._track
+        is_watched = track.state is State.SETTLING and track.is_wanted and track.window.frames
+        if not is_watched or not track.window.is_nearly_at_rest(self.settings):
+            return None
+        return track.window.choose(track.wanted_ns, self.settings)
+
     def is_due(self, timestamp_ns: int) -> bool:
         """False for a frame that need not be decoded: nothing presses and the last look was a moment ago."""
         idle = self.state in (State.NO_CONTACT, State.RECOVERY)

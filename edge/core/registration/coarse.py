@@ -19,8 +19,8 @@ F32 = NDArray[np.float32]
 # The transform has this many times the cells of the field, so that little wraps round from one side to the other.
 _ROOM = 8 / 7
 
-# Candidates differ by more than this many turns, rows or columns.
-_APART = (0, 2, 2)
+# Candidates at one turn differ by more than two rows or columns.
+_NEAR = np.arange(-2, 3)
 # A coarse match within this share of the best may become the best when it is refined.
 _NEARLY = 0.8
 
@@ -45,21 +45,25 @@ class CoarseSearch:
         matches = self._matches(slopes)
         if near_rad is not None:
             matches[np.arange(len(matches)) != round(near_rad / self._step_rad) % len(matches)] = -1
+        # Each turn's best place; only the turn at which a candidate was taken is searched again.
+        each = matches.reshape(len(matches), -1)
+        place = each.argmax(axis=1)
+        height = each[np.arange(len(each)), place]
         best: list[tuple[Pose, float]] = []
         while len(best) < count:
-            at = np.unravel_index(int(matches.argmax()), matches.shape)
-            match = float(matches[at])
+            k = int(height.argmax())
+            match = float(height[k])
             if best and match < _NEARLY * best[0][1]:
                 break
+            at = k, *divmod(int(place[k]), self._grid)
             # Between the turns and the cells, by a parabola along each axis.
-            turn, row, column = (float(k) + _vertex(matches, at, axis) for axis, k in enumerate(at))
+            turn, row, column = (index + _vertex(matches, at, axis) for axis, index in enumerate(at))
             pose = Pose(self._to_shift(column), self._to_shift(row), turn * self._step_rad)
             best.append((pose, match))
-            turns, rows, columns = (
-                np.arange(k - away, k + away + 1) % n
-                for k, away, n in zip(at, _APART, matches.shape, strict=True)
-            )
-            matches[np.ix_(turns, rows, columns)] = -1
+            rows, columns = ((index + _NEAR) % self._grid for index in at[1:])
+            matches[k, rows[:, None], columns] = -1
+            place[k] = each[k].argmax()
+            height[k] = each[k, place[k]]
         return best
 
     def roundness(self, slopes: F32) -> float:
@@ -85,7 +89,7 @@ class CoarseSearch:
         return np.asarray(np.fft.rfft2(planes, (self._grid, self._grid)), np.complex64)
 
 
-def _vertex(matches: F32, at: tuple[np.intp, ...], axis: int) -> float:
+def _vertex(matches: F32, at: tuple[int, ...], axis: int) -> float:
     """Find the top of the parabola through a peak and its neighbours along an axis, within half a step of the peak."""
     n = matches.shape[axis]
     before, peak, after = (

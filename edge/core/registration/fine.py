@@ -72,6 +72,15 @@ class FineSearch:
             refined, _ = self._round(slopes, refined)
         return refined
 
+    def refine_best(self, slopes: F32, poses: Sequence[Pose], rounds: int, most: int) -> list[Pose]:
+        """Refine the poses in one round, and in the others those alone that then match best, at most so many."""
+        near = self.refine(slopes, poses, 1)
+        moved, weight = self._read(slopes, near)
+        energy = (weight @ self._sums[:, 9]) * (moved**2).sum(axis=1)
+        match = (moved @ self._part) / np.sqrt(np.maximum(energy, _TINY))
+        best = np.argsort(-match, kind="stable")[:most]
+        return self.refine(slopes, [near[k] for k in best], rounds - 1)
+
     def agreement(self, slopes: F32, pose: Pose) -> tuple[float, float]:
         """The match over all places that are seen, and the share of the press's energy in the bank's field."""
         moved = turn_slopes(slopes, pose)

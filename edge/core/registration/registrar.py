@@ -28,8 +28,10 @@ SIDE_PX = 112
 # Cells along the longer side, and turns, of the coarse search; a peak is found between them. With 28 cells 2 of 336
 # presses of six simulated parts got a worse pose, with 32 to 56 cells and 36 to 72 turns at most one.
 _COARSE_CELLS, _TURNS = 32, 36
-# Poses that are refined, and how often; one more round moves none by a hundredth of a pixel.
-_CANDIDATES, _FIRST_ROUNDS, _FINE_ROUNDS = _TURNS, 3, 2
+# Poses that are refined, and how often; one more round moves none by a hundredth of a pixel. After the first round
+# those alone that match best go on and are rated: of 1,300 presses of 15 real and simulated parts none got a worse pose
+# by that, with four 3 of them did.
+_CANDIDATES, _RATED, _FIRST_ROUNDS, _FINE_ROUNDS = _TURNS, 8, 3, 2
 _INSIDE_POWER = 0.05
 
 
@@ -61,7 +63,8 @@ class PoseSearch:
         """
         small = shrunk(slopes, SIDE_PX // 2)
         first = self._coarse.candidates(shrunk(slopes, _COARSE_CELLS), _CANDIDATES, near_rad)
-        tried = self._middle.refine(small, [pose.scale(self._cell) for pose, _ in first], _FIRST_ROUNDS)
+        coarse = [pose.scale(self._cell) for pose, _ in first]
+        tried = self._middle.refine_best(small, coarse, _FIRST_ROUNDS, _RATED)
         best = max(tried, key=lambda pose: self._worth(small, pose))
         return self._fine.align(slopes, best.scale(self._factor), _FINE_ROUNDS)
 
