@@ -1,8 +1,9 @@
-"""One row for each development kind of press: what a complete fit from pictures sees, and what it reports of that.
+"""One row for each kind of press: what a complete fit from pictures sees, and what it reports of that.
 
 `python tests/bench/default_fits.py ROWS.jsonl [KIND...] --tactile FOLDER` prints the table, worst first. A row is kept
-as soon as it is measured, and is not measured again; another trunk, method or free gel is another row.
-A kind takes about a minute of one core. Real frames are of the development sensors of `sets.toml` alone.
+as soon as it is measured, and is not measured again; another trunk, method or free gel is another row. Kinds are those
+for development, or with --judgement those for judgement: of the sensors that `sets.toml` keeps for it, and random parts
+of other seeds. A kind takes about a minute of one core. --pictures FOLDER draws ten presses of each, the misses first.
 
 peak: the share of damaged presses whose map is highest within 6 pixels of the damage; reported: that fail; of peak:
 of the former, those that fail; alarms: sound held-out presses that fail; lost: presses without a pose, sound and
@@ -12,6 +13,7 @@ damaged, which are rejected. found: what `fit` says of its own rendered damage.
 import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,8 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.experiments.backbones.evaluation import is_on_damage
-from calibration.experiments.backbones.presses import Sizes, development_trial, part_trial
+from calibration.experiments.backbones.presses import Sizes, part_trial, random_part_trial
 from calibration.experiments.backbones.real_touch import OBJECTS, Object, Presses, ball, touch_trial
+from calibration.experiments.backbones.sets import SENSORS
 from calibration.experiments.backbones.trial import PROFILE, REGION, Trial
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.rows import Rows
@@ -43,6 +46,7 @@ from calibration.simulator.streams import Streams
 from edge import registry
 from edge.core.errors import ConfigError, FitError, PoseNotFound
 from edge.model.scorer import Scorer
+from edge.pictures.press_picture import PressCaption, draw_press
 
 GELS = ("right", "none", "another light")
 """Which picture of the free gel a fit from pictures is given."""
@@ -69,7 +73,7 @@ def _touch(chosen: Object, data: Path, gel: str) -> tuple[NominalPresses, Trial]
 
 
 def _save(path: Path, rgb: NDArray[np.uint8]) -> Path:
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(path), np.ascontiguousarray(rgb[..., ::-1]))
     return path
 
@@ -113,27 +117,46 @@ def _ball(x_mm: NDArray[np.float32], y_mm: NDArray[np.float32]) -> NDArray[np.fl
 
 _SAME_SENSOR = "rpl-cmu__gelslam", ("9.500mm", "*/gelsight.png", "../background.png")
 
-KINDS: Mapping[str, Maker] = {
+
+def _real(of: str) -> list[Object]:
+    """The objects of a set of real touch as they lie, for `fit` brings them to one pose itself."""
+    return [chosen for chosen in OBJECTS if chosen.sensor in SENSORS[of] and not chosen.is_registered]
+
+
+DEVELOPMENT: Mapping[str, Maker] = {
     **{
-        one.name: partial(_touch, one)
-        for one in (
-            *(one for one in OBJECTS if one.name in ("ball 6.31 mm, anywhere", "ball 9.47 mm, anywhere")),
+        chosen.name: partial(_touch, chosen)
+        for chosen in (
+            *_real("real-touch"),
             ball("ball 9.50 mm", *_SAME_SENSOR)[1],
-            next(one for one in OBJECTS if one.name == "finger on a marker gel"),
             Object("simulated edge, anywhere", "", partial(_simulate, _edge, 0.35, ())),
             Object("simulated ball with dots, anywhere", "", partial(_simulate, _ball, 0.4, ("markers",))),
         )
     },
     **{f"simulated {part}": partial(_part, partial(part_trial, part)) for part in ("PZ1", "PZ4")},
     **{
-        f"simulated random part {number}": partial(_part, partial(development_trial, number))
+        f"simulated random part {number}": partial(_part, partial(random_part_trial, number))
         for number in (1, 3)
     },
     "simulated PZ4, two pieces": partial(
         _part, partial(part_trial, "PZ4", sizes=Sizes(pieces=6, held_out=4, presses=12))
     ),
 }
-"""The development kinds, by name."""
+"""The kinds by which settings are chosen, by name."""
+
+# Of the judgement parts: seeds that nothing else uses, 40 nominal presses, 20 sound and 20 damaged ones.
+_JUDGEMENT_SEEDS, _JUDGEMENT_SIZES = (60_271, 60_272), Sizes(pieces=15, held_out=5, presses=4, damaged=20)
+
+JUDGEMENT: Mapping[str, Maker] = {
+    **{chosen.name: partial(_touch, chosen) for chosen in _real("real-touch-judgement")},
+    **{
+        f"simulated judgement part {number}": partial(
+            _part, partial(random_part_trial, number, _JUDGEMENT_SIZES, seeds=_JUDGEMENT_SEEDS)
+        )
+        for number in range(5)
+    },
+}
+"""The kinds that are opened once, after every choice."""
 
 
 def fit_pictures(presses: NominalPresses, method: str, backbone: str, **changes: Any) -> Fitted:
@@ -147,9 +170,23 @@ def fit_pictures(presses: NominalPresses, method: str, backbone: str, **changes:
     return fit_files(presses, config, created="2026-01-01")
 
 
-def measure(fitted: Fitted, trial: Trial) -> dict[str, Any]:
-    """Score the trial's own presses as a gateway does; a press without a pose is rejected and scores highest."""
-    frames, masks = trial.frames[trial.is_own], trial.masks[trial.is_own]
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """What a gateway makes of n presses.
+
+    maps: (n, h, w), 0 without a pose; scores: (n,), without a pose twice the highest one; is_lost, fails, is_peak:
+    bool (n,), rejected for want of a pose, above the threshold, and highest within 6 pixels of the damage.
+    """
+
+    maps: NDArray[np.float32]
+    scores: NDArray[np.float64]
+    is_lost: NDArray[np.bool_]
+    fails: NDArray[np.bool_]
+    is_peak: NDArray[np.bool_]
+
+
+def score_presses(fitted: Fitted, frames: NDArray[np.uint8], masks: NDArray[np.bool_]) -> Scores:
+    """Score presses as a gateway does. frames: uint8 (n, h, w, 3). masks: (n, h, w), the damage."""
     scorer, maps, scores = Scorer(fitted.bundle()), np.zeros(masks.shape, np.float32), np.zeros(len(masks))
     is_lost = np.zeros(len(masks), np.bool_)
     for k, rgb in enumerate(frames):
@@ -159,21 +196,26 @@ def measure(fitted: Fitted, trial: Trial) -> dict[str, Any]:
             is_lost[k] = True
             continue
         maps[k], scores[k] = scored.score_map, scored.anomaly_score
-    manifest, is_damaged = fitted.manifest, masks.any(axis=(1, 2))
     scores[is_lost] = 2 * scores.max()
-    fails = ~is_lost & (scores > manifest.threshold.value)
-    peak = is_damaged & ~is_lost & is_on_damage(maps, masks)
+    fails = ~is_lost & (scores > fitted.manifest.threshold.value)
+    is_peak = masks.any(axis=(1, 2)) & ~is_lost & is_on_damage(maps, masks)
+    return Scores(maps, scores, is_lost, fails, is_peak)
+
+
+def measure(fitted: Fitted, masks: NDArray[np.bool_], seen: Scores) -> dict[str, Any]:
+    """Measure what presses with these masks of damage got."""
+    manifest, is_damaged = fitted.manifest, masks.any(axis=(1, 2))
     limit = manifest.facts["limit"]
     return {
-        "auroc": auroc(scores, is_damaged),
-        "aupro": aupro(list(maps), list(masks)),
-        "peak": float(peak[is_damaged].mean()),
-        "reported": float(fails[is_damaged].mean()),
-        "of_peak": float(fails[peak].mean()) if peak.any() else 0.0,
-        "alarms": int(fails[~is_damaged].sum()),
+        "auroc": auroc(seen.scores, is_damaged),
+        "aupro": aupro(list(seen.maps), list(masks)),
+        "peak": float(seen.is_peak[is_damaged].mean()),
+        "reported": float(seen.fails[is_damaged].mean()),
+        "of_peak": float(seen.fails[seen.is_peak].mean()) if seen.is_peak.any() else 0.0,
+        "alarms": int(seen.fails[~is_damaged].sum()),
         "sound": int((~is_damaged).sum()),
-        "lost_sound": int(is_lost[~is_damaged].sum()),
-        "lost_damaged": int(is_lost[is_damaged].sum()),
+        "lost_sound": int(seen.is_lost[~is_damaged].sum()),
+        "lost_damaged": int(seen.is_lost[is_damaged].sum()),
         "trunk": manifest.backbone.id if manifest.backbone else "",
         "method": manifest.method,
         "limit": limit["kind"],
@@ -181,6 +223,49 @@ def measure(fitted: Fitted, trial: Trial) -> dict[str, Any]:
         "is_registered": fitted.bundle().registration is not None,
         "warnings": list(manifest.provenance.warnings),
     }
+
+
+def draw_presses(
+    fitted: Fitted, frames: NDArray[np.uint8], masks: NDArray[np.bool_], seen: Scores
+) -> NDArray[np.uint8]:
+    """Draw ten presses as a station shows them, with the damage outlined, uint8 (h, w, 3); the misses first.
+
+    The kinds of miss take turns, each from the lowest score on (false alarms from the highest).
+    """
+    is_damaged = masks.any(axis=(1, 2))
+    outcomes = {
+        "MISSED, peak elsewhere": is_damaged & ~seen.fails & ~seen.is_lost & ~seen.is_peak,
+        "MISSED, peak on damage": is_damaged & ~seen.fails & seen.is_peak,
+        "FALSE ALARM": ~is_damaged & seen.fails,
+        "NO POSE": seen.is_lost,
+        "reported, peak elsewhere": is_damaged & seen.fails & ~seen.is_peak,
+        "reported": seen.fails & seen.is_peak,
+        "sound, passes": ~is_damaged & ~seen.fails & ~seen.is_lost,
+    }
+    turns = []
+    for number, (outcome, is_so) in enumerate(outcomes.items()):
+        order = sorted(np.flatnonzero(is_so), key=lambda k: seen.scores[k] * (1 if is_damaged[k] else -1))
+        turns += [(number >= _MISSES, turn, number, k, outcome) for turn, k in enumerate(order)]
+    drawn = [
+        _draw(fitted, frames[k], masks[k], k, seen, outcome) for *_, k, outcome in sorted(turns)[:_DRAWN]
+    ]
+    drawn += [np.full_like(drawn[0], 255)] * (-len(drawn) % 2)
+    rows = [np.concatenate(drawn[k : k + 2], axis=1) for k in range(0, len(drawn), 2)]
+    return np.concatenate(rows)
+
+
+_DRAWN, _MISSES, _PANEL = 10, 4, 384
+
+
+def _draw(
+    fitted: Fitted, rgb: NDArray[np.uint8], mask: NDArray[np.bool_], k: int, seen: Scores, outcome: str
+) -> NDArray[np.uint8]:
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    frame = cv2.drawContours(np.ascontiguousarray(rgb), outlines, -1, (255, 255, 255), 1)
+    verdict = "rejected" if seen.is_lost[k] else "fail" if seen.fails[k] else "pass"
+    score, threshold = float(seen.scores[k]), fitted.manifest.threshold.value
+    caption = PressCaption(f"press {k}", verdict, score, threshold, PROFILE.mm_per_pixel, "", outcome, "")
+    return draw_press(frame, seen.maps[k], caption, _PANEL)
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -222,17 +307,32 @@ def main() -> None:
     parser.add_argument("--method", default=DEFAULT_METHOD)
     parser.add_argument("--backbone", default=DEFAULT_BACKBONE)
     parser.add_argument("--gel", choices=GELS, default="right", help="the picture of the free gel")
+    parser.add_argument(
+        "--judgement",
+        action="store_true",
+        help="the judgement kinds: once, after every choice, in a file of their own",
+    )
+    parser.add_argument(
+        "--pictures", type=Path, help="the folder for a picture of ten presses of each kind, misses first"
+    )
     given = parser.parse_args()
     rows, how = Rows(given.rows), {"asked": [given.method, given.backbone], "gel": given.gel}
-    for kind, make in KINDS.items():
+    for kind, make in (JUDGEMENT if given.judgement else DEVELOPMENT).items():
         key = "/".join((kind, *how["asked"], given.gel))
         if key in rows.done() or not any(word in kind for word in given.kinds or [""]):
             continue
         try:
             presses, trial = make(given.tactile or Path("no-folder-given"), given.gel)
-            found = measure(fit_pictures(presses, given.method, given.backbone), trial)
+            fitted = fit_pictures(presses, given.method, given.backbone)
         except (FitError, ConfigError) as error:
-            found = {"error": str(error)}
+            found: dict[str, Any] = {"error": str(error)}
+        else:
+            frames, masks = trial.frames[trial.is_own], trial.masks[trial.is_own]
+            seen = score_presses(fitted, frames, masks)
+            found = measure(fitted, masks, seen)
+            if given.pictures:
+                name = "_".join((kind, given.method, given.backbone, given.gel)).replace(" ", "_")
+                _save(given.pictures / f"{name}.png", draw_presses(fitted, frames, masks, seen))
         rows.append({"key": key, "kind": kind, **how, **found})
         print(table([rows.read()[-1]]).splitlines()[2], flush=True)
     print(table([row for row in rows.read() if {name: row[name] for name in how} == how]))

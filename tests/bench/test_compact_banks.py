@@ -18,7 +18,7 @@ from heads import stored as stored_bank
 from heads import stored_bytes
 
 from calibration.experiments.backbones.evaluation import random_trunk
-from calibration.experiments.backbones.presses import development_trial
+from calibration.experiments.backbones.presses import random_part_trial
 from calibration.experiments.backbones.trial import Trial
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.trunks import open_trunk
@@ -71,7 +71,7 @@ class Taken(NamedTuple):
 
 @cache
 def trial(number: int) -> Trial:
-    return development_trial(number)
+    return random_part_trial(number)
 
 
 @pytest.fixture(scope="module", params=["shipped", "random"])

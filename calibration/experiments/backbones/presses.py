@@ -25,18 +25,17 @@ from calibration.simulator.streams import Streams
 
 __all__ = [
     "CONDITIONS",
-    "DEVELOPMENT_SEED",
     "PARTS",
     "SCENE_SEED",
     "Condition",
-    "development_trial",
     "part_trial",
+    "random_part_trial",
 ]
 
 PARTS = tuple(analogues.PARTS)
 SCENE_SEED = 7001
 # Seeds of the random parts on which the methods' settings were chosen: for the shapes, and for everything else.
-DEVELOPMENT_SHAPES, DEVELOPMENT_SEED = 99, 4242
+_DEVELOPMENT_SEEDS = 99, 4242
 # Press depth of random parts: that of most analogues.
 DEVELOPMENT_DEPTH_MM = 0.4
 # The seed paper's acquisition waits this long after each picture; the robot's return also counts as released.
@@ -97,9 +96,18 @@ def part_trial(part: str, condition: str = "plain", sizes: Sizes | None = None) 
     return _Rendered(shape, scene, CONDITIONS[condition], SCENE_SEED, sizes or Sizes()).trial()
 
 
-def development_trial(number: int, sizes: Sizes | None = None, condition: str = "plain") -> Trial:
-    """The random part with that number: odd and even ones alternate between a hand and a fixture."""
-    shape = random_part(np.random.default_rng([DEVELOPMENT_SHAPES, number]))
+def random_part_trial(
+    number: int,
+    sizes: Sizes | None = None,
+    condition: str = "plain",
+    seeds: tuple[int, int] = _DEVELOPMENT_SEEDS,
+) -> Trial:
+    """Press the random part with that number: odd ones lie by hand, even ones in a fixture.
+
+    seeds: of the shapes, and of everything else.
+    """
+    of_shapes, of_presses = seeds
+    shape = random_part(np.random.default_rng([of_shapes, number]))
     jitter = analogues.PARTS["PZ3" if number % 2 else "PZ5"].jitter
     scene = next(scene for scene in paper_scenes() if scene.part == "PZ3").model_copy(
         update={
@@ -114,7 +122,7 @@ def development_trial(number: int, sizes: Sizes | None = None, condition: str = 
             ),
         }
     )
-    return _Rendered(shape, scene, CONDITIONS[condition], DEVELOPMENT_SEED, sizes or Sizes()).trial()
+    return _Rendered(shape, scene, CONDITIONS[condition], of_presses, sizes or Sizes()).trial()
 
 
 class _Rendered:

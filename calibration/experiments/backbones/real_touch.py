@@ -156,6 +156,7 @@ OBJECTS = (
     ball("ball 4.70 mm", "Rancho-zhao__FOTS", ("gelsight_ball", "*.png", "../backgrounds/gelsight_bg.png"))[
         1
     ],
+    ball("ball on a DIGIT", "Rancho-zhao__FOTS/digit_ball", (".", "*.png", "../backgrounds/digit_bg.png"))[1],
 )
 """Every object of both sets."""
 

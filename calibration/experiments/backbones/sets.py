@@ -11,7 +11,7 @@ from functools import partial
 from importlib.resources import files
 from pathlib import Path
 
-from calibration.experiments.backbones.presses import PARTS, development_trial, part_trial
+from calibration.experiments.backbones.presses import PARTS, part_trial, random_part_trial
 from calibration.experiments.backbones.real_touch import OBJECTS, real_touch_trial
 from calibration.experiments.backbones.trial import Trial
 
@@ -57,7 +57,7 @@ _FEW = tuple(part for part in PARTS if part in ("PZ1", "PZ4", "PZ5"))
 def evaluation_sets(real_tactile: Path | None) -> dict[str, EvaluationSet]:
     """Return every set by its name in `SETS`. real_tactile: the folder of real frames, None to omit their sets."""
     simulated: dict[str, Sequence[Callable[[], Trial]]] = {
-        "random-parts": [partial(development_trial, number) for number in range(6)],
+        "random-parts": [partial(random_part_trial, number) for number in range(6)],
         "parts": [partial(part_trial, part) for part in PARTS],
         "sensor": [partial(part_trial, part, "unseen sensor") for part in PARTS],
         "worn-gel": [partial(part_trial, part, "worn gel") for part in _FEW],

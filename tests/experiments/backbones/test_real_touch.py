@@ -24,14 +24,14 @@ def test_sensors_are_apart() -> None:
 
 
 def test_judgement_is_opened_on_request_alone(tmp_path: Path) -> None:
-    """Without its name the set has no trials and says why; with its name it has three."""
+    """Without its name the set has no trials and says why; with its name it has one."""
     for sensor in (*DEVELOPMENT, *JUDGEMENT):
-        (tmp_path / sensor).mkdir()
+        (tmp_path / sensor).mkdir(parents=True)
     closed = command._choose_sets(tmp_path, [], 0)
     assert closed["real-touch-judgement"].missing == "it is opened only with --set real-touch-judgement"
-    assert len(closed["real-touch"].trials) == 5
+    assert len(closed["real-touch"].trials) == 8
     opened = command._choose_sets(tmp_path, ["real-touch-judgement"], 0)
-    assert {name: len(of.trials) for name, of in opened.items()} == {"real-touch-judgement": 3}
+    assert {name: len(of.trials) for name, of in opened.items()} == {"real-touch-judgement": 1}
 
 
 def test_missing_frames_are_a_sentence(tmp_path: Path) -> None:
