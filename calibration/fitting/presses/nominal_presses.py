@@ -167,13 +167,12 @@ class _Gathered:
             )
 
     def find_odd(self) -> list[str]:
-        """Name the presses that do not belong to the others, where enough of them tell, or teach nothing."""
+        """Name the presses that do not belong to the others, where enough of them tell, or are too bright."""
         names, views = [press.name for press in self.presses], [press.view for press in self.presses]
-        said = find_saturated(names, views) + find_repeated(names, views)
         if len(names) < MIN_PRESSES:
-            return said
+            return find_saturated(names, views)
         empty = [] if self.is_doubtful else find_empty(names, [press.mask for press in self.presses])
-        return [*find_strangers(names, views), *empty, *said]
+        return [*find_strangers(names, views), *empty, *find_saturated(names, views)]
 
     def finish(self) -> NominalPresses:
         """Return all presses; their contacts count where every one is known, by a free gel without doubt."""
@@ -239,6 +238,8 @@ def read_presses(
     kept = [k for k, name in enumerate(names) if name not in gathered.unwanted]
     given = {f"{path.parent.name}/{path.name}": picture for path, picture in free}
     gathered.choose_gel([pictures[k][1] for k in kept], given)
+    # Presses of a recording were made one by one, and a robot may repeat them well.
+    gathered.faults += find_repeated(names, [view_of(picture) for _, picture in pictures])
     contact = _contacts(gathered.free)
     for name, (path, picture) in zip(names, pictures, strict=True):
         gathered.add(picture, name, specimens.get(path) or specimen_of(path), contact(picture))

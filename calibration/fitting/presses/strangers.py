@@ -92,7 +92,7 @@ def find_copies(names: Sequence[str], frames: Sequence[U8]) -> list[str]:
 
 def find_repeated(names: Sequence[str], views: Sequence[View]) -> list[str]:
     """Name the presses that differ from an earlier one by noise alone; not its exact copies. views: as above."""
-    broad = np.stack([cv2.GaussianBlur(view, (0, 0), _PLACE_PX)[::2, ::2] for view in views])
+    broad = [cv2.GaussianBlur(view, (0, 0), _PLACE_PX)[::2, ::2] for view in views]
     same = [
         names[k]
         for k in range(1, len(broad))
