@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -14,12 +15,17 @@ from registered_bundle import registered
 from edge.clock import SystemClock
 from edge.core.contact.mask import Touch
 from edge.core.imaging.frames import CameraFrame
-from edge.core.press import Press
+from edge.core.press import JudgedFrame, Press, ScarFindings
 from edge.core.registration.pose import Pose
 from edge.core.sink_context import Place
-from edge.gateway.recorder import PressReport, Recorder, press_drawing
+from edge.core.verdict import Blame, Cause
+from edge.features.black_box.stage import BlackBox
+from edge.features.scars import mask_scars
+from edge.gateway.pictures import PressDrawing
+from edge.gateway.recorder import PressReport, Recorder, draw_archived, press_drawing
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
+from edge.store.press_archive import PressArchive
 from edge.store.press_store import Store
 from edge.store.ulid import new_ulid
 
@@ -35,7 +41,8 @@ def jpeg_frame(rgb: NDArray[np.uint8]) -> CameraFrame:
 
 
 def inspect(inspector: Inspector, rgb: NDArray[np.uint8]) -> Press:
-    return inspector.inspect(jpeg_frame(rgb), Touch(0.1))
+    judged = JudgedFrame(jpeg_frame(rgb), Touch(0.1))
+    return replace(inspector.inspect(judged.frame, judged.touch), judged=judged)
 
 
 Record = Callable[[Press], PressReport]
@@ -111,6 +118,27 @@ def test_the_share_of_the_part_that_left_the_field_is_published_and_dark(
 
     assert (shares[0] or 0) < 0.05 < (shares[1] or 0)
     assert float(np.mean(dark)) < float(np.mean(bright)) - 1
+
+
+def test_its_picture_is_drawn_again_as_it_was(tmp_path: Path, inspector: Inspector) -> None:
+    """From the archive, byte for byte: with what lay beyond the field dark, and the places under scars."""
+    drawings: list[PressDrawing] = []
+    press = inspect(inspector, parts.press(parts.BLOCK, Pose(30.0)))
+    assert press.rgb is not None
+    masked = np.zeros(press.rgb.shape[:2], np.bool_)
+    masked[20:60, 30:90] = True
+    scarred = mask_scars(press, ScarFindings(Blame(Cause.GEL, "a scar"), masked), inspector.bundle)
+    with Store(tmp_path / "presses.db") as store:
+        archive = PressArchive(store.path.with_suffix(".archive"), 9, 10**9)
+        box = BlackBox(archive, "site/line/station", 1, Mock())
+        place = Place("site", "line", "station")
+        recorder = Recorder(store, "SIM1", place, SystemClock(), drawings.append, [box])
+        for one in (press, scarred):
+            one = replace(one, press_id=new_ulid(0), bundle_id=inspector.bundle.digest)
+            recorder.record(recorder.prepare(one, inspector))
+            again = draw_archived(one.press_id, store, [inspector.bundle], "jpeg")
+            assert again == drawings[-1].draw()
+    assert drawings[0].draw().sheet != drawings[1].draw().sheet
 
 
 def test_a_press_whose_pose_is_not_found_is_rejected(record: Record, inspector: Inspector) -> None:
