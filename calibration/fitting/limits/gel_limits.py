@@ -1,14 +1,16 @@
-"""Where on the gel the limit is higher, because sound presses score high there wherever their part lies: a cut opens.
+"""Where on the gel the limit is higher, because sound presses score high there wherever their part lies.
 
 A part that lies anywhere brings other places to a cut with each press, so no range by place of the part knows it, and
-the cut sets the limit of all places. With m_i the raw score map of press i where it lay:
+the cut sets the limit of all places. At the rim of the view the end of what a press shows raises its map. With m_i the
+raw score map of press i where it lay, and usual 1.1 times the lower quartile of the presses' scores:
 
-    highest = largest m_i within 0.6 mm of a place, over the presses i
-    limits  = 1.5 highest / usual where that is above 1.5, else 1
+    high   = second largest m_i within 0.6 mm of a place, over the presses i
+    limits = 1.75 high / usual where high is above usual, else 1
 
-usual is 1.25 times the lower quartile of the presses' scores. A score map is divided by `limits`. Of many presses a
-few lie high anywhere by chance, so of each 40 one more is passed over. A press is judged by the limits of the other
-folds, a new one by those of all.
+and in the last millimetre of the view at least 1.25 rim / usual, where the second largest of the presses' highest
+m_i / limits there, rim, is above usual. A score map is divided by `limits`. One press, of dust or of damage, raises no
+limit, and where a cut is none above what another press shows. Of many presses a few lie high anywhere by chance, so of
+each 40 one more is passed over. A press is judged by the limits of the other folds, a new one by those of all.
 """
 
 from collections.abc import Sequence
@@ -29,8 +31,10 @@ __all__ = ["LimitsChosen", "choose_limits", "learn_gel_limits"]
 
 F32 = NDArray[np.float32]
 
-# Chosen on three real balls of the development sensors, one gel with cuts and one without.
-_NEAR_MM, _ABOVE, _QUARTILE, _USUAL = 0.6, 1.5, 0.25, 1.25
+# Chosen on three real balls of the development sensors, one gel with cuts and one without, and a simulated edge. A cell
+# of the deepest tap is a millimetre: as far the end of the view shows.
+_NEAR_MM, _ABOVE, _QUARTILE, _USUAL = 0.6, 1.75, 0.25, 1.1
+_RIM_MM, _AT_RIM = 1.0, 1.25
 _PRESSES_EACH = 40
 
 
@@ -41,13 +45,19 @@ def learn_gel_limits(maps: F32, pixels_per_mm: float, presses: int) -> F32:
     higher than the bundle's, and a press judged by them would look more usual than the next one will.
     """
     usual = _USUAL * float(np.quantile(maps.max(axis=(1, 2)), _QUARTILE))
+    passed_over = 1 + presses // _PRESSES_EACH
+    limits = np.ones(maps.shape[1:], np.float32)
+    if not usual > 0 or len(maps) <= passed_over:
+        return limits
     reach = 2 * round(_NEAR_MM * pixels_per_mm) + 1
     near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
-    ordered = np.sort(np.stack([cv2.dilate(one, near) for one in maps]), axis=0)
-    highest = ordered[max(-1 - presses // _PRESSES_EACH, -len(maps))]
-    if not usual > 0:
-        return np.ones_like(highest)
-    limits = np.where(highest > usual, _ABOVE * highest / usual, 1)
+    high = np.sort(np.stack([cv2.dilate(one, near) for one in maps]), axis=0)[-1 - passed_over]
+    np.copyto(limits, _ABOVE * high / usual, where=high > usual)
+    rim, margin = np.ones(limits.shape, np.bool_), round(_RIM_MM * pixels_per_mm)
+    rim[margin:-margin, margin:-margin] = False
+    at_rim = np.sort((maps[:, rim] / limits[rim]).max(axis=1))[-1 - passed_over]
+    if at_rim > usual:
+        limits[rim] = np.maximum(limits[rim], _AT_RIM * at_rim / usual)
     # As they are stored.
     return np.asarray(np.minimum(np.ceil(limits * GEL_LIMIT_STEPS), 255) / GEL_LIMIT_STEPS, np.float32)
 
@@ -108,8 +118,9 @@ def choose_limits(
     if chosen.share_found < usual.share_found + WORTH:
         return usual
     why = (
-        f"{chosen.choice.why}; at {np.mean(limits > 1):.0%} of the gel the limit is higher, because sound presses "
-        f"score high there wherever the part lies, as at a cut; without that {usual.share_found:.0%} are found"
+        f"{chosen.choice.why}; at {np.mean(limits > 1):.0%} of the gel the limit is up to {limits.max():.1f} times as "
+        "high, because several sound presses score high there wherever the part lies, as at a cut or at the rim of the "
+        f"view; without that {usual.share_found:.0%} are found"
     )
     return replace(chosen, choice=replace(chosen.choice, why=why))
 
