@@ -19,6 +19,7 @@ from calibration.fitting.bundle_measurements import (
     measure_tolerance,
     placeholders,
     provenance,
+    rate_warnings,
     state_threshold,
     warnings,
 )
@@ -128,7 +129,7 @@ def finish_bundle(
         require_enough(len(presses), alpha)
     said = warnings(presses, (config.region.height, config.region.width), alpha)
     colours = nominal_colours(presses.frames)
-    said += colour_warnings(colours)
+    said += [*rate_warnings(presses.specimens, alpha), *colour_warnings(colours)]
 
     def facts(threshold: ThresholdEntry, tolerance: ToleranceEntry, **more: Any) -> Facts:
         return Facts(

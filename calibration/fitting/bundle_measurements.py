@@ -28,6 +28,7 @@ __all__ = [
     "measure_tolerance",
     "placeholders",
     "provenance",
+    "rate_warnings",
     "state_threshold",
     "warnings",
 ]
@@ -138,7 +139,7 @@ def contact_range(presses: NominalPresses) -> NominalContact | None:
 
 
 def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | None) -> list[str]:
-    """Warnings about these presses. alpha: None where no rate is promised.
+    """Warnings about these presses. alpha: None where no threshold is found.
 
     Errors: FitError for no presses, for copies of one picture, or for frames that are not (h, w).
     """
@@ -157,21 +158,24 @@ def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | Non
             f"all {n} presses are one picture: they do not show how sound presses differ, so there is no threshold; "
             "give different presses, or state a threshold yourself"
         )
-    pieces = len(set(pieces_of(presses.specimens)))
-    if alpha is not None and n == 1:
-        found.append(
-            f"1 press promises no false-alarm rate; {count_needed(alpha)} presses are needed for {alpha:g}"
-        )
-    elif alpha is not None and pieces < count_needed(alpha):
-        counted = (
-            f"{n} presses" if pieces == n else f"{n} presses of {pieces} piece{'' if pieces == 1 else 's'}"
-        )
-        what = "presses" if pieces == n else "pieces"
-        found.append(
-            f"{counted} promise a false-alarm rate of 1/{pieces + 1} at best; {count_needed(alpha)} {what} are "
-            f"needed for {alpha:g}"
-        )
     return found
+
+
+def rate_warnings(specimens: Sequence[str | None], alpha: float | None) -> list[str]:
+    """Warn where pieces are too few for a rate. alpha: None where none is promised."""
+    n, pieces = len(specimens), len(set(pieces_of(specimens)))
+    if alpha is None or (n > 1 and pieces >= count_needed(alpha)):
+        return []
+    if n == 1:
+        return [
+            f"1 press promises no false-alarm rate; {count_needed(alpha)} presses are needed for {alpha:g}"
+        ]
+    counted = f"{n} presses" if pieces == n else f"{n} presses of {pieces} piece{'' if pieces == 1 else 's'}"
+    what = "presses" if pieces == n else "pieces"
+    return [
+        f"{counted} promise a false-alarm rate of 1/{pieces + 1} at best; {count_needed(alpha)} {what} are "
+        f"needed for {alpha:g}"
+    ]
 
 
 def check_given(threshold: float | None) -> None:

@@ -21,6 +21,7 @@ from calibration.fitting.bundle_measurements import (
     measure_tolerance,
     placeholders,
     provenance,
+    rate_warnings,
     state_threshold,
     warnings,
 )
@@ -35,7 +36,7 @@ from calibration.fitting.limits.held_out import HeldOut, Learner, ShownPresses, 
 from calibration.fitting.limits.limit_choice import Choice, Evidence
 from calibration.fitting.limits.map_limit import PLAIN
 from calibration.fitting.limits.relief_step import ReliefChoice, try_relief
-from calibration.fitting.limits.threshold import conformal_threshold, of_copies, require_enough
+from calibration.fitting.limits.threshold import conformal_threshold, limit_promise, of_copies, require_enough
 from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose
 from calibration.fitting.presses.augmentation import (
     EACH,
@@ -158,14 +159,13 @@ def _plan_fit(presses: NominalPresses, config: FitConfig) -> _Plan:
     colours = nominal_colours(presses.frames)
     parameters = config.detector.parameters(config.mode, **config.overrides)
     plan = _Plan(presses, config, parameters, None, MIN_PRESSES, colours, ())
-    augmentation, folds = plan.augment(), None
+    augmentation, folds, few_pieces = plan.augment(), None, list[str]()
     fewest = 2 if augmentation.each and len(presses) < MIN_PRESSES else MIN_PRESSES
     if config.threshold is None and not (augmentation.each and len(presses) == 1):
         require_enough(len(presses), config.alpha, fewest, augmentation.why)
         rng = np.random.default_rng(config.seed)
         folds, few_pieces = divide_presses(presses.specimens, config.folds, rng, fewest)
-        said += few_pieces
-    said += colour_warnings(colours)
+    said += [*(few_pieces or rate_warnings(presses.specimens, promised)), *colour_warnings(colours)]
     return replace(plan, folds=folds, fewest=fewest, warnings=said)
 
 
@@ -270,13 +270,13 @@ class _Learnt:
         plan, config = self.features.plan, self.features.plan.config
         if config.threshold is not None:
             return state_threshold(config.threshold, config.alpha)
-        if self.choice.other is not None:
-            return self.choice.other.threshold
         if self.scores is None:  # one press: copies that the bank has not learnt
             rng = np.random.default_rng(config.seed + 1)
             fresh, _ = render_copies(plan.presses, EACH, config.profile.pixels_per_mm, rng)
             return of_copies([scorer.score_in_pose(rgb).anomaly_score for rgb in fresh], config.alpha)
-        return plan.find_threshold(self.scores, tolerance.around(float(self.scores.max())))
+        other, slack = self.choice.other, tolerance.around(float(self.scores.max()))
+        threshold = other.threshold if other is not None else plan.find_threshold(self.scores, slack)
+        return limit_promise(threshold, plan.presses.specimens, plan.folds or [])
 
 
 def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:

@@ -43,8 +43,8 @@ def plan_for(manifest: Manifest, costs: Costs) -> Plan:
     except ValidationError as error:
         return Plan(f"the bundle's scores cannot be read ({error.errors()[0]['msg']}); fit it again")
     limit = manifest.threshold
-    if not limit.n:
-        return Plan("the threshold was given, so no rate of false alarms is promised")
+    if limit.alpha_floor == 1:
+        return Plan("no rate of false alarms is promised of new pieces")
     rate = max(limit.alpha, limit.alpha_floor)
     return plan(KnownScores(entry.sound, tuple(entry.damaged.values())), limit.value, rate, costs)
 

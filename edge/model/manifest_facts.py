@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from edge.core.errors import BundleMismatch
-from edge.model.manifest import Manifest, ThresholdEntry
+from edge.model.manifest import Manifest, RatePromise, ThresholdEntry
 
 __all__ = [
     "AUGMENTATION",
@@ -126,6 +126,8 @@ def promise(limit: ThresholdEntry) -> str:
     if not limit.n:
         is_given = limit.method == GIVEN
         return f"no rate is promised: the threshold {'was given' if is_given else f'is {limit.method}'}"
+    if limit.alpha_floor == 1 and limit.by_press is not None:
+        return _of_known_pieces(limit, limit.by_press)
     rate = f"at most {_percent(limit.alpha)}"
     if limit.is_floored:
         floor = f"{_percent(limit.alpha_floor)} (1 in {round(1 / limit.alpha_floor)})"
@@ -136,6 +138,17 @@ def promise(limit: ThresholdEntry) -> str:
         whom += " of new pieces"
     whole = f"{presses}: {rate} of {whom} fail, on average over bundles"
     return f"{whole}{_of_this_bundle(limit)}"
+
+
+def _of_known_pieces(limit: ThresholdEntry, press: RatePromise) -> str:
+    """No piece was held out, so the limit knows nothing of others."""
+    pieces, these = (
+        ("1 piece", "this piece") if limit.pieces == 1 else (f"{limit.pieces} pieces", "these pieces")
+    )
+    return (
+        f"{limit.n} presses of {pieces}: at most {_percent(press.rate)} of presses of {these} fail, "
+        f"{100 * press.confidence:.0f} % sure; of other pieces nothing is promised, their sound presses may all fail"
+    )
 
 
 def _of_this_bundle(limit: ThresholdEntry) -> str:

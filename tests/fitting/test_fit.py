@@ -8,6 +8,7 @@ import numpy as np
 import onnx.parser
 import pytest
 import tiny
+from numpy.typing import NDArray
 from tiny_fit import config, presses
 
 from calibration.fitting.fit import fit_files
@@ -98,6 +99,39 @@ def test_presses_of_few_pieces_promise_what_pieces_do() -> None:
     assert promise(older.model_copy(update={"rate_range": None})).endswith("on average over bundles")
 
 
+def frames_of(*levels: int) -> NDArray[np.uint8]:
+    """Twelve frames of each of these pieces, whose grey differs from piece to piece more than from press to press."""
+    rng = np.random.default_rng(1)
+    pieces = [np.clip(rng.normal(level, 1, (12, 32, 32, 3)), 0, 255) for level in levels]
+    return np.concatenate(pieces).astype(np.uint8)
+
+
+def test_sound_presses_of_a_third_piece_pass() -> None:
+    """Two pieces are held out in turn, so the limit is as wide as pieces differ. Held out press by press, 12 of 12
+    presses of the third fail under a promise of 1 in 3."""
+    nominal = NominalPresses(frames_of(100, 120), ("",) * 24, tuple("a" * 12 + "b" * 12))
+    bundle = fit_files(nominal, config(), created="").bundle()
+    scores = [one.anomaly_score for one in Scorer(bundle).score_batch(frames_of(125))]
+    assert max(scores) < bundle.manifest.threshold.value
+    assert bundle.manifest.threshold.alpha_floor == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize(
+    ("specimens", "counted", "whose"),
+    [("a" * 12, "1 piece", "this piece"), ("a" * 10 + "bc", "3 pieces", "these pieces")],
+)
+def test_of_pieces_that_are_not_held_out_nothing_is_promised_of_others(
+    specimens: str, counted: str, whose: str
+) -> None:
+    """One piece, and one that is nearly all presses: no rate by piece, in the manifest and in words."""
+    limit = fit_files(presses(12, specimens=tuple(specimens)), config(), created="").manifest.threshold
+    assert (limit.alpha_floor, limit.rate_range, limit.by_piece) == (1, None, None)
+    assert promise(limit) == (
+        f"12 presses of {counted}: at most 17 % of presses of {whose} fail, 90 % sure; of other pieces nothing is "
+        "promised, their sound presses may all fail"
+    )
+
+
 CUT = "recording a ends within a line of its index: what came later is not learnt"
 
 
@@ -108,7 +142,7 @@ CUT = "recording a ends within a line of its index: what came later is not learn
         (presses(19), None),  # promise 0.05 exactly
         (presses(24, faults=(CUT,)), CUT),
         (painted(24, np.s_[7, 4:12, 4:12], 60), "'press 7' stands apart"),
-        (presses(24, specimens=("a",) * 24), "of 1 piece, too few to hold one out"),
+        (presses(24, specimens=("a",) * 24), "of 1 piece: the limit is for presses of this alone"),
         (presses(24, specimens=tuple("abcdef" * 4)), "24 presses of 6 pieces promise"),
         (presses(4), "1/5 at best; 19 presses are needed"),
         (painted(24, 7, presses(1).frames[0]), "are exact copies of another"),

@@ -1,4 +1,4 @@
-"""Which presses are held out together: all presses of a piece where there are enough pieces."""
+"""Which presses are held out together: all presses of a piece, from two pieces on."""
 
 from collections.abc import Sequence
 
@@ -8,13 +8,10 @@ from numpy.typing import NDArray
 from calibration.fitting.limits.threshold import pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES
 
-__all__ = ["LEAVE_ONE_OUT_BELOW", "MIN_PIECES", "Folds", "divide_presses", "folds"]
+__all__ = ["LEAVE_ONE_OUT_BELOW", "Folds", "divide_presses", "folds"]
 
 LEAVE_ONE_OUT_BELOW = 10
 """With fewer presses each is held out alone: a fold of two would make the bank clearly smaller."""
-
-MIN_PIECES = 3
-"""With fewer, a fold without one piece leaves a bank of one piece, which does not show how pieces differ."""
 
 Folds = list[NDArray[np.int64]]
 
@@ -22,18 +19,25 @@ Folds = list[NDArray[np.int64]]
 def divide_presses(
     specimens: Sequence[str | None], count: int, rng: np.random.Generator, fewest: int = MIN_PRESSES
 ) -> tuple[Folds, list[str]]:
-    """Divide presses into folds, and warn where pieces are too few to hold out all presses of one.
+    """Divide presses into folds, and warn where no piece can be held out: then they show nothing of other pieces.
 
-    Each fold leaves one press less than `fewest` at least, of as many presses or more.
+    Each fold leaves one press less than `fewest` at least, of as many presses or more. Two pieces are held out in
+    turn: were presses held out one by one, with others of their piece learnt, most sound presses of a third piece
+    could fail. A bank of one piece makes the limit rather high than low.
     """
     n, pieces = len(specimens), len(set(pieces_of(specimens)))
     count = n if n < LEAVE_ONE_OUT_BELOW else count
     found = folds(specimens, count, rng)
-    if pieces >= min(MIN_PIECES, fewest) and n - max(len(held) for held in found) >= fewest - 1:
+    if pieces > 1 and n - max(len(held) for held in found) >= fewest - 1:
         return found, []
+    of = (
+        "1 piece"
+        if pieces == 1
+        else f"{pieces} pieces, and without those of one fewer than {fewest - 1} are left"
+    )
     warning = (
-        f"the presses are of {pieces} piece{'' if pieces == 1 else 's'}, too few to hold one out: the threshold "
-        f"knows nothing of other pieces; press at least {MIN_PIECES} pieces, several times each"
+        f"the {n} presses are of {of}: the limit is for presses of {'this' if pieces == 1 else 'these'} alone, and "
+        f"sound presses of any other may fail; press more pieces, {fewest - 1} times each at least"
     )
     return folds((None,) * n, count, rng), [warning]
 

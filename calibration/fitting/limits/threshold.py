@@ -36,6 +36,7 @@ __all__ = [
     "check_alpha",
     "conformal_threshold",
     "count_needed",
+    "limit_promise",
     "of_copies",
     "pieces_of",
     "rate_range",
@@ -149,6 +150,19 @@ def of_copies(scores: Sequence[float] | NDArray[np.float64], alpha: float) -> Th
         alpha_floor=1.0,
         nominal_scores=(),
     )
+
+
+def limit_promise(
+    threshold: ThresholdEntry, specimens: Sequence[str | None], folds: Sequence[NDArray[np.int64]]
+) -> ThresholdEntry:
+    """Promise nothing of new pieces where presses of a piece are in several folds: its scores do not count as new.
+
+    specimens: the piece of each press, (n,). folds: the presses that were held out together.
+    """
+    keys = np.array(pieces_of(specimens))
+    if sum(len(set(keys[held])) for held in folds) == len(set(keys)):
+        return threshold
+    return threshold.model_copy(update={"alpha_floor": 1.0, "rate_range": None, "by_piece": None})
 
 
 def rate_range(pieces: int, alpha: float) -> tuple[float, float]:
