@@ -77,7 +77,7 @@ def _write(pixels: NDArray[np.uint8 | np.uint16], form: PictureForm, level: int)
     import cv2  # subscribers read files and write none: they start without it
 
     how = (cv2.IMWRITE_PNG_COMPRESSION if form == "png" else cv2.IMWRITE_JPEG_QUALITY, level)
-    ordered = pixels if pixels.ndim == 2 else np.ascontiguousarray(pixels[:, :, ::-1])
+    ordered = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
     encoded, data = cv2.imencode(f".{form}", ordered, list(how))
     if not encoded:
         raise ValueError(f"a picture of shape {pixels.shape} cannot be encoded as {form}")
