@@ -100,8 +100,11 @@ class StationStatus:
             self.say("contact", sentence, "warning")
 
     def stopped(self) -> None:
-        """The intended end."""
+        """The intended end. Alarms of other packages end with it: at the next start a package may be gone, and then
+        nobody knows what to clear."""
         with self._lock:
+            for alarm in self._raised - ALARMS.keys():
+                self.say(alarm, None)
             self._is_stopped = True
             self._say_state()
 

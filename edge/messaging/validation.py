@@ -94,7 +94,7 @@ def _fault(content_type: str | None, validator: "Draft7Validator", payload: byte
             validator.iter_errors(json.loads(text) if content_type == "application/json" else text)
         )
     except (ValueError, RecursionError, Unresolvable) as error:
-        return f"it cannot be read as {content_type} ({error})"
+        return f"it cannot be read as {content_type or 'text'} ({error})"
     return None if fault is None else f"{fault.json_path}: {fault.message:.300}"
 
 

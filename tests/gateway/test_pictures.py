@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import pytest
 from recorded_presses import make_press, messages_of, path, store
-from station import MQTT, station_config
+from station import MQTT, station_config, variant
 from stepped_station import SteppedStation
 
 from edge.config import load_config
@@ -111,6 +111,9 @@ def test_a_picture_is_queued_once(store: Store, path: Path) -> None:
     assert [topic for topic, _ in outbox(path)] == ["result", f"heatmap/{IDS[0]}"]
 
 
+def lose_nothing(folder: Path) -> None: ...
+
+
 def lose_the_frames(folder: Path) -> None:
     for damaged in (folder / "gelgate.archive" / "objects").iterdir():
         damaged.write_bytes(b"")
@@ -120,12 +123,20 @@ def lose_the_archive(folder: Path) -> None:
     shutil.rmtree(folder / "gelgate.archive")
 
 
+def lose_the_bundle(folder: Path) -> None:
+    config = folder / "gelgate.toml"
+    (before,) = re.findall(r'bundle = "(.*)"', config.read_text(encoding="utf-8"))
+    other = variant(Path(before), folder / "other", revision=9)
+    config.write_text(config.read_text(encoding="utf-8").replace(before, str(other)), encoding="utf-8")
+
+
 @pytest.mark.parametrize(
     ("lose", "words"),
     [
-        (lambda folder: None, "was not drawn before the last stop"),
+        (lose_nothing, "was not drawn before the last stop"),
         (lose_the_frames, "cannot be drawn: the judged frame of press .* is damaged"),
         (lose_the_archive, "cannot be drawn: press .* is gone"),
+        (lose_the_bundle, "cannot be drawn: the bundle .* that judged press .* is not open any more"),
     ],
 )
 def test_a_stop_before_the_picture_is_made_good(
