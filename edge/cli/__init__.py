@@ -33,7 +33,6 @@ EXIT_MEANINGS: Final[Mapping[int, str]] = MappingProxyType(
         4: "a sensor or broker is not available",
         5: "`gelgate bundle verify`: the bundle is not sound",
         6: "a recording was played, and the presses found are not the presses that it holds",
-        7: "`gelgate lab tradeoff --check`: a point has become worse than in the earlier run",
         8: "`gelgate station replay`: a verdict that is made again differs from the one that was given",
         130: "interrupted with Ctrl-C; `gelgate run`, `gelgate record` and `gelgate bundle acquire` end with 0 then",
     }

@@ -28,7 +28,7 @@ from calibration.experiments.tradeoff.point import VIEWS
 from calibration.experiments.tradeoff.presses import Seen, see
 from calibration.experiments.tradeoff.rows import Row
 from calibration.experiments.tradeoff.run import read_or_measure
-from calibration.experiments.tradeoff.timing import Lane, scale_of
+from calibration.experiments.tradeoff.timing import Lane
 from calibration.fitting.trunks import open_trunk
 from calibration.progress import progress
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
@@ -83,15 +83,14 @@ def _fit(
     maps, scores = zip(*found, strict=True)
     accuracy = measure_accuracy(maps, np.array(scores), run.truth)
     row = _row(method, model, accuracy, seconds, nominal[0])
-    profile, key = VIEWS["lr"].profile_name, row["key"]
+    key = row["key"]
 
-    def score(rgb: NDArray[np.uint8]) -> tuple[NDArray[np.float32], float, float, float]:
+    def score(rgb: NDArray[np.uint8]) -> tuple[float, float]:
         start = time.perf_counter()
-        score_map, value = _score(model, normalise(rgb))
-        return score_map, value, 0.0, (time.perf_counter() - start) * 1e3  # its trunk is part of the model
+        _score(model, normalise(rgb))
+        return 0.0, (time.perf_counter() - start) * 1e3  # its trunk is part of the model
 
-    part, shared = f"{run.chosen.part}/{run.chosen.position}", (profile, key, key, profile)
-    return row, Lane(VIEWS["lr"], frames, part, score, shared, scale_of(maps[0]))
+    return row, Lane(VIEWS["lr"], frames, score, (VIEWS["lr"].profile_name, key, key))
 
 
 def learn(method: str, model: Any, planes: Sequence[Any]) -> None:

@@ -20,7 +20,7 @@ from edge.model.scorer import Scorer
 __all__ = ["bundle_of"]
 
 _COST = (
-    "ms", "stages", "ratio", "floor", "bank_bytes", "peak_memory_bytes", "fit_s", "gel_share", "scored", "machine"
+    "stages", "floor", "bank_bytes", "peak_memory_bytes", "fit_s", "gel_share", "scored", "machine"
 )  # fmt: skip
 """The columns of a row that go into the cost card."""
 

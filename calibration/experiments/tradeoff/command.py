@@ -6,13 +6,12 @@ from typing import Annotated
 
 import typer
 
-from calibration.experiments.tradeoff.check import check
 from calibration.experiments.tradeoff.chosen_bundle import bundle_of
-from calibration.experiments.tradeoff.figure import svg
+from calibration.experiments.tradeoff.figure import say_cost, svg
 from calibration.experiments.tradeoff.page import table, write_page
 from calibration.experiments.tradeoff.pick import pick, read_limits
 from calibration.experiments.tradeoff.plan import Run, RunSettings
-from calibration.experiments.tradeoff.rows import Row, read_rows
+from calibration.experiments.tradeoff.rows import Row
 from calibration.experiments.tradeoff.run import read_or_measure
 from calibration.fitting.command import refuse_existing, summarise, write
 from calibration.folders import write_atomically
@@ -22,9 +21,6 @@ from edge.core.errors import ConfigError
 from edge.extras import needs
 
 __all__ = ["tradeoff"]
-
-LOSS = 7
-"""The exit code of `--check` where something became worse."""
 
 
 @dataclass(frozen=True)
@@ -48,18 +44,16 @@ class TradeoffArguments:
             help="an installed backbone or a trunk .onnx file, the first varied in every axis, again for more"
         ),
     ] = None
-    within: Annotated[str | None, typer.Option(help="choose a point: most time of a press, such as 20ms")] = (
-        None
-    )
+    within: Annotated[
+        str | None,
+        typer.Option(help="choose a point: most time from the settled frame to the verdict, such as 20ms"),
+    ] = None
     under: Annotated[str | None, typer.Option(help="choose a point: largest bank, such as 8MB")] = None
     presses: Annotated[int | None, typer.Option(help="choose a point: most nominal presses", min=1)] = None
     point: Annotated[str | None, typer.Option(help="make only the bundle of the point of this name")] = None
     bundle: Annotated[
         Path | None,
         typer.Option(help="where the chosen bundle is written, a folder or a name ending in .zip"),
-    ] = None
-    check: Annotated[
-        Path | None, typer.Option(help="rows.jsonl of an earlier run: fail where this one is worse")
     ] = None
     picture: Annotated[Path | None, typer.Option(help="also draw the rows as an SVG file of this name")] = (
         None
@@ -105,8 +99,6 @@ def tradeoff(given: TradeoffArguments) -> None:
         typer.echo("\n".join(picked.reasons))
         bundle = given.bundle or given.output / "bundle"
         _write_bundle(picked.row["key"], run, bundle, given.overwrite, picked.row)
-    if given.check is not None:
-        _check(rows, given.check)
 
 
 def _require_sense(given: TradeoffArguments, has_limits: bool) -> None:
@@ -117,16 +109,15 @@ def _require_sense(given: TradeoffArguments, has_limits: bool) -> None:
         raise ConfigError(f"{given.bundle} exists already; choose another name or add --overwrite")
     if given.output.exists() and not given.output.is_dir():
         raise ConfigError(f"--output {given.output} is a file; name a folder")
-    if given.check is not None:
-        read_rows(given.check)
 
 
 def _report(rows: list[Row], output: Path, picture: Path | None) -> None:
-    """Write the page, and the picture where wanted; print the front."""
+    """Write the page, and the picture where wanted; print the front and what it costs."""
     page = write_page(rows, output)
     if picture is not None:
         write_atomically(picture, svg(rows))
     typer.echo(table(rows))
+    typer.echo(say_cost(rows))
     typer.echo(f"{len(rows)} points; the page is {page}")
 
 
@@ -146,15 +137,3 @@ def _write_bundle(key: str, run: Run, bundle: Path, overwrite: bool, row: Row | 
     write(fitted, bundle, overwrite)
     summarise(fitted, bundle)
     typer.echo(f"trunk, head and bank: {made}")
-
-
-def _check(rows: list[Row], earlier: Path) -> None:
-
-    before = read_rows(earlier)
-    losses, remarks = check(before, rows)
-    for line in (*remarks, *losses):
-        typer.echo(line, err=True)
-    if losses:
-        typer.echo(f"{len(losses)} {'loss' if len(losses) == 1 else 'losses'} against {earlier}", err=True)
-        raise typer.Exit(LOSS)
-    typer.echo(f"no loss against {earlier}")

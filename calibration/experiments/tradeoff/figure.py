@@ -1,14 +1,14 @@
-"""The picture of a run: accuracy against milliseconds, the front marked and named. Made from rows alone."""
+"""The picture of a run: accuracy against what the line waits for, the front named. Made from rows alone."""
 
 import argparse
 import io
-import math
-from collections.abc import Collection, Mapping, Sequence
+import textwrap
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
-
+from calibration.experiments.tradeoff.front import list_front, verdict_ms
 from calibration.experiments.tradeoff.machine import busy
 from calibration.experiments.tradeoff.page import FIRST, METHOD_NAMES
 from calibration.experiments.tradeoff.rows import Row, read_rows
@@ -17,159 +17,250 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["figure", "list_front", "name_point", "svg"]
+__all__ = ["figure", "name_point", "say_cost", "svg"]
 
-COLOURS: Final = ("#2f6db3", "#c8621f", "#27876a", "#8257ab", "#b93a5b", "#86751c", "#5d6a75", "#1f8ea3")
-PEER = "X"
-_MOST_IN_A_ROW = 10
-INK, SOFT, GRID = "#22272b", "#626a70", "#eceae4"
+MARKS: Final = {
+    "padim": ("o", "#1f5fa8"),
+    "patchcore": ("D", "#b93a5b"),
+    "spade": ("s", "#c8621f"),
+    "fapm": ("^", "#27876a"),
+    "inreach": ("v", "#8257ab"),
+    "subspace": ("P", "#86751c"),
+}
+PEER, OTHER = ("X", "#22272b"), ("*", "#5d6a75")
+INK, SOFT, GRID, FLOOR = "#22272b", "#565d63", "#e4e2dc", "#e9e6df"
+
+NEAR: Final = 2.0
+"""Points up to this many times the fastest one have a linear axis of their own: most differ by milliseconds."""
+
+WIDTH_IN, LABEL_IN, PLOT_IN, BELOW_IN = 5.2, 0.31, 2.35, 1.45
+"""At 400 pixels' width the letters are 9 pixels high."""
 
 STYLE: Final[dict[Any, Any]] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9,
-    "axes.edgecolor": "#c9c6bd",
-    "axes.labelcolor": SOFT,
+    "axes.edgecolor": "#8d8b84",
+    "axes.labelcolor": INK,
     "xtick.color": SOFT,
     "ytick.color": SOFT,
     "svg.fonttype": "path",
     "svg.hashsalt": "gelgate",
 }
 
+DARK: Final = (
+    b"<style>@media (prefers-color-scheme: dark) { svg { filter: invert(0.92) hue-rotate(180deg); } }</style>"
+)
+
 
 def svg(rows: Sequence[Row]) -> bytes:
-    """The picture as SVG bytes; equal rows give equal bytes."""
+    """Return the picture as SVG bytes, dark where the reader's screen is; equal rows give equal bytes."""
     import matplotlib as mpl
 
     stream = io.BytesIO()
     with mpl.rc_context(STYLE):
         figure(rows).savefig(stream, format="svg", metadata={"Date": None, "Creator": "gelgate lab tradeoff"})
-    return stream.getvalue()
+    return stream.getvalue().replace(b"<defs>", DARK + b"\n <defs>", 1)
 
 
 def figure(rows: Sequence[Row]) -> "Figure":
-    """Draw accuracy (AU-PRO) against the milliseconds of a press, as a matplotlib figure without a window."""
+    """Draw accuracy (AU-PRO) against the milliseconds to the verdict, as a matplotlib figure without a window."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     drawn = [row for row in rows if row["accuracy"][FIRST]["value"] is not None]
-    made = Figure(figsize=(9, 5.2), facecolor="white")
+    front = list_front(drawn, FIRST)
+    height = BELOW_IN + PLOT_IN + LABEL_IN * len(front) + 0.48
+    made = Figure(figsize=(WIDTH_IN, height), facecolor="white")
     FigureCanvasAgg(made)
-    axes = made.add_axes((0.075, 0.165, 0.9, 0.725))
-    _frame(axes, drawn)
-    methods = list(dict.fromkeys(row["method"] for row in drawn))
-    colours = {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(methods)}
-    for row in drawn:
-        _mark(axes, row, colours[row["method"]])
-    _front(axes, drawn)
-    _legend(axes, colours, {row["method"] for row in drawn if row.get("peer")})
+    for axes in _panels(made, drawn, height):
+        _floor(axes, drawn)
+        steps = [(verdict_ms(row), _value(row)) for row in front]
+        axes.step(
+            *zip(*steps, (1e9, steps[-1][1]), strict=True), where="post", color=INK, linewidth=1, zorder=2
+        )
+        for row in drawn:
+            _mark(axes, row, row in front)
+        for level, row in enumerate(reversed(front)):
+            _name(axes, row, PLOT_IN + LABEL_IN * level)
+        _name_best_peer(axes, drawn)
+    _legend(made, drawn, height)
     first, machine = rows[0], rows[0]["machine"]
-    made.text(0.075, 0.945, "What accuracy costs", fontsize=13, fontweight="bold", color=INK)
-    subtitle = (
-        f"{len(drawn)} operating points on {first['part']}/{first['position']}, scored on pieces that no fit has seen; "
-        f"{machine['processor']}, {machine['threads']} threads"
+    made.text(
+        0.02, 1 - 0.2 / height, "What accuracy costs in time", fontsize=12, fontweight="bold", color=INK
     )
-    made.text(0.075, 0.908, subtitle, fontsize=8.5, color=SOFT)
-    made.text(0.975, 0.945, busy(machine), fontsize=8.5, color=COLOURS[1], ha="right")
+    subtitle = (
+        f"{len(drawn)} operating points on {first['part']}/{first['position']}; {machine['processor']}, "
+        f"{machine['threads']} threads. {busy(machine)}"
+    )
+    made.text(0.02, 1 - 0.4 / height, subtitle, fontsize=8, color=SOFT)
+    made.text(0.02, 0.08 / height, textwrap.fill(say_cost(rows), 88), fontsize=7.9, color=INK, va="bottom")
     return made
 
 
-def _frame(axes: "Axes", rows: Sequence[Row]) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axes.set_xscale("log")
-    axes.set_axisbelow(True)
-    axes.grid(color=GRID, linewidth=0.8)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.set_xlabel("milliseconds per press, camera bytes to published picture")
-    axes.set_ylabel("AU-PRO up to 1 % false positives")
-    axes.set_xlim(min(row["ms"]["low"] for row in rows) * 0.9, max(row["ms"]["high"] for row in rows) * 1.15)
-    values = [row["accuracy"][FIRST]["value"] for row in rows]
-    room = 0.06 * max(max(values) - min(values), 0.02)
-    axes.set_ylim(min(values) - room, max(values) + 3 * room)
-    axes.xaxis.set_major_locator(LogLocator(base=10, subs=(1, 1.5, 2, 3, 4, 5, 7)))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
-
-
-def _mark(axes: "Axes", row: Row, colour: str) -> None:
-    is_hollow = row["work"]["int8"] > 0
-    axes.scatter(
-        row["ms"]["median"],
-        row["accuracy"][FIRST]["value"],
-        s=14 + 1.6 * row["presses"],
-        marker=PEER if row.get("peer") else {"lr": "o", "hr": "s"}.get(row["view"], "D"),
-        facecolors="white" if is_hollow else colour,
-        edgecolors=colour if is_hollow else "white",
-        linewidths=1.3 if is_hollow else 0.7,
-        alpha=1.0 if row["is_on_front"] else 0.4,
-        zorder=4 if row["is_on_front"] else 3,
-    )
-
-
-def _front(axes: "Axes", rows: Sequence[Row]) -> None:
-    """Draw the stairs of what is reached in a time, and each point of the front with its name and interval."""
-    front = list_front(rows)
-    times = [row["ms"]["median"] for row in front]
-    values = [row["accuracy"][FIRST]["value"] for row in front]
-    best = np.maximum.accumulate(values)
-    axes.step(
-        [*times, axes.get_xlim()[1]], [*best, best[-1]], where="post", color=INK, linewidth=1.1, zorder=2
-    )
-    for k, (row, time, value) in enumerate(zip(front, times, values, strict=True)):
-        span = [row["ms"]["low"], row["ms"]["high"]]
-        axes.plot(span, [value, value], color=INK, linewidth=0.8, alpha=0.5, zorder=3)
-        axes.annotate(
-            name_point(row),
-            (time, value),
-            xytext=(0, 13 if k % 2 else 26),
-            textcoords="offset points",
-            ha="left" if time**2 < math.prod(axes.get_xlim()) else "right",
-            arrowprops={"arrowstyle": "-", "color": SOFT, "linewidth": 0.5},
-            fontsize=7.5,
-            color=INK,
-            zorder=5,
-        )
-
-
-def list_front(rows: Sequence[Row]) -> list[Row]:
-    """Return the points of the front, the fastest first."""
-    return sorted((row for row in rows if row["is_on_front"]), key=lambda row: float(row["ms"]["median"]))
+def say_cost(rows: Sequence[Row]) -> str:
+    """Return one sentence on what accuracy costs in time: the front, and the best peer."""
+    front = list_front(rows, FIRST)
+    if not front:
+        return "No point has an accuracy."
+    parts = [f"AU-PRO {_value(front[0]):.3f} takes {verdict_ms(front[0]):.0f} ms ({name_point(front[0])})"]
+    for before, row in pairwise(front):
+        more, ms = _value(row) - _value(before), verdict_ms(row) - verdict_ms(before)
+        parts.append(f"{more:.3f} more takes {ms:.0f} ms more ({name_point(row)})")
+    if peer := _best_peer(rows):
+        parts.append(f"{name_point(peer)} has {_value(peer):.3f} in {verdict_ms(peer):.0f} ms")
+    return f"From the settled frame to the verdict, {'; '.join(parts)}."
 
 
 def name_point(row: Row) -> str:
-    """A point for people: method, precision, settings, and the view where it is not the usual one."""
-    precision = "int8" if row["work"]["int8"] > 0 else "float32"
-    words = [f"{METHOD_NAMES.get(row['method'], row['method'])} {precision}"]
+    """Name a point for people: method, precision, settings, and the view where it is not the usual one."""
+    method = str(METHOD_NAMES.get(row["method"], row["method"]))
+    if row.get("peer"):
+        return method
+    words = [f"{method} {'int8' if row['work']['int8'] > 0 else 'float32'}"]
     words += [f"{name} {value}" for name, value in row["settings"].items()]
-    return ", ".join(
-        words
-        if row["view"] == "lr"
-        else [*words, "in tiles" if "tiles" in row["view"] else "high resolution"]
+    views = [] if row["view"] == "lr" else ["in tiles" if "tiles" in row["view"] else "high resolution"]
+    return ", ".join(words + views)
+
+
+def _value(row: Row) -> float:
+    return float(row["accuracy"][FIRST]["value"])
+
+
+def _best_peer(rows: Sequence[Row]) -> Row | None:
+    peers = [row for row in rows if row.get("peer") and row["accuracy"][FIRST]["value"] is not None]
+    return max(peers, key=_value, default=None)
+
+
+def _panels(made: "Figure", rows: Sequence[Row], height: float) -> list["Axes"]:
+    """A linear panel of the fast points and, where there are slower ones, a logarithmic one beside it."""
+    from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
+
+    times, values = [verdict_ms(row) for row in rows], [_value(row) for row in rows]
+    limit, room = NEAR * min(times), 0.04 * max(max(values) - min(values), 0.02)
+    is_split = max(times) > limit
+    bottom, tall = BELOW_IN / height, PLOT_IN / height
+    panels = [made.add_axes((0.115, bottom, 0.555 if is_split else 0.865, tall))]
+    panels[0].set_xlim(0, limit)
+    if is_split:
+        panels.append(made.add_axes((0.69, bottom, 0.29, tall), sharey=panels[0]))
+        panels[1].set(xscale="log", xlim=(limit, 1.2 * max(times)))
+        panels[1].tick_params(left=False, labelleft=False)
+        panels[1].spines["left"].set(linestyle=(0, (2, 3)))
+        ticks = [
+            k * 10**power for power in range(7) for k in (1, 2, 3, 5) if limit < k * 10**power < max(times)
+        ]
+        panels[1].xaxis.set_major_locator(FixedLocator(ticks))
+        panels[1].xaxis.set_major_formatter(ScalarFormatter())
+        panels[1].xaxis.set_minor_formatter(NullFormatter())
+    for axes in panels:
+        axes.set_ylim(min(values) - room, max(values) + room)
+        axes.set_axisbelow(True)
+        axes.grid(color=GRID, linewidth=0.7)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_ylabel("AU-PRO up to 1 % false positives", fontsize=8.5)
+    made.text(
+        0.55,
+        bottom - 0.4 / height,
+        "milliseconds from the settled frame to the verdict",
+        ha="center",
+        color=INK,
+    )
+    return panels
+
+
+def _floor(axes: "Axes", rows: Sequence[Row]) -> None:
+    """Shade what is faster than the bare trunk of the points that are as accurate."""
+    ours = sorted((row for row in rows if not row.get("peer")), key=_value)
+    bottom, top = axes.get_ylim()
+    levels = [bottom, *map(_value, ours)]
+    trunks = [min(_trunk_ms(row) for row in ours[k:]) for k in range(len(ours))]
+    axes.fill_betweenx(levels, [*trunks, trunks[-1]], color=FLOOR, step="post", zorder=0, linewidth=0)
+    if axes.get_xlim()[0] == 0:
+        axes.text(
+            trunks[0] / 2,
+            (bottom + top) / 2,
+            "the trunk alone",
+            rotation=90,
+            ha="center",
+            va="center",
+            color=SOFT,
+        )
+
+
+def _trunk_ms(row: Row) -> float:
+    return float(row["stages"]["trunk"]["median"])
+
+
+def _mark(axes: "Axes", row: Row, is_on_front: bool) -> None:
+    shape, colour = PEER if row.get("peer") else MARKS.get(row["method"], OTHER)
+    axes.scatter(
+        verdict_ms(row),
+        _value(row),
+        s=52 if is_on_front else 22,
+        marker=shape,
+        facecolors="white" if row["work"]["int8"] > 0 else colour,
+        edgecolors=INK if is_on_front else colour,
+        linewidths=1.6 if is_on_front else 0.8,
+        alpha=1.0 if is_on_front or row.get("peer") else 0.6,
+        zorder=4 if is_on_front else 3,
     )
 
 
-def _legend(axes: "Axes", colours: Mapping[str, str], peers: Collection[str]) -> None:
-    marks = [
-        (METHOD_NAMES.get(name, name), PEER if name in peers else "o", colour, colour)
-        for name, colour in colours.items()
+def _name(axes: "Axes", row: Row, up_in: float) -> None:
+    """Write the name of a point of the front above the plot, in a line of its own, and lead from there to the mark."""
+    (low, high), ms = axes.get_xlim(), verdict_ms(row)
+    if not low < ms <= high:
+        return
+    is_late = low > 0 and ms**2 > low * high
+    axes.annotate(
+        f"{name_point(row)}\n{_value(row):.3f} in {ms:.0f} ms",
+        (ms, _value(row)),
+        xytext=(ms, 72 * up_in + 4),
+        textcoords=("data", "axes points"),
+        ha="right" if is_late else "left",
+        arrowprops={"arrowstyle": "-", "color": INK, "linewidth": 0.7, "relpos": (float(is_late), 0)},
+        fontsize=8,
+        linespacing=1.05,
+        color=INK,
+        annotation_clip=False,
+    )
+
+
+def _name_best_peer(axes: "Axes", rows: Sequence[Row]) -> None:
+    peer, (low, high) = _best_peer(rows), axes.get_xlim()
+    if peer is None or not low < verdict_ms(peer) <= high:
+        return
+    text = f"{name_point(peer)}\n{_value(peer):.3f} in {verdict_ms(peer):.0f} ms"
+    axes.annotate(
+        text, (verdict_ms(peer), _value(peer)), xytext=(0, -6), textcoords="offset points", fontsize=8, color=INK,
+        ha="center", va="top",
+    )  # fmt: skip
+
+
+def _legend(made: "Figure", rows: Sequence[Row], height: float) -> None:
+    from matplotlib.lines import Line2D
+
+    present = dict.fromkeys(row["method"] for row in rows if not row.get("peer"))
+    marks: list[tuple[str, str, str, str | None]] = [
+        (METHOD_NAMES.get(name, name), *MARKS.get(name, OTHER), None) for name in present
     ]
-    marks += [
-        ("int8 trunk", "o", "white", SOFT),
-        ("high resolution", "s", SOFT, SOFT),
-        ("in tiles", "D", SOFT, SOFT),
+    marks += [("int8 trunk", "o", SOFT, "white")]
+    if _best_peer(rows):
+        marks += [("other programs", *PEER, None)]
+    entries = [
+        Line2D([], [], ls="", marker=shape, color=colour, mfc=face or colour, ms=5, label=label)
+        for label, shape, colour, face in marks
     ]
-    for label, marker, face, edge in marks:
-        axes.plot([], [], ls="", marker=marker, mfc=face, mec=edge, ms=6, label=label)
-    axes.plot([], [], color=INK, linewidth=1.1, label="front")
-    axes.legend(
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.115),
+    made.legend(
+        handles=entries,
+        loc="center",
+        bbox_to_anchor=(0.53, (BELOW_IN - 0.66) / height),
         frameon=False,
-        fontsize=7.5,
-        ncols=math.ceil((len(marks) + 1) / (1 if len(marks) < _MOST_IN_A_ROW else 2)),
-        columnspacing=1.3,
-        handletextpad=0.3,
+        fontsize=8,
+        ncols=4,
+        columnspacing=1.2,
+        handletextpad=0.1,
     )
 
 

@@ -1,46 +1,45 @@
-"""The Pareto front of accuracy and time, decided beyond the noise of the times.
+"""The Pareto front of accuracy and of the time that the line waits for, from rows alone."""
 
-The rule. Accuracy has no noise between two runs: presses, seeds and pieces are the same. Time has. A point is *surely
-faster* than another when the ratio of their times is below 1 - MARGIN in 97.5 % of the replicates, which draw the same
-rounds for both. A point is dominated when another one is at least as accurate and surely faster, or more accurate and
-not surely slower. The front has the points that no other point dominates.
-"""
-
+from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
+from calibration.experiments.tradeoff.rows import Row
 
-__all__ = ["MARGIN", "find_dominators"]
+__all__ = ["DIGITS", "MARGIN", "WAITED", "list_front", "verdict_ms"]
 
-MARGIN: Final = 0.02
-"""A difference of 2 % of a press's time is no difference: runs on one machine differ by about that."""
+MARGIN: Final = 0.05
+"""A press that takes 5 % longer is not slower: stages of one run differ by about that."""
 
-SURE: Final = 97.5
-"""Per cent of the replicates that must agree: one tail of a 95 % interval."""
+DIGITS: Final = 3
+"""Accuracies that are printed alike are alike."""
 
-Float = NDArray[np.float64]
+WAITED: Final = ("decode", "trunk", "head")
+"""The line waits for these stages. Rows of version 0.2.0 have the picture as well, which leaves after the verdict."""
 
 
-def find_dominators(accuracy: Float, ratios: Float) -> list[list[int]]:
-    """Return for each point the points that dominate it; empty on the front.
+def verdict_ms(row: Row) -> float:
+    """Return the milliseconds from the settled frame to the verdict: the medians of the stages, added."""
+    return sum(float(row["stages"][name]["median"]) for name in WAITED)
 
-    accuracy: float64 (n,), NaN where undefined: such a point is dominated by every point with a value. ratios: float64
-    (replicates, n), times of all points in the same replicates.
+
+def list_front(rows: Sequence[Row], measure: str) -> list[Row]:
+    """Return the points that no other one dominates, the fastest first; never one without accuracy.
+
+    A point is dominated by one that is as accurate and faster, or more accurate and at most `MARGIN` slower.
     """
-    value = np.where(np.isnan(accuracy), -np.inf, accuracy)
-    faster = _surely_faster(ratios)
-    is_no_worse, is_better = value[:, None] >= value[None], value[:, None] > value[None]
-    dominates = (is_no_worse & faster) | (is_better & ~faster.T)
-    np.fill_diagonal(dominates, False)
-    return [np.flatnonzero(dominates[:, k]).tolist() for k in range(len(value))]
+    points = [
+        (row, round(value, DIGITS))
+        for row in rows
+        if (value := row["accuracy"][measure]["value"]) is not None
+    ]
+    front = [
+        row
+        for row, value in points
+        if not any(_dominates(other, better, row, value) for other, better in points)
+    ]
+    return sorted(front, key=verdict_ms)
 
 
-def _surely_faster(ratios: Float) -> NDArray[np.bool_]:
-    """[q, p]: whether q is surely faster than p."""
-    return np.stack(
-        [
-            np.percentile(ratios[:, q, None] / ratios, SURE, axis=0) < 1 - MARGIN
-            for q in range(ratios.shape[1])
-        ]
-    )
+def _dominates(other: Row, better: float, row: Row, value: float) -> bool:
+    ms, limit_ms = verdict_ms(other), verdict_ms(row)
+    return (better >= value and ms < limit_ms) or (better > value and ms <= limit_ms * (1 + MARGIN))

@@ -13,7 +13,7 @@ import numpy as np
 
 from edge.model.session import open_session
 
-__all__ = ["Peak", "best", "busy", "fingerprint", "is_same_machine", "probe"]
+__all__ = ["Peak", "best", "busy", "fingerprint", "probe"]
 
 SIDE: Final = 512
 """Of the square matrices that are multiplied: they stay in the cache, and a product is over within a time slice."""
@@ -55,11 +55,6 @@ def fingerprint(threads: int) -> dict[str, Any]:
         "libraries": {name: version(name) for name in LIBRARIES},
         "load_at_start": round(os.getloadavg()[0], 2),
     }
-
-
-def is_same_machine(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Say whether times of two runs can be compared: same processor, cores, flags and threads."""
-    return all(one.get(key) == other.get(key) for key in ("processor", "flags", "cores", "threads"))
 
 
 def busy(machine: dict[str, Any]) -> str:

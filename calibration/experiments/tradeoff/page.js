@@ -62,24 +62,21 @@ function isShown(p) {
   const within = parseFloat($("within").value), under = parseFloat($("under").value);
   return chosen("by-method").includes(p.method) && chosen("by-backbone").includes(p.backbone) && chosen("by-view").includes(p.view)
     && chosen("by-mode").includes(p.mode) && p.presses <= pressCounts[$("presses").value]
-    && !(p.ms[0] > within) && !(MB(p.bank_bytes) > under) && accuracy(p)[0] !== null;
+    && !(p.ms > within) && !(MB(p.bank_bytes) > under) && accuracy(p)[0] !== null;
 }
 const accuracy = (p) => p.accuracy[$("measure").value];
-const time = (p) => ($("time").value === "core" ? Array(3).fill(p.stages[1] + p.stages[2]) : p[$("time").value]);
 
-// The front of the shown points. For the first measure the run has decided it beyond the noise of the times.
+// The front of the shown points, by the rule of the notes.
 function onFront(shown) {
-  const visible = new Set(shown.map((p) => p.index));
-  if ($("measure").value === data.first && $("time").value !== "core") return shown.filter((p) => !p.dominated_by.some((k) => visible.has(k)));
-  return shown.filter((p) => !shown.some((q) => accuracy(q)[0] >= accuracy(p)[0] && time(q)[2] < time(p)[1]
-    || accuracy(q)[0] > accuracy(p)[0] && time(q)[1] <= time(p)[2] && time(q)[0] <= time(p)[0]));
+  const value = (p) => Number(accuracy(p)[0].toFixed(data.digits));
+  const isBetter = (q, p) => value(q) >= value(p) && q.ms < p.ms || value(q) > value(p) && q.ms <= p.ms * (1 + data.margin);
+  return shown.filter((p) => !shown.some((q) => isBetter(q, p)));
 }
-const floorOf = (p) => ($("time").value === "ratio" ? p.floor_ms / data.bare_ms : p.floor_ms);
 
 // Scales
 
 function scales(shown) {
-  const xs = shown.flatMap((p) => [floorOf(p), time(p)[1], time(p)[2]]);
+  const xs = shown.flatMap((p) => [p.floor_ms, p.ms]);
   const ys = shown.flatMap((p) => [accuracy(p)[0], ...(onFrontSet.has(p) ? accuracy(p).slice(1) : [])]).filter((v) => v !== null);
   const low = Math.log(Math.min(...xs) * 0.86), high = Math.log(Math.max(...xs) * 1.1);
   const [bottom, top] = [Math.min(...ys), Math.max(...ys)];
@@ -137,15 +134,15 @@ function drawPlot(shown) {
   const s = scales(shown), bottom = PLOT.height - PLOT.bottom, right = PLOT.width - PLOT.right;
   const clip = node("clipPath", { id: "inside" }, node("defs", {}, svg));
   node("rect", { x: PLOT.left, y: PLOT.top - 8, width: right - PLOT.left + 8, height: bottom - PLOT.top + 8 }, clip);
-  const edge = stairs(shown, s, floorOf);
+  const edge = stairs(shown, s, (p) => p.floor_ms);
   const floor = node("g", { "clip-path": "url(#inside)" }, svg);
   node("path", { class: "floor", d: `${edge}V${PLOT.top - 8}H${PLOT.left}V${bottom}Z` }, floor);
   drawAxes(svg, s, bottom, right);
   node("path", { class: "floor-edge", d: edge }, floor);
   const zone = `translate(${PLOT.left + 15} ${(PLOT.top + bottom) / 2}) rotate(-90)`;
   node("text", { transform: zone, "text-anchor": "middle", class: "zone" }, svg, "faster than this machine can be");
-  node("path", { class: "front", d: `${stairs([...onFrontSet], s, (p) => time(p)[0])}H${right}`, "clip-path": "url(#inside)" }, svg);
-  const order = [...shown].sort((a, b) => time(a)[0] - time(b)[0]);
+  node("path", { class: "front", d: `${stairs([...onFrontSet], s, (p) => p.ms)}H${right}`, "clip-path": "url(#inside)" }, svg);
+  const order = [...shown].sort((a, b) => a.ms - b.ms);
   const marks = node("g", { "clip-path": "url(#inside)" }, svg);
   const top = node("g", {}, svg);
   for (const p of order) drawPoint(p, s, onFrontSet.has(p) ? top : marks, order);
@@ -163,17 +160,14 @@ function drawAxes(svg, s, bottom, right) {
     node("text", { x: PLOT.left - 8, y: s.y(v) + 4, "text-anchor": "end" }, svg, String(Number(v.toFixed(4))));
   }
   node("line", { class: "axis", x1: PLOT.left, x2: right, y1: bottom, y2: bottom }, svg);
-  const label = { ms: "milliseconds per press, from camera bytes to the published picture", core: "milliseconds of trunk and head",
-    ratio: "time of a press divided by the time of the bare trunk" }[$("time").value];
-  node("text", { x: (PLOT.left + right) / 2, y: PLOT.height - 8, "text-anchor": "middle" }, svg, label);
+  node("text", { x: (PLOT.left + right) / 2, y: PLOT.height - 8, "text-anchor": "middle" }, svg, "milliseconds from the settled frame to the verdict");
   node("text", { transform: `translate(16 ${(PLOT.top + bottom) / 2}) rotate(-90)`, "text-anchor": "middle" }, svg, data.measures[$("measure").value]);
 }
 function drawPoint(p, s, parent, order) {
-  const x = s.x(time(p)[0]), y = s.y(accuracy(p)[0]);
+  const x = s.x(p.ms), y = s.y(accuracy(p)[0]);
   const kinds = ["point", onFrontSet.has(p) ? "on-front" : "dominated", p.is_int8 ? "hollow" : ""].filter(Boolean);
   const g = node("g", { class: kinds.join(" "), tabindex: "-1", role: "img", "data-key": p.key, style: `--swatch: ${swatch(p)}`,
-    "aria-label": `${title(p)}, ${detail(p)}: ${data.measures[$("measure").value]} ${fixed(accuracy(p)[0])}, ${nice(p.ms[0])} ms` }, parent);
-  node("line", { class: "whisker", x1: s.x(time(p)[1]), x2: s.x(time(p)[2]), y1: y, y2: y }, g);
+    "aria-label": `${title(p)}, ${detail(p)}: ${data.measures[$("measure").value]} ${fixed(accuracy(p)[0])}, ${nice(p.ms)} ms` }, parent);
   if (accuracy(p)[1] !== null) node("line", { class: "whisker", x1: x, x2: x, y1: s.y(accuracy(p)[1]), y2: s.y(accuracy(p)[2]) }, g);
   node("circle", { class: "hit", cx: x, cy: y, r: 11 }, g);
   node("circle", { class: "ring", cx: x, cy: y, r: 12 }, g);
@@ -221,15 +215,15 @@ function drawFloorMark(p) {
   const overlay = $("overlay");
   if (!overlay || !markOf(p)) return;
   overlay.replaceChildren();
-  const y = state.scale.y(accuracy(p)[0]), x = state.scale.x(floorOf(p));
-  node("line", { class: "floor-mark", x1: x, x2: state.scale.x(time(p)[0]), y1: y, y2: y }, overlay);
+  const y = state.scale.y(accuracy(p)[0]), x = state.scale.x(p.floor_ms);
+  node("line", { class: "floor-mark", x1: x, x2: state.scale.x(p.ms), y1: y, y2: y }, overlay);
   node("line", { class: "floor-mark", "stroke-dasharray": "none", x1: x, x2: x, y1: y - 5, y2: y + 5 }, overlay);
 }
 function drawCard(p) {
   const card = $("card");
   card.style.setProperty("--swatch", swatch(p));
   element("h3", {}, card, title(p));
-  element("p", { class: "what" }, card, detail(p) + (p.is_on_front ? ". On the front." : "."));
+  element("p", { class: "what" }, card, detail(p) + (onFrontSet.has(p) ? ". On the front." : "."));
   if (p.note) element("p", { class: "note" }, card, p.note);
   const facts = element("dl", {}, card);
   const fact = (name, value, small = "") => {
@@ -241,13 +235,12 @@ function drawCard(p) {
     const [value, low, high] = p.accuracy[name];
     fact(data.short[name], fixed(value), low === null ? "" : `${low.toFixed(2)} to ${high.toFixed(2)}`);
   }
-  fact("a press", `${nice(p.ms[0])} ms`, `${nice(p.ms[1])} to ${nice(p.ms[2])}, p95 ${nice(p.ms[3])}`);
-  fact("ratio to trunk", nice(p.ratio[0]), `${nice(p.ratio[1])} to ${nice(p.ratio[2])}`);
+  fact("to the verdict", `${nice(p.ms)} ms`);
   fact("floor", `${nice(p.floor_ms)} ms`, `by ${p.binds}`);
   fact("bank", `${nice(MB(p.bank_bytes))} MB`, `${nice(MB(p.bank_bytes_unpacked))} in use`);
   fact("peak memory", p.peak_memory_bytes === null ? "not shown" : `${nice(MB(p.peak_memory_bytes))} MB`);
   fact("fit", `${nice(p.fit_s[0] + p.fit_s[1])} s`, `${nice(100 * p.gel_share)} % of a gel`);
-  stack(p, card, p.ms.length ? p.stages.reduce((a, b) => a + b, 0) : 1);
+  stack(p, card, p.ms);
   element("p", { class: "stack-text" }, card, data.stages.map((name, k) => `${name} ${nice(p.stages[k], 2)}`).join(" \u00b7 ") + " ms");
   element("pre", {}, card, p.command);
   const copy = element("button", { type: "button", style: "margin-top: 8px" }, card, "Copy the command");
@@ -260,14 +253,14 @@ function stack(p, parent, full) {
   element("b", { style: `left: ${Math.min(100, 100 * p.floor_ms / full)}%` }, bar);
 }
 function drawBars(found) {
-  const sorted = [...found].sort((a, b) => a.ms[0] - b.ms[0]);
-  const full = Math.max(...sorted.map((p) => p.stages.reduce((a, b) => a + b, 0)));
+  const sorted = [...found].sort((a, b) => a.ms - b.ms);
+  const full = Math.max(...sorted.map((p) => p.ms));
   $("bars").replaceChildren();
   for (const p of sorted) {
     const bar = element("button", { type: "button", class: "bar", "data-key": p.key }, $("bars"));
     element("span", { class: "label" }, bar, `${title(p)} \u2013 ${detail(p)}`);
     stack(p, bar, full);
-    element("em", {}, bar, `${nice(p.ms[0])} ms`);
+    element("em", {}, bar, `${nice(p.ms)} ms`);
     bar.addEventListener("pointerenter", () => show(p));
     bar.addEventListener("focus", () => show(p));
     bar.addEventListener("click", () => pin(p));
@@ -277,8 +270,8 @@ function drawBars(found) {
 // The table
 
 const COLUMNS = [
-  ["point", (p) => title(p) + ", " + detail(p), (v) => v], ["front", (p) => (p.is_on_front ? "yes" : ""), (v) => v],
-  ["ms", (p) => p.ms[0], nice], ["p95", (p) => p.ms[3], nice], ["ratio", (p) => p.ratio[0], nice], ["floor ms", (p) => p.floor_ms, nice],
+  ["point", (p) => title(p) + ", " + detail(p), (v) => v], ["front", (p) => (onFrontSet.has(p) ? "yes" : ""), (v) => v],
+  ["ms", (p) => p.ms, nice], ["floor ms", (p) => p.floor_ms, nice],
   ...Object.entries(data.measures).map(([name]) => [data.short[name], (p) => p.accuracy[name][0], fixed]),
   ["bank MB", (p) => MB(p.bank_bytes), nice], ["memory MB", (p) => p.peak_memory_bytes === null ? null : MB(p.peak_memory_bytes), nice],
   ["fit s", (p) => p.fit_s[0] + p.fit_s[1], nice], ["presses", (p) => p.presses, String],

@@ -8,11 +8,10 @@ from typing import Any, Final
 
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.tradeoff.accuracy import MEASURES
-from calibration.experiments.tradeoff.front import MARGIN
+from calibration.experiments.tradeoff.front import DIGITS, MARGIN, WAITED, list_front, verdict_ms
 from calibration.experiments.tradeoff.machine import busy
 from calibration.experiments.tradeoff.point import VIEWS
 from calibration.experiments.tradeoff.rows import Row
-from calibration.experiments.tradeoff.timing import STAGES
 from calibration.folders import write_atomically
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
@@ -70,7 +69,7 @@ def write_page(rows: Sequence[Row], output: Path) -> Path:
 
 
 def _data(rows: Sequence[Row]) -> dict[str, Any]:
-    first, index = rows[0], {row["key"]: k for k, row in enumerate(rows)}
+    first = rows[0]
     scored = first["scored"]
     return {
         "subtitle": (
@@ -84,31 +83,28 @@ def _data(rows: Sequence[Row]) -> dict[str, Any]:
         "short": SHORT,
         "names": METHOD_NAMES,
         "views": {row["view"]: view_name(row["view"]) for row in rows},
-        "stages": list(STAGES),
-        "bare_ms": first["bare_trunk_ms"],
+        "stages": list(WAITED),
+        "margin": MARGIN,
+        "digits": DIGITS,
         "gel_presses": DEFAULT_LIMIT_PRESSES,
-        "points": [_point(row, k, index) for k, row in enumerate(rows)],
+        "points": [_point(row) for row in rows],
         "notes": list(_notes(first)),
     }
 
 
-def _point(row: Row, k: int, index: dict[str, int]) -> dict[str, Any]:
+def _point(row: Row) -> dict[str, Any]:
     kept = (
         "key", "method", "mode", "backbone", "view", "settings", "presses", "gel_share", "bank_bytes",
-        "bank_bytes_unpacked", "peak_memory_bytes", "content_sha256", "command", "note", "is_on_front",
+        "bank_bytes_unpacked", "peak_memory_bytes", "content_sha256", "command", "note",
     )  # fmt: skip
-    ms, ratio = row["ms"], row["ratio"]
     return {name: row[name] for name in kept} | {
-        "index": k,
         "accuracy": {name: _three(one, "value") for name, one in row["accuracy"].items()},
-        "ms": [*_three(ms, "median"), _round(ms["p95"])],
-        "ratio": _three(ratio, "median"),
-        "stages": [_round(row["stages"][stage]["median"]) for stage in STAGES],
+        "ms": _round(verdict_ms(row)),
+        "stages": [_round(row["stages"][stage]["median"]) for stage in WAITED],
         "floor_ms": _round(row["floor"]["ms"]),
         "binds": row["floor"]["binds"],
         "fit_s": [_round(row["fit_s"]["features"]), _round(row["fit_s"]["bank"])],
         "is_int8": row["work"]["int8"] > 0,
-        "dominated_by": [index[key] for key in row["dominated_by"]],
     }  # fmt: skip
 
 
@@ -127,13 +123,12 @@ def _notes(first: Row) -> Sequence[str]:
         "Accuracy: bars are 95 % intervals bootstrapped by piece, all presses of a piece together. Maps of every "
         "resolution are compared in the pixels of the low one. Recall counts the defective presses above the lowest "
         "threshold with at most 1 % false alarms.",
-        "Time: the median of a press from camera bytes to the published picture, with a 95 % interval bootstrapped "
-        "over rounds. Each stage was also divided by the bare shipped trunk, run directly before it; that ratio says "
-        "which point is faster, because what slows the machine for a while slows both.",
-        "Front: a point is dominated when another one is at least as accurate and surely faster, or more accurate and "
-        f"not surely slower. Surely faster means by more than {100 * MARGIN:g} % in 97.5 % of the replicates.",
+        "Time: milliseconds from the settled frame to the verdict, the sum of the medians of decoding, trunk and head, "
+        "measured in rounds in which every point scores one press. The picture of the press leaves after the verdict.",
+        "Front: a point is dominated by one that is as accurate and faster, or more accurate and at most "
+        f"{100 * MARGIN:g} % slower. Accuracies that are equal in {DIGITS} digits are equal.",
         "Floor: the point's convolutions and matrix products at the fastest rate that this machine showed, or the "
-        "bytes that must move once at its fastest copy, whichever takes longer. Decoding and drawing are not in it.",
+        "bytes that must move once at its fastest copy, whichever takes longer. Decoding is not in it.",
         f"Gel: {DEFAULT_LIMIT_PRESSES} presses are one gel, the maker's figure.",
         f"Machine: {machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, governor "
         f"{machine['governor']}, {machine['system']}, Python {machine['python']}, {libraries}; load at the start "
@@ -146,14 +141,13 @@ def _notes(first: Row) -> Sequence[str]:
 
 def table(rows: Sequence[Row]) -> str:
     """Write the points of the front, the fastest first."""
-    front = sorted((row for row in rows if row["is_on_front"]), key=lambda row: float(row["ms"]["median"]))
-    heading = ["on the front", "AU-PRO", "interval", "ms", "p95", "floor", "bank MB"]
-    return markdown_table(heading, map(_list_costs, front)).rstrip()
+    heading = ["on the front", "AU-PRO", "interval", "ms to the verdict", *WAITED, "floor", "bank MB"]
+    return markdown_table(heading, map(_list_costs, list_front(rows, FIRST))).rstrip()
 
 
 def _list_costs(row: Row) -> list[str]:
-    accuracy, ms = row["accuracy"][FIRST], row["ms"]
+    accuracy = row["accuracy"][FIRST]
     interval = "-" if accuracy["low"] is None else f"{accuracy['low']:.3f} to {accuracy['high']:.3f}"
-    value = "-" if accuracy["value"] is None else f"{accuracy['value']:.3f}"
-    times = [f"{time:.1f}" for time in (ms["median"], ms["p95"], row["floor"]["ms"])]
-    return [row["key"], value, interval, *times, f"{row['bank_bytes'] / 1e6:.2f}"]
+    stages = (row["stages"][name]["median"] for name in WAITED)
+    times = [f"{ms:.1f}" for ms in (verdict_ms(row), *stages, row["floor"]["ms"])]
+    return [row["key"], f"{accuracy['value']:.3f}", interval, *times, f"{row['bank_bytes'] / 1e6:.2f}"]

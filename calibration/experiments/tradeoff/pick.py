@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from calibration.experiments.tradeoff.front import verdict_ms
 from calibration.experiments.tradeoff.rows import Row
 from edge.core.errors import ConfigError
 
@@ -31,11 +32,11 @@ Limits = Mapping[str, float]
 """What a point may cost at most, by the name of a cost."""
 
 _COSTS: Final[Mapping[str, tuple[Callable[[Row], float], str]]] = {
-    "time": (lambda row: float(row["ms"]["high"]), "{:.3g} ms"),
+    "time": (verdict_ms, "{:.3g} ms"),
     "bank": (lambda row: row["bank_bytes"] / 1e6, "{:.3g} MB"),
     "presses": (lambda row: float(row["presses"]), "{:.0f} presses"),
 }
-"""What a point costs: the upper end of the interval of its median time, the bank as stored, and presses of the fit."""
+"""What a point costs: the median time to its verdict, the bank as stored, and presses of the fit."""
 
 
 def read_limits(within: str | None, under: str | None, presses: int | None) -> Limits:
@@ -81,15 +82,14 @@ def _value(row: Row) -> float:
 
 
 def _best(rows: Sequence[Row]) -> Row:
-    return max(rows, key=lambda row: (_value(row), -row["ratio"]["median"]))
+    return max(rows, key=lambda row: (_value(row), -verdict_ms(row)))
 
 
 def _why(own: Sequence[Row], fitting: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
     accuracy = best["accuracy"]["aupro_fpr01"]
     interval = "" if accuracy["low"] is None else f" ({accuracy['low']:.3f} to {accuracy['high']:.3f})"
     yield (
-        f"{best['key']}: AU-PRO {accuracy['value']:.3f}{interval}, {best['ms']['median']:.3g} ms a press "
-        f"({best['ms']['low']:.3g} to {best['ms']['high']:.3g}, p95 {best['ms']['p95']:.3g}), bank "
+        f"{best['key']}: AU-PRO {accuracy['value']:.3f}{interval}, {verdict_ms(best):.3g} ms to the verdict, bank "
         f"{best['bank_bytes'] / 1e6:.3g} MB, {best['presses']} presses"
     )
     yield f"{len(fitting)} of {len(own)} points fit; this one is the most accurate of them"
@@ -99,7 +99,7 @@ def _why(own: Sequence[Row], fitting: Sequence[Row], best: Row, limits: Limits) 
     others = [row for row in fitting if row is not best]
     if others:
         second = _best(others)
-        yield f"the next that fits: {second['key']}, AU-PRO {_value(second):.3f}, {second['ms']['median']:.3g} ms"
+        yield f"the next that fits: {second['key']}, AU-PRO {_value(second):.3f}, {verdict_ms(second):.3g} ms"
 
 
 def _explain_refused(own: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:

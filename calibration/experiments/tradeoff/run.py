@@ -9,22 +9,18 @@ from itertools import groupby
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from calibration.experiments.harness.rows import ROW_FORMAT, ROWS_FILE, Rows
 from calibration.experiments.harness.runner import Show
 from calibration.experiments.tradeoff.accuracy import Truth, measure_accuracy
 from calibration.experiments.tradeoff.fitting import FittedPoint, content_sha256, fit_points
 from calibration.experiments.tradeoff.floor import Work, floor_ms
-from calibration.experiments.tradeoff.front import find_dominators
 from calibration.experiments.tradeoff.machine import best, fingerprint, probe
 from calibration.experiments.tradeoff.memory import peak_bytes
 from calibration.experiments.tradeoff.plan import LEAST_ROUNDS, Run, RunSettings
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
 from calibration.experiments.tradeoff.presses import Chosen, on_common_grid, see
 from calibration.experiments.tradeoff.rows import Row, read_rows, write_rows
-from calibration.experiments.tradeoff.statistics import press_times
+from calibration.experiments.tradeoff.statistics import stage_times
 from calibration.experiments.tradeoff.timing import Lane, bundle_lanes, camera_frames, measure_rounds
 from calibration.threads import one_blas_thread
 from edge.core.errors import ConfigError
@@ -98,7 +94,7 @@ def measure(run: Run, folder: Path, show: Show, others: Others = lambda run, fra
         rows.append(row)
         lanes.append(lane)
     before = probe(settings.threads)
-    times, ratios = _time(lanes, settings, begun, show)
+    times = _time(lanes, settings, begun, show)
     peak = best(before, probe(settings.threads))
     common = {
         "part": chosen.part,
@@ -112,7 +108,7 @@ def measure(run: Run, folder: Path, show: Show, others: Others = lambda run, fra
     for row, columns in zip(rows, times, strict=True):
         floor, binds = floor_ms(Work(**row["work"]), peak)
         row |= {**columns, "floor": {"ms": floor, "binds": binds}, **common}
-    return mark_front(rows, ratios)
+    return rows
 
 
 def require_same_run(rows: Sequence[Row], run: Run, file: Path) -> None:
@@ -205,20 +201,17 @@ def _accuracy_row(fitted: FittedPoint, truth: Truth) -> Row:
     }
 
 
-def _time(
-    lanes: Sequence[Lane], settings: RunSettings, begun: float, show: Show
-) -> tuple[list[Row], NDArray[np.float64]]:
+def _time(lanes: Sequence[Lane], settings: RunSettings, begun: float, show: Show) -> list[Row]:
     with show("rounds of timing", settings.rounds) as advance:
         samples = measure_rounds(
             lanes,
-            threads=settings.threads,
             rounds=settings.rounds,
             least=LEAST_ROUNDS,
             seed=settings.seed,
             until=begun + 60 * settings.minutes,
             advance=advance,
         )
-    return press_times(samples, seed=settings.seed)
+    return stage_times(samples)
 
 
 def _frames(points: Sequence[OperatingPoint], chosen: Chosen) -> dict[str, list[CameraFrame]]:
@@ -226,13 +219,3 @@ def _frames(points: Sequence[OperatingPoint], chosen: Chosen) -> dict[str, list[
     views = {VIEWS[point.view].profile_name: VIEWS[point.view] for point in points}
     last = replace(chosen, fitted=chosen.fitted[:1], scored=chosen.scored[-CAMERA_FRAMES:])
     return {name: camera_frames(view, see(last, view).frames) for name, view in views.items()}
-
-
-def mark_front(rows: Sequence[Row], ratios: NDArray[np.float64]) -> list[Row]:
-    """Rows with the keys of the points that dominate each, and whether it is on the front."""
-    values = [row["accuracy"]["aupro_fpr01"]["value"] for row in rows]
-    found = find_dominators(np.array(values, np.float64), ratios)  # None is NaN
-    return [
-        row | {"is_on_front": not others, "dominated_by": [rows[k]["key"] for k in others]}
-        for row, others in zip(rows, found, strict=True)
-    ]

@@ -11,10 +11,9 @@ import pytest
 from command_line import gelgate
 from tradeoff_rows import row
 
-from calibration.experiments.tradeoff.figure import list_front, name_point, svg
+from calibration.experiments.tradeoff.figure import say_cost, svg
 from calibration.experiments.tradeoff.plan import Run, RunSettings
 from calibration.experiments.tradeoff.rows import read_rows, write_rows
-from edge.cli import EXIT_MEANINGS
 from edge.core.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -74,20 +73,6 @@ def test_what_may_be_a_mistake_in_the_dataset_is_said(
     assert "PZ9/pos1 has 1 copy of other pictures" in said
 
 
-def test_a_loss_ends_with_its_own_exit_code(finished: Path, dataset: Path) -> None:
-    """The point and the figure are named; without a loss the end is 0."""
-    words = (dataset, "-o", finished, *PADIM, "--check")
-    assert tradeoff_of(*words, finished / "rows.jsonl")[0] == 0
-    better = read_rows(finished / "rows.jsonl")
-    better[0]["accuracy"]["pixel_auprc"]["value"] += 0.1
-    write_rows(finished / "before.jsonl", better)
-    code, said = tradeoff_of(*words, finished / "before.jsonl")
-    assert code == 7
-    assert f"{better[0]['key']}: AUPRC of pixels is 0.6000, it was 0.7000" in said
-    assert f"1 loss against {finished / 'before.jsonl'}" in said
-    assert "gelgate lab tradeoff --check" in EXIT_MEANINGS[7]
-
-
 def test_limits_that_nothing_meets_are_one_sentence(finished: Path, dataset: Path) -> None:
     """Exit code 3, the nearest point, no bundle."""
     words = (dataset, "-o", finished, *PADIM, "--within", "1ms")
@@ -117,10 +102,9 @@ def test_a_choice_writes_its_bundle_with_both_cards(finished: Path, dataset: Pat
         (("--bundle", "b"), "--bundle needs a point"),
         (("--point", "padim.none"), "no operating point is named 'padim.none'"),
         (("--method", "padin"), "no detector is named 'padin'"),
-        (("--check", "absent.jsonl"), "'absent.jsonl' does not hold the rows of a trade-off"),
         (("--part", "PZ8"), "no position that fits PZ8/*"),
     ],
-    ids=["time", "size", "bundle", "point", "method", "check", "part"],
+    ids=["time", "size", "bundle", "point", "method", "part"],
 )
 def test_a_wrong_option_is_one_sentence(
     dataset: Path,
@@ -164,18 +148,14 @@ def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
 
 
 def test_the_readme_shows_the_front_of_its_rows() -> None:
-    """The picture, below 300 kB, and the sentence about its front are those of the rows."""
+    """The picture, below 300 kB, and the sentence under it are those of the rows."""
     readme = (ROOT / "README.md").read_text()
     picture = ROOT / "docs/images/tradeoff.svg"
     assert 10_000 < picture.stat().st_size < 300_000
     rows: list[dict[str, Any]] = read_rows(ROOT / "docs/studies/tradeoff.jsonl")
     assert len(rows) >= 60
     assert f"{len(rows)} operating points" in svg_text(rows)
-    listed = [
-        f"{name_point(one)}: {one['accuracy']['aupro_fpr01']['value']:.3f} in {one['ms']['median']:.0f} ms"
-        for one in list_front(rows)
-    ]
-    assert f"The front, by AU-PRO and time: {'; '.join(listed)}." in readme
+    assert say_cost(rows) in readme
     assert picture.read_bytes() == svg(rows)
 
 

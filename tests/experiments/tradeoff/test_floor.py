@@ -5,7 +5,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from calibration.experiments.tradeoff.floor import Work, floor_ms, operations
-from calibration.experiments.tradeoff.machine import Peak, best, fingerprint, is_same_machine, probe
+from calibration.experiments.tradeoff.machine import Peak, best, probe
 
 
 def graph(kind: str, weight: np.ndarray, shape: list[int | str], **attributes: object) -> bytes:
@@ -49,10 +49,3 @@ def test_the_probe_sees_a_machine() -> None:
     found = probe(1, repeats=4)
     assert min(found.float32_per_s, found.int8_per_s, found.bytes_per_s) > 1e6
     assert best(found, Peak(1.0, 1e30, 1.0)) == Peak(found.float32_per_s, 1e30, found.bytes_per_s)
-
-
-def test_machines_are_told_apart_by_what_changes_times() -> None:
-    """Other threads are another machine; another load is the same one."""
-    one = fingerprint(2)
-    assert is_same_machine(one, fingerprint(2) | {"load_at_start": 99.0})
-    assert not is_same_machine(one, fingerprint(1))

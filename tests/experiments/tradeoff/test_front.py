@@ -1,47 +1,41 @@
-"""Which points are on the front, beyond the noise of the times."""
+"""Which points are on the front."""
 
-import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from tradeoff_rows import row
 
-from calibration.experiments.tradeoff.front import MARGIN, find_dominators
+from calibration.experiments.tradeoff.front import list_front, verdict_ms
+from calibration.experiments.tradeoff.page import FIRST
 
 
-def front(accuracy: list[float], times: list[float], noise: float = 0.001) -> list[int]:
-    """The points on the front; every time varies by `noise` on its own in each of 200 replicates."""
-    rng = np.random.default_rng(0)
-    ratios = np.array(times) * (1 + noise * rng.normal(size=(200, len(times))))
-    return [k for k, others in enumerate(find_dominators(np.array(accuracy), ratios)) if not others]
+def front(accuracy: list[float | None], times: list[float]) -> list[int]:
+    """The points on the front, by their place."""
+    rows = [row(str(k), value, ms) for k, (value, ms) in enumerate(zip(accuracy, times, strict=True))]
+    return sorted(int(one["key"]) for one in list_front(rows, FIRST))
 
 
 def test_a_point_that_is_worse_in_both_is_dominated() -> None:
     """The fast one and the accurate one stay; the one that is slower than the first and no better goes."""
-    assert front([0.5, 0.8, 0.5], [1.0, 2.0, 1.5]) == [0, 1]
+    assert front([0.5, 0.8, 0.5], [10, 20, 15]) == [0, 1]
 
 
 def test_a_difference_within_the_noise_is_no_difference() -> None:
-    """1 % faster with less accuracy is not on the front, 10 % faster is."""
-    assert MARGIN == 0.02
-    assert front([0.5, 0.8], [0.99, 1.0]) == [1]
-    assert front([0.5, 0.8], [0.90, 1.0]) == [0, 1]
-
-
-def test_a_noisy_advantage_does_not_count() -> None:
-    """10 % faster in the median is no certain advantage where single replicates differ by 20 %."""
-    assert front([0.5, 0.8], [0.90, 1.0], noise=0.2) == [1]
-
-
-def test_a_slow_phase_that_hits_all_points_changes_nothing() -> None:
-    """Points are compared within a replicate: a common factor cancels, however large it is."""
-    rng = np.random.default_rng(1)
-    common = rng.uniform(1, 5, size=(200, 1))
-    found = find_dominators(np.array([0.5, 0.8]), common * np.array([[0.9, 1.0]]))
-    assert found == [[], []]
+    """4 % faster with less accuracy is not on the front, 10 % faster is; nor is what is printed alike and slower."""
+    assert front([0.5, 0.8], [9.6, 10]) == [1]
+    assert front([0.5, 0.8], [9.0, 10]) == [0, 1]
+    assert front([0.8004, 0.7996], [20, 10]) == [1]
 
 
 def test_an_undefined_accuracy_is_never_on_the_front() -> None:
-    """A point without accuracy is dominated by any point that has one, also by a slower one."""
-    assert front([float("nan"), 0.1], [1.0, 1.001]) == [1]
+    """However fast the point is."""
+    assert front([None, 0.1], [1, 10]) == [1]
+
+
+def test_the_picture_of_an_older_row_is_not_waited_for() -> None:
+    """Rows of version 0.2.0 have the picture among their stages."""
+    old = row(ms=20.0)
+    old["stages"]["overlay"] = {"median": 24.0, "p95": 30.0}
+    assert round(verdict_ms(old), 6) == 20
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.floats(0.5, 5)), min_size=1, max_size=8))

@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 from tradeoff_rows import row, rows_of_a_run
 
-from calibration.experiments.tradeoff.figure import figure
-from calibration.experiments.tradeoff.page import page
+from calibration.experiments.tradeoff.figure import figure, name_point
+from calibration.experiments.tradeoff.front import list_front, verdict_ms
+from calibration.experiments.tradeoff.page import FIRST, page
 
 
 @pytest.fixture(scope="module")
@@ -26,28 +27,27 @@ def test_the_page_is_one_small_file_without_network(rows: list[dict[str, Any]]) 
 
 def test_a_row_cannot_end_the_script(rows: list[dict[str, Any]]) -> None:
     """A name with a closing tag stays data."""
-    text = page([rows[0] | {"note": "</script><b>", "dominated_by": []}])
+    text = page([rows[0] | {"note": "</script><b>"}])
     assert "</script><b>" not in text
     assert "\\u003c/script>" in text
 
 
 def test_a_point_without_accuracy_is_no_error(rows: list[dict[str, Any]]) -> None:
     """It is in the data as null, and the picture leaves it out."""
-    undefined = row("none.t", None, dominated_by=[], is_on_front=False)
+    undefined = row("none.t", None)
     text = page([*rows, undefined])
     assert "null" in text
     assert figure([*rows, undefined]).axes
 
 
-def test_the_picture_fits_its_points_and_names_the_front(rows: list[dict[str, Any]]) -> None:
-    """The axis begins at the fastest point, however fast the machine could be; each point of the front has its name."""
-    axes = figure(rows).axes[0]
-    low, high = axes.get_xlim()
-    assert (
-        0.8 * min(one["ms"]["low"] for one in rows)
-        < low
-        < high
-        < 1.3 * max(one["ms"]["high"] for one in rows)
+def test_the_picture_has_every_point_and_names_the_front(rows: list[dict[str, Any]]) -> None:
+    """Fast points have a linear axis, slower ones a panel of their own; each point of the front has its name once."""
+    near, far = figure(rows).axes
+    times = [verdict_ms(one) for one in rows]
+    assert near.get_xlim()[0] == 0
+    assert near.get_xlim()[1] == far.get_xlim()[0] < max(times) < far.get_xlim()[1]
+    names = [text.get_text() for axes in (near, far) for text in axes.texts]
+    assert sorted(names)[:-1] == sorted(
+        f"{name_point(one)}\n{one['accuracy'][FIRST]['value']:.3f} in {verdict_ms(one):.0f} ms"
+        for one in list_front(rows, FIRST)
     )
-    assert len(axes.texts) == sum(one["is_on_front"] for one in rows)
-    assert {text.get_text() for text in axes.texts} == {"SPADE int8", "FAPM int8", "FAPM float32"}
