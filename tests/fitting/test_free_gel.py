@@ -1,12 +1,16 @@
 """The free gel estimated from presses of known light, parts and dots."""
 
+import cv2
 import numpy as np
 import pytest
+from marker_gel import dotted, lattice, spread
 
 from calibration.fitting.presses.free_gel import estimate_free_gel
+from edge.core.imaging.marker_dots import find_marker_dots
 
 ROWS, COLUMNS = np.mgrid[:120, :160]
 RNG = np.random.default_rng(0)
+MM = 7.9
 U8 = np.ndarray
 
 
@@ -38,7 +42,7 @@ ONE_PLACE = [(80 + k % 3, 60 - k % 2, 32.0) for k in range(12)]
 @pytest.mark.parametrize(("places", "share", "error"), [(ANYWHERE, 0.0, 1.5), (ONE_PLACE, 0.25, 3.0)])
 def test_the_light_is_found(places: list[tuple[float, float, float]], share: float, error: float) -> None:
     """Where presses lie apart their median is it; where all touch it goes on from around, and that is said."""
-    found = estimate_free_gel(presses(places))
+    found = estimate_free_gel(presses(places), MM)
     assert np.abs(found.picture - light()).max(axis=2).mean() < error
     assert found.filled.mean() == pytest.approx(share, abs=0.1)
     assert str(found).startswith("estimated from 12 presses")
@@ -48,21 +52,35 @@ def test_the_light_is_found(places: list[tuple[float, float, float]], share: flo
 
 def test_another_light_is_noticed() -> None:
     """Another exposure is no other light; one side of it in another colour is."""
-    found = estimate_free_gel(presses(ANYWHERE))
+    found = estimate_free_gel(presses(ANYWHERE), MM)
     assert found.find_foreign(picture(light())) == found.find_foreign(picture(0.8 * light())) == ""
     assert "another light, gel or sensor" in found.find_foreign(picture(light(tilt=40)))
 
 
+def test_the_dots_of_a_marker_gel_have_their_free_places() -> None:
+    """Each press has sheared them; the parts lie apart."""
+    plain = [cv2.resize(rgb, (320, 240)) for rgb in (picture(light()), *presses(ANYWHERE))]
+    places = lattice((240, 320))
+    right = dotted(plain[0], places)
+    middles = [(2 * x, 2 * y) for x, y, _ in ANYWHERE]
+    sheared = [dotted(rgb, spread(places, at)) for rgb, at in zip(plain[1:], middles, strict=True)]
+    found = estimate_free_gel(sheared, 2 * MM)
+    assert found.doubt == ""
+    assert found.find_foreign(right) == ""
+    away = find_marker_dots(found.picture, 2 * MM).find_shifts(right)  # type: ignore[union-attr]
+    assert np.nanmedian(np.hypot(*away.T)) < 1.2  # where presses overlap most of them shear one way
+
+
 def test_what_is_not_seen_is_said_and_no_picture_is_refused_by_it() -> None:
-    """Dots, a faint texture over the whole view, and a part over half of the rim."""
-    dots = (ROWS % 20 < 6) & (COLUMNS % 20 < 6)
-    dotted = [np.where(dots[..., None], 20, one).astype(np.uint8) for one in presses(ONE_PLACE)]
+    """A faint texture over the whole view, a part over half of the rim, and one that looks like light."""
     stripes = 60 * np.sign(np.sin(ROWS / 6.0))[..., None] * (COLUMNS < 130)[..., None]
     wide = [picture(light() + stripes) for _ in range(6)]
     faint = [picture(light() + stripes / 8) for _ in range(6)]
-    covered = "dots or parts all over it"
-    for pictures, doubt in ((dotted, covered), (faint, covered), (wide, "rim not seen")):
-        found = estimate_free_gel(pictures)
+    down = ((ROWS / 60 - 1) - (ROWS / 60 - 1) ** 3)[..., None]
+    curved = [picture(light() + (25 + 3 * k) * down) for k in range(6)]
+    doubts = ("dots or parts all over it", "rim not seen", "it may hold the part")
+    for pictures, doubt in zip((faint, wide, curved), doubts, strict=True):
+        found = estimate_free_gel(pictures, MM)
         assert found.doubt == doubt
         assert str(found).endswith(doubt)
         assert found.find_foreign(picture(light(tilt=40))) == ""

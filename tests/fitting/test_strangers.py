@@ -17,7 +17,7 @@ from edge.core.imaging.sensor_profile import SensorProfile
 
 U8 = NDArray[np.uint8]
 SIZE = 320, 240
-PROFILE = SensorProfile("test", SIZE, (0.0, 0.0), SIZE, 4, 15.77)
+PROFILE = SensorProfile("test", SIZE, (0.0, 0.0), SIZE, 1, 15.77)
 ROWS, COLUMNS = np.mgrid[:240, :320]
 X, Y = COLUMNS / 160 - 1, ROWS / 120 - 1
 DOTS = lattice((240, 320))
@@ -101,6 +101,8 @@ def test_bad_input_is_named(
     assert any(said in fault for fault in faults), faults
 
 
-@pytest.mark.parametrize(("good", "free"), [(press, None), (press, gel(99)), (marked, dotted(gel(99), DOTS))])
+@pytest.mark.parametrize(
+    ("good", "free"), [(press, None), (press, gel(99)), (marked, None), (marked, dotted(gel(99), DOTS))]
+)
 def test_of_good_input_nothing_is_said(tmp_path: Path, good: Presses, free: U8 | None) -> None:
     assert read(tmp_path, good, good, free) == ()

@@ -1,7 +1,6 @@
 """The dots of a marker gel, taken out of nominal presses as the gateway takes them out of each press.
 
-They are looked for on the free gel. Where no picture shows it, several presses must show the same regular dots: a part
-with a regular dark texture may do so too, but on coloured lights relief turns colours and does not darken all of them.
+They are looked for on the free gel, and where it is not known in the presses.
 """
 
 from dataclasses import replace
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
+from calibration.fitting.presses.sheared_dots import find_common_dots
 from calibration.fitting.presses.strangers import list_names
 from edge.core.detector import Mode
 from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots, shows_marker_dots
@@ -17,11 +17,6 @@ from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots, shows_ma
 __all__ = ["fill_dots", "take_out_dots"]
 
 U8 = NDArray[np.uint8]
-
-# Presses that show dots where no free gel does, and how alike these are.
-_WITNESSES, _ALIKE = 5, 0.2
-# Levels between the brightest and the darkest colour, in the median: under white light relief is grey, as dots are.
-_LEAST_COLOUR = 10.0
 
 
 def take_out_dots(presses: NominalPresses, pixels_per_mm: float, mode: Mode = "corrected") -> NominalPresses:
@@ -55,15 +50,7 @@ def _find(presses: NominalPresses, pixels_per_mm: float) -> MarkerDots | None:
     if free is not None:
         mean = np.rint(free.mean(axis=0, dtype=np.float64)).astype(np.uint8)
         return find_marker_dots(mean, pixels_per_mm)
-    rows = np.linspace(0, len(presses) - 1, min(len(presses), _WITNESSES)).round().astype(int)
-    some = presses.frames[rows]
-    if len(some) < MIN_PRESSES or float(np.median(np.ptp(some, axis=3))) < _LEAST_COLOUR:
-        return None
-    found = [dots for rgb in some if (dots := find_marker_dots(rgb, pixels_per_mm)) is not None]
-    sizes = np.array([(dots.apart_px, dots.width_px) for dots in found])
-    if len(found) < len(some) or np.any(np.ptp(sizes, axis=0) > _ALIKE * sizes.mean(axis=0)):
-        return None
-    return max(found, key=lambda dots: len(dots.places))
+    return find_common_dots(list(presses.frames), pixels_per_mm) if len(presses) >= MIN_PRESSES else None
 
 
 def _find_mixed(presses: NominalPresses, pixels_per_mm: float, has_dots: bool) -> list[str]:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting.presses.sheared_dots import dot_light, find_common_dots
 from edge.core.contact.mask import squared_distance, touched_mask
 from edge.core.contact.reference import Reference, View, fit_levels
 from edge.core.contact.relief import fine_structure
@@ -118,20 +119,27 @@ def view_of(picture: U8 | F32) -> View:
     return np.asarray(cv2.resize(picture, VIEW_SIZE, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def estimate_free_gel(pictures: Sequence[U8]) -> FreeGel:
-    """Estimate the free gel from pictures of presses, uint8 (h, w, 3) each."""
+def estimate_free_gel(pictures: Sequence[U8], pixels_per_mm: float) -> FreeGel:
+    """Estimate the free gel from pictures of presses, uint8 (h, w, 3) each.
+
+    The dots of a marker gel are filled for it, and put back at their places in most presses.
+    """
     height, width = pictures[0].shape[:2]
     most = max(_FEW_PRESSES, min(MOST_PRESSES, _PRESSES_PX // (height * width)))
     rows = np.linspace(0, len(pictures) - 1, min(len(pictures), most)).round().astype(int)
     some = [pictures[k] for k in rows]
-    views = [view_of(picture) for picture in some]
-    gel = np.median(some, axis=0).astype(np.float32)
+    dots = find_common_dots(some, pixels_per_mm)
+    plain = some if dots is None else [dots.fill(picture) for picture in some]
+    views = [view_of(picture) for picture in plain]
+    gel = np.median(plain, axis=0).astype(np.float32)
     for number in range(_ROUNDS):
-        gel = gel if number == 0 else _median_of_free(some, views, gel)
+        gel = gel if number == 0 else _median_of_free(plain, views, gel)
         gel, filled = _fill(gel, views)
+    doubt = _doubt(gel, filled, views)
+    if dots is not None:
+        gel *= dot_light(dots, some)
     picture = np.clip(np.rint(gel), 0, 255).astype(np.uint8)
-    press = np.median(views, axis=0).astype(np.float32)
-    return FreeGel(picture, filled, len(pictures), _doubt(gel, filled, views), press)
+    return FreeGel(picture, filled, len(pictures), doubt, np.median(views, axis=0).astype(np.float32))
 
 
 def _doubt(gel: F32, filled: Mask, views: Sequence[View]) -> str:

@@ -75,7 +75,7 @@ def choose_free_gel(
 
     pictures: of presses. given: pictures of it, by their names. recorded: frames of it, of recordings.
     """
-    gel = estimate_free_gel(pictures) if len(pictures) >= MIN_PRESSES else None
+    gel = estimate_free_gel(pictures, profile.pixels_per_mm) if len(pictures) >= MIN_PRESSES else None
     if recorded:
         return _of_recordings(gel, given, recorded)
     if gel is None:

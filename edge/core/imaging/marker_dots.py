@@ -87,17 +87,28 @@ class MarkerDots:
 
         A dot is one dark blob near its place, shifted about as its neighbours are. So a further dark blob is none.
         """
-        blobs = _Blobs.of(_dark(rgb, 2 * self.width_px, self.darker))
-        low, high = (share * _disc(self.width_px) for share in _SIZE)
-        able = np.flatnonzero((blobs.areas < high) & (blobs.is_cut | (blobs.areas > low)))
+        blobs = self._blobs(rgb)
         is_dot = np.zeros(len(blobs.areas), np.bool_)
-        is_dot[able[self._match(blobs.centres[able])]] = True
+        is_dot[self._match(blobs.centres)[1]] = True
         return _grow(blobs.mask(is_dot), max(1, round(_RIM * self.width_px)))
 
-    def _match(self, centres: F64) -> NDArray[np.int64]:
-        """Return which blobs are dots, by their centres, float64 (m, 2)."""
+    def find_shifts(self, rgb: U8) -> F64:
+        """Find how far each dot of a picture lies from its place, float64 (n, 2), NaN where it is not seen."""
+        blobs, shifts = self._blobs(rgb), np.full(self.places.shape, np.nan)
+        dots, seen = self._match(blobs.centres)
+        shifts[dots] = blobs.centres[seen] - self.places[dots]
+        return shifts
+
+    def _blobs(self, rgb: U8) -> "_Blobs":
+        """Find the dark blobs that may be dots."""
+        blobs = _Blobs.of(_dark(rgb, 2 * self.width_px, self.darker))
+        low, high = (share * _disc(self.width_px) for share in _SIZE)
+        return blobs.choose((blobs.areas < high) & (blobs.is_cut | (blobs.areas > low)))
+
+    def _match(self, centres: F64) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return which dots are seen, and which blobs they are, by the blobs' centres, float64 (m, 2)."""
         if not len(centres):
-            return np.zeros(0, np.int64)
+            return np.zeros(0, np.int64), np.zeros(0, np.int64)
         rows = np.arange(len(self.places))
         nearest = _distances(self.places, centres).argmin(axis=1)
         common = np.median(centres[nearest] - self.places, axis=0)
@@ -110,7 +121,7 @@ class MarkerDots:
             weight = self._nearness * is_near
             moved = weight @ (centres[nearest] - self.places) + 1e-3 * common
             shift = moved / (weight.sum(axis=1, keepdims=True) + 1e-3)
-        return np.asarray(nearest[is_near], np.int64)
+        return rows[is_near], np.asarray(nearest[is_near], np.int64)
 
     @cached_property
     def _nearness(self) -> F64:
@@ -196,6 +207,11 @@ class _Blobs:
         closed = cv2.morphologyEx(dark, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
         _, labels, boxes, centres = cv2.connectedComponentsWithStats(closed, connectivity=4)
         return cls(np.asarray(labels, np.int32), np.asarray(boxes[1:], np.int32), np.asarray(centres[1:]))
+
+    def choose(self, chosen: Mask) -> "_Blobs":
+        """Return these blobs alone, numbered anew."""
+        numbers = np.concatenate([[0], np.where(chosen, np.cumsum(chosen), 0)]).astype(np.int32)
+        return _Blobs(numbers[self.labels], self.boxes[chosen], self.centres[chosen])
 
     @property
     def areas(self) -> NDArray[np.int32]:
