@@ -60,6 +60,17 @@ class PoseChoice:
         """The sentence for the manifest."""
         return {"registration": self.why} if self.why else {}
 
+    @property
+    def warnings(self) -> list[str]:
+        """Say that turns by which presses are compared may be wrong."""
+        if self.learnt is None or self.learnt.nearly == 1:
+            return []
+        steps = f"by {360 / self.learnt.nearly:.0f} degrees" if self.learnt.nearly else "by other angles"
+        return [
+            f"the turn of presses is not sure: some agree nearly as well turned {steps}; where one is turned wrong, "
+            "what breaks the symmetry scores high or hides damage; press more, or hold the part at one turn"
+        ]
+
     def apply(self, presses: NominalPresses) -> NominalPresses:
         """Bring the presses to the pose of the bank; registered ones lie at one place, their touch is unknown."""
         if self.learnt is None:

@@ -36,6 +36,8 @@ U8 = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
 _MOST_ROUNDS = 8
+# After this many the wrong one of two ways to read the colours is given up.
+_TRIED_ROUNDS = 2
 # As many presses are tried as the first template: one may lead presses of a nearly round part to wrong turns.
 _STARTS = 3
 _SEED = 0
@@ -73,20 +75,23 @@ class LearntPose:
     frames: U8
     """Uint8 (n, h, w, 3), the same presses; where one has left the field it shows another press, so that the bank sees
     how much presses differ there."""
+    nearly: int = 1
+    """Presses may lie turned by this part of a full turn, as `PartInPose.symmetry`; 1 where their turns are sure."""
 
 
 def learn_pose(frames: U8, free: U8) -> LearntPose:
     """Learn the pose from nominal presses and the free gel, uint8 (n, h, w, 3) and (h, w, 3). Errors: FitError."""
     light = FreeLight(free)
     added = [light.find_change(rgb) for rgb in frames]
-    firsts = _firsts(added)
-    tried = [_align(added, firsts[0], colours) for colours in _both(added)]
+    small = [shrunk(one) for one in added]
+    firsts = _firsts(small)
+    tried = _try_both(small, firsts[0])
     best = max(tried, key=lambda one: one.typical)
-    if _is_round(added, tried):
-        best = _align(added, firsts[0], best.colours, is_turning=False)
+    if _is_round(small, tried):
+        best = _Alignment(small, firsts[0], best.colours, is_turning=False).settle()
     else:
-        best = _agree([best, *(_align(added, first, best.colours) for first in firsts[1:])])
-        best = replace(best, symmetry=max(best.symmetry, _look_alike(added, best)))
+        best = _agree([best, *(_Alignment(small, first, best.colours).settle() for first in firsts[1:])])
+        best = _look_alike(small, best)
     if best.typical < _LEAST_TYPICAL:
         raise FitError(
             f"no common relief by which presses can be registered: in the median one agrees by {best.typical:.2f} with "
@@ -101,26 +106,16 @@ def learn_pose(frames: U8, free: U8) -> LearntPose:
         least_match=float(np.clip(1 - _MISMATCH_TIMES * (1 - lowest), *_LEAST_MATCH)),
         least_seen=max(_LEAST_SEEN, 0.9 * min(one.seen_share for one in registered)),
     )
-    return LearntPose(part, registered, completed(registered))
+    return LearntPose(part, registered, completed(registered), _doubt(best))
 
 
-def _both(added: Sequence[F32]) -> tuple[SlopeColours, SlopeColours]:
-    """The colours of slopes and their mirror image. Errors: FitError."""
-    levels = np.concatenate([shrunk(one).reshape(-1, 3) for one in added])
-    try:
-        colours = SlopeColours.of(levels)
-    except ValueError as error:
-        raise FitError(f"presses cannot be registered: {error}") from error
-    return colours, colours.mirror()
-
-
-def _firsts(added: Sequence[F32]) -> list[F32]:
+def _firsts(small: Sequence[F32]) -> list[F32]:
     """Return the presses with most of their relief in the middle of the field, best first."""
-    h, w = added[0].shape[:2]
+    h, w = small[0].shape[:2]
     y, x = np.mgrid[:h, :w]
     middle = np.exp(-((3 * (y - h / 2) / h) ** 2) - (3 * (x - w / 2) / w) ** 2)[..., None]
-    shares = [float((one**2 * middle).sum()) / float(np.sqrt((one**2).sum()) + 1) for one in added]
-    return [added[k] for k in np.argsort(shares)[::-1][:_STARTS]]
+    shares = [float((one**2 * middle).sum()) / float(np.sqrt((one**2).sum()) + 1) for one in small]
+    return [small[k] for k in np.argsort(shares)[::-1][:_STARTS]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,92 +123,143 @@ class _Aligned:
     """Presses in their common pose."""
 
     poses: Sequence[Pose]
-    """In pixels of the presses."""
+    """In pixels of the shrunk presses."""
     typical: float
     """How well a press agrees with the mean of others, in the median."""
     symmetry: int
     """As `PartInPose.symmetry`."""
     colours: SlopeColours
+    doubts: frozenset[int] = frozenset()
+    """How often the part nearly looks the same in a full turn, as `symmetry`: presses may lie turned by so much."""
 
     @property
     def turns(self) -> F64:
         return np.array([pose.turn_rad for pose in self.poses])
 
 
-def _align(added: Sequence[F32], first: F32, colours: SlopeColours, is_turning: bool = True) -> _Aligned:
-    """Bring presses to the pose of the first, until their turns settle.
+class _Alignment:
+    """Brings presses to the pose of the first, round by round.
 
-    Round by round each press is found by the mean of half of the presses, without itself: a mean that holds the press
+    In a round each press is found by the mean of half of the presses, without itself: a mean that holds the press
     would keep any turn that it has. Where a part looks the same at several turns, they do not settle.
     """
-    slopes = [colours.slopes(shrunk(one)) for one in added]
-    factor = max(first.shape) / max(slopes[0].shape)
 
-    def find(mean: F32, learnt: Mask, presses: Iterable[int]) -> list[Alignment]:
-        search = PoseSearch(colours.slopes(shrunk(mean * learnt[..., None])), is_turning)
-        return [search.find(slopes[k]) for k in presses]
+    def __init__(
+        self, small: Sequence[F32], first: F32, colours: SlopeColours, is_turning: bool = True
+    ) -> None:
+        self._small, self._colours, self._is_turning = small, colours, is_turning
+        self._slopes = [colours.slopes(one) for one in small]
+        self._rng, self._rounds = np.random.default_rng(_SEED), 0
+        self._turned = np.zeros(len(small))
+        self._found = self._find(first, np.ones(first.shape[:2], np.bool_), range(len(small)))
 
-    rng, turned = np.random.default_rng(_SEED), np.zeros(len(added))
-    found = find(first, np.ones(first.shape[:2], np.bool_), range(len(added)))
-    for _ in range(_MOST_ROUNDS):
-        poses = _in_the_middle([one.pose.scale(factor) for one in found])
-        order = rng.permutation(len(added))
+    def settle(self, most_rounds: int = _MOST_ROUNDS) -> _Aligned:
+        """Align until the turns settle, in so many rounds at most, those before included."""
+        while self._rounds < most_rounds and not (self._rounds and _same_share(self._turned) == 1):
+            self._align()
+        symmetry = _symmetry(self._turned) if self._is_turning else 0
+        typical = float(np.median([one.match for one in self._found]))
+        return _Aligned(self._poses(), typical, symmetry, self._colours)
+
+    def _align(self) -> None:
+        poses = self._poses()
+        order = self._rng.permutation(len(poses))
         for half, other in ((order[::2], order[1::2]), (order[1::2], order[::2])):
-            mean = _mean([added[k] for k in other], [poses[k] for k in other], colours)
-            for k, one in zip(half, find(*mean, half), strict=True):
-                turned[k] = one.pose.turn_rad - poses[k].turn_rad
-                found[k] = one
-        if _same_share(turned) == 1:
-            break
-    poses = _in_the_middle([one.pose.scale(factor) for one in found])
-    symmetry = _symmetry(turned) if is_turning else 0
-    return _Aligned(poses, float(np.median([one.match for one in found])), symmetry, colours)
+            mean = _mean([self._small[k] for k in other], [poses[k] for k in other], self._colours)
+            for k, one in zip(half, self._find(*mean, half), strict=True):
+                self._turned[k] = one.pose.turn_rad - poses[k].turn_rad
+                self._found[k] = one
+        self._rounds += 1
+
+    def _poses(self) -> list[Pose]:
+        return _in_the_middle([one.pose for one in self._found])
+
+    def _find(self, mean: F32, learnt: Mask, presses: Iterable[int]) -> list[Alignment]:
+        search = PoseSearch(self._colours.slopes(mean * learnt[..., None]), self._is_turning)
+        return [search.find(self._slopes[k]) for k in presses]
+
+
+def _try_both(small: Sequence[F32], first: F32) -> list[_Aligned]:
+    """Align presses by the colours of slopes and by their mirror image, the wrong one no longer than it may be right.
+
+    Errors: FitError.
+    """
+    try:
+        colours = SlopeColours.of(np.concatenate([one.reshape(-1, 3) for one in small]))
+    except ValueError as error:
+        raise FitError(f"presses cannot be registered: {error}") from error
+    both = [_Alignment(small, first, each) for each in (colours, colours.mirror())]
+    tried = [one.settle(_TRIED_ROUNDS) for one in both]
+    near = _hear(tried)
+    return [both[k].settle() if one in near else one for k, one in enumerate(tried)]
+
+
+def _hear(tried: Sequence[_Aligned]) -> list[_Aligned]:
+    """Return those whose presses differ hardly more than the best one's."""
+    best = max(one.typical for one in tried)
+    return [one for one in tried if 1 - one.typical < _NEARLY * (1 - best)]
 
 
 def _agree(tried: Sequence[_Aligned]) -> _Aligned:
-    """Return the trial whose turns agree with most of another one; its symmetry is what their turns differ by."""
+    """Return the trial whose turns agree with most of another one; its symmetry is what their turns differ by.
+
+    Where trials differ, the turns are in doubt, and the one whose presses agree best is taken.
+    """
     pairs = [(one, one.turns - other.turns) for one in tried for other in tried if other is not one]
     best, turned = max(pairs, key=lambda pair: (_same_share(pair[1]), pair[0].typical))
-    return replace(best, symmetry=_symmetry(turned))
+    steps = {_symmetry(turns) for _, turns in pairs}
+    if steps != {1}:
+        best = max(tried, key=lambda one: one.typical)
+    return replace(best, symmetry=_symmetry(turned), doubts=frozenset(steps))
 
 
-def _is_round(added: Sequence[F32], tried: Sequence[_Aligned]) -> bool:
+def _is_round(small: Sequence[F32], tried: Sequence[_Aligned]) -> bool:
     """Whether the part has no turn: it agrees with itself at any, and its presses do not settle or do not turn."""
-    best = max(tried, key=lambda one: one.typical)
-    near = [one for one in tried if 1 - one.typical < _NEARLY * (1 - best.typical)]
+    best, near = max(tried, key=lambda one: one.typical), _hear(tried)
     if all(one.symmetry for one in near) and float(np.ptp(best.turns)) > _STILL_RAD:
         return False
-    return max(_roundness(added, one) for one in near) >= _ROUND
+    return max(_roundness(small, one) for one in near) >= _ROUND
 
 
-def _roundness(added: Sequence[F32], aligned: _Aligned) -> float:
+def _roundness(small: Sequence[F32], aligned: _Aligned) -> float:
     """Measure how well the mean press agrees with itself at any turn, by these colours of slopes."""
-    mean, learnt = _mean(added, aligned.poses, aligned.colours)
-    slopes = shrunk(aligned.colours.slopes(shrunk(mean * learnt[..., None])), SIDE_PX // 2)
+    mean, learnt = _mean(small, aligned.poses, aligned.colours)
+    slopes = shrunk(aligned.colours.slopes(mean * learnt[..., None]), SIDE_PX // 2)
     return CoarseSearch(slopes, _ROUND_TURNS).roundness(slopes)
 
 
-def _look_alike(added: Sequence[F32], aligned: _Aligned) -> int:
+def _look_alike(small: Sequence[F32], aligned: _Aligned) -> _Aligned:
     """Find how often the part looks the same in a full turn: a press that is turned so far agrees hardly less.
 
-    Of two turns that fit equally well the light prefers the smaller one, so turns that repeat do not show it.
+    Where that is so of some presses alone, the turn is in doubt: what breaks the symmetry does not show in those. Of
+    two turns that fit equally well the light prefers the smaller one, so turns that repeat do not show it.
     """
-    mean, learnt = _mean(added, aligned.poses, aligned.colours)
-    search = PoseSearch(aligned.colours.slopes(shrunk(mean * learnt[..., None])))
-    slopes = [aligned.colours.slopes(shrunk(one)) for one in added[:_LOOKED_AT]]
+    mean, learnt = _mean(small, aligned.poses, aligned.colours)
+    search = PoseSearch(aligned.colours.slopes(mean * learnt[..., None]))
+    slopes = [aligned.colours.slopes(one) for one in small[:_LOOKED_AT]]
     found = [search.find(one) for one in slopes]
 
-    def loses(n: int) -> float:
-        """Compute how much less a press agrees that is turned by the n-th part of a turn, in the median."""
+    def loses(n: int) -> list[float]:
+        """Compute how much less each press agrees that is turned by the n-th part of a turn."""
         lost = []
         for one, press in zip(found, slopes, strict=True):
             turn = one.pose.turn_rad + 2 * math.pi / n
             again = search.find(press, turn)
             is_there = abs(math.remainder(again.pose.turn_rad - turn, 2 * math.pi)) < _SAME_TURN_RAD
             lost.append(one.match - again.match if is_there else 1.0)
-        return float(np.median(lost))
+        return lost
 
-    return next((n for n in range(_MOST_SYMMETRY, 1, -1) if loses(n) < _ALIKE), 1)
+    lost = {n: loses(n) for n in range(_MOST_SYMMETRY, 1, -1)}
+    alike = next((n for n, each in lost.items() if np.median(each) < _ALIKE), 1)
+    doubts = aligned.doubts | {n for n, each in lost.items() if min(each) < _ALIKE}
+    return replace(aligned, symmetry=max(aligned.symmetry, alike), doubts=doubts)
+
+
+def _doubt(aligned: _Aligned) -> int:
+    """Find how often the part nearly looks the same, beyond its symmetry; 1 where its turns are sure."""
+    symmetry = aligned.symmetry
+    doubts = (n for n in aligned.doubts if symmetry and n != 1 and n != symmetry and n % symmetry == 0)
+    return min(doubts, default=1)
 
 
 def _symmetry(turned: F64) -> int:
@@ -230,7 +276,8 @@ def _same_share(turned: F64, symmetry: int = 1) -> float:
 
 def _average(light: FreeLight, added: Sequence[F32], aligned: _Aligned) -> PartInPose:
     """Average the presses in their common pose."""
-    mean, learnt = _mean(added, aligned.poses, aligned.colours)
+    factor = max(added[0].shape) / max(shrunk(added[0]).shape)
+    mean, learnt = _mean(added, [pose.scale(factor) for pose in aligned.poses], aligned.colours)
     free = light.picture(np.zeros_like(mean))
     template = light.picture(mean * learnt[..., None])
     # A round part shows other light towards the end of the field, and its colours are not turned with it.

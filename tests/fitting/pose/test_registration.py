@@ -178,6 +178,31 @@ def test_how_often_a_part_looks_the_same_in_a_turn(part: parts.Bumps, symmetry: 
         assert all(abs(one.turn_rad or 0) <= np.pi / symmetry for one in learnt.registered)
 
 
+def test_a_turn_that_some_presses_do_not_show_is_said() -> None:
+    """Two presses without the mark that breaks a symmetry agree as well at its other turns; the others are sure."""
+    marked = (*parts.ring(3), (8.0, 12.0, 3.0, 4.0))
+    shown, plain = parts.anywhere(marked, 8)[1], parts.anywhere(parts.ring(3), 2, 50)[1]
+    sure, doubtful = (learn_pose(rgb, parts.free_gel()) for rgb in (shown, np.concatenate([plain, shown])))
+
+    assert (sure.part.symmetry, sure.nearly) == (1, 1)
+    assert (doubtful.part.symmetry, doubtful.nearly) == (1, 3)
+    said = PoseChoice(doubtful).warnings
+    assert "turn of presses is not sure: some agree nearly as well turned by 120 degrees" in said[0]
+    assert not PoseChoice(sure).warnings
+
+
+def test_one_damage_of_a_symmetric_part_fails_at_each_of_its_turns() -> None:
+    """A bump too many or too few lies at one of four places that look the same: no turn hides it."""
+    symmetric = fitted(nominal(parts.anywhere(parts.ring(4), 12)[1]), "always")
+    scorer = Scorer(symmetric.bundle())
+    assert scorer.bundle.registration is not None
+    assert scorer.bundle.registration.symmetry == 4
+    for damaged in ((*parts.ring(4), (10.0, -2.0, 4.0, 9.0)), parts.ring(4)[1:]):
+        for turn in range(4):
+            rgb = parts.press(damaged, Pose(4.0, -3.0, 0.3 + turn * np.pi / 2), seed=90 + turn)
+            assert symmetric.manifest.decide(scorer.score(rgb).anomaly_score).kind == "fail"
+
+
 @pytest.mark.parametrize(
     ("ball", "n"), [("6.310mm", 12), pytest.param("6.310mm", 24, marks=pytest.mark.lab), ("9.500mm", 12)]
 )
