@@ -13,8 +13,10 @@ demo: $(VENV)/.demo
 # The picture of README.md: the first damaged press of the demo.
 readme-picture: demo
 	mkdir -p docs/images
-	$(BIN)/python -c 'import cv2, glob; cv2.imwrite("docs/images/damaged_press.png", \
-	  cv2.imread(min(glob.glob("demo/heatmaps/*-fail.png"))), [cv2.IMWRITE_PNG_COMPRESSION, 9])'
+	$(BIN)/gelgate station replay --all -c demo/gelgate.toml --picture demo/pictures
+	$(BIN)/python -c 'import cv2, glob; number = int(min(glob.glob("demo/heatmaps/*-fail.jpg"))[14:16]); \
+	  cv2.imwrite("docs/images/damaged_press.png", cv2.imread(sorted(glob.glob("demo/pictures/*"))[number - 1]), \
+	  [cv2.IMWRITE_PNG_COMPRESSION, 9])'
 
 # The pictures of the page in docs/operations.md and docs/subscribers.md, drawn from messages in headless Chromium.
 page-pictures: $(VENV)/.test

@@ -1,7 +1,7 @@
 """The score map of one press for programs: one small PNG of 16 bits, with its scale as text.
 
 Each value is the largest score in a cell of CELL x CELL pixels of the inspected region, so no place above the threshold
-is lost, and the largest value is the score. A value v stands for the score `zero + step v`, within half a step.
+is lost. A value v stands for the score `zero + step v`, within half a step.
 """
 
 from typing import Final
