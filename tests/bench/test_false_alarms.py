@@ -24,7 +24,7 @@ from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.held_out import Learner, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
-from calibration.fitting.trunks import open_trunk
+from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge import registry
 from edge.core.detector import Features, Grid, Nominal
 from edge.core.imaging.known_profiles import profile
@@ -34,7 +34,11 @@ from edge.model.session import open_session
 
 pytestmark = pytest.mark.bench
 
-METHODS = ("padim", "spade", "fapm", "inreach", "patchcore", "subspace")
+METHODS = {
+    "padim": DEFAULT_BACKBONE,
+    **dict.fromkeys(("spade", "fapm", "inreach", "patchcore", "subspace"), "tactile_resnet18"),
+}
+"""The trunk of each method; PaDiM on the default one is what `gelgate fit` takes."""
 # Drawn once, when everything was settled. Developed on 99 and, as it turned out, on 2026.
 SHAPES, PARTS = 4711, 20
 NOMINAL, FRESH, FREE = 40, 200, 4
@@ -48,11 +52,11 @@ TAPS = ("layer1", "layer2")
 
 
 class Part:
-    """The presses of one random part and their features, made when first asked for."""
+    """The presses of one random part and their features by one trunk, made when first asked for."""
 
-    def __init__(self, number: int) -> None:
+    def __init__(self, number: int, backbone: str) -> None:
         self._presses = RandomPartPresses(SHAPES, number, len(DESIGNS) * NOMINAL + FRESH)
-        self._session = open_session(open_trunk("tactile_resnet18", TAPS).graph, 1, "trunk")
+        self._session = open_session(open_trunk(backbone, TAPS).graph, 1, "trunk")
         self.grid = trunk_grid(self._session, TAPS, (REGION.height, REGION.width), PROFILE.pixels_per_mm)
 
     def features(self, frames: NDArray[np.uint8]) -> Features:
@@ -117,15 +121,15 @@ def rows() -> list[dict[str, Any]]:
     found = [json.loads(line) for line in file.read_text().splitlines()] if file and file.exists() else []
     known = {(row["part"], row["design"], row["method"]) for row in found}
     for number in range(PARTS):
-        part = None
+        parts: dict[str, Part] = {}
         for design in DESIGNS:
-            for method in METHODS:
+            for method, backbone in METHODS.items():
                 if (number, design, method) in known:
                     continue
-                part = part or Part(number)
-                found.append(
-                    {"part": number, "design": design, "method": method, **measured(part, design, method)}
-                )
+                if backbone not in parts:
+                    parts[backbone] = Part(number, backbone)
+                row = measured(parts[backbone], design, method)
+                found.append({"part": number, "design": design, "method": method, **row})
                 if file:
                     with file.open("a") as out:
                         out.write(json.dumps(found[-1]) + "\n")
