@@ -101,7 +101,7 @@ def _choose(
         return replace(kept, faults=_suspect(given, pictures) if gel.doubt else [])
     if _lie_apart(pictures, kept.pictures, gel, profile):
         return _of_estimate(gel, f"{why}; take one under the light of the presses")
-    why += ", or a part that always lies at one place; all are kept: look whether they are of the light of the presses"
+    why += ", or a part that always lies at one place; kept: look whether it is of the light of the presses"
     return replace(kept, faults=[why])
 
 

@@ -24,10 +24,10 @@ from calibration.fitting.presses.strangers import (
     find_repeated,
     find_saturated,
     find_strangers,
+    small_view,
 )
 from edge.core.contact.mask import Touch, touched
 from edge.core.contact.press_detector import PressDetector
-from edge.core.contact.reference import View
 from edge.core.errors import DatasetError, FitError
 from edge.core.imaging.decode import decode
 from edge.core.imaging.marker_dots import MarkerDots
@@ -130,8 +130,8 @@ class _Press:
     name: str
     specimen: str | None
     mask: _Mask
-    view: View
-    """The whole picture as contact detection sees it."""
+    view: NDArray[np.uint8]
+    """The whole picture, uint8 (120, 160, 3)."""
 
 
 @dataclass
@@ -163,7 +163,7 @@ class _Gathered:
             self.left_out.append(name)
         else:
             self.presses.append(
-                _Press(self.region.crop(picture).copy(), name, specimen, mask, view_of(picture))
+                _Press(self.region.crop(picture).copy(), name, specimen, mask, small_view(picture))
             )
 
     def find_odd(self) -> list[str]:
@@ -239,7 +239,7 @@ def read_presses(
     given = {f"{path.parent.name}/{path.name}": picture for path, picture in free}
     gathered.choose_gel([pictures[k][1] for k in kept], given)
     # Presses of a recording were made one by one, and a robot may repeat them well.
-    gathered.faults += find_repeated(names, [view_of(picture) for _, picture in pictures])
+    gathered.faults += find_repeated(names, [small_view(picture) for _, picture in pictures])
     contact = _contacts(gathered.free)
     for name, (path, picture) in zip(names, pictures, strict=True):
         gathered.add(picture, name, specimens.get(path) or specimen_of(path), contact(picture))

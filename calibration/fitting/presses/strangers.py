@@ -6,12 +6,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting.presses.free_gel import view_of
 from edge.core.contact.mask import squared_distance, touched
-from edge.core.contact.reference import Reference, View
+from edge.core.contact.reference import Reference
 from edge.core.contact.settings import ContactSettings
 from edge.core.imaging.quality import check_light
 
-__all__ = ["find_copies", "find_empty", "find_repeated", "find_saturated", "find_strangers", "list_names"]
+__all__ = [
+    "find_copies",
+    "find_empty",
+    "find_repeated",
+    "find_saturated",
+    "find_strangers",
+    "list_names",
+    "small_view",
+]
 
 U8 = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
@@ -27,8 +36,13 @@ _SAME_LEVELS, _PLACE_PX = 2.0, 1.5
 _MOST_NAMES = 8
 
 
-def find_strangers(names: Sequence[str], views: Sequence[View]) -> list[str]:
-    """Name the presses of another light than most others. views: float32 (h, w, 3) each, complete pictures.
+def small_view(picture: U8) -> U8:
+    """Return a picture in the size of contact detection, uint8 (120, 160, 3): of many presses little memory."""
+    return np.asarray(np.rint(view_of(picture)), np.uint8)
+
+
+def find_strangers(names: Sequence[str], views: Sequence[U8]) -> list[str]:
+    """Name the presses of another light than most others. views: uint8 (120, 160, 3) each.
 
     Presses belong together that are near one another, or near a third one, in the median over the view: between the
     parts, so that no light has to be known.
@@ -66,11 +80,9 @@ def find_empty(names: Sequence[str], masks: Sequence[Mask | None]) -> list[str]:
     return [f"no contact is seen in {list_names(empty, len(known))}: {why}"]
 
 
-def find_saturated(names: Sequence[str], views: Sequence[View]) -> list[str]:
+def find_saturated(names: Sequence[str], views: Sequence[U8]) -> list[str]:
     """Name the presses that a gateway rejects as saturated. views: as above."""
-    bright = [
-        n for n, view in zip(names, views, strict=True) if check_light(view.astype(np.uint8)) is not None
-    ]
+    bright = [n for n, view in zip(names, views, strict=True) if check_light(view) is not None]
     if not bright:
         return []
     return [
@@ -90,9 +102,9 @@ def find_copies(names: Sequence[str], frames: Sequence[U8]) -> list[str]:
     ]
 
 
-def find_repeated(names: Sequence[str], views: Sequence[View]) -> list[str]:
+def find_repeated(names: Sequence[str], views: Sequence[U8]) -> list[str]:
     """Name the presses that differ from an earlier one by noise alone; not its exact copies. views: as above."""
-    broad = [cv2.GaussianBlur(view, (0, 0), _PLACE_PX)[::2, ::2] for view in views]
+    broad = [cv2.GaussianBlur(view.astype(np.float32), (0, 0), _PLACE_PX)[::2, ::2] for view in views]
     same = [
         names[k]
         for k in range(1, len(broad))
@@ -113,7 +125,8 @@ def list_names(names: Sequence[str], count: int) -> str:
     return f"{len(names)} of {count} presses ({quoted}{rest})"
 
 
-def _levels(view: View, others: Sequence[View]) -> NDArray[np.float64]:
+def _levels(view: U8, others: Sequence[U8]) -> NDArray[np.float64]:
     """Measure by how many levels others differ from a view, in the median over it, float64 (n,)."""
-    reference = Reference(view)
-    return np.array([np.median(np.sqrt(squared_distance(reference.difference(one)))) for one in others])
+    reference = Reference(view.astype(np.float32))
+    differences = (reference.difference(one.astype(np.float32)) for one in others)
+    return np.array([np.median(np.sqrt(squared_distance(one))) for one in differences])
