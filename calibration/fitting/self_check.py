@@ -51,7 +51,10 @@ def unproven_warnings(separated: float | None, found: DamageFound | None) -> lis
             f"the bundle finds {found.found} of {found.count} small pieces of damage rendered into its own "
             f"presses{of}: it will pass most damage that small"
         )
-    todo = "hold the part at one place, press more, or name another --method or --backbone; then press damaged parts"
+    todo = (
+        "hold the part at one place, press more pieces, or name another --method or --backbone; then press damaged "
+        "parts"
+    )
     return [f"{UNPROVEN}{one}; {todo}" for one in said]
 
 
