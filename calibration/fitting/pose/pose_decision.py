@@ -41,6 +41,9 @@ LEAST_PRESSES = 6
 
 _HELD_OUT = 3
 
+# The sizes of damage by which it is proven, the largest last.
+_PROOF_SIZES = range(1, len(SIZE_SHARES))
+
 View = tuple[SensorProfile, Region]
 
 
@@ -53,7 +56,7 @@ class PoseChoice:
     why: str = ""
     """A sentence for the operator, empty for nothing to say."""
     separated: float | None = None
-    """Image AUROC of rendered damage, as the presses are scored; None where it was not measured."""
+    """Image AUROC of the largest rendered damage, as the presses are scored; None where it was not measured."""
 
     @property
     def facts(self) -> dict[str, str]:
@@ -107,7 +110,7 @@ def choose_pose(
 
     Errors: FitError where registration is asked for and cannot be had.
     """
-    if register == "never" or (register == "auto" and not learner.detector.compares_places):
+    if register == "never":
         return PoseChoice(None)
     try:
         learnt = _learn(presses)
@@ -121,17 +124,20 @@ def choose_pose(
         return PoseChoice(learnt, f"presses are registered, as asked for; {apart}")
     if spread <= SPREAD_MM:
         return PoseChoice(None, f"presses are compared as they lie: {apart}, {SPREAD_MM} mm are tolerated")
+    if not (learnt.part.is_turning or learner.detector.compares_places):
+        why = f"presses are compared as they lie: {apart}, and {learner.detector.name} compares no places"
+        return PoseChoice(None, why)
     found = _proof(presses, learnt, learner, take, view)
     if found is None:
         return PoseChoice(None, f"presses are compared as they lie: {apart}, but no damage could be rendered")
-    registered, still = found
+    (registered, large), (still, large_still) = found
     proof = (
-        f"of rendered damage {registered:.2f} is separated from sound presses with it, {still:.2f} without"
+        f"of rendered damage {registered:.3f} is separated from sound presses with it, {still:.3f} without"
     )
     if registered > still:
         why = f"presses are registered: {apart}; {proof} (image AUROC, out of fold)"
-        return PoseChoice(learnt, why, registered)
-    return PoseChoice(None, f"presses are compared as they lie: {apart}, but {proof}", still)
+        return PoseChoice(learnt, why, large)
+    return PoseChoice(None, f"presses are compared as they lie: {apart}, but {proof}", large_still)
 
 
 def _doubt(symmetry: int) -> str:
@@ -170,10 +176,11 @@ def pose_spread_mm(learnt: LearntPose, pixels_per_mm: float) -> float:
 
 def _proof(
     presses: NominalPresses, learnt: LearntPose, learner: Learner, take: Take, view: View
-) -> tuple[float, float] | None:
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
     """Image AUROC of rendered damage with and without registration, by banks of the presses that are not held out.
 
-    None where no damage can be rendered.
+    Each of the damage of all sizes but the smallest, which few banks find, and of the largest: alone it is found with
+    and without, and decides nothing. None where no damage can be rendered.
     """
     held = list(range(0, len(presses), _HELD_OUT))
     kept = [k for k in range(len(presses)) if k not in held]
@@ -182,7 +189,7 @@ def _proof(
     edited = render_damage(only, *view, np.random.default_rng(learner.seed))
     if edited is None:
         return None
-    damaged = edited.frames[len(SIZE_SHARES) - 1 :: len(SIZE_SHARES)]
+    damaged = np.concatenate([edited.frames[size :: len(SIZE_SHARES)] for size in _PROOF_SIZES])
     registrar = Registrar(learnt.part)
 
     def register_all(frames: U8) -> U8:
@@ -195,10 +202,15 @@ def _proof(
     )
 
 
-def _auroc(learner: Learner, take: Take, nominal: U8, sound: U8, damaged: U8) -> float:
-    """Measure how well the scores of damaged presses are told from those of sound ones."""
+def _auroc(learner: Learner, take: Take, nominal: U8, sound: U8, damaged: U8) -> tuple[float, float]:
+    """Measure how well the scores of damaged presses are told from those of sound ones: of all, and of the largest."""
     features = take(np.concatenate([nominal, sound, damaged]))
     first = len(nominal)
     bank = learner.bank(Nominal({tap: maps[:first] for tap, maps in features.items()}))
     scores = learner.score(bank, features, range(first, first + len(sound) + len(damaged))).scores
-    return auroc(scores, np.arange(len(scores)) >= len(sound)) or 0.0
+    largest = len(damaged) // len(_PROOF_SIZES)
+    every, large = (
+        auroc(np.concatenate([scores[: len(sound)], some]), np.arange(len(sound) + len(some)) >= len(sound))
+        for some in (scores[len(sound) :], scores[-largest:])
+    )
+    return every or 0.0, large or 0.0
