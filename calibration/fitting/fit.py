@@ -4,7 +4,7 @@ The detector has the mathematics; the procedure (which presses, which folds, whi
 """
 
 import time
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting import self_check
 from calibration.fitting.bundle_measurements import (
     contact_range,
     cost_card,
@@ -50,7 +51,6 @@ from calibration.fitting.presses.colours import colour_warnings, nominal_colours
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from calibration.fitting.presses.scatter import scatter_warnings
-from calibration.fitting.self_check import apart_warnings, black_warnings, room_warnings, unproven_warnings
 from calibration.fitting.tap_reader import TapReader
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
@@ -202,15 +202,9 @@ class _Features:
         plan, black, seen = self.plan, np.zeros_like(self.presses.frames[:1]), None
         if not refuses(plan.colours, black[0]):
             seen = self.learner.score(covered.bank, self.take(black), [0])
+        pieces, mm = plan.presses.specimens, self.learner.grid.pixels_per_mm
         return Evidence(
-            covered.held_out,
-            covered.known,
-            seen,
-            damage,
-            plan.folds or [],
-            plan.presses.specimens,
-            plan.config.alpha,
-            self.learner.grid.pixels_per_mm,
+            covered.held_out, covered.known, seen, damage, plan.folds or [], pieces, plan.config.alpha, mm
         )
 
     def choose_relief(self, head: bytes) -> ReliefChoice:
@@ -300,6 +294,7 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
     covered = covering_bank(learner, nominal, learn, lambda found: plan.find_threshold(found).value, shown)
     bank, scores = covered.bank, covered.scores
     head, choice, found, again = learner.head(bank), Choice(PLAIN, why_plain), None, {}
+    remedies: Callable[[], Sequence[str]] = tuple
     part = None if features.pose.learnt is None else features.pose.learnt.part
     unit = 1.0 if scores is None else plan.find_threshold(scores).value
     with watch.time("threshold"):
@@ -311,14 +306,18 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
             unit = 1.0 if choice.other else plan.find_threshold(scores).value
             found = chosen.evidence.count_found(choice)
             again = chosen.evidence.press_again_facts(choice, scores)
+            roomy = replace(nominal, room=covered.room)
+            score_apart = partial(score_held_out, learner, roomy, edited=edited, shown=shown)
+            view = plan.presses, plan.config.profile
+            remedies = partial(self_check.find_remedies, chosen.evidence, choice, *view, score_apart)
             unit *= chosen.highest_limit
         relief = features.choose_relief(head)
     head, bank = relief.append_to(head, bank, unit)
-    apart = apart_warnings(scores, plan.presses.names)
+    apart = self_check.apart_warnings(scores, plan.presses.names)
     said = [
-        *unproven_warnings(features.pose.separated, found),
+        *self_check.unproven_warnings(features.pose.separated, found, remedies),
         *features.warnings,
-        *room_warnings(covered.room),
+        *self_check.room_warnings(covered.room),
         *covered.bank.facts.get("warnings", ()),
         *apart,
     ]
@@ -342,7 +341,7 @@ def _measure(learnt: _Learnt, created: str, watch: _Watch) -> Fitted:
     threshold = learnt.find_threshold(tolerance, scorer)
     black = np.zeros_like(plan.presses.frames[0])
     black_score, is_refused = scorer.score_in_pose(black).anomaly_score, refuses(plan.colours, black)
-    said = [*learnt.warnings, *black_warnings(black_score, threshold, is_refused, learnt.apart)]
+    said = [*learnt.warnings, *self_check.black_warnings(black_score, threshold, is_refused, learnt.apart)]
     measured = {"threshold": threshold, "tolerance": tolerance, "cost": cost}
     measured["provenance"] = facts.provenance.model_copy(update={"warnings": tuple(said)})
     fitted = _pack(learnt, facts.model_copy(update=measured), golden)

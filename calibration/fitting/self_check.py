@@ -1,17 +1,34 @@
 """The checks of a fit's result: what is not proven, outliers, a black frame. See `covering` for the bank."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.limits.limit_choice import DamageFound
-from calibration.fitting.presses.nominal_presses import MIN_PRESSES
+from calibration.fitting.limits.folds import Folds
+from calibration.fitting.limits.held_out import HeldOut
+from calibration.fitting.limits.limit_choice import WORTH, Choice, DamageFound, Evidence, choose_limit
+from calibration.fitting.presses.gel_choice import away_mm
+from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from edge.core.errors import FitError
+from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.manifest import ThresholdEntry
 from edge.model.manifest_facts import UNPROVEN
 
-__all__ = ["apart_warnings", "black_warnings", "room_warnings", "standing_apart", "unproven_warnings"]
+__all__ = [
+    "apart_warnings",
+    "black_warnings",
+    "find_remedies",
+    "room_warnings",
+    "standing_apart",
+    "unproven_warnings",
+]
+
+Float = NDArray[np.float64]
+
+ScoreApart = Callable[[Folds], HeldOut]
+"""Scores the presses of each fold, and the damage in them, by a bank of the others."""
 
 FARTHER_THAN_ANY, FARTHER_THAN_USUAL = (1.6, 16.0), (5.0, 22.0)
 """An outlier is this many times as far above the median as every other press, and as the upper half on average:
@@ -29,15 +46,20 @@ LEAST_FOUND = 1 / 6
 found. A simulated bolt has 0.42, real balls 0.4 where nine of ten damaged presses are reported, and 0 to 0.12 where few
 are."""
 
+LOOSER = (0.1, 0.2)
+"""The promises that are tried where little is found."""
+
 APART_SHARE = 0.1
 """More presses than this share are not outliers: sound presses then have more than one look."""
 
 
-def unproven_warnings(separated: float | None, found: DamageFound | None) -> list[str]:
-    """Say what the fit's own evidence does not show, the worst first.
+def unproven_warnings(
+    separated: float | None, found: DamageFound | None, find_remedies: Callable[[], Sequence[str]] = tuple
+) -> list[str]:
+    """Say what the fit's own evidence does not show, the worst first, and what would find more of its damage.
 
     separated: image AUROC of rendered damage, where it decided on registration. found: how many presses with rendered
-    damage the bundle finds. Each is None where it was not measured.
+    damage the bundle finds. Each is None where it was not measured. find_remedies: called where too few are found.
     """
     said = []
     if separated is not None and separated <= AT_CHANCE:
@@ -51,11 +73,66 @@ def unproven_warnings(separated: float | None, found: DamageFound | None) -> lis
             f"the bundle finds {found.found} of {found.count} small pieces of damage rendered into its own "
             f"presses{of}: it will pass most damage that small"
         )
-    todo = (
-        "hold the part at one place, press more pieces, or name another --method or --backbone; then press damaged "
-        "parts"
-    )
-    return [f"{UNPROVEN}{one}; {todo}" for one in said]
+    if not said:
+        return []
+    todo = "; ".join(find_remedies()) or "nothing that was tried on its own presses finds more"
+    return [f"{UNPROVEN}{one}; {todo}; press damaged parts before you trust it" for one in said]
+
+
+def find_remedies(
+    evidence: Evidence,
+    choice: Choice,
+    presses: NominalPresses,
+    profile: SensorProfile,
+    score_apart: ScoreApart,
+) -> list[str]:
+    """Say what finds clearly more of the rendered damage than the choice does, each with what it finds."""
+    if choice.kind not in choice.found:
+        return []
+    scores, said = choice.other.scores if choice.other else evidence.scores, []
+    for words, changed, instead in _try_remedies(
+        evidence, int(scores.argmax()), presses, profile, score_apart
+    ):
+        compared = instead or evidence
+        less, more = choose_limit(instead) if instead else choice, choose_limit(changed)
+        before, after = less.found.get(less.kind, 0.0), more.found.get(more.kind, 0.0)
+        if after >= before + WORTH:
+            pairs = (after, len(changed.damage)), (before, len(compared.damage))
+            said.append(words.format(*(f"{round(share * count)} of {count}" for share, count in pairs)))
+    return said
+
+
+def _try_remedies(
+    evidence: Evidence, highest: int, presses: NominalPresses, profile: SensorProfile, score_apart: ScoreApart
+) -> Iterator[tuple[str, Evidence, Evidence | None]]:
+    """Yield what to say of the finds after and before, what is tried, and what before is; None for the bundle."""
+    count = len(evidence.scores)
+    for alpha in LOOSER:
+        if alpha > evidence.alpha:
+            yield f"with --alpha {alpha:g} it finds {{}}", replace(evidence, alpha=alpha), None
+    if count > MIN_PRESSES:
+        name = presses.names[highest].replace("{", "{{").replace("}", "}}")
+        words = f"without its highest press it finds {{}}: look whether '{name}' is dirty or damaged"
+        yield words, evidence.keep(np.delete(np.arange(count), highest)), None
+    if count < 2 * MIN_PRESSES:
+        return
+    if presses.touches:
+        away = away_mm(presses.touches, profile)
+        order = np.argsort(away, kind="stable")
+        near, far = (evidence.keep(np.sort(half)) for half in np.split(order, [count // 2]))
+        middle = f"{away[order[count // 2]]:.1f} mm of their middle"
+        words = f"within {middle} it finds {{}}, beyond {{}}: hold the part at one place"
+        if len(near.damage) and len(far.damage):
+            yield words, near, far
+    held = np.sort(np.concatenate(evidence.folds[: (len(evidence.folds) + 1) // 2]))
+    if MIN_PRESSES <= len(held) <= count - MIN_PRESSES and np.isin(evidence.damage.press, held).any():
+        words = f"banks of the folds find {{}}, a bank of {count - len(held)} presses {{}}: press more pieces"
+        apart, known = score_apart([held]), evidence.held_out
+        fewer = HeldOut(
+            replace(apart.sound, gel_limits=known.sound.gel_limits),
+            replace(apart.edited, gel_limits=known.edited.gel_limits),
+        )
+        yield words, evidence.keep(held), replace(evidence, held_out=fewer).keep(held)
 
 
 def standing_apart(scores: NDArray[np.float64]) -> list[int]:

@@ -6,8 +6,13 @@ import pytest
 import turned_parts as parts
 from registered_bundle import fitted, nominal
 
-from calibration.fitting.limits.limit_choice import DamageFound
-from calibration.fitting.self_check import apart_warnings, standing_apart, unproven_warnings
+from calibration.fitting.damage.damaged_presses import DamagedPresses
+from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
+from calibration.fitting.limits.limit_choice import DamageFound, Evidence, choose_limit
+from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.self_check import apart_warnings, find_remedies, standing_apart, unproven_warnings
+from edge.core.contact.mask import Touch
+from edge.core.imaging import known_profiles
 
 
 def scores(n: int, *high: tuple[int, float]) -> np.ndarray:
@@ -54,6 +59,23 @@ def test_the_warning_names_the_press_and_the_way_out() -> None:
     assert "--leave-out 'good/4.png'" in said
 
 
+def evidence(spots: dict[int, float]) -> Evidence:
+    """24 presses with the same damage in each, and a spot of this height elsewhere in some of them."""
+    sound = 1 + 0.02 * np.random.default_rng(1).random((24, 48, 48))
+    for press, height in spots.items():
+        sound[press, 30, 30] += height
+    near = np.zeros(sound.shape, np.bool_)
+    near[:, 9:12, 9:12] = True
+
+    def score(maps: np.ndarray) -> ScoredPresses:
+        return ScoredPresses(maps.astype(np.float32), maps.max(axis=(1, 2)).astype(np.float64))
+
+    damage = DamagedPresses(np.zeros((24, 1, 1, 3), np.uint8), np.arange(24), near)
+    held_out = HeldOut(score(sound), score(sound + 0.5 * near))
+    parts = [np.arange(k, 24, 4) for k in range(4)]
+    return Evidence(held_out, score(0.9 * sound), None, damage, parts, (None,) * 24, 0.05, 4.0)
+
+
 @pytest.mark.parametrize(
     ("separated", "found", "said"),
     [
@@ -62,9 +84,9 @@ def test_the_warning_names_the_press_and_the_way_out() -> None:
         (0.51, DamageFound(20, 48), ["0.51 is separated from sound presses, as by chance"]),
         (
             None,
-            DamageFound(1, 48, "dent of 0.1 mm: 1 of 6; with --alpha 0.2 9 would fail"),
+            DamageFound(1, 48, "dent of 0.1 mm: 1 of 6"),
             [
-                "finds 1 of 48 small pieces of damage rendered into its own presses (dent of 0.1 mm: 1 of 6; with"
+                "finds 1 of 48 small pieces of damage rendered into its own presses (dent of 0.1 mm: 1 of 6): it"
             ],
         ),
         (0.51, DamageFound(0, 48), ["0.51 is separated", "finds 0 of 48"]),
@@ -79,6 +101,32 @@ def test_evidence_that_shows_nothing_is_said(
     for sentence, words in zip(warned, said, strict=True):
         assert sentence.startswith("not proven: ")
         assert words in sentence
+
+
+def test_a_remedy_is_said_with_what_it_finds_and_no_other_is() -> None:
+    """One dirty press, then presses that lie off, then a bank of fewer presses that finds less."""
+
+    profile = known_profiles.profile("mini_lr")
+    across = np.arange(24) * profile.pixels_per_mm / profile.size[0] / 2
+    touches = tuple(Touch(0.1, float(x), 0.5) for x in across)
+    frames = np.zeros((24, 1, 1, 3), np.uint8)
+    presses = NominalPresses(frames, tuple(f"{k}.png" for k in range(24)), touches=touches)
+
+    def remedies(found: Evidence, fewer: HeldOut | None = None) -> str:
+        apart = fewer or found.held_out
+        return "; ".join(find_remedies(found, choose_limit(found), presses, profile, lambda folds: apart))
+
+    clean = evidence(spots={})
+    assert remedies(clean) == ""
+    dirty = remedies(evidence(spots={5: 9.0}))
+    assert "without its highest press it finds 23 of 23: look whether '5.png'" in dirty
+    assert "--alpha 0.1 it finds 24 of 24" in dirty
+    assert "press more pieces" not in dirty
+    far = remedies(evidence(spots={k: 9.0 for k in range(24) if not 6 <= k < 18}))
+    assert "within 3.2 mm of their middle it finds 12 of 12, beyond 0 of 12: hold" in far
+    assert "without its highest" not in far
+    few = evidence(spots=dict.fromkeys(range(24), 9.0)).held_out
+    assert "press more pieces" in remedies(clean, fewer=few)
 
 
 def test_a_bundle_that_misses_its_own_damage_says_so_first() -> None:

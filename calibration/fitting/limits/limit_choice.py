@@ -6,7 +6,7 @@ ones, simulated parts; PaDiM and PatchCore) their map has an AU-PRO from 0.002 l
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -37,9 +37,6 @@ Float = NDArray[np.float64]
 
 WORTH = 0.05
 """A limit has to find this share of the rendered damage more than the usual one."""
-
-LOOSE_ALPHA = 0.2
-"""What a station could find that promises less is said where little is found."""
 
 # Where the largest value of a map is not the press's score to this share, the score is something else.
 _SAME = 1e-4
@@ -84,7 +81,7 @@ class DamageFound:
     found: int
     count: int
     why: str = ""
-    """How many of the largest size of each kind, and by another promise."""
+    """How many of the largest size of each kind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,11 +133,20 @@ class Evidence:
         sizes = [
             f"{name}: {is_found[names == name].sum()} of {(names == name).sum()}" for name in kinds.values()
         ]
-        scores = choice.other.scores if choice.other else self.scores
-        damaged = choice.other.damaged if choice.other else self.held_out.edited.scores
-        value = conformal_threshold(scores, LOOSE_ALPHA, specimens=self.specimens).value
-        looser = f"with --alpha {LOOSE_ALPHA:g} {(damaged > value).sum()} would fail"
-        return DamageFound(int(is_found.sum()), len(self.damage), "; ".join([", ".join(sizes), looser]))
+        return DamageFound(int(is_found.sum()), len(self.damage), ", ".join(sizes))
+
+    def keep(self, presses: NDArray[np.int64]) -> "Evidence":
+        """Keep these presses, in rising order, and the damage in them; the folds are gone."""
+        rows = np.flatnonzero(np.isin(self.damage.press, presses))
+        damage = self.damage.choose(rows.tolist())
+        return replace(
+            self,
+            held_out=HeldOut(_choose(self.held_out.sound, presses), _choose(self.held_out.edited, rows)),
+            known=_choose(self.known, presses),
+            damage=replace(damage, press=np.searchsorted(presses, damage.press)),
+            folds=[],
+            specimens=[self.specimens[k] for k in presses],
+        )
 
     def press_again_facts(self, choice: Choice, scores: Float) -> dict[str, Any]:
         """Return what a station needs to know whether one more press pays.
@@ -154,6 +160,13 @@ class Evidence:
         keys = np.array(pieces_of(self.specimens))
         sound = tuple(tuple(scores[keys == piece].tolist()) for piece in dict.fromkeys(keys.tolist()))
         return {PRESS_AGAIN: score_facts(KnownScores(sound, groups), names)}
+
+
+def _choose(scored: ScoredPresses, rows: NDArray[np.int64]) -> ScoredPresses:
+    seen = None if scored.seen is None else scored.seen[rows]
+    limits = None if scored.gel_limits is None else scored.gel_limits[rows]
+    kept = ScoredPresses(scored.maps[rows], scored.scores[rows], seen=seen, gel_limits=limits)
+    return kept if limits is None else replace(kept, scores=kept.highest(kept.maps))
 
 
 def choose_limit(evidence: Evidence) -> Choice:

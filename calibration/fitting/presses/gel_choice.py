@@ -25,6 +25,7 @@ __all__ = [
     "MIN_PRESSES",
     "SCATTERED_MM",
     "ChosenGel",
+    "away_mm",
     "choose_free_gel",
     "contact_finder",
     "spread_mm",
@@ -146,8 +147,13 @@ def contact_finder(free: Sequence[U8]) -> Callable[[U8], Contact]:
 
 def spread_mm(touches: Sequence[Touch], profile: SensorProfile) -> float:
     """Measure how far half of the contacts lie from their common middle."""
+    return float(np.median(away_mm(touches, profile)))
+
+
+def away_mm(touches: Sequence[Touch], profile: SensorProfile) -> NDArray[np.float64]:
+    """Measure how far each contact lies from their common middle, (n,)."""
     middles = np.array([(touch.x, touch.y) for touch in touches]) * profile.size / profile.pixels_per_mm
-    return float(np.median(np.linalg.norm(middles - np.median(middles, axis=0), axis=1)))
+    return np.asarray(np.linalg.norm(middles - np.median(middles, axis=0), axis=1))
 
 
 def _divide(gel: FreeGel, given: Mapping[str, U8]) -> tuple[list[U8], str]:
