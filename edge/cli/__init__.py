@@ -107,6 +107,7 @@ _GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "report": "Make a study's page and figures from its rows.",
             "recommend": "Say which method to take for a need, from rows alone.",
             "tradeoff": "Measure what accuracy costs: time, memory, presses.",
+            "bench": "Measure a station, from frame to subscriber.",
             "detectability": "Measure the smallest damage found, by place.",
             "train-backbone": "Train the tactile backbone on simulated presses.",
             "evaluate-backbone": "Compare backbones on presses that training never draws.",

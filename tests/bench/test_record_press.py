@@ -13,14 +13,12 @@ from station import MQTT, station_config
 from stepped_station import SteppedStation
 
 from calibration import demo
-from edge.core.verdict import Kind
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker
-from edge.messaging.result_payload import PressFiles, ResultPayload, picture_messages, press_messages
 from edge.messaging.subscriber import listening, next_message
 from edge.store import ledger_chain
 from edge.store.outbox import ROW_OVERHEAD_BYTES, Outbox
-from edge.store.press_store import PressRecord, Recorded, Store
+from edge.store.press_store import PressRecord, Store
 from edge.store.ulid import new_ulid
 
 PRESSES = 300
@@ -33,55 +31,6 @@ def median_ms(do: Callable[[int], None]) -> float:
         do(n)
         times.append((time.perf_counter() - start) * 1e3)
     return statistics.median(times)
-
-
-@pytest.mark.bench
-def test_recording_a_press(tmp_path: Path) -> None:
-    """Prints the median of `record_press`, that of the pictures of 65 kB which follow it, and their ratios to a bare
-    durable insert."""
-    ids: list[str] = []
-
-    def record(n: int) -> None:
-        time_ns = time.time_ns()
-        press_id = new_ulid(time_ns)
-        ids.append(press_id)
-
-        def messages(recorded: Recorded) -> object:
-            gel = recorded.gel
-            result = ResultPayload(
-                time_ns=time_ns,
-                press_id=press_id,
-                part="bolt",
-                verdict=Kind.PASS,
-                score=0.5,
-                threshold=1.0,
-                sensor_serial=gel.serial,
-                gel_id=gel.gel_id,
-                gel_presses=gel.presses,
-                gel_limit_presses=gel.limit_presses,
-            )
-            return press_messages(result, gel)
-
-        press = PressRecord(press_id, time_ns, "2BNN4ZE7", "bolt", "pass", None, 0.5, 1.0)
-        store.record_press(press, messages, owes_picture=True)  # type: ignore[arg-type]
-
-    def queue(n: int) -> None:
-        files = PressFiles(b"\xff\xd8" + bytes(60_000), b"\x89PNG" + bytes(5_000))
-        store.queue_picture(ids[n], lambda is_newest: picture_messages(ids[n], files))
-
-    with Store(tmp_path / "gelgate.db") as store:
-        press_ms, picture_ms = median_ms(record), median_ms(queue)
-    bare = sqlite3.connect(tmp_path / "bare.db", isolation_level=None)
-    bare.execute("PRAGMA journal_mode = WAL")
-    bare.execute("PRAGMA synchronous = FULL")
-    bare.execute("CREATE TABLE rows (payload BLOB)")
-    bare_ms = median_ms(lambda n: bare.execute("INSERT INTO rows VALUES (?)", (bytes(700),)) and None)
-    bare.close()
-
-    print(
-        f"\nbare durable insert: median {bare_ms:.2f} ms; record_press {press_ms:.2f} ms, ratio "
-        f"{press_ms / bare_ms:.1f}; then its picture {picture_ms:.2f} ms, ratio {picture_ms / bare_ms:.1f}"
-    )
 
 
 @pytest.mark.bench

@@ -11,7 +11,7 @@ from calibration.experiments.harness.rows import frame
 from calibration.experiments.studies.paper_page import page as paper_page
 from calibration.experiments.studies.placement_page import page as placement_page
 from calibration.experiments.studies.recommend import page as recommend_page
-from calibration.experiments.studies.report import PAGES, describe_time
+from calibration.experiments.studies.report import PAGES
 
 STUDIES = Path(__file__).resolve().parents[2] / "docs" / "studies"
 MOST_BYTES = 300_000
@@ -43,11 +43,6 @@ def test_the_comparison_with_the_paper_is_that_of_the_rows(rows: pd.DataFrame) -
 def test_the_recommendations_are_those_of_the_rows(rows: pd.DataFrame) -> None:
     """Each answer of each setup."""
     assert (STUDIES / "recommend.md").read_text(encoding="utf-8") == recommend_page(rows).text
-
-
-def test_the_time_is_that_of_the_rows(rows: pd.DataFrame) -> None:
-    """By study, setup and part."""
-    assert (STUDIES / "time.md").read_text(encoding="utf-8") == describe_time(rows).text
 
 
 def test_the_page_about_placement_is_that_of_its_rows() -> None:

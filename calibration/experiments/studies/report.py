@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.experiments.harness.figures import svg
-from calibration.experiments.harness.page import SETUP, Page, only_scored, render
-from calibration.experiments.harness.rows import TIMES, rows_of_studies
+from calibration.experiments.harness.page import Page
+from calibration.experiments.harness.rows import rows_of_studies
 from calibration.experiments.studies import (
     bad_presses_study,
     cross_position_study,
@@ -20,7 +20,7 @@ from edge.core.errors import ConfigError, StoreError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["PAGES", "describe_time", "write_report"]
+__all__ = ["PAGES", "write_report"]
 
 
 COMPARED_WITH_THE_PAPER = ("good-fraction", "cross-position", "resolution")
@@ -56,7 +56,7 @@ def write_report(rows: Path, output: Path, say: Callable[[str], None] = lambda s
     if not repeated.empty:
         written.append(_write(output, "paper", paper_page.page(repeated)))
     written.append(_write(output, "recommend", recommend.page(every)))
-    return [*written, _write(output, "time", describe_time(every))]
+    return written
 
 
 def _write(output: Path, name: str, page: Page) -> Path:
@@ -71,41 +71,3 @@ def _write(output: Path, name: str, page: Page) -> Path:
             f"the report cannot be written to '{output}': {error.strerror}; choose another folder"
         ) from error
     return target
-
-
-_CONDITIONS = ("method", "fraction", "shots", "target_fraction", "view", "most_presses", "bad")
-
-
-def describe_time(rows: "pd.DataFrame") -> Page:
-    """Make the page. rows: of all studies."""
-    import pandas as pd
-
-    scored = only_scored(rows)
-    seconds = scored.reindex(columns=list(TIMES)).sum(axis=1, skipna=False)
-    timed = scored.assign(seconds=seconds).dropna(subset=["seconds"])
-    totals = _summarise(timed, SETUP).assign(study="**all**")
-    by_study = pd.concat([_summarise(timed, [*SETUP, "study"]), totals]).sort_values(SETUP, kind="stable")
-    by_part = _summarise(timed, ["study", "part", *SETUP])
-    return Page(render("time", seeds=good_fraction_study.SEEDS, by_study=by_study, by_part=by_part))
-
-
-def _summarise(timed: "pd.DataFrame", keys: list[str]) -> "pd.DataFrame":
-    """Return cells, the seconds of one, the minutes of all, and those of a complete study, for each group of rows."""
-    groups = timed.groupby(keys)["seconds"]
-    conditions = list(
-        dict.fromkeys([*keys, "study", "part", *(name for name in _CONDITIONS if name in timed)])
-    )
-    complete = good_fraction_study.SEEDS * timed.groupby(conditions, dropna=False)["seconds"].mean()
-    found = groups.agg(["size", "median", "sum"])
-    found["complete"] = complete.groupby(level=keys).sum() / 60
-    found["sum"] /= 60
-    shown = found.astype({"size": int})
-    for column in ("median", "sum", "complete"):
-        shown[column] = shown[column].map("{:.1f}".format)
-    heading = [
-        "cells",
-        "seconds of a cell, median",
-        "minutes of one core",
-        f"with {good_fraction_study.SEEDS} seeds",
-    ]
-    return shown.set_axis(heading, axis=1).reset_index()

@@ -15,7 +15,7 @@ from typing import Any
 from calibration.experiments.tradeoff.machine import Peak
 from edge.model.bundle import Bundle
 
-__all__ = ["Work", "floor_ms", "operations", "work_of"]
+__all__ = ["Work", "floor_ms", "operations", "trunk_work", "work_of"]
 
 
 @dataclass(frozen=True)
@@ -36,18 +36,24 @@ def floor_ms(work: Work, peak: Peak) -> tuple[float, str]:
 
 def work_of(trunk: bytes, bundle: Bundle) -> Work:
     """Return the work of one press by a bundle with this trunk and a head."""
-    grid, head = bundle.grid, bundle.graphs.head
+    grid, head, first = bundle.grid, bundle.graphs.head, trunk_work(trunk, bundle)
     assert grid is not None
     assert head is not None
-    tiles = 1 if grid.tiles is None else len(grid.tiles)
-    seen = grid.frame if grid.tiles is None else (grid.tiles.size, grid.tiles.size)
-    trunk_ops, is_int8 = operations(trunk, {"frames": (1, *seen, 3)})
     shapes = {tap: (1, *shape) for tap, shape in grid.taps.items()}
     head_ops, _ = operations(head, {**shapes, **{name: array.shape for name, array in bundle.bank.items()}})
-    moved = len(trunk) + sum(array.nbytes for array in bundle.bank.values()) + math.prod(grid.frame) * (3 + 4)
-    if is_int8:
-        return Work(head_ops, trunk_ops * tiles, moved)
-    return Work(head_ops + trunk_ops * tiles, 0, moved)
+    moved = sum(array.nbytes for array in bundle.bank.values()) + math.prod(grid.frame) * 4
+    return Work(first.float32 + head_ops, first.int8, first.bytes + moved)
+
+
+def trunk_work(trunk: bytes, bundle: Bundle) -> Work:
+    """Return the work of the trunk on one press."""
+    grid = bundle.grid
+    assert grid is not None
+    tiles = 1 if grid.tiles is None else len(grid.tiles)
+    seen = grid.frame if grid.tiles is None else (grid.tiles.size, grid.tiles.size)
+    count, is_int8 = operations(trunk, {"frames": (1, *seen, 3)})
+    moved = len(trunk) + math.prod(grid.frame) * 3
+    return Work(0, count * tiles, moved) if is_int8 else Work(count * tiles, 0, moved)
 
 
 def operations(graph: bytes, inputs: Mapping[str, tuple[int, ...]]) -> tuple[float, bool]:

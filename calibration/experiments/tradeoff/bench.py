@@ -1,0 +1,325 @@
+"""What a station takes: every stage of the real path from a frame to a subscriber, beside what this machine can do.
+
+A gateway of this process plays a recording at its own pace and publishes over a broker on this machine. A stage of its
+presses notes the times, and runs the bare trunk between them, so that a busy machine slows both. A gateway in a process
+of its own looks at the free gel of the recording: its share of a core, and its memory.
+"""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from calibration.experiments.tradeoff.floor import Work, floor_ms, trunk_work, work_of
+from calibration.experiments.tradeoff.machine import Peak, best, fingerprint, probe
+from edge.clock import SystemClock
+from edge.config import Config, load_config
+from edge.core.contact.events import PressSettled
+from edge.core.contact.press_detector import Look
+from edge.core.errors import ConfigError, RecordingError
+from edge.core.imaging.frames import CameraFrame
+from edge.core.press import Press
+from edge.gateway.build import open_station
+from edge.messaging.local_broker import LocalBroker
+from edge.messaging.mqtt_broker import Broker, Level, Received
+from edge.messaging.mqtt_connection import Connection
+from edge.model.bundle import Bundle
+from edge.model.inspector import Inspector
+from edge.model.session import open_session
+from edge.press_stage import Mounted, PressStage
+from edge.recording.format import Recording, RecordingWriter
+from edge.store.gel_ledger import GelRecord
+
+__all__ = ["STAGES", "BenchSettings", "Measured", "bench"]
+
+STAGES: Final[Mapping[str, str]] = {
+    "look": "a look at a frame: decoded small, contact found",
+    "decode": "the settled frame decoded",
+    "trunk": "features",
+    "head": "score map and score",
+    "verdict": "**settled frame to verdict**",
+    "transaction": "verdict to outbox: press, count and messages, flushed",
+    "outbox": "**settled frame to outbox**",
+    "subscriber": "settled frame to a subscriber of the broker",
+    "picture": "settled frame to its picture at the subscriber",
+    "bare trunk": "the trunk alone, between the presses",
+}
+"""The rows of the table, each with what it takes."""
+
+REST_TURNS: Final = 3
+"""The bare trunk runs so many frames after a press is recorded: then its picture has left."""
+
+WAIT_S: Final = 20.0
+REPEATS: Final = 30
+SMALLEST: Final = cv2.IMREAD_REDUCED_GRAYSCALE_8
+"""What reads a JPEG with the least work beside its entropy decoding."""
+
+CONFIG: Final = """\
+version = 1
+[device]
+plugin = "usb_mock"
+options = {{ recording = "{recording}", pace = 1.0, loop = true }}
+[inspection]
+bundle = "{bundle}"
+threads = {threads}
+[store]
+path = "gelgate.db"
+[[sinks]]
+plugin = "mqtt"
+options = {{ host = "{broker.host}", port = {broker.port} }}
+"""
+
+
+@dataclass(frozen=True)
+class BenchSettings:
+    """What is measured. presses: with their stages. idle_s: of the gateway that looks at the free gel."""
+
+    bundle: Path
+    recording: Path
+    presses: int
+    idle_s: float
+    threads: int
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a run gives."""
+
+    bundle: str
+    """Its method and trunk."""
+    machine: dict[str, Any]
+    stages: Mapping[str, Sequence[float]]
+    """Milliseconds of each stage of `STAGES`, one for each press, or each frame."""
+    floors: Mapping[str, float]
+    """The least milliseconds of a stage on this machine."""
+    peak: Mapping[str, float]
+    """Operations and bytes per second, at most."""
+    frame: Mapping[str, float]
+    """Of the recording: width, height, mean bytes, frames per second."""
+    idle: Mapping[str, float]
+    """core_share of the gateway; memory_bytes at its peak."""
+
+
+def bench(settings: BenchSettings, folder: Path) -> Measured:
+    """Measure a bundle on a recording; the folder, on the disk of the station's database, gets its files.
+
+    Errors: RecordingError without presses or free frames; BundleError; SinkUnavailable without a broker.
+    """
+    bundle, recording = Bundle.load(settings.bundle), Recording.open(settings.recording)
+    if bundle.grid is None or bundle.graphs.trunk is None:
+        raise ConfigError(f"'{settings.bundle}' is one graph; the floors need a bundle of a trunk and a head")
+    machine, before = fingerprint(settings.threads), probe(settings.threads, REPEATS)
+    with LocalBroker() as broker:
+        free = _copy_free_frames(recording, folder / "free")
+        idle = _watch_idle(_write_config(folder / "idle", free, settings, broker), settings.idle_s)
+        station = load_config(_write_config(folder / "station", settings.recording, settings, broker))
+        stages = _play(station, bundle, settings, broker)
+    peak = best(before, probe(settings.threads, REPEATS))
+    payloads = [
+        recording[k].frame.payload for k in range(0, len(recording), max(1, len(recording) // REPEATS))
+    ]
+    floors = _floors(bundle, peak, payloads, folder)
+    width, height = recording.header.mode
+    frame = {"width": width, "height": height, "bytes": float(np.mean([len(one) for one in payloads]))}
+    assert bundle.manifest.backbone is not None
+    return Measured(
+        f"{bundle.manifest.method} on {bundle.manifest.backbone.id}",
+        machine,
+        stages,
+        floors,
+        asdict(peak),
+        {**frame, "fps": recording.header.nominal_fps},
+        idle,
+    )
+
+
+class _Watch(PressStage):
+    """Notes when a press passes. `arrived` may be called by another thread."""
+
+    def __init__(self, run_trunk: Callable[[], object]) -> None:
+        self.ms: defaultdict[str, list[float]] = defaultdict(list)
+        self._run_trunk = run_trunk
+        self._taken = self._judged = self._began = 0.0
+        self._taken_of: dict[str, float] = {}
+        self._turns = 0
+        self._arrived: dict[str, dict[str, float]] = {"result": {}, "heatmap": {}}
+
+    def take(self, frame: CameraFrame) -> None:
+        """A frame arrives."""
+        self._taken, self._judged = time.perf_counter(), 0.0
+
+    def look(self, look: Look) -> None:
+        """The contact has looked at it."""
+        if not self._judged:
+            self.ms["look"].append(_since(self._taken))
+
+    def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
+        """It has its verdict."""
+        self._judged = time.perf_counter()
+        if settled is not None and press.verdict is not None:
+            self._taken_of[press.press_id] = self._taken
+            self.ms["verdict"].append(_since(self._taken))
+            for name in ("decode", "trunk", "head"):
+                self.ms[name].append(press.latency_ms[name])
+        return press
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        """It is in the database, with its messages."""
+        if press.press_id in self._taken_of:
+            self.ms["outbox"].append(_since(self._taken))
+            self.ms["transaction"].append(_since(self._judged))
+            self._turns = REST_TURNS
+
+    def turn(self, mounted: Mounted | None) -> None:
+        """Run the trunk alone, once after each press."""
+        self._turns -= 1
+        if self._turns == 0:
+            start = time.perf_counter()
+            self._run_trunk()
+            self.ms["bare trunk"].append(_since(start))
+
+    def arrived(self, message: Received) -> None:
+        """A subscriber has a message: a result, or a picture by the id of its press."""
+        kind, _, press = message.topic.partition("/gel/v1/")[2].partition("/")
+        if kind == "result":
+            press = str(message.payload.partition(b'"press_id":')[2].split(b'"')[1], "ascii")
+        if kind in self._arrived and message.payload:
+            self._arrived[kind].setdefault(press, time.perf_counter())
+
+    def finish(self) -> None:
+        """Wait for what is on its way, and take its times."""
+        end = time.monotonic() + WAIT_S
+        while any(not self._taken_of.keys() <= seen.keys() for seen in self._arrived.values()):
+            if time.monotonic() > end:
+                break
+            time.sleep(0.05)
+        for name, kind in (("subscriber", "result"), ("picture", "heatmap")):
+            seen = self._arrived[kind]
+            self.ms[name] = [
+                1e3 * (seen[press] - at) for press, at in self._taken_of.items() if press in seen
+            ]
+
+
+def _since(start: float) -> float:
+    return 1e3 * (time.perf_counter() - start)
+
+
+def _play(
+    config: Config, bundle: Bundle, settings: BenchSettings, broker: LocalBroker
+) -> dict[str, list[float]]:
+    assert bundle.grid is not None
+    assert bundle.graphs.trunk is not None
+    session = open_session(bundle.graphs.trunk, settings.threads, "the bare trunk")
+    seen = (
+        bundle.grid.frame if bundle.grid.tiles is None else (bundle.grid.tiles.size, bundle.grid.tiles.size)
+    )
+    picture = np.random.default_rng(0).integers(0, 256, (1, *seen, 3), np.uint8)
+    session.run(None, {"frames": picture})
+    watch = _Watch(lambda: session.run(None, {"frames": picture}))
+    level: Level = "5" if broker.speaks_mqtt5 else "3.1.1"
+    connection = Connection.open(
+        Broker(broker.host, broker.port, "gelgate-bench", level=level), on_received=watch.arrived
+    )
+    try:
+        connection.subscribe("gelgate/#")
+        with open_station(config, SystemClock(), stages={"bench": watch}) as station:
+            station.run(threading.Event(), settings.presses)
+            watch.finish()
+    finally:
+        connection.close()
+    return dict(watch.ms)
+
+
+def _write_config(folder: Path, recording: Path, settings: BenchSettings, broker: LocalBroker) -> Path:
+    folder.mkdir(parents=True)
+    path = folder / "gelgate.toml"
+    paths = {"recording": recording.resolve(), "bundle": settings.bundle.resolve()}
+    path.write_text(CONFIG.format(**paths, threads=settings.threads, broker=broker), encoding="utf-8")
+    return path
+
+
+def _copy_free_frames(recording: Recording, folder: Path) -> Path:
+    """Copy the frames before the first press. Errors: RecordingError where the labels tell of none."""
+    with RecordingWriter(folder, recording.header) as writer:
+        for one in recording:
+            if one.label is None or one.label.get("press") is not None:
+                break
+            writer.add(one.frame.payload, one.frame.timestamp_ns, one.label)
+    if not len(writer):
+        raise RecordingError(
+            f"'{recording.folder}' does not begin with frames that are labelled as free; give a recording of "
+            "`gelgate lab simulate` or one with labels"
+        )
+    return folder
+
+
+def _watch_idle(config: Path, seconds: float) -> dict[str, float]:
+    """Run a gateway for some time: its share of a core, without its start, and its memory. Empty without /proc."""
+    words = [sys.executable, "-m", "gelgate", "run", "-c", str(config)]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as running:
+        try:
+            time.sleep(seconds)
+            before_s, start = _cpu_s(running.pid), time.perf_counter()
+            time.sleep(seconds)
+            share = (_cpu_s(running.pid) - before_s) / (time.perf_counter() - start)
+            lines = Path(f"/proc/{running.pid}/status").read_text().splitlines()
+            memory = next(int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM"))
+            return {"core_share": share, "memory_bytes": float(memory)}
+        except FileNotFoundError:
+            return {}
+        finally:
+            running.terminate()
+
+
+def _cpu_s(pid: int) -> float:
+    """Time on a core of all its threads, in the program and in the kernel (proc(5): fields 14 and 15)."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _floors(bundle: Bundle, peak: Peak, payloads: Sequence[bytes], folder: Path) -> dict[str, float]:
+    """Return the least milliseconds of the stages: entropy decoding, arithmetic or bandwidth, and a flush."""
+    assert bundle.graphs.trunk is not None
+    whole, trunk = work_of(bundle.graphs.trunk, bundle), trunk_work(bundle.graphs.trunk, bundle)
+    head = Work(whole.float32 - trunk.float32, whole.int8 - trunk.int8, whole.bytes - trunk.bytes)
+    raw = [np.frombuffer(one, np.uint8) for one in payloads]
+    decode = float(np.median([_fastest(lambda: cv2.imdecode(one, SMALLEST), 3) for one in raw]))  # noqa: B023 - called at once
+    floors = {
+        "look": decode,
+        "decode": decode,
+        "trunk": floor_ms(trunk, peak)[0],
+        "head": floor_ms(head, peak)[0],
+    }
+    floors["verdict"] = sum(floors[name] for name in ("decode", "trunk", "head"))
+    floors["transaction"] = _flush_ms(folder)
+    return {**floors, "outbox": floors["verdict"] + floors["transaction"], "bare trunk": floors["trunk"]}
+
+
+def _flush_ms(folder: Path) -> float:
+    """The fastest flush of a page that is appended to a file of the folder."""
+    with (folder / "flush").open("wb") as file:
+
+        def flush() -> None:
+            file.write(bytes(4096))
+            file.flush()
+            os.fdatasync(file.fileno())
+
+        return _fastest(flush, REPEATS)
+
+
+def _fastest(work: Callable[[], object], repeats: int) -> float:
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        times.append(_since(start))
+    return min(times)

@@ -1,0 +1,97 @@
+"""The verb `bench`, and the page that it prints."""
+
+import json
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from calibration.experiments.harness.markdown import markdown_table
+from calibration.experiments.tradeoff.bench import STAGES, BenchSettings, Measured, bench
+from calibration.experiments.tradeoff.machine import busy
+
+__all__ = ["bench_station", "page", "summary"]
+
+
+def bench_station(
+    bundle: Annotated[Path, typer.Argument(help="the bundle that judges")],
+    recording: Annotated[Path, typer.Argument(help="free frames, then presses, with labels")],
+    presses: Annotated[int, typer.Option(help="presses that are timed", min=3)] = 100,
+    idle: Annotated[
+        float, typer.Option(help="seconds of the gateway that looks at the free gel", min=1)
+    ] = 20.0,
+    threads: Annotated[int, typer.Option(help="threads of the runtime", min=1, max=64)] = 2,
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON, not a page")] = False,
+    folder: Annotated[
+        Path | None, typer.Option(help="where the database is made, on the disk that is measured")
+    ] = None,
+) -> None:
+    """Measure a station, from frame to subscriber.
+
+    Prints a page: each stage of a press beside the least that this machine can do, and an idle gateway with its memory.
+    """
+    with tempfile.TemporaryDirectory(prefix="gelgate-bench-", dir=folder) as made:
+        measured = bench(BenchSettings(bundle, recording, presses, idle, threads), Path(made))
+    typer.echo(json.dumps(summary(measured)) if as_json else page(measured), nl=as_json)
+
+
+def summary(measured: Measured) -> dict[str, Any]:
+    """Return the run with each stage as count, median, p95, p99, floor and ratio, in milliseconds."""
+    stages = {
+        name: _quantiles(values, measured.floors.get(name))
+        for name, values in measured.stages.items()
+        if values
+    }
+    return {**asdict(measured), "stages": stages}
+
+
+def _quantiles(values: Sequence[float], floor: float | None) -> Mapping[str, float | None]:
+    median, p95, p99 = (float(value) for value in np.percentile(values, (50, 95, 99)))
+    ratio = median / floor if floor else None
+    return {"count": len(values), "median": median, "p95": p95, "p99": p99, "floor": floor, "ratio": ratio}
+
+
+def page(measured: Measured) -> str:
+    """Return the page as Markdown."""
+    return "\n".join(_lines(measured, summary(measured)["stages"])) + "\n"
+
+
+def _lines(measured: Measured, stages: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
+    machine, peak, frame, idle = measured.machine, measured.peak, measured.frame, measured.idle
+    yield "# Performance\n"
+    yield (
+        "A reference, printed by `gelgate lab bench`: what a press takes on one machine, and the least that it can "
+        "take.\n"
+    )
+    yield (
+        f"{machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, {machine['system']}, Python "
+        f"{machine['python']}, onnxruntime {machine['libraries']['onnxruntime']}; load at the start "
+        f"{machine['load_at_start']:g}. {busy(machine)}\n"
+    )
+    yield (
+        f"The bundle is {measured.bundle}. Frames {frame['width']:.0f}x{frame['height']:.0f}, {frame['bytes'] / 1e3:.0f} kB, {frame['fps']:g} a second. "
+        f"The machine does {peak['float32_per_s'] / 1e9:.0f} GFLOP/s in float32, "
+        f"{peak['int8_per_s'] / 1e9:.0f} Gop/s in int8, and copies {peak['bytes_per_s'] / 1e9:.1f} GB/s.\n"
+    )
+    heading = ["milliseconds", "what", "count", "median", "p95", "p99", "floor", "ratio"]
+    yield markdown_table(heading, (_cells(name, stages[name]) for name in STAGES if name in stages))
+    if idle:
+        yield (
+            f"A gateway that looks at the free gel takes {100 * idle['core_share']:.1f} % of one core, the simulated "
+            f"sensor with it, and {idle['memory_bytes'] / 1e6:.0f} MB at its peak.\n"
+        )
+    yield (
+        "Floors: entropy decoding of a whole frame, the arithmetic or the bytes of trunk and head at the rates above,\n"
+        "and the fastest flush of a page of this disk; a verdict and an outbox have the sum. A stage may stay below\n"
+        "its floor where it reads a part of a frame, or was done ahead. The bare trunk runs between the presses."
+    )
+
+
+def _cells(name: str, stage: Mapping[str, float | None]) -> list[str]:
+    numbers = ("median", "p95", "p99", "floor", "ratio")
+    cells = ["" if (value := stage[key]) is None else f"{value:.3g}" for key in numbers]
+    return [name, STAGES[name], f"{stage['count']}", *cells]
