@@ -73,7 +73,8 @@ def _lines(measured: Measured, stages: Mapping[str, Mapping[str, float]]) -> Ite
         f"{machine['load_at_start']:g}. {busy(machine)}\n"
     )
     yield (
-        f"The bundle is {measured.bundle}. Frames {frame['width']:.0f}x{frame['height']:.0f}, {frame['bytes'] / 1e3:.0f} kB, {frame['fps']:g} a second. "
+        f"The bundle is {measured.bundle}. Frames {frame['width']:.0f}x{frame['height']:.0f}, "
+        f"{frame['bytes'] / 1e3:.0f} kB, {frame['fps']:g} a second. "
         f"The machine does {peak['float32_per_s'] / 1e9:.0f} GFLOP/s in float32, "
         f"{peak['int8_per_s'] / 1e9:.0f} Gop/s in int8, and copies {peak['bytes_per_s'] / 1e9:.1f} GB/s.\n"
     )
