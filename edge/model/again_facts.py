@@ -44,7 +44,8 @@ def plan_for(manifest: Manifest, costs: Costs) -> Plan:
         return Plan(f"the bundle's scores cannot be read ({error.errors()[0]['msg']}); fit it again")
     limit = manifest.threshold
     if limit.alpha_floor == 1:
-        return Plan("no rate of false alarms is promised of new pieces")
+        given = "the threshold was given, so no rate of false alarms is promised"
+        return Plan("no rate of false alarms is promised of new pieces" if limit.n else given)
     rate = max(limit.alpha, limit.alpha_floor)
     return plan(KnownScores(entry.sound, tuple(entry.damaged.values())), limit.value, rate, costs)
 

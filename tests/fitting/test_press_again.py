@@ -66,10 +66,12 @@ def test_without_a_picture_of_the_free_gel_there_are_none() -> None:
 def test_without_scores_or_a_rate_no_press_can_be_planned(fit: Fitted) -> None:
     """A damaged manifest does not end the station; a threshold that was given promises no rate."""
     facts = {**fit.manifest.facts, PRESS_AGAIN: {"sound": "all"}}
-    given = fit.manifest.threshold.model_copy(update={"nominal_scores": (), "alpha_floor": 1.0})
+    of_one_piece = fit.manifest.threshold.model_copy(update={"alpha_floor": 1.0})
+    given = of_one_piece.model_copy(update={"nominal_scores": ()})
     for changes, why in (
         ({"facts": facts}, "cannot be read"),
         ({"threshold": given}, "the threshold was given"),
+        ({"threshold": of_one_piece}, "of new pieces"),
     ):
         found = plan_for(fit.manifest.model_copy(update=changes), Costs(1, 1, 1, 0.1))
         assert found.bound is None
