@@ -329,6 +329,10 @@ def summarise(fitted: "Fitted", output: Path) -> None:
             f"a frame takes {cost.trunk_ms:.1f} + {cost.head_ms:.1f} ms (trunk + head, {cost.threads} threads); "
             f"the bank {cost.bank_bytes_stored / 1e6:.2f} MB stored, {cost.bank_bytes_unpacked / 1e6:.2f} MB in use"
         )
+        typer.echo(
+            f"the fit took {cost.features_s + cost.fit_s + cost.threshold_s:.1f} s of processor time: features and "
+            f"registration {cost.features_s:.1f}, bank {cost.fit_s:.1f}, threshold and limits {cost.threshold_s:.1f}"
+        )
     is_unproven = any(said.startswith(UNPROVEN) for said in manifest.provenance.warnings)
     doubt = "; it is not proven: see the first warning" if is_unproven else ""
     typer.echo(f"bundle {manifest.part}/{manifest.position} written to {output}{doubt}")

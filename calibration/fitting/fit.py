@@ -109,7 +109,7 @@ def fit_files(
 
 
 class _Watch:
-    """Reports how far a fit is, and measures how long its stages take."""
+    """Reports how far a fit is, and measures the processor time of its stages."""
 
     def __init__(self, report: Report) -> None:
         self.report = report
@@ -117,9 +117,9 @@ class _Watch:
 
     @contextmanager
     def time(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
+        start = time.process_time()
         yield
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.process_time() - start
 
 
 @dataclass(frozen=True, eq=False)

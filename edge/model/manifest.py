@@ -221,7 +221,8 @@ class ColourEntry(Entry):
 class CostCard(Entry):
     """The time and size of scoring and fitting, on the machine of the fit. Milliseconds are medians of one frame.
 
-    features_s: trunk over all presses. fit_s: the bank from the features. threshold_s: the folds for the threshold.
+    features_s: trunk over all presses, and registration. fit_s: the bank from the features. threshold_s: the folds for
+    the threshold. In seconds of processor time; of fits before 0.2.0 by the clock.
     """
 
     trunk_ms: float
