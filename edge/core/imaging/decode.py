@@ -78,7 +78,9 @@ def _reduce(frame: CameraFrame, scale: int) -> NDArray[np.uint8]:
         return _resize(bgr, (-(-width // scale), -(-height // scale)))
     bgr = _imdecode(frame, _FLAGS[scale])
     # Where the decoder ran out of data the last rows are one flat colour, unlike the others. `quality` judges a picture
-    # that is flat everywhere (black, saturated).
+    # that is flat everywhere (black, saturated). A gap within the bytes shows only here, from 3 to 6 kB on in frames of
+    # 3280x2464. So no frame is decoded in part, although a smaller height in its header would give the rows above the
+    # lower border bit by bit in 10 to 15 % less time.
     tail, head = bgr[-2:], bgr[: max(1, bgr.shape[0] // 8)]
     if (tail == tail[0, 0]).all() and (head != tail[0, 0]).any():
         raise FrameCorrupt(

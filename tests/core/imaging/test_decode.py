@@ -102,6 +102,7 @@ DAMAGED = [
         NOISE[: len(NOISE) // 2] + b"\xff\xd9",
         "last rows",
     ),  # the last rows are flat, although the first are not
+    (NOISE[: len(NOISE) // 4] + NOISE[len(NOISE) * 3 // 10 :], "last rows"),  # a gap: both ends are there
     (PNG[:40] + bytes(len(PNG) - 80) + PNG[-40:], ""),
     (encoded(gradient(640, 480)).payload, r"640x480.*656x496"),
 ]
