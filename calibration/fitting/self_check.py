@@ -46,8 +46,8 @@ LEAST_FOUND = 1 / 6
 found. A simulated bolt has 0.42, real balls 0.4 where nine of ten damaged presses are reported, and 0 to 0.12 where few
 are."""
 
-LOOSER = (0.1, 0.2)
-"""The promises that are tried where little is found."""
+LOOSER = 0.1
+"""The promise that is tried where little is found."""
 
 APART_SHARE = 0.1
 """More presses than this share are not outliers: sound presses then have more than one look."""
@@ -107,9 +107,8 @@ def _try_remedies(
 ) -> Iterator[tuple[str, Evidence, Evidence | None]]:
     """Yield what to say of the finds after and before, what is tried, and what before is; None for the bundle."""
     count = len(evidence.scores)
-    for alpha in LOOSER:
-        if alpha > evidence.alpha:
-            yield f"with --alpha {alpha:g} it finds {{}}", replace(evidence, alpha=alpha), None
+    if evidence.alpha < LOOSER:
+        yield f"with --alpha {LOOSER:g} it finds {{}}", replace(evidence, alpha=LOOSER), None
     if count > MIN_PRESSES:
         name = presses.names[highest].replace("{", "{{").replace("}", "}}")
         words = f"without its highest press it finds {{}}: look whether '{name}' is dirty or damaged"
