@@ -272,7 +272,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """The rows as a table, worst first, and their mean."""
 
     def cells(row: Mapping[str, Any]) -> list[str]:
-        how = f"{row['method']}, {row['trunk']}, {row['limit']}{', registered' * row['is_registered']}"
+        how = f"{row['limit']}{', registered' * row['is_registered']}"
         found = "-" if row["found"] is None else f"{row['found']:.2f}"
         alarms = f"{row['alarms']} of {row['sound']}"
         return [row["kind"], how, *_values(row), alarms, f"{row['lost_sound']}, {row['lost_damaged']}", found]
@@ -284,7 +284,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         alarms, sound = (sum(row[name] for row in fitted) for name in ("alarms", "sound"))
         lines.append(["mean", "", *_values(mean), f"{alarms} of {sound}", "", ""])
     lines += [[row["kind"], row["error"], *[""] * 8] for row in rows if "error" in row]
-    head = ["kind", "fit", "AUROC", "AU-PRO", "peak", "reported", "of peak", "alarms", "lost", "found"]
+    head = ["kind", "limit", "AUROC", "AU-PRO", "peak", "reported", "of peak", "alarms", "lost", "found"]
     return markdown_table(head, lines)
 
 
