@@ -16,10 +16,10 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from edge.core.errors import SinkRejected, SinkUnavailable
+from edge.core.imaging.image_bytes import kind
 from edge.core.plugins import SinkPlugin
 from edge.core.ports import Message
 from edge.core.sink_context import Station
-from edge.pictures.image_file import SUFFIXES
 
 __all__ = ["Jsonl", "JsonlOptions", "JsonlSink", "plugin"]
 
@@ -81,7 +81,7 @@ class JsonlSink:
         """Nothing stays open between messages."""
 
     def _picture(self, message: Message) -> str:
-        name = message.topic + SUFFIXES.get(message.content_type, ".bin")
+        name = f"{message.topic}.{kind(message.payload) or 'bin'}"
         path = self._folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_name(path.name + ".part")
@@ -97,7 +97,7 @@ class JsonlSink:
             return
         self._unchecked_bytes = 0
         pictures = [
-            (path, path.stat()) for suffix in SUFFIXES.values() for path in self._folder.rglob(f"*{suffix}")
+            (path, path.stat()) for suffix in ("jpg", "png") for path in self._folder.rglob(f"*.{suffix}")
         ]
         excess = sum(stat.st_size for _, stat in pictures) - self._keep_bytes // 2
         for path, stat in sorted(pictures, key=lambda one: one[1].st_mtime_ns)[:-1]:

@@ -73,7 +73,7 @@ def station(unit: Path, real_tactile: Path, tmp_path_factory: pytest.TempPathFac
 
 def _thread_on_this_unit(unit: Path, real_tactile: Path, path: Path) -> Path:
     """The thread's imprint, as what it adds to its own picture's smooth light, on this unit's free gel."""
-    thread = cv2.imread(str(sorted((real_tactile / STRANGER).glob("*.jpg"))[0]))
+    thread = cv2.imread(str(sorted((real_tactile / STRANGER).glob("*.png"))[0]))
     free = cv2.imread(str(unit / "background.png"))
     assert thread is not None
     assert free is not None
