@@ -216,9 +216,10 @@ class InspectionSession:
 
     def _score_ahead(self, newest: CameraFrame) -> None:
         """Score the frame that a press which nearly rests is most likely judged by, so that its score is ready when it
-        rests; at most once in half of `settle_s`."""
-        half_ns = self._detector.tracker.settings.settle_s * 0.5e9
-        if newest.timestamp_ns - self._ahead_ns < half_ns:
+        rests; at most once in half of `settle_s`, and only where that is enough: frames that wait for a slower score
+        would be dropped before the press rests."""
+        half_s = self._detector.tracker.settings.settle_s / 2
+        if newest.timestamp_ns - self._ahead_ns < half_s * 1e9 or self.inspector.took_s > half_s:
             return
         probable = self._detector.probable
         if probable is not None:

@@ -1,5 +1,6 @@
 """One settled frame to one verdict: decode, crop, check light, sensor and contact, score, decide."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -30,10 +31,12 @@ class Inspector:
     """Judges settled frames with one bundle.
 
     fault: why its scores cannot be trusted now; then a press gives this error and no verdict. expected: where nominal
-    presses reach, bool (h, w) of the region in the bank's pose; None where the bundle does not show it.
+    presses reach, bool (h, w) of the region in the bank's pose; None where the bundle does not show it. took_s: how
+    long the last score took, from the camera's bytes on; without end before the first.
     """
 
     fault: str | None = None
+    took_s: float = math.inf
 
     def __init__(self, scorer: Scorer, clock: Clock) -> None:
         self.scorer = scorer
@@ -89,7 +92,7 @@ class Inspector:
 
     def _examine(self, frame: CameraFrame, touch: Touch) -> Press:
         press = Press()
-        started_ns = self._clock.monotonic_ns()
+        began_ns = started_ns = self._clock.monotonic_ns()
         try:
             picture = decode(frame, self.bundle.profile)
         except FrameCorrupt as error:
@@ -108,7 +111,9 @@ class Inspector:
             rejection = check_contact(touch, self.bundle.manifest.contact, self.bundle.profile.size)
         if rejection is not None:
             return press.reject(rejection)
-        return self._score(press, filled)
+        press = self._score(press, filled)
+        self.took_s = (self._clock.monotonic_ns() - began_ns) / 1e9
+        return press
 
     def score_map(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32] | None:
         """Score another picture of the region, uint8 (h, w, 3); float32 (h, w), None where it cannot be scored."""

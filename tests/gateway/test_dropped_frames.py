@@ -3,9 +3,13 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
+
+from edge.model.scorer import Scored
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +40,26 @@ def test_a_press_that_is_held_while_frames_are_dropped_has_one_verdict(station: 
     assert station.alarm("overload") is None
     assert station.verdicts == ["pass", "pass"]
     assert station.loop.summary.frames.interrupted == 1
+
+
+@pytest.mark.parametrize("frames", [2, 12, 20])
+def test_a_bundle_that_scores_slowly_judges_every_press(
+    station: SteppedStation, monkeypatch: pytest.MonkeyPatch, frames: int
+) -> None:
+    """Meanwhile so many frames come; more than 15 of them are dropped. The press is scored when it rests, not before:
+    its rest would be interrupted, again and again."""
+    scorer = station.parts.selection.inspector.scorer
+    score = scorer.score_filled
+
+    def score_slowly(rgb: NDArray[np.uint8]) -> Scored:
+        station.read(frames)
+        return score(rgb)
+
+    monkeypatch.setattr(scorer, "score_filled", score_slowly)
+    station.play()
+    station.look()
+
+    assert station.verdicts == ["pass", "pass"]
 
 
 def test_frames_that_a_halted_store_costs_are_no_overload(station: SteppedStation) -> None:

@@ -99,6 +99,7 @@ class Listener:
     """An inspector that keeps the frames to judge."""
 
     bundle = Mock(profile=PROFILE, free_reference=None, digest="")
+    took_s = 0.0
 
     def __init__(self) -> None:
         self.asked: list[bytes] = []
