@@ -50,18 +50,20 @@ def encode_jpeg(rgb: NDArray[np.uint8], text: Mapping[str, str]) -> bytes:
 
 
 def texts(data: bytes) -> dict[str, str]:
-    """Read the texts in a PNG or a JPEG, keyword to text. Errors: ValueError for bytes that are neither."""
-    if content_type(data) == "image/jpeg":
-        comment = json.loads(next((body for kind, body in _segments(data) if kind == _COMMENT), b"{}"))
-        if not isinstance(comment, dict):
-            raise ValueError("the comment of a JPEG has no texts")
-        return {str(keyword): str(text) for keyword, text in comment.items()}
-    entries = {}
-    for kind, body in _chunks(data):
-        if kind == b"iTXt":
-            keyword, _, rest = body.partition(b"\0")
-            entries[keyword.decode("latin-1")] = rest[2:].split(b"\0", 2)[2].decode()
-    return entries
+    """Read the texts in a PNG or a JPEG, keyword to text. Errors: ValueError for bytes that are neither, and for texts
+    that cannot be read."""
+    try:
+        if content_type(data) == "image/jpeg":
+            comment = json.loads(next((body for kind, body in _segments(data) if kind == _COMMENT), b"{}"))
+            return {str(keyword): str(text) for keyword, text in comment.items()}
+        entries = {}
+        for kind, body in _chunks(data):
+            if kind == b"iTXt":
+                keyword, _, rest = body.partition(b"\0")
+                entries[keyword.decode("latin-1")] = rest[2:].split(b"\0", 2)[2].decode()
+        return entries
+    except (AttributeError, IndexError, RecursionError) as error:
+        raise ValueError("its texts cannot be read") from error
 
 
 def content_type(data: bytes) -> str:

@@ -132,6 +132,8 @@ def test_one_station_is_shown_and_others_are_named(caplog: pytest.LogCaptureFixt
         (f"{ROOT}/result", b'{"press_id":"<script>"}'),
         (f"{ROOT}/heatmap/../../x", b"\x89PNG"),
         (f"{ROOT}/last/heatmap", b"GIF"),
+        (f"{ROOT}/last/heatmap", b"\xff\xd8\xff\xfe\xc3\x52" + b"[" * 50_000),
+        (f"{ROOT}/last/heatmap", b"\x89PNG\r\n\x1a\n\0\0\0\x01iTXtx\0\0\0\0"),
         (f"{ROOT}/alarm/gel", b"\xff"),
         (f"{ROOT}/cmd/select_part/response", b"[" * 50_000),
         (f"{ROOT}/cmd/select_part/response", b"[]"),

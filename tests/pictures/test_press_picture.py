@@ -113,7 +113,15 @@ def test_the_file_with_texts_is_a_sound_png() -> None:
 
 
 @pytest.mark.parametrize(
-    "data", [b"GIF89a", b"", b"\xff\xd8\xff\xfe\x00\x04[]", b"\xff\xd8\xff\xfe\x00\x04\xff\xff"]
+    "data",
+    [
+        b"GIF89a",
+        b"",
+        b"\xff\xd8\xff\xfe\x00\x04[]",
+        b"\xff\xd8\xff\xfe\x00\x04\xff\xff",
+        b"\xff\xd8\xff\xfe\xc3\x52" + b"[" * 50_000,
+        b"\x89PNG\r\n\x1a\n\0\0\0\x01iTXtx\0\0\0\0",
+    ],
 )
 def test_what_is_no_picture_of_a_press_has_no_texts(data: bytes) -> None:
     """It is refused by its first bytes, and by its comment."""
