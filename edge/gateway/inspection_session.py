@@ -132,6 +132,7 @@ class InspectionSession:
             self.see_gel(report.gel)
             self._status.gel_wear(report.gel)
             yield report
+            self._recorder.keep_count(report.gel)  # when the result is on its way
 
         if self._uncounted:
             self.see_gel(self._recorder.count(self._uncounted))

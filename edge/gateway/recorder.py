@@ -137,8 +137,8 @@ class Recorder:
         return WaitingPress(press.drop_pictures(), row, result, drawing, table)
 
     def record(self, waiting: WaitingPress) -> PressReport:
-        """Write press, count and messages in one transaction; its picture follows. Errors: StoreError; the call may be
-        repeated."""
+        """Write press, count and messages in one transaction; its picture and `keep_count` follow. Errors: StoreError;
+        the call may be repeated."""
         press, table = waiting.press, waiting.table
         sentences: Sequence[str] = ()
 
@@ -152,10 +152,16 @@ class Recorder:
             return [*own, GelPayload.of(recorded.gel, result.time_ns).message()]
 
         drawing = waiting.drawing
-        recorded = self._store.record_press(waiting.row, messages, table, owes_picture=drawing is not None)
+        recorded = self._store.record_press(
+            waiting.row, messages, table, owes_picture=drawing is not None, owes_count=True
+        )
         if drawing is not None:
             self._add_picture(drawing)
         return PressReport(press, _result(waiting, recorded), recorded.gel, sentences)
+
+    def keep_count(self, gel: GelRecord) -> None:
+        """Write the count of the last press into its second record. Never raises."""
+        self._store.keep_count(gel)
 
     def count(self, presses: int) -> GelRecord:
         """Count presses that have no result. Errors: StoreError."""

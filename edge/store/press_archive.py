@@ -102,6 +102,10 @@ class ArchivedPress(BaseModel):
         """The record's file."""
         return self.model_dump_json().encode()
 
+    def sha256(self) -> bytes:
+        """Hash the record's file, as the press's row names it."""
+        return hashlib.sha256(self.encode()).digest()
+
 
 def map_bytes(score_map: NDArray[np.float32]) -> bytes:
     """A score map as it is archived: float32 little-endian, row by row."""
@@ -130,7 +134,7 @@ class PressArchive:
         self.fault: str | None = None
         self._folder = folder
         self._most_presses, self._most_bytes = most_presses, most_bytes
-        self._why_not = why_not
+        self.why_not = why_not
         self._presses: dict[str, tuple[Digest, ...]] = {}
         self._uses: Counter[Digest] = Counter()
         self._sizes: dict[Digest, int] = {}
@@ -139,7 +143,7 @@ class PressArchive:
     def keep(self, press: ArchivedPress, objects: Mapping[Digest, bytes]) -> bytes | None:
         """Write the record and its objects, and remove the oldest ones beyond the limits; returns the SHA-256 of the
         record, None where it could not be written. Never raises for a disk."""
-        self.fault = self._why_not()
+        self.fault = self.why_not()
         if self.fault is None:
             try:
                 return self._write_press(press, objects)

@@ -85,9 +85,8 @@ class History:
 
     def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
         """Add the press to the history and return its number, which SQLite's AUTOINCREMENT never uses twice."""
-        (gel_presses,) = connection.execute(
-            "SELECT presses FROM gels WHERE serial = ? AND removed_ns IS NULL", (press.serial,)
-        ).fetchone()
+        query = "SELECT presses FROM gels WHERE serial = ? AND removed_ns IS NULL"
+        (gel_presses,) = connection.execute(query, (press.serial,)).fetchone()
         row = {**vars(press), "gel_id": gel_id, "running_ns": running_ns, "gel_presses": gel_presses}
         del row["wear_index"]  # of the gel
         return insert(connection, "presses", row)
@@ -171,6 +170,7 @@ class Store:
         self._counts = PressCounts(path)
         self._compared: set[str] = set()
         self.findings: list[str] = []
+        self._newest = 0  # the number of the newest press, as of the last change
         self._database = Database(path)
 
     @property
@@ -184,10 +184,12 @@ class Store:
         into: PressTable | None = None,
         *,
         owes_picture: bool = False,
+        owes_count: bool = False,
     ) -> Recorded:
         """Number the press, count it and queue its messages, all or nothing.
 
-        into: its table; by default the history of parts. owes_picture: `queue_picture` follows.
+        into: its table; by default the history of parts. owes_picture, owes_count: `queue_picture` and `keep_count`
+        follow.
 
         Recording the same press again changes nothing and returns its number and the gel as it is now, so a caller may
         repeat after an error. Errors: StoreError, also when the id belongs to another press; any error of
@@ -198,9 +200,8 @@ class Store:
         with self._database.writing(f"recording press {press.press_id}") as connection:
             known = find_number(connection, table.name, press)
             if known is not None:
-                return Recorded(
-                    self._require_mounted(connection, press.serial), known, ledger_chain.head(connection)
-                )
+                gel = self._require_mounted(connection, press.serial)
+                return Recorded(gel, known, ledger_chain.head(connection))
             self._mount_first(connection, press.serial, press.time_ns)
             if press.wear_index is not None:
                 ledger.set_wear(connection, press.serial, press.wear_index)
@@ -214,8 +215,9 @@ class Store:
             outbox.enforce(connection, self._bounds, running_ns)
             if owes_picture:
                 outbox.owe_picture(connection, press.press_id, press.verdict, press.time_ns)
-            sequence = _newest_number(connection)
-        self._keep_count(recorded.gel, sequence)
+            self._newest = _newest_number(connection)
+        if not owes_count:
+            self.keep_count(gel)
         return recorded
 
     def owed_pictures(self) -> list[str]:
@@ -253,10 +255,10 @@ class Store:
         with self._database.writing(f"reading the gel of sensor {serial}") as connection:
             self._mount_first(connection, serial, time_ns)
             self._running.store_sometimes(connection)
-            gel, sequence = self._require_mounted(connection, serial), _newest_number(connection)
+            gel, self._newest = self._require_mounted(connection, serial), _newest_number(connection)
         known = self._counts.read().get(serial)
         if known is None or (known.gel_id, known.presses) != (gel.gel_id, gel.presses):
-            self._keep_count(gel, sequence)
+            self.keep_count(gel)
         return gel
 
     def gels(self) -> list[GelRecord]:
@@ -282,22 +284,25 @@ class Store:
         self._compare(serial, time_ns)
         with self._database.writing(f"replacing the gel of sensor {serial}") as connection:
             ledger.mount(connection, serial, gel_id, limit_presses or self._limit_presses, note, time_ns)
-            gel = self._require_mounted(connection, serial)
-            sequence = _newest_number(connection)
+            gel, self._newest = self._require_mounted(connection, serial), _newest_number(connection)
             if act is not None:
                 act_table.begin(connection, act, self._running.store(connection))
             if make_messages is not None:
                 outbox.put(connection, make_messages(gel), "", time_ns, self._running.store(connection))
-        self._keep_count(gel, sequence)
+        self.keep_count(gel)
         return gel
 
     def count_presses(self, serial: str, presses: int, time_ns: int) -> GelRecord:
         """Count presses of which nothing else is known: they wear the gel."""
         with self._database.writing(f"counting presses of sensor {serial}") as connection:
             ledger.count_press(connection, serial, time_ns, presses)
-            gel, sequence = self._require_mounted(connection, serial), _newest_number(connection)
-        self._keep_count(gel, sequence)
+            gel, self._newest = self._require_mounted(connection, serial), _newest_number(connection)
+        self.keep_count(gel)
         return gel
+
+    def keep_count(self, gel: GelRecord) -> None:
+        """Write its count into the second record. gel: of the last change. Never raises."""
+        self._counts.write(gel.serial, Count(gel.gel_id, gel.presses, gel.limit_presses, self._newest))
 
     def note_uncounted(self, serial: str, presses: int) -> None:
         """Presses of this sensor that are made while the database refuses writes. They are counted when it accepts
@@ -382,15 +387,10 @@ class Store:
         if ledger.find_mounted(connection, serial, self._warn_fraction) is None:
             ledger.mount(connection, serial, None, self._limit_presses, "first seen", time_ns)
 
-    def _keep_count(self, gel: GelRecord, sequence: int) -> None:
-        self._counts.write(gel.serial, Count(gel.gel_id, gel.presses, gel.limit_presses, sequence))
-
     def _require_mounted(self, connection: sqlite3.Connection, serial: str) -> GelRecord:
         gel = ledger.find_mounted(connection, serial, self._warn_fraction)
         if gel is None:
-            raise StoreError(
-                f"database {self.path} has no gel for sensor {serial}; run `gelgate gel replace`"
-            )
+            raise StoreError(f"database {self.path} has no gel of sensor {serial}; run `gelgate gel replace`")
         return gel
 
 

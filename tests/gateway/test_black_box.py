@@ -296,6 +296,24 @@ def test_an_archive_that_cannot_be_written_stops_no_inspection(
     assert not played.archive.is_dir()
 
 
+def test_a_press_that_the_store_refuses_is_archived_too(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """Its files follow its row, or the press after it: no press waits for files, and at most one has none."""
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        archived = lambda: len(list_presses(tmp_path / "gelgate.archive"))  # noqa: E731
+        station.play_presses(1)
+        assert archived() == 1
+        with station.refusing("presses"):
+            station.play_until(lambda: station.has_ended)
+            assert archived() == 2
+        station.clock.sleep(2)
+        station.turn()
+        assert archived() == len(station.reports) == 3
+    played = Played(tmp_path, station.reports)
+    assert [played.record(number).press_id for number in range(3)] == played.ids
+
+
 def test_what_a_killed_gateway_left_is_removed(copy: Played) -> None:
     """Objects of no press go at the next start; those of a record of a newer version stay."""
     kept = {path.name for path in copy.objects.iterdir()}

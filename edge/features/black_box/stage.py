@@ -27,6 +27,7 @@ class BlackBox(PressStage):
         self._serial = ""
         self._machine: tuple[str, bytes] | None = None
         self._reference: tuple[View, tuple[str, bytes]] | None = None
+        self._unwritten: tuple[ArchivedPress, dict[str, bytes]] | None = None
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -40,7 +41,8 @@ class BlackBox(PressStage):
         self._serial = gel.serial
 
     def keep(self, press: Press, inspector: Inspector) -> Press:
-        """Return it with the SHA-256 of its record; as it was without a judged frame, and where it cannot be kept."""
+        """Return it with the SHA-256 of its record, which is written when the press is in the database; as it was
+        without a judged frame, and where it cannot be kept."""
         judged = press.judged
         # A frame that was too old then is not made again.
         is_late = (press.reason or "").startswith(f"{Reason.STALE.value}:")
@@ -80,10 +82,28 @@ class BlackBox(PressStage):
             is_too_blind=scars is not None and scars.is_too_blind,
         )
         kept = (frame, machine, reference, score_map, masked)
-        evidence = self._archive.keep(record, dict(one for one in kept if one is not None))
+        self._write()  # the press before, which the store has not taken yet
+        self._unwritten = record, dict(one for one in kept if one is not None)
+        # After a fault the archive comes first: no press then names a record that is not there.
+        is_sound = self._archive.fault is None and self._archive.why_not() is None
+        return replace(press, evidence=record.sha256() if is_sound else self._write())
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        """Write its record: a result does not wait for files."""
+        self._write()
+
+    def close(self) -> None:
+        self._write()
+
+    def _write(self) -> bytes | None:
+        """Write what is not written yet; returns the SHA-256 of its record, None where it could not be written."""
+        if self._unwritten is None:
+            return None
+        unwritten, self._unwritten = self._unwritten, None
+        evidence = self._archive.keep(*unwritten)
         fault = self._archive.fault
         self._alarms.say("archive", fault and f"presses are judged and not archived: {fault}", "warning")
-        return replace(press, evidence=evidence)
+        return evidence
 
     def _reference_now(self, view: View) -> tuple[str, bytes]:
         """Hashed once while it stays the same."""
