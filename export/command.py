@@ -187,10 +187,10 @@ def tiles(
     output: Annotated[Path, typer.Option("--output", "-o", help="The trunk to write.")] = Path("tiled.onnx"),
     frame: Annotated[str, typer.Option(help="Size of the inspected region, WIDTHxHEIGHT.")] = "1280x720",
     size: Annotated[int, typer.Option(min=32, help="Width and height of a tile in pixels.")] = 224,
-    overlap: Annotated[int, typer.Option(min=0, help="Least overlap of neighbouring tiles in pixels.")] = 56,
+    overlap: Annotated[int, typer.Option(min=0, help="Least overlap of neighbouring tiles in pixels.")] = 0,
     overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
 ) -> None:
-    """Make a trunk for large frames from overlapping tiles.
+    """Make a trunk for large frames, from tiles.
 
     Each tile is processed as a small frame."""
     from calibration.fitting.command import refuse_existing

@@ -12,6 +12,7 @@ from calibration.experiments.tradeoff.front import list_front, verdict_ms
 from calibration.experiments.tradeoff.machine import busy
 from calibration.experiments.tradeoff.page import FIRST, METHOD_NAMES
 from calibration.experiments.tradeoff.rows import Row, read_rows
+from calibration.fitting.trunks import DEFAULT_BACKBONE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -113,12 +114,14 @@ def say_cost(rows: Sequence[Row]) -> str:
 
 
 def name_point(row: Row) -> str:
-    """Name a point for people: method, precision, settings, and the view where it is not the usual one."""
+    """Name a point for people: method, precision, settings, and trunk and view where they are not the usual ones."""
     method = str(METHOD_NAMES.get(row["method"], row["method"]))
     if row.get("peer"):
         return method
     words = [f"{method} {'int8' if row['work']['int8'] > 0 else 'float32'}"]
     words += [f"{name} {value}" for name, value in row["settings"].items()]
+    trunk = row["backbone"].removesuffix("_int8")
+    words += [] if trunk == DEFAULT_BACKBONE else [f"on {trunk}"]
     views = [] if row["view"] == "lr" else ["in tiles" if "tiles" in row["view"] else "high resolution"]
     return ", ".join(words + views)
 

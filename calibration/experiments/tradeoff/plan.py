@@ -18,6 +18,7 @@ from calibration.experiments.harness.pictures import LR_VIEW
 from calibration.experiments.tradeoff.accuracy import Truth
 from calibration.experiments.tradeoff.point import OperatingPoint, Setting
 from calibration.experiments.tradeoff.presses import Chosen, choose_presses
+from calibration.fitting.trunks import DEFAULT_BACKBONE
 from calibration.metrics import specimen_weights
 from edge import registry
 from edge.core.errors import ConfigError
@@ -25,8 +26,8 @@ from edge.core.suggest import suggestion
 
 __all__ = ["BACKBONES", "LEAST_ROUNDS", "PRESSES", "Run", "RunSettings", "choose_points", "usual_points"]
 
-BACKBONES: Final = ("tactile_resnet18", "tactile_resnet18_int8")
-"""The trunks of a run without others: the shipped one in float32 and in int8."""
+BACKBONES: Final = (DEFAULT_BACKBONE, "tactile_resnet18", "tactile_resnet18_int8")
+"""The trunks of a run without others: those that ship, the one that `gelgate fit` uses first."""
 
 PRESSES: Final = (5, 10, 20, 40)
 """Nominal presses of a fit; the third is the usual number."""
