@@ -50,6 +50,17 @@ def test_the_light_is_found(places: list[tuple[float, float, float]], share: flo
     assert found.doubt == ""
 
 
+def test_a_gel_that_bends_beside_parts_holds_none_of_them() -> None:
+    """Discs that lie apart bend the gel around them: where one press differs the others agree."""
+
+    def bent(x: float, y: float, radius: float) -> U8:
+        away = np.hypot(COLUMNS - x, ROWS - y) - radius
+        bend = 10 * np.sign(COLUMNS - x + 1e-9) * np.exp(-np.maximum(away, 0) / 12)
+        return picture(light() + disc(x, y, radius) + bend[..., None])
+
+    assert estimate_free_gel([bent(*place) for place in ANYWHERE], MM).doubt == ""
+
+
 def test_another_light_is_noticed() -> None:
     """Another exposure is no other light; one side of it in another colour is."""
     found = estimate_free_gel(presses(ANYWHERE), MM)
