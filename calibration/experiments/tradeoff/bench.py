@@ -120,9 +120,9 @@ def bench(settings: BenchSettings, folder: Path) -> Measured:
     machine, before = fingerprint(settings.threads), probe(settings.threads, REPEATS)
     with LocalBroker() as broker:
         free = _copy_free_frames(recording, folder / "free")
-        idle = _watch_idle(_write_config(folder / "idle", free, settings, broker), settings.idle_s)
         station = load_config(_write_config(folder / "station", settings.recording, settings, broker))
         stages = _play(station, bundle, settings, broker)
+        idle = _watch_idle(_write_config(folder / "idle", free, settings, broker), settings.idle_s)
     peak = best(before, probe(settings.threads, REPEATS))
     payloads = [
         recording[k].frame.payload for k in range(0, len(recording), max(1, len(recording) // REPEATS))
@@ -248,16 +248,16 @@ def _write_config(folder: Path, recording: Path, settings: BenchSettings, broker
 
 
 def _copy_free_frames(recording: Recording, folder: Path) -> Path:
-    """Copy the frames before the first press. Errors: RecordingError where the labels tell of none."""
+    """Copy the frames before the first press. Errors: RecordingError where the labels tell of none, or of no press."""
     with RecordingWriter(folder, recording.header) as writer:
         for one in recording:
             if one.label is None or one.label.get("press") is not None:
                 break
             writer.add(one.frame.payload, one.frame.timestamp_ns, one.label)
-    if not len(writer):
+    if not 0 < len(writer) < len(recording):
         raise RecordingError(
-            f"'{recording.folder}' does not begin with frames that are labelled as free; give a recording of "
-            "`gelgate lab simulate` or one with labels"
+            f"'{recording.folder}' does not begin with frames that are labelled as free, with presses after them; give "
+            "a recording of `gelgate lab simulate` or one with labels"
         )
     return folder
 

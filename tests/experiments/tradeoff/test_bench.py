@@ -1,13 +1,16 @@
 """A small bench: the whole path of a press, from a frame to a subscriber."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import gelgate
-from station import Motion, press_recording, small_bundle
+from station import HEADER, Motion, gel, jpeg, press_recording, small_bundle
 
 from calibration.experiments.tradeoff.bench import STAGES
+from edge.recording.format import RecordingWriter
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +37,24 @@ def test_every_stage_of_every_press_has_its_time(station: tuple[Path, Path], tmp
     assert found["machine"]["threads"] == 1
 
 
-def test_a_recording_without_free_frames_is_refused(station: tuple[Path, Path], tmp_path: Path) -> None:
-    """One sentence, before a gateway runs."""
-    pressed = press_recording(tmp_path / "pressed", 1, motion=Motion(free=0))
-    ended = gelgate("lab", "bench", station[0], pressed)
+@pytest.mark.parametrize(("presses", "free"), [(1, 0), (0, 28)])
+def test_a_recording_without_free_frames_or_presses_is_refused(
+    station: tuple[Path, Path], tmp_path: Path, presses: int, free: int
+) -> None:
+    """One sentence, before a gateway runs: it would wait for a press for ever."""
+    recording = press_recording(tmp_path / "presses", presses, motion=Motion(free=free))
+    ended = gelgate("lab", "bench", station[0], recording)
     assert ended.code == 3
-    assert "does not begin with frames that are labelled as free" in ended.err
+    assert "does not begin with frames that are labelled as free, with presses after" in ended.sentence()
+
+
+def test_a_recording_of_another_mode_is_refused(station: tuple[Path, Path], tmp_path: Path) -> None:
+    """Before the gateway that looks at the free gel, which would only end."""
+    header = replace(HEADER, mode=(64, 48), profile="")
+    with RecordingWriter(tmp_path / "small", header) as writer:
+        for number in range(40):
+            press = None if number < 28 else 0
+            writer.add(jpeg(gel(np.random.default_rng(number))[:48, :64]), number * 53_333_333, {"press": press})
+    ended = gelgate("lab", "bench", station[0], tmp_path / "small", "--idle", 8)
+    assert ended.code == 3
+    assert "use a bundle made for this sensor's mode" in ended.sentence()
