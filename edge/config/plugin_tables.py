@@ -73,7 +73,8 @@ class OutputTable(Table):
         default=None,
         gt=0,
         le=60_000,
-        description="with pulse_ms: it starts within this time after the judged frame, or not at all: alarm `pulse`",
+        description="with pulse_ms: it starts within this time after the judged frame, which may be `settle_s` old "
+        "when the press rests, or not at all: alarm `pulse`",
     )
     blink_ms: float | None = Field(
         default=None, ge=100, le=60_000, description="on and off for this time each, instead of steady"
