@@ -54,7 +54,9 @@ def test_a_recording_of_another_mode_is_refused(station: tuple[Path, Path], tmp_
     with RecordingWriter(tmp_path / "small", header) as writer:
         for number in range(40):
             press = None if number < 28 else 0
-            writer.add(jpeg(gel(np.random.default_rng(number))[:48, :64]), number * 53_333_333, {"press": press})
+            writer.add(
+                jpeg(gel(np.random.default_rng(number))[:48, :64]), number * 53_333_333, {"press": press}
+            )
     ended = gelgate("lab", "bench", station[0], tmp_path / "small", "--idle", 8)
     assert ended.code == 3
     assert "use a bundle made for this sensor's mode" in ended.sentence()
