@@ -217,10 +217,12 @@ class InspectionSession:
 
     def _score_ahead(self, newest: CameraFrame) -> None:
         """Score the frame that a press which nearly rests is most likely judged by, so that its score is ready when it
-        rests; at most once in half of `settle_s`, and only where that is enough: frames that wait for a slower score
+        rests; at most once in half of `settle_s`. Not where a score takes longer, nor while frames wait as long: they
         would be dropped before the press rests."""
         half_s = self._detector.tracker.settings.settle_s / 2
-        if newest.timestamp_ns - self._ahead_ns < half_s * 1e9 or self.inspector.took_s > half_s:
+        waited_ns = 0 if newest.is_on_demand else self._clock.monotonic_ns() - newest.timestamp_ns
+        is_slow = max(self.inspector.took_s, waited_ns / 1e9) > half_s
+        if is_slow or newest.timestamp_ns - self._ahead_ns < half_s * 1e9:
             return
         probable = self._detector.probable
         if probable is not None:

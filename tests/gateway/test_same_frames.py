@@ -117,8 +117,10 @@ def scored_by_the_gateway(folder: Path, device: str = "recorded", pace: float = 
     return listen_to_the_gateway(folder, device, pace).asked
 
 
-def listen_to_the_gateway(folder: Path, device: str = "recorded", pace: float = 1.0) -> Listener:
-    """The gateway's chain, from a device that plays at the recorded times."""
+def listen_to_the_gateway(
+    folder: Path, device: str = "recorded", pace: float = 1.0, wait_s: float = 0.0
+) -> Listener:
+    """The gateway's chain, from a device that plays at the recorded times. wait_s: of each frame for the loop."""
     clock, listener = ManualClock(), Listener()
     plugin = registry.device(device)
     sensor = plugin.open(plugin.Options.model_validate({"recording": folder, "pace": pace}), clock)
@@ -127,7 +129,8 @@ def listen_to_the_gateway(folder: Path, device: str = "recorded", pace: float = 
     session = InspectionSession(gel, listener, ContactSettings(), references, recorder, status, clock, ())  # type: ignore[arg-type]
     while True:
         try:
-            session.feed(sensor.read(clock.monotonic_ns() + 3600 * SECOND))
+            frame = sensor.read(clock.monotonic_ns() + 3600 * SECOND)
+            session.feed(replace(frame, timestamp_ns=frame.timestamp_ns - round(wait_s * SECOND)))
         except FrameCorrupt:
             continue
         except RecordingEnded:
@@ -168,6 +171,14 @@ def test_a_steady_press_is_scored_once_before_it_rests(tmp_path: Path, fps: floa
     heard = listen_to_the_gateway(recorded(tmp_path / "steady", stretches, fps))
     assert heard.ahead == heard.asked
     assert len(heard.asked) == 3
+
+
+@pytest.mark.parametrize(("wait_s", "ahead"), [(0.09, 2), (0.11, 0)])
+def test_nothing_is_scored_ahead_while_frames_wait(tmp_path: Path, wait_s: float, ahead: int) -> None:
+    """A part that slips slowly would be scored again and again, until frames are dropped."""
+    film = recorded(tmp_path / "film", [Stretch(1.0, 12, 0)], 18.75)
+    heard = listen_to_the_gateway(film, wait_s=wait_s)
+    assert (len(heard.ahead), len(heard.asked)) == (ahead, 2)
 
 
 @pytest.mark.parametrize(("nominal_fps", "pace"), [(25.0, 0.0), (60.0, 1.0)])
