@@ -50,15 +50,20 @@ def test_the_light_is_found(places: list[tuple[float, float, float]], share: flo
     assert found.doubt == ""
 
 
+def bent(place: tuple[float, float, float], levels: float) -> U8:
+    """A disc around which the gel bends by so many levels."""
+    x, y, radius = place
+    away = np.maximum(np.hypot(COLUMNS - x, ROWS - y) - radius, 0)
+    bend = levels * np.sign(COLUMNS - x + 1e-9) * np.exp(-away / 12)
+    return picture(light() + disc(*place) + bend[..., None])
+
+
 def test_a_gel_that_bends_beside_parts_holds_none_of_them() -> None:
-    """Discs that lie apart bend the gel around them: where one press differs the others agree."""
-
-    def bent(x: float, y: float, radius: float) -> U8:
-        away = np.hypot(COLUMNS - x, ROWS - y) - radius
-        bend = 10 * np.sign(COLUMNS - x + 1e-9) * np.exp(-np.maximum(away, 0) / 12)
-        return picture(light() + disc(x, y, radius) + bend[..., None])
-
-    assert estimate_free_gel([bent(*place) for place in ANYWHERE], MM).doubt == ""
+    """Where they lie apart most presses agree; at one place they differ by their depth, and their contacts show."""
+    assert estimate_free_gel([bent(place, 10) for place in ANYWHERE], MM).doubt == ""
+    deeper = estimate_free_gel([bent(place, 4.0 * k) for k, place in enumerate(ONE_PLACE)], MM)
+    assert deeper.doubt == "it may hold some of the part"
+    assert deeper.shows_contacts
 
 
 def test_another_light_is_noticed() -> None:
@@ -93,5 +98,6 @@ def test_what_is_not_seen_is_said_and_no_picture_is_refused_by_it() -> None:
     for pictures, doubt in zip((faint, wide, curved), doubts, strict=True):
         found = estimate_free_gel(pictures, MM)
         assert found.doubt == doubt
+        assert not found.shows_contacts
         assert str(found).endswith(doubt)
         assert found.find_foreign(picture(light(tilt=40))) == ""

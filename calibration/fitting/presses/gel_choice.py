@@ -92,9 +92,8 @@ def _choose(
     """Choose between the estimate and given pictures of it."""
     kept = ChosenGel(list(given.values()), [])
     if not given:
-        return _of_estimate(
-            gel, gel.doubt and "no contact is known by it; give a picture of it with --no-contact"
-        )
+        known = "contacts may be larger than" if gel.shows_contacts else "no contact is"
+        return _of_estimate(gel, gel.doubt and f"{known} known by it; give a picture of it with --no-contact")
     right, why = _divide(gel, given)
     if right and why:
         return ChosenGel(right, [f"{why}; left out"])
@@ -169,7 +168,7 @@ def _divide(gel: FreeGel, given: Mapping[str, U8]) -> tuple[list[U8], str]:
 
 def _of_estimate(gel: FreeGel, why: str) -> ChosenGel:
     faults = [f"the free gel is {gel}: {why}"] if why else []
-    return ChosenGel([gel.picture], faults, str(gel), bool(gel.doubt))
+    return ChosenGel([gel.picture], faults, str(gel), not gel.shows_contacts)
 
 
 def _lie_apart(pictures: Sequence[U8], given: Sequence[U8], gel: FreeGel, profile: SensorProfile) -> bool:
