@@ -192,7 +192,7 @@ class _Features:
         rng = np.random.default_rng(self.learner.seed)
         damage = render_damage(self.plan.presses, *self.plan.config.view, rng)
         if damage is None:
-            return None, None, "there is no picture of the free gel, or no contact, to render damage with"
+            return None, None, "no contact is seen; give a picture of the free gel with --no-contact"
         return *self.pose.show_damage(damage, self.take), ""
 
     def gather_evidence(self, covered: Covered, damage: DamagedPresses) -> Evidence:
@@ -279,6 +279,7 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
     with watch.time("threshold"):
         shown = features.pose.show(nominal, features.take)
         damage, damaged, why_plain = features.render_damage()
+        unrendered = "" if plan.why_plain else why_plain
         edited = None if damage is None or damaged is None else (damaged, damage.press)
 
     def learn(roomy: Nominal) -> tuple[Bank, HeldOut | None]:
@@ -315,7 +316,7 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
     head, bank = relief.append_to(head, bank, unit)
     apart = self_check.apart_warnings(scores, plan.presses.names)
     said = [
-        *self_check.unproven_warnings(features.pose.separated, found, remedies),
+        *self_check.unproven_warnings(features.pose.separated, found, remedies, unrendered),
         *features.warnings,
         *self_check.room_warnings(covered.room),
         *covered.bank.facts.get("warnings", ()),

@@ -54,14 +54,18 @@ APART_SHARE = 0.1
 
 
 def unproven_warnings(
-    separated: float | None, found: DamageFound | None, find_remedies: Callable[[], Sequence[str]] = tuple
+    separated: float | None,
+    found: DamageFound | None,
+    find_remedies: Callable[[], Sequence[str]] = tuple,
+    unrendered: str = "",
 ) -> list[str]:
     """Say what the fit's own evidence does not show, the worst first, and what would find more of its damage.
 
     separated: image AUROC of rendered damage, where it decided on registration. found: how many presses with rendered
     damage the bundle finds. Each is None where it was not measured. find_remedies: called where too few are found.
+    unrendered: why a fit that looks for damage had none.
     """
-    said = []
+    said = [f"nothing shows what damage the bundle finds: {unrendered}"] if unrendered else []
     if separated is not None and separated <= AT_CHANCE:
         said.append(
             f"of damage rendered into its own presses {separated:.2f} is separated from sound presses, as by chance "
@@ -75,8 +79,10 @@ def unproven_warnings(
         )
     if not said:
         return []
-    todo = "; ".join(find_remedies()) or "nothing that was tried on its own presses finds more"
-    return [f"{UNPROVEN}{one}; {todo}; press damaged parts before you trust it" for one in said]
+    todo = ["press damaged parts before you trust it"]
+    if not unrendered:
+        todo = [*(find_remedies() or ["nothing that was tried on its own presses finds more"]), *todo]
+    return [f"{UNPROVEN}{'; '.join([one, *todo])}" for one in said]
 
 
 def find_remedies(

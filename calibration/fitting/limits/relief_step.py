@@ -94,7 +94,7 @@ def try_relief(
         return ReliefChoice("it cannot be appended to the method's graph")
     changed = change_presses(presses, *view, np.random.default_rng(learner.seed))
     if changed is None:
-        return ReliefChoice("there is no picture of the free gel, or no contact, to make smoother")
+        return ReliefChoice("no contact is seen to make smoother")
     return choose_relief(nominal, changed, take, folds, learner.grid, tap)
 
 
