@@ -84,26 +84,26 @@ class GelScars:
         outside, left_out = _outside(press, excess)
         masked = scarred | press.in_map(left_out)
         rest = np.where(masked, -np.inf, press.score_map)
-        open_places = press.in_view(np.where(rest > press.limit, np.float32(1), np.float32(0))) > 0
-        blames, scars = list[Blame](), np.zeros_like(before)
-        if open_places.any():
+        blames, scars, shown = list[Blame](), np.zeros_like(before), press.extent()
+        if (beyond := rest > press.limit).any():
+            open_places = press.in_view(beyond.astype(np.float32)) > 0
             blames, scars = self._blame_places(press, excess, open_places, self._marks(free, left))
-        self.record = self.record.after(excess > 0, press.extent(), scars, press.place_mm)
+        self.record = self.record.after(excess > 0, shown, scars, press.place_mm)
         contact = press.in_map(np.ones_like(before) if press.contact is None else press.contact)
         blind = scarred & contact
         return Judged(
             masked,
             press.area_mm2(blind),
-            float(blind.sum()) / max(1, int(contact.sum())),
+            float(np.count_nonzero(blind) / max(1, np.count_nonzero(contact))),
             together(blames),
             bool((self.record.masked & ~before).any()),
-            self._find_repeated(press, np.where(before, np.float32(0), excess), outside),
+            self._find_repeated(press, np.where(before, np.float32(0), excess), shown, outside),
         )
 
-    def _find_repeated(self, press: ScoredPress, excess: F32, outside: Mask) -> Repeated | None:
+    def _find_repeated(self, press: ScoredPress, excess: F32, shown: Mask, outside: Mask) -> Repeated | None:
         """Find the place that exceeded in the most presses in a row."""
         near = _within(excess > 0, _HALO_PX)
-        self._in_a_row = np.where(near, self._in_a_row + 1, np.where(press.extent(), 0, self._in_a_row))
+        self._in_a_row = np.where(near, self._in_a_row + 1, np.where(shown, 0, self._in_a_row))
         most = int(self._in_a_row.max())
         here = near & (self._in_a_row == most)
         if most < _REPEATED or not here.any():
@@ -152,11 +152,14 @@ def _outside(press: ScoredPress, excess: F32) -> tuple[Mask, Mask]:
 
     A place that meets the reach anywhere is judged, all of it.
     """
-    if press.reach is None:
+    above = excess > 0
+    if press.reach is None or not above.any():
         return (nowhere := np.zeros(excess.shape, bool)), nowhere
-    _, labels = cv2.connectedComponents((excess > 0).astype(np.uint8), connectivity=8)
-    met = np.isin(labels, np.unique(labels[press.reach])) & (excess > 0)
-    outside = (excess > 0) & ~met
+    count, labels = cv2.connectedComponents(above.astype(np.uint8), connectivity=8)
+    is_met = np.zeros(count, bool)
+    is_met[labels[press.reach]] = True
+    met = is_met[labels] & above
+    outside = above & ~met
     return outside, _within(outside, _HALO_PX) & ~met & ~press.reach
 
 

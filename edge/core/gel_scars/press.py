@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -58,9 +59,8 @@ class ScoredPress:
         picture = np.zeros((height, width), np.float32)
         self.region.crop(picture)[:] = values
         kernel = np.ones((math.ceil(height / VIEW_SIZE[1]), math.ceil(width / VIEW_SIZE[0])), np.uint8)
-        rows = np.minimum((np.arange(VIEW_SIZE[1]) + 0.5) * height / VIEW_SIZE[1], height - 1).astype(int)
-        columns = np.minimum((np.arange(VIEW_SIZE[0]) + 0.5) * width / VIEW_SIZE[0], width - 1).astype(int)
-        return np.asarray(cv2.dilate(picture, kernel)[np.ix_(rows, columns)], np.float32)
+        rows, columns = _centres(VIEW_SIZE[1], height), _centres(VIEW_SIZE[0], width)
+        return np.asarray(cv2.dilate(picture, kernel).take(rows, 0).take(columns, 1), np.float32)
 
     def in_map(self, places: Mask) -> Mask:
         """Places of the view in the map, bool (h, w)."""
@@ -68,7 +68,13 @@ class ScoredPress:
 
     def area_mm2(self, places: Mask) -> float:
         """Measure the area of places of the map."""
-        return float(places.sum()) * self.mm_per_pixel[0] * self.mm_per_pixel[1]
+        return float(np.count_nonzero(places)) * self.mm_per_pixel[0] * self.mm_per_pixel[1]
+
+
+@cache
+def _centres(count: int, size: int) -> NDArray[np.int64]:
+    """Where the centres of so many pixels of the view lie on a side of the picture, in its pixels."""
+    return np.minimum((np.arange(count) + 0.5) * size / count, size - 1).astype(np.int64)
 
 
 U8 = NDArray[np.uint8]
