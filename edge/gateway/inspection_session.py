@@ -216,18 +216,17 @@ class InspectionSession:
         return replace(press, latency_ms={**press.latency_ms, "total": total_ms})
 
     def _score_ahead(self, newest: CameraFrame) -> None:
-        """Score the frame that a press which nearly rests is most likely judged by, so that its score is ready when it
-        rests; at most once in half of `settle_s`. Not where a score takes longer, nor while frames wait as long: they
-        would be dropped before the press rests."""
-        half_s = self._detector.tracker.settings.settle_s / 2
+        """Score the frame that a press is most likely judged by, so that its score is ready when it rests; at most half
+        of the time. Not where a score takes longer than half of `settle_s`, nor while frames wait as long: they would
+        be dropped before the press rests."""
+        took_s, half_s = self.inspector.took_s, self._detector.tracker.settings.settle_s / 2
         waited_ns = 0 if newest.is_on_demand else self._clock.monotonic_ns() - newest.timestamp_ns
-        is_slow = max(self.inspector.took_s, waited_ns / 1e9) > half_s
-        if is_slow or newest.timestamp_ns - self._ahead_ns < half_s * 1e9:
+        is_slow = max(took_s, waited_ns / 1e9) > half_s
+        if is_slow or newest.timestamp_ns - self._ahead_ns < 2 * took_s * 1e9:
             return
         probable = self._detector.probable
-        if probable is not None:
+        if probable is not None and self.inspector.examine_ahead(*probable):
             self._ahead_ns = newest.timestamp_ns
-            self.inspector.examine_ahead(*probable)
 
     def _score(self, press: Press, settled: PressSettled, started_ns: int) -> Press:
         frame, findings = settled.frame, settled.findings

@@ -1,7 +1,9 @@
 """One settled frame to one verdict: decode, crop, check light, sensor and contact, score, decide."""
 
 import math
+from collections import deque
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,9 @@ from edge.model.scorer import Scorer
 
 __all__ = ["Inspector"]
 
+MOST_AHEAD: Final = 4
+"""Frames of a press that are scored before it rests and wait, with their maps; the oldest make room."""
+
 
 class Inspector:
     """Judges settled frames with one bundle.
@@ -42,7 +47,7 @@ class Inspector:
         self.scorer = scorer
         self.bundle = scorer.bundle
         self._clock = clock
-        self._ahead: tuple[CameraFrame, Touch, Press] | None = None
+        self._ahead: deque[tuple[CameraFrame, Touch, Press]] = deque(maxlen=MOST_AHEAD)
         colours = self.bundle.manifest.colours
         self._colours = colours.nominal() if colours else None
         self.expected = find_expected_reach(
@@ -72,9 +77,8 @@ class Inspector:
         stale = None if frame.is_on_demand else check_freshness(came_ns, now_ns)
         if stale:
             return press.reject(stale)
-        ahead, self._ahead = self._ahead, None
-        is_ready = ahead is not None and ahead[:2] == (frame, touch)
-        examined = ahead[2] if ahead is not None and is_ready else self._examine(frame, touch)
+        examined = self._find_ahead(frame, touch) or self._examine(frame, touch)
+        self._ahead.clear()
         return replace(
             press,
             verdict=examined.verdict,
@@ -85,10 +89,16 @@ class Inspector:
             registered=examined.registered,
         )
 
-    def examine_ahead(self, frame: CameraFrame, touch: Touch) -> None:
-        """Score a frame that is probably inspected next: what is found waits until then."""
-        if self._ahead is None or self._ahead[:2] != (frame, touch):
-            self._ahead = frame, touch, self._examine(frame, touch)
+    def examine_ahead(self, frame: CameraFrame, touch: Touch) -> bool:
+        """Score a frame that is probably inspected next: what is found waits until then. Returns False where it waits
+        already."""
+        if self._find_ahead(frame, touch) is not None:
+            return False
+        self._ahead.append((frame, touch, self._examine(frame, touch)))
+        return True
+
+    def _find_ahead(self, frame: CameraFrame, touch: Touch) -> Press | None:
+        return next((press for *asked, press in self._ahead if asked == [frame, touch]), None)
 
     def _examine(self, frame: CameraFrame, touch: Touch) -> Press:
         press = Press()

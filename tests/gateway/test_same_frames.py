@@ -105,8 +105,10 @@ class Listener:
         self.asked: list[bytes] = []
         self.ahead: list[bytes] = []
 
-    def examine_ahead(self, frame: CameraFrame, touch: Touch) -> None:
-        self.ahead.append(frame.payload)
+    def examine_ahead(self, frame: CameraFrame, touch: Touch) -> bool:
+        if is_new := frame.payload not in self.ahead:
+            self.ahead.append(frame.payload)
+        return is_new
 
     def inspect(self, frame: CameraFrame, touch: Touch, press: Press, came_ns: int) -> Press:
         self.asked.append(frame.payload)

@@ -79,7 +79,7 @@ class PressDetector:
 
     @property
     def probable(self) -> tuple[CameraFrame, Touch] | None:
-        """The frame that the press will most likely be judged by, and what it touches, while the press nearly rests."""
+        """The frame that the press will most likely be judged by, and what it touches."""
         probable = self.tracker.probable
         frame = None if probable is None else self._kept.get(probable.sequence)
         return None if probable is None or frame is None else (frame, probable.contact)

@@ -120,12 +120,16 @@ class ContactTracker:
 
     @property
     def probable(self) -> Observation | None:
-        """The frame that is taken if the press, which nearly rests, comes to rest now; None for any other state."""
+        """The frame that is taken if the press goes on to rest, or to be lifted; None where none is foreseen."""
         track = self._track
-        is_watched = track.state is State.SETTLING and track.is_wanted and track.window.frames
-        if not is_watched or not track.window.is_nearly_at_rest(self.settings):
+        if not track.is_wanted or not track.window.frames:
             return None
-        return track.window.choose(track.wanted_ns, self.settings)
+        match track.state:
+            case State.SETTLING:
+                return track.window.foresee(track.wanted_ns, self.settings)
+            case State.EARLY_RELEASE:
+                return track.window.choose_peak(track.wanted_ns, track.strength_peak)
+        return None
 
     def is_due(self, timestamp_ns: int) -> bool:
         """False for a frame that need not be decoded: nothing presses and the last look was a moment ago."""

@@ -10,6 +10,7 @@ from contact_frames import FREE, HELD, MS, PRESS, RELEASED, RULES, at, free, pre
 from edge.core.contact.events import PressSettled
 from edge.core.contact.rules import trigger
 from edge.core.contact.settled_frame import Observation
+from edge.core.contact.table import State
 
 
 def ramped(spacing_ms: float, ramp_ms: float, hold_ms: float) -> list[Observation]:
@@ -34,6 +35,23 @@ def test_rest_is_as_long_at_any_frame_rate(fps: float) -> None:
     _, events = run(free(), ramped(1000 / fps, 1000, 1500))
     [decided] = [e.timestamp_ns / 1e9 for e in events if isinstance(e, PressSettled)]
     assert 1.04 + 0.15 <= decided <= 1.04 + 0.25 + 2 / fps
+
+
+@pytest.mark.parametrize("fps", [15.0, 18.75, 25.0, 30.0, 60.0])
+@pytest.mark.parametrize("ramp_ms", [40, 300, 1000, 2000])
+def test_the_frame_that_is_scored_is_foreseen(fps: float, ramp_ms: float) -> None:
+    """While a press settles it is named once, and hardly another one."""
+    frames = [replace(frame, motion=0.001) for frame in ramped(1000 / fps, ramp_ms, 800)]
+    foreseen, track = list[int](), free()
+    for seen_now in frames:
+        track, events = run(track, [seen_now])
+        if chosen := [e.sequence for e in events if isinstance(e, PressSettled)]:
+            break
+        probable = track.window.foresee(0, RULES) if track.state is State.SETTLING else None
+        if probable is not None and probable.sequence not in foreseen:
+            foreseen.append(probable.sequence)
+    assert chosen[0] in foreseen
+    assert len(foreseen) <= 3
 
 
 def test_texture_that_deepens_is_growth() -> None:
