@@ -94,7 +94,7 @@ class GelScars:
         return Judged(
             masked,
             press.area_mm2(blind),
-            float(np.count_nonzero(blind) / max(1, np.count_nonzero(contact))),
+            int(np.count_nonzero(blind)) / max(1, int(np.count_nonzero(contact))),
             together(blames),
             bool((self.record.masked & ~before).any()),
             self._find_repeated(press, np.where(before, np.float32(0), excess), shown, outside),
