@@ -344,8 +344,8 @@ def _read(path: Path, what: str) -> bytes:
         return path.read_bytes()
     except FileNotFoundError:
         raise ArchiveError(
-            f"{what} is gone: {path} is not there; only the newest presses are kept ([archive]), older ones are in "
-            "backups of the folder, which --archive names"
+            f"{what} is gone: {path} is not there; only the newest presses are kept ([archive]), without one just "
+            "before a crash; older ones are in backups of the folder, which --archive names"
         ) from None
     except OSError as error:
         raise ArchiveError(f"{what} cannot be read: {path}: {error.strerror}; check its rights") from error
