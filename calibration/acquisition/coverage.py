@@ -223,6 +223,11 @@ class Standing:
         return upper_rate(0, trials, self.confidence)
 
     @property
+    def by_piece(self) -> float | None:
+        """The rate by piece; None where pieces are not known, and of one, which shows nothing of others."""
+        return self.rate(self.pieces) if self.pieces is not None and self.pieces > 1 else None
+
+    @property
     def promised_at(self) -> int:
         """The number of presses without an alarm that promises it."""
         return trials_needed(self.promise, 0, self.confidence)

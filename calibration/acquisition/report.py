@@ -32,7 +32,7 @@ def promise_line(standing: Standing) -> str:
     sure = f"{100 * standing.confidence:g} % sure"
     counted = f"{standing.presses} presses"
     if _is_by_piece(standing):
-        counted += f" of {standing.pieces} pieces"
+        counted += f" of {standing.pieces} piece{'s' * (standing.pieces != 1)}"
     smaller = next((rate for rate in _RATES if rate < standing.rate(standing.presses) - 1e-9), None)
     more = ""
     if smaller is not None:
@@ -43,9 +43,11 @@ def promise_line(standing: Standing) -> str:
 
 def _promised(standing: Standing) -> str:
     by_press = f"{_percent(standing.rate(standing.presses))} false alarms"
-    if _is_by_piece(standing) and standing.pieces:
-        return f"{by_press} by press, {_percent(standing.rate(standing.pieces))} by piece"
-    return by_press
+    if not _is_by_piece(standing):
+        return by_press
+    if standing.by_piece is None:
+        return f"{by_press} by press, nothing promised of other pieces"
+    return f"{by_press} by press, {_percent(standing.by_piece)} by piece"
 
 
 def _percent(rate: float) -> str:
@@ -53,7 +55,7 @@ def _percent(rate: float) -> str:
 
 
 def _is_by_piece(standing: Standing) -> bool:
-    return standing.pieces not in (None, standing.presses)
+    return standing.pieces == 1 or standing.pieces not in (None, standing.presses)
 
 
 def forecast_lines(standing: Standing, gel_limit: int) -> list[str]:
@@ -134,7 +136,7 @@ def signals(standing: Standing, file: str, source: str) -> dict[str, object]:
         "presses": standing.presses,
         "pieces": standing.pieces,
         "by_press": standing.rate(standing.presses),
-        "by_piece": None if standing.pieces is None else standing.rate(standing.pieces),
+        "by_piece": standing.by_piece,
         "confidence": standing.confidence,
         "unseen": None if seen is None else seen.unseen,
         "new": None if seen is None else seen.newest,

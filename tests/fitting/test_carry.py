@@ -136,6 +136,13 @@ def test_it_promises_what_eight_presses_show_and_no_more() -> None:
     assert promise(limit).startswith("8 presses: at best 11 % (1 in 9), not the 5 % asked for,")
 
 
+def test_of_one_piece_nothing_is_promised_of_others() -> None:
+    one = replace(pressed(8), specimens=("a",) * 8)
+    limit = carry_bundle(old(), one, CONFIG).manifest.threshold
+    assert (limit.alpha_floor, limit.rate_range, limit.by_piece) == (1, None, None)
+    assert "8 presses of 1 piece: at most 25 % of presses of this piece fail" in promise(limit)
+
+
 def learnt() -> NominalPresses:
     """Eight presses, the third of them a press that the bundle was learnt from."""
     frames = pressed(8).frames.copy()

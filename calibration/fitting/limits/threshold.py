@@ -70,7 +70,8 @@ def conformal_threshold(
     scores: anomaly scores of nominal presses by banks without them. slack: smallest margin above the largest score
     where the floor holds; the numerical tolerance. kind: how the scores were made, for the record.
     specimens: the piece of each press, None where unknown: such a press counts as its own piece.
-    fewest: presses that a threshold needs. Errors: FitError for fewer scores.
+    fewest: presses that a threshold needs. Of several presses of one piece nothing is promised of other pieces.
+    Errors: FitError for fewer scores.
     """
     check_alpha(alpha)
     found = np.asarray(scores, np.float64)
@@ -88,7 +89,7 @@ def conformal_threshold(
         value = float(ordered[-1]) + margin
         method = f"{kind}: largest of {len(ordered)} scores plus {margin:.4g}"
     high = np.flatnonzero(found > value).tolist()
-    return ThresholdEntry(
+    threshold = ThresholdEntry(
         value=value,
         method=method,
         alpha=alpha,
@@ -99,6 +100,7 @@ def conformal_threshold(
         by_press=_promise(len(high), len(found)),
         by_piece=_promise(len({keys[k] for k in high}), pieces) if pieces < len(found) else None,
     )
+    return _of_these_pieces(threshold) if pieces == 1 else threshold
 
 
 def _promise(alarms: int, trials: int) -> RatePromise:
@@ -162,6 +164,10 @@ def limit_promise(
     keys = np.array(pieces_of(specimens))
     if sum(len(set(keys[held])) for held in folds) == len(set(keys)):
         return threshold
+    return _of_these_pieces(threshold)
+
+
+def _of_these_pieces(threshold: ThresholdEntry) -> ThresholdEntry:
     return threshold.model_copy(update={"alpha_floor": 1.0, "rate_range": None, "by_piece": None})
 
 
