@@ -153,6 +153,7 @@ class InspectionSession:
     def use(self, inspector: Inspector) -> None:
         """Judge with another bundle from the next press on. Only while no press waits for its verdict, or when one has
         just begun."""
+        self.inspector.forget_ahead()
         self.inspector = inspector
         for stage in self._stages:
             stage.use(inspector)

@@ -97,6 +97,10 @@ class Inspector:
         self._ahead.append((frame, touch, self._examine(frame, touch)))
         return True
 
+    def forget_ahead(self) -> None:
+        """Let go of the frames that wait: another bundle is in use."""
+        self._ahead.clear()
+
     def _find_ahead(self, frame: CameraFrame, touch: Touch) -> Press | None:
         return next((press for *asked, press in self._ahead if asked == [frame, touch]), None)
 

@@ -69,6 +69,18 @@ def test_the_selected_part_is_inspected_from_the_next_press_on(station: SteppedS
     assert results[0].bundle_id != results[-1].bundle_id
 
 
+def test_a_part_that_is_left_keeps_no_frames(station: SteppedStation) -> None:
+    """A press that was scored ahead ends without a verdict: its pictures do not wait for the part's return."""
+    inspector = station.parts.selection.inspector
+    station.play_until(lambda: len(station.reports) == 1)
+    station.play_until(lambda: bool(inspector._ahead))
+    station.ask("replace_gel")
+    station.ask("select_part", part="PZ1")
+
+    assert station.parts.selection.inspector is not inspector
+    assert not inspector._ahead
+
+
 def test_a_part_selected_during_a_press_waits_for_its_end(station: SteppedStation) -> None:
     """The press is judged by the bundle with which it began."""
     station.play_until(lambda: station.loop.session is not None and station.loop.session.has_contact)
