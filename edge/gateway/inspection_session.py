@@ -265,6 +265,8 @@ class InspectionSession:
             case ReferenceCorrected():
                 self._references.forget(self.gel.serial, self.gel.gel_id, "first", "last")
             case ReferenceReady():
+                if self._detector.newest is not None:
+                    self.inspector.warm_up(self._detector.newest)
                 self._status.clear_fault("free_gel")
                 self._status.set_waiting_for(None)
                 self._compare_light()

@@ -141,9 +141,10 @@ class Recorder:
         the call may be repeated."""
         press, table = waiting.press, waiting.table
         sentences: Sequence[str] = ()
+        result: ResultPayload | None = None
 
         def messages(recorded: Recorded) -> Sequence[Message]:
-            nonlocal sentences
+            nonlocal sentences, result
             result = _result(waiting, recorded)
             if table is None:
                 still = press.overview.jpeg if press.overview else None
@@ -157,7 +158,7 @@ class Recorder:
         )
         if drawing is not None:
             self._add_picture(drawing)
-        return PressReport(press, _result(waiting, recorded), recorded.gel, sentences)
+        return PressReport(press, result or _result(waiting, recorded), recorded.gel, sentences)
 
     def keep_count(self, gel: GelRecord) -> None:
         """Write the count of the last press into its second record. Never raises."""

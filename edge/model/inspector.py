@@ -89,6 +89,12 @@ class Inspector:
             registered=examined.registered,
         )
 
+    def warm_up(self, frame: CameraFrame) -> None:
+        """Score a frame for nothing before the first press: once for memory, once for the time that a score takes."""
+        if self.took_s == math.inf:
+            for _ in range(2):
+                self._examine(frame, None)
+
     def examine_ahead(self, frame: CameraFrame, touch: Touch) -> bool:
         """Score a frame that is probably inspected next: what is found waits until then. Returns False where it waits
         already."""
@@ -104,7 +110,8 @@ class Inspector:
     def _find_ahead(self, frame: CameraFrame, touch: Touch) -> Press | None:
         return next((press for *asked, press in self._ahead if asked == [frame, touch]), None)
 
-    def _examine(self, frame: CameraFrame, touch: Touch) -> Press:
+    def _examine(self, frame: CameraFrame, touch: Touch | None) -> Press:
+        """Say what the frame shows. touch: None for one that is of no press."""
         press = Press()
         began_ns = started_ns = self._clock.monotonic_ns()
         try:
@@ -121,12 +128,14 @@ class Inspector:
         rejection = check_light(picture)
         if rejection is None and self._colours is not None:
             rejection = check_sensor(filled, self._colours)
-        if rejection is None and self.bundle.manifest.contact is not None:
-            rejection = check_contact(touch, self.bundle.manifest.contact, self.bundle.profile.size)
+        contact = self.bundle.manifest.contact
+        if rejection is None and contact is not None and touch is not None:
+            rejection = check_contact(touch, contact, self.bundle.profile.size)
         if rejection is not None:
             return press.reject(rejection)
         press = self._score(press, filled)
-        self.took_s = (self._clock.monotonic_ns() - began_ns) / 1e9
+        if press.score_map is not None:
+            self.took_s = (self._clock.monotonic_ns() - began_ns) / 1e9
         return press
 
     def score_map(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32] | None:

@@ -9,6 +9,7 @@ Nothing here stops an inspection: a press that cannot be archived is recorded wi
 """
 
 import hashlib
+import logging
 import os
 import re
 from collections import Counter
@@ -40,6 +41,8 @@ __all__ = [
     "mask_bytes",
     "presses_since",
 ]
+
+log = logging.getLogger(__name__)
 
 OBJECTS: Final = "objects"
 PRESSES: Final = "presses"
@@ -139,6 +142,16 @@ class PressArchive:
         self._uses: Counter[Digest] = Counter()
         self._sizes: dict[Digest, int] = {}
         self._is_open = False
+
+    def open(self) -> None:
+        """Read an archive that is there already, so that the first press need not wait for it. Never raises."""
+        try:
+            if not self._is_open and self._folder.is_dir():
+                self._open()
+        except OSError as error:
+            log.warning(
+                "the archive %s is read with the first press: %s", self._folder, error.strerror or error
+            )
 
     def keep(self, press: ArchivedPress, objects: Mapping[Digest, bytes]) -> bytes | None:
         """Write the record and its objects, and remove the oldest ones beyond the limits; returns the SHA-256 of the

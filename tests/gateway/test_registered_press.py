@@ -131,6 +131,7 @@ def test_its_picture_is_drawn_again_as_it_was(tmp_path: Path, inspector: Inspect
     with Store(tmp_path / "presses.db") as store:
         archive = PressArchive(store.path.with_suffix(".archive"), 9, 10**9)
         box = BlackBox(archive, "site/line/station", 1, Mock())
+        box.mount(store.gel("SIM1", 0))
         place = Place("site", "line", "station")
         recorder = Recorder(store, "SIM1", place, SystemClock(), drawings.append, [box])
         for one in (press, scarred):

@@ -105,6 +105,8 @@ class Listener:
         self.asked: list[bytes] = []
         self.ahead: list[bytes] = []
 
+    def warm_up(self, frame: CameraFrame) -> None: ...
+
     def examine_ahead(self, frame: CameraFrame, touch: Touch) -> bool:
         if is_new := frame.payload not in self.ahead:
             self.ahead.append(frame.payload)

@@ -9,8 +9,10 @@ from statistics import median
 from typing import Final, final
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
 
-from edge.core.contact.mask import is_black
+from edge.core.contact.mask import BLACK_LEVEL
 from edge.core.contact.reference import View
 
 __all__ = ["BLIND_AFTER_S", "LongContact", "Sight"]
@@ -40,7 +42,8 @@ class Sight:
 
     def see(self, view: View, timestamp_ns: int) -> bool:
         """Take one decoded view, float32 (h, w, 3), 0 to 255; returns whether it shows a gel, now or earlier."""
-        fault, digest = _blindness(view), zlib.crc32(view.tobytes())
+        pixels = view.astype(np.uint8)  # a quarter of the bytes
+        fault, digest = _blindness(pixels), zlib.crc32(pixels.data)
         is_frozen = digest in self._recent
         self._recent.append(digest)
         if fault is None and not is_frozen:
@@ -62,13 +65,14 @@ class Sight:
             self.since_ns = timestamp_ns
 
 
-def _blindness(view: View) -> str | None:
-    level = float(view.mean())
-    if is_black(view):
+def _blindness(pixels: NDArray[np.uint8]) -> str | None:
+    levels, deviations = cv2.meanStdDev(pixels)  # many times as fast as numpy's
+    level = float(levels.mean())
+    if level < BLACK_LEVEL:
         return f"its picture is black, mean level {level:.1f}"
     if level > _WHITE_LEVEL:
         return f"its picture is white, mean level {level:.1f}"
-    contrast = float(cv2.meanStdDev(view)[1].max())  # many times as fast as numpy's `std`
+    contrast = float(deviations.max())
     if contrast < _LEAST_CONTRAST_LEVELS:
         return f"its picture is of one colour, which varies by {contrast:.1f} levels over the view"
     return None

@@ -38,7 +38,11 @@ class BlackBox(PressStage):
         return cls(archive, str(config.station.place), config.inspection.threads, parts.alarms)
 
     def mount(self, gel: GelRecord) -> None:
+        """Read what is there, and describe the machine: no press waits for that."""
         self._serial = gel.serial
+        self._archive.open()
+        if self._machine is None:
+            self._machine = _name_by_hash(fingerprint_bytes(fingerprint(self._threads)))
 
     def keep(self, press: Press, inspector: Inspector) -> Press:
         """Return it with the SHA-256 of its record, which is written when the press is in the database; as it was
@@ -48,8 +52,7 @@ class BlackBox(PressStage):
         is_late = (press.reason or "").startswith(f"{Reason.STALE.value}:")
         if judged is None or press.label is not None or inspector.fault is not None or is_late:
             return press
-        if self._machine is None:
-            self._machine = _name_by_hash(fingerprint_bytes(fingerprint(self._threads)))
+        assert self._machine is not None
         frame, machine = _name_by_hash(judged.frame.payload), self._machine
         reference = None if judged.reference is None else self._reference_now(judged.reference)
         score_map = None if press.score_map is None else _name_by_hash(map_bytes(press.score_map))
