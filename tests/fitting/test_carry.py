@@ -209,7 +209,7 @@ def files(tmp_path: Path) -> Path:
     rng = np.random.default_rng(8)
     (tmp_path / "presses").mkdir()
     for k in range(5):
-        save(tmp_path / "presses" / f"s{k:03d}_p0.png", picture(rng, 1.0, TINT))
+        save(tmp_path / "presses" / f"bolt_crest_s{k:03d}_p00.png", picture(rng, 1.0, TINT))
     save(tmp_path / "free.png", picture(rng, 0.0, TINT))
     return tmp_path
 
@@ -235,7 +235,7 @@ def test_on_the_command_line_a_bundle_is_written_and_its_promise_printed(files: 
 
 def test_on_the_command_line_presses_of_another_size_are_refused(files: Path) -> None:
     """One sentence, and nothing is written."""
-    save(files / "presses" / "s000_p0.png", np.full((100, 100, 3), 90, np.uint8))
+    save(files / "presses" / "bolt_crest_s000_p00.png", np.full((100, 100, 3), 90, np.uint8))
     done = called(files)
 
     assert "1 of 5 pictures cannot be used" in done.err

@@ -301,6 +301,15 @@ def test_one_foreign_picture_among_right_ones_is_left_out(tmp_path: Path) -> Non
     assert len(presses.no_contact) == 1
 
 
+def test_several_foreign_pictures_are_named_with_how_the_first_differs(tmp_path: Path) -> None:
+    for k in range(4):
+        write(tmp_path / "good", f"{k}.png", gel(k, (50 + 15 * k, 60)))
+    for name in ("a.png", "b.png"):
+        write(tmp_path / "free", name, other_light(gel(9)))
+    (said,) = read_presses([tmp_path / "good"], PROFILE, REGION, no_contact=[tmp_path / "free"]).faults
+    assert "2 of 2 pictures of the free gel ('free/a.png', 'free/b.png'): the first differs by" in said
+
+
 def test_a_foreign_picture_beside_a_recording_is_left_out(recording: Path, tmp_path: Path) -> None:
     """The recording shows the free gel itself."""
     write(tmp_path / "free", "a.png", other_light(gel(9)))

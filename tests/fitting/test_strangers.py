@@ -106,3 +106,18 @@ def test_bad_input_is_named(
 )
 def test_of_good_input_nothing_is_said(tmp_path: Path, good: Presses, free: U8 | None) -> None:
     assert read(tmp_path, good, good, free) == ()
+
+
+def test_the_same_press_again_counts_as_the_same_piece(tmp_path: Path) -> None:
+    """Learnt with a copy, a press is no new one; but of other pieces, if named so, only copies are not believed."""
+    for k in range(12):
+        rgb = press(k % 4)
+        noise = np.random.default_rng(k).integers(0, 2, rgb.shape, np.uint8) * (k > 7)
+        save(tmp_path / "good" / f"{k:02d}.png", rgb ^ noise)
+        save(tmp_path / "named" / f"bolt_crest_s{k:03d}_p00.png", rgb ^ noise)
+    save(tmp_path / "good" / "other.png", press(12))
+    good, named = (
+        read_presses([tmp_path / name], PROFILE, Region.full(SIZE)).specimens for name in ("good", "named")
+    )
+    assert good == (*[f"good/{k:02d}.png" for k in range(4)] * 3, None)
+    assert named == (*["000", "001", "002", "003"] * 2, "008", "009", "010", "011")

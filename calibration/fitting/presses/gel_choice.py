@@ -163,7 +163,8 @@ def _divide(gel: FreeGel, given: Mapping[str, U8]) -> tuple[list[U8], str]:
         return right, ""
     names = ", ".join(f"'{name}'" for name in foreign)
     count = f"{len(foreign)} of {len(given)} pictures" if len(given) > 1 else "the picture"
-    return right, f"{count} of the free gel ({names}) {next(iter(foreign.values()))}"
+    first = ": the first" if len(foreign) > 1 else ""
+    return right, f"{count} of the free gel ({names}){first} {next(iter(foreign.values()))}"
 
 
 def _of_estimate(gel: FreeGel, why: str) -> ChosenGel:

@@ -239,10 +239,12 @@ def read_presses(
     given = {f"{path.parent.name}/{path.name}": picture for path, picture in free}
     gathered.choose_gel([pictures[k][1] for k in kept], given)
     # Presses of a recording were made one by one, and a robot may repeat them well.
-    gathered.faults += find_repeated(names, [small_view(picture) for _, picture in pictures])
+    pieces = [specimens.get(path) or specimen_of(path) for path, _ in pictures]
+    same, pieces = find_repeated(names, [small_view(picture) for _, picture in pictures], pieces)
+    gathered.faults += same
     contact = _contacts(gathered.free)
-    for name, (path, picture) in zip(names, pictures, strict=True):
-        gathered.add(picture, name, specimens.get(path) or specimen_of(path), contact(picture))
+    for name, piece, (_, picture) in zip(names, pieces, pictures, strict=True):
+        gathered.add(picture, name, piece, contact(picture))
     for name in sorted(gathered.unwanted - set(gathered.left_out)):
         known = [press.name for press in gathered.presses]
         raise FitError(f"no press is named '{name}' to be left out; {suggestion(name, known)}")

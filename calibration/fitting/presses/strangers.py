@@ -98,24 +98,34 @@ def find_copies(names: Sequence[str], frames: Sequence[U8]) -> list[str]:
     if not copies:
         return []
     return [
-        f"{list_names([names[k] for k in copies], len(names))} are exact copies of another: they teach nothing"
+        f"{list_names([names[k] for k in copies], len(names))} are exact copies of another: they teach nothing; "
+        "give each press once"
     ]
 
 
-def find_repeated(names: Sequence[str], views: Sequence[U8]) -> list[str]:
-    """Name the presses that differ from an earlier one by noise alone; not its exact copies. views: as above."""
+def find_repeated(
+    names: Sequence[str], views: Sequence[U8], pieces: Sequence[str | None]
+) -> tuple[list[str], list[str | None]]:
+    """Name the presses that differ from an earlier one by noise alone; not its exact copies. views: as above.
+
+    Returns the pieces too, None where unknown: copies, and presses that are the same without another piece's name, are
+    of one piece, so that none is held out while another is learnt.
+    """
     broad = [cv2.GaussianBlur(view.astype(np.float32), (0, 0), _PLACE_PX)[::2, ::2] for view in views]
-    same = [
-        names[k]
-        for k in range(1, len(broad))
-        if 0 < min(float(np.abs(broad[k] - one).max()) for one in broad[:k]) < _SAME_LEVELS
-    ]
+    same, found = list[str](), list(pieces)
+    for k in range(1, len(broad)):
+        away = [float(np.abs(broad[k] - one).max()) for one in broad[:k]]
+        first = int(np.argmin(away))
+        is_copy, is_same = away[first] == 0, away[first] < _SAME_LEVELS
+        same += [names[k]] if is_same and not is_copy else []
+        if is_copy or (is_same and found[k] is None):
+            found[first] = found[k] = found[first] or names[first]
     if not same:
-        return []
+        return [], found
     return [
-        f"{list_names(same, len(names))} are the same as an earlier one, but for noise: they teach nothing, and the "
-        "false-alarm rate counts them as presses; give each press once"
-    ]
+        f"{list_names(same, len(names))} are the same as an earlier one, but for noise: they teach nothing, and count "
+        "as one piece where no other is named; give each press once"
+    ], found
 
 
 def list_names(names: Sequence[str], count: int) -> str:
