@@ -221,9 +221,9 @@ def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[tuple[dict[str
 
     Pictures are saved with the verdict in their name.
     """
+    from edge.core.imaging.image_bytes import kind
     from edge.messaging.mqtt_broker import Broker, Received
     from edge.messaging.mqtt_connection import Connection
-    from edge.pictures.image_file import SUFFIXES, content_type
 
     results: dict[str, str] = {}
     complete: set[str] = set()
@@ -239,8 +239,9 @@ def _subscriber(local: "LocalBroker", heatmaps: Path) -> Iterator[tuple[dict[str
             press = topic.removeprefix("heatmap/")
             number = list(results).index(press) + 1
             if message.payload:
-                suffix = SUFFIXES[content_type(message.payload)]
-                (heatmaps / f"{number:02d}-{results[press]}{suffix}").write_bytes(message.payload)
+                (heatmaps / f"{number:02d}-{results[press]}.{kind(message.payload)}").write_bytes(
+                    message.payload
+                )
             complete.add(press)
 
     broker = Broker(local.host, local.port, "gelgate-demo-subscriber", level=_level(local))

@@ -13,11 +13,11 @@ from typing import Any, Final, Self
 
 from edge.clock import local_time
 from edge.core.errors import ConfigError, SinkUnavailable
+from edge.core.imaging.image_bytes import kind as picture_kind
 from edge.core.printable import score_texts
 from edge.core.sink_context import TOPIC_VERSION
 from edge.messaging.mqtt_broker import Broker, Received, tls_context
 from edge.messaging.mqtt_connection import Connection
-from edge.pictures.image_file import SUFFIXES, content_type
 from edge.store.ulid import is_ulid
 
 __all__ = [
@@ -217,11 +217,10 @@ def _interpret(message: Received, save: Path | None, tell: Callable[[str], None]
         if not message.payload:
             tell(f"{station} has no picture of press {name}: it could not be drawn")
             return Seen("heatmap", station, {"press_id": name, "path": None})
-        try:
-            path = save / f"{name}{SUFFIXES[content_type(message.payload)]}"
-        except ValueError as error:
-            tell(f"the picture of press {name} is left out: {error}")
+        if (form := picture_kind(message.payload)) is None:
+            tell(f"the picture of press {name} is left out: it is neither a JPEG nor a PNG")
             return None
+        path = save / f"{name}.{form}"
         save.mkdir(parents=True, exist_ok=True)
         path.write_bytes(message.payload)
         return Seen("heatmap", station, {"press_id": name, "path": str(path)})

@@ -13,12 +13,11 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SUFFIXES", "PictureForm", "content_type", "encode", "encode_jpeg", "texts"]
+from edge.core.imaging.image_bytes import kind
+
+__all__ = ["PictureForm", "content_type", "encode", "encode_jpeg", "texts"]
 
 PictureForm = Literal["jpeg", "png"]
-
-SUFFIXES: Final[Mapping[str, str]] = {"image/png": ".png", "image/jpeg": ".jpg"}
-"""Content type to the end of a file's name."""
 
 _SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _FIRST_CHUNK: Final = len(_SIGNATURE) + 4 + 4 + 13 + 4  # the header chunk, which must be the first, ends here
@@ -54,11 +53,11 @@ def texts(data: bytes) -> dict[str, str]:
     that cannot be read."""
     try:
         if content_type(data) == "image/jpeg":
-            comment = json.loads(next((body for kind, body in _segments(data) if kind == _COMMENT), b"{}"))
+            comment = json.loads(next((body for code, body in _segments(data) if code == _COMMENT), b"{}"))
             return {str(keyword): str(text) for keyword, text in comment.items()}
         entries = {}
-        for kind, body in _chunks(data):
-            if kind == b"iTXt":
+        for name, body in _chunks(data):
+            if name == b"iTXt":
                 keyword, _, rest = body.partition(b"\0")
                 entries[keyword.decode("latin-1")] = rest[2:].split(b"\0", 2)[2].decode()
         return entries
@@ -68,10 +67,11 @@ def texts(data: bytes) -> dict[str, str]:
 
 def content_type(data: bytes) -> str:
     """Say what a picture is by its first bytes: at MQTT 3.1.1 nothing else does. Errors: ValueError for another."""
-    if data.startswith(_JPEG_BEGIN):
-        return "image/jpeg"
-    if data.startswith(_SIGNATURE[:4]):
-        return "image/png"
+    match kind(data):
+        case "jpg":
+            return "image/jpeg"
+        case "png":
+            return "image/png"
     raise ValueError(f"not a PNG and not a JPEG: it begins with {data[:8]!r}")
 
 

@@ -97,7 +97,7 @@ def test_each_press_is_given_once_and_its_picture_is_saved(broker: LocalBroker, 
         ("heatmap/../../escape", b"x"),
         ("heatmap/escape", b"x"),
         ("result", result(0)),
-        (f"heatmap/{IDS[0]}", b"\x89PNG0"),
+        (f"heatmap/{IDS[0]}", b"\x89PNG\r\n\x1a\n0"),
         ("result", result(0, is_replayed=True)),
         ("result", result(1)),
         ("result", result(2)),
@@ -108,7 +108,7 @@ def test_each_press_is_given_once_and_its_picture_is_saved(broker: LocalBroker, 
 
     assert [content["press_id"] for kind, content in heard if kind == "result"] == IDS[:2]
     assert {path.name: path.read_bytes() for path in (tmp_path / "maps").iterdir()} == {
-        f"{IDS[0]}.png": b"\x89PNG0",
+        f"{IDS[0]}.png": b"\x89PNG\r\n\x1a\n0",
         f"{IDS[1]}.jpg": b"\xff\xd81",
     }
     assert not list(tmp_path.rglob("*escape*"))

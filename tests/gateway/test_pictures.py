@@ -31,7 +31,7 @@ IDS = [make_press(n).press_id for n in range(4)]
 
 def files(name: str = "") -> PressFiles:
     """A JPEG and a PNG, as far as their first bytes."""
-    return PressFiles(b"\xff\xd8" + name.encode(), b"\x89PNG" + name.encode())
+    return PressFiles(b"\xff\xd8" + name.encode(), b"\x89PNG\r\n\x1a\n" + name.encode())
 
 
 def record(store: Store, pictures: Pictures, n: int, draw: Callable[[], PressFiles] = files) -> None:

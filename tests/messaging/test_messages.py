@@ -20,7 +20,7 @@ from edge.messaging.topics import TOPICS
 from edge.store.press_store import Store
 from edge.store.ulid import is_ulid, new_ulid
 
-FILES = PressFiles(b"\xff\xd8jpeg", b"\x89PNG")
+FILES = PressFiles(b"\xff\xd8jpeg", b"\x89PNG\r\n\x1a\n")
 
 
 def test_the_reference_names_every_topic_a_press_publishes() -> None:

@@ -54,7 +54,7 @@ def test_it_shows_the_newest_of_everything(sink: PageSink) -> None:
 def test_presses_are_newest_first_each_with_its_picture(sink: PageSink) -> None:
     """What it keeps is bounded: the newest results, and the pictures of fewer. A press without a picture says so."""
     for n in range(1, MOST_PRESSES + 20):
-        for message in press(n, picture=None if n == MOST_PRESSES else b"\x89PNG%d" % n):
+        for message in press(n, picture=None if n == MOST_PRESSES else b"\x89PNG\r\n\x1a\n%d" % n):
             sink.send(message)
     presses = asked(sink.port, "/presses.json")
 
@@ -63,7 +63,7 @@ def test_presses_are_newest_first_each_with_its_picture(sink: PageSink) -> None:
     assert (len(pictured), 19 in pictured) == (MOST_PICTURES, False)
     assert ask(sink.port, f"/pictures/{presses[0]['press_id']}") == (
         200,
-        b"\x89PNG%d" % (MOST_PRESSES + 19),
+        b"\x89PNG\r\n\x1a\n%d" % (MOST_PRESSES + 19),
     )
     assert ask(sink.port, f"/pictures/{presses[19]['press_id']}")[0] == 404
 

@@ -25,7 +25,7 @@ PICTURE = (Path(__file__).parents[2] / "docs" / "images" / "damaged_press.png").
 TOKEN = "correct-horse"
 
 
-def press(n: int, *, picture: bytes | None = b"\x89PNG", **outcome: Any) -> list[Message]:
+def press(n: int, *, picture: bytes | None = b"\x89PNG\r\n\x1a\n", **outcome: Any) -> list[Message]:
     """Result and picture of press number n, one second after the one before."""
     press_id = new_ulid(T0_NS + n, lambda k: n.to_bytes(k, "big"))
     fields = {"verdict": Kind.PASS, "score": 0.5, "threshold": 1.0, "score_ratio": 0.5, **outcome}
