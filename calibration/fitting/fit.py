@@ -279,7 +279,7 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
     with watch.time("threshold"):
         shown = features.pose.show(nominal, features.take)
         damage, damaged, why_plain = features.render_damage()
-        unrendered = "" if plan.why_plain else why_plain
+        unrendered = "" if plan.config.why_plain else why_plain
         edited = None if damage is None or damaged is None else (damaged, damage.press)
 
     def learn(roomy: Nominal) -> tuple[Bank, HeldOut | None]:

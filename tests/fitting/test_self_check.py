@@ -141,12 +141,14 @@ def test_a_bundle_that_misses_its_own_damage_says_so_first() -> None:
 
 
 def test_a_bundle_into_whose_presses_no_damage_could_be_rendered_is_not_proven() -> None:
-    """Without a free gel, or where no press touches it; not where a plain limit was asked for."""
+    """Without a free gel, without contact, of few presses; not where a plain limit was asked for."""
     frames = np.stack([parts.press(parts.BLOCK, seed=k) for k in range(6)])
     untouched = parts.free_gel() ^ np.random.default_rng(0).integers(0, 2, frames.shape, np.uint8)
     for presses in (nominal(frames, no_contact=None), nominal(untouched)):
         first = fitted(presses).manifest.provenance.warnings[0]
         assert first.startswith("not proven: nothing shows what damage the bundle finds: no contact")
         assert "--no-contact; press damaged parts" in first
+    few = fitted(nominal(frames[:3]), augment="auto").manifest.provenance.warnings[0]
+    assert few.startswith("not proven: nothing shows what damage the bundle finds: of fewer than 4 presses")
     asked = fitted(nominal(frames, no_contact=None), limit="plain").manifest.provenance.warnings
     assert not any(said.startswith("not proven") for said in asked)

@@ -121,3 +121,19 @@ def test_the_same_press_again_counts_as_the_same_piece(tmp_path: Path) -> None:
     )
     assert good == (*[f"good/{k:02d}.png" for k in range(4)] * 3, None)
     assert named == (*["000", "001", "002", "003"] * 2, "008", "009", "010", "011")
+
+
+def test_of_three_presses_the_one_that_does_not_belong_is_named(tmp_path: Path) -> None:
+    """Two agree. With a free gel also one that shows it; of two that differ none is named as the stranger."""
+    for name, other in (("turned", press(2)[::-1, ::-1]), ("free", gel(2))):
+        for number in (0, 1):
+            save(tmp_path / name / f"{number}.png", press(number))
+        save(tmp_path / name / "other.png", other)
+    free = [save(tmp_path / "gel.png", gel(99))]
+    whole = Region.full(SIZE)
+    (turned,) = read_presses([tmp_path / "turned"], PROFILE, whole).faults
+    (empty,) = read_presses([tmp_path / "free"], PROFILE, whole, no_contact=free).faults
+    assert "1 of 3 presses ('turned/other.png') differ from the others" in turned
+    assert "no contact is seen in 1 of 3 presses ('free/other.png')" in empty
+    (tmp_path / "turned" / "0.png").unlink()
+    assert read_presses([tmp_path / "turned"], PROFILE, whole).faults == ()

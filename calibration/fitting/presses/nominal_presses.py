@@ -167,10 +167,8 @@ class _Gathered:
             )
 
     def find_odd(self) -> list[str]:
-        """Name the presses that do not belong to the others, where enough of them tell, or are too bright."""
+        """Name the presses that do not belong to the others, touch nothing, or are too bright."""
         names, views = [press.name for press in self.presses], [press.view for press in self.presses]
-        if len(names) < MIN_PRESSES:
-            return find_saturated(names, views)
         empty = [] if self.is_doubtful else find_empty(names, [press.mask for press in self.presses])
         return [*find_strangers(names, views), *empty, *find_saturated(names, views)]
 

@@ -25,7 +25,7 @@ __all__ = [
 U8 = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-_WITNESSES = 16
+_FEWEST, _WITNESSES = 3, 16
 # In levels, in the median over the view, and times the usual distance to the nearest press. That distance is 1.8 to 4.0
 # on real and simulated sets, at most 2.5 times as much for a press; one that is mirrored is 8 to 18 away, one that is
 # turned 20 and more, one of another unit 8 and more.
@@ -45,8 +45,10 @@ def find_strangers(names: Sequence[str], views: Sequence[U8]) -> list[str]:
     """Name the presses of another light than most others. views: uint8 (120, 160, 3) each.
 
     Presses belong together that are near one another, or near a third one, in the median over the view: between the
-    parts, so that no light has to be known.
+    parts, so that no light has to be known. None are named of two presses, which do not tell who is the stranger.
     """
+    if len(views) < _FEWEST:
+        return []
     rows = np.unique(np.linspace(0, len(views) - 1, _WITNESSES).round().astype(int))
     levels = np.stack([_levels(views[k], views) for k in rows], axis=1)
     levels[rows, np.arange(len(rows))] = np.inf
