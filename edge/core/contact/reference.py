@@ -88,8 +88,8 @@ def fit_levels(view: View, reference: View) -> Levels:
         residual = _residual(x, y, gain, offset)
         spread = _MAD_TO_SIGMA * _ranked(residual[kept], 0.5)
         now_kept = residual <= _KEEP_SIGMAS * max(spread, _NOISE_FLOOR)
-        if not now_kept.any():
-            break
+        if not now_kept.any() or np.array_equal(now_kept, kept):
+            break  # with the same pixels every further round gives the same line
         kept = now_kept
         gain, offset = _line(moments, kept)
     return Levels(gain[:, 0].astype(np.float32), offset[:, 0].astype(np.float32))

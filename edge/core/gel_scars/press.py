@@ -64,6 +64,8 @@ class ScoredPress:
 
     def in_map(self, places: Mask) -> Mask:
         """Places of the view in the map, bool (h, w)."""
+        if not places.any():
+            return np.zeros(self.score_map.shape, bool)
         return touched_in(places, self.size, self.region)
 
     def area_mm2(self, places: Mask) -> float:
