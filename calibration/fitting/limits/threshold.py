@@ -45,7 +45,8 @@ __all__ = [
 
 FLOOR_MARGIN = 0.25
 """Where n pieces cannot promise the requested rate, the largest score is raised by this share of the distance from
-the median to it. A choice, not a theorem: it trades some sensitivity for fewer false alarms."""
+the median to it, or by less where the rate is near. A choice, not a theorem: it trades some sensitivity for fewer false
+alarms."""
 
 COPIES_MARGIN = 1.3
 """Other pieces score higher than copies of one: docs/detectors.md has the false alarms with this factor."""
@@ -85,7 +86,7 @@ def conformal_threshold(
     if rank is not None:
         value, method = float(ordered[rank - 1]), f"{kind} quantile, rank {rank} of {len(ordered)}"
     else:
-        margin = max(FLOOR_MARGIN * float(ordered[-1] - np.median(ordered)), slack)
+        margin = max(_margin_share(pieces, alpha) * float(ordered[-1] - np.median(ordered)), slack)
         value = float(ordered[-1]) + margin
         method = f"{kind}: largest of {len(ordered)} scores plus {margin:.4g}"
     high = np.flatnonzero(found > value).tolist()
@@ -118,6 +119,16 @@ def _rank(pieces: Sequence[str], alpha: float) -> int | None:
     below = accumulate(1 / presses[piece] for piece in pieces)
     wanted = (len(presses) + 1) * (1 - alpha) - ROUNDING
     return next((rank for rank, weight in enumerate(below, 1) if weight >= wanted), None)
+
+
+def _margin_share(pieces: int, alpha: float) -> float:
+    """Return the share of the distance from the median to the largest score by which the limit lies above that.
+
+    Where scores fall off exponentially, the largest of n lies ln((n + 1) / 2) scales above the median, and the rate
+    alpha ln(1 / (alpha (n + 1))) scales further. With a quarter at 12 to 18 of real and simulated presses 5.0 to 3.1 %
+    of others fail for a requested 5 %, with this 5.1 to 5.6 %.
+    """
+    return min(FLOOR_MARGIN, math.log(1 / (alpha * (pieces + 1))) / math.log(max(pieces + 1, 3) / 2))
 
 
 def count_needed(alpha: float) -> int:

@@ -31,6 +31,17 @@ def test_below_the_floor_the_largest_score_gets_a_margin_and_says_so() -> None:
     assert limit.alpha_floor == pytest.approx(1 / 11)
 
 
+def test_a_rate_that_is_near_needs_a_smaller_margin() -> None:
+    """Sixteen scores promise 1 in 17: an exponential tail has ln(20 / 17) of ln(17 / 2) to go to 1 in 20. Of an
+    exponential distribution a twentieth lies above the limit, as with one more press, and more than with a quarter."""
+    limit = conformal_threshold(np.arange(1.0, 17.0), 0.05)
+    assert limit.is_floored
+    assert limit.value == pytest.approx(16 + np.log(20 / 17) / np.log(17 / 2) * 7.5)
+    draws = np.random.default_rng(4).exponential(size=(2000, 16))
+    rates = np.exp([-conformal_threshold(draw, 0.05).value for draw in draws])
+    assert rates.mean() == pytest.approx(0.052, abs=0.004)
+
+
 def test_equal_scores_leave_room_for_rounding() -> None:
     """Identical presses score alike; the threshold lies above them by the numerical tolerance at least."""
     assert conformal_threshold([2.0] * 4, 0.05, slack=0.01).value == 2.01
