@@ -63,13 +63,16 @@ class Pictures:
         self._turn = threading.Lock()  # of the thread, and of `close` where the thread is still busy
 
     def start(self) -> None:
-        """Begin to draw; before others come the pictures that the last stop has prevented, or empty ones. Errors:
-        StoreError."""
+        """Begin to draw in the background. Errors: StoreError."""
+        self.recall()
+        self._thread.start()
+        self._thread.ask(self.step)
+
+    def recall(self) -> None:
+        """Before others come the pictures that the last stop has prevented, or empty ones. Errors: StoreError."""
         for press_id in self._store.owed_pictures():
             log.warning("the picture of press %s was not drawn before the last stop", press_id)
             self._waiting.append(PressDrawing(press_id, partial(self._draw_again, press_id)))
-        self._thread.start()
-        self._thread.ask(self.step)
 
     def add(self, drawing: PressDrawing) -> None:
         """Draw this after those that wait."""

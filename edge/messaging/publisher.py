@@ -106,7 +106,7 @@ class Publisher:
         self._outbox.register(self._sinks, before)
         self._stopping = threading.Event()
         self._wakes = {name: threading.Event() for name in self._sinks}
-        self._workers = {
+        self.workers = {
             name: SinkWorker(
                 name,
                 sink,
@@ -119,7 +119,7 @@ class Publisher:
         }
         self._threads = [
             threading.Thread(target=self._run, args=(worker,), name=f"publish-{name}", daemon=True)
-            for name, worker in self._workers.items()
+            for name, worker in self.workers.items()
         ]
 
     def start(self) -> None:
@@ -139,7 +139,7 @@ class Publisher:
     def counters(self) -> Mapping[str, SinkCounters]:
         """Give the counters of every sink, with the faults that it reports now."""
         counters = {}
-        for name, worker in self._workers.items():
+        for name, worker in self.workers.items():
             sink = self._sinks[name]
             faults = tuple(sink.faults) if isinstance(sink, ReportsFaults) else ()
             counters[name] = replace(worker.counters, faults=faults, level=getattr(sink, "level", None))

@@ -83,7 +83,7 @@ def test_the_bytes_of_a_press(bolts: tuple[Path, Path], tmp_path: Path, form: st
             while not station.has_ended:
                 station.read(1)
                 station.look()
-                for row in outbox.pending(next(iter(station.parts.publisher._workers)), 100):
+                for row in outbox.pending(next(iter(station.parts.publisher.workers)), 100):
                     rows += 1
                     sizes[row.message.topic.partition("/0")[0]] += len(row.message.payload)
                 station.publish()

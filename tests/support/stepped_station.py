@@ -79,7 +79,7 @@ class SteppedStation:
 
     def publish(self) -> None:
         """Let each publisher's thread take one turn."""
-        for worker in self.parts.publisher._workers.values():
+        for worker in self.parts.publisher.workers.values():
             worker.step()
 
     @property

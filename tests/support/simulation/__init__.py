@@ -1,0 +1,1 @@
+"""The station in a simulated world: docs/simulation.md."""

@@ -1,0 +1,170 @@
+"""The lives of one station: opened, stepped, killed at a chosen write, and opened again from what the disk then holds.
+
+The interpreter's audit events give every connection to SQLite and every file operation, so each statement and each file
+is a point at which the process can be killed; nothing of the program is replaced. At that point its folder is copied.
+From then on the process is dead: what it still does reaches no broker, and its folder is thrown away.
+"""
+
+import os
+import random
+import shutil
+import sqlite3
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from edge.config import Config
+from edge.gateway.build import open_station
+from edge.gateway.command_table import every_command
+from edge.gateway.preflight import Preflight
+from edge.gateway.recorder import PressReport
+from edge.gateway.station_loop import StationLoop
+from simulation.surroundings import World
+
+WRITES = {"os.rename", "os.remove", "os.mkdir", "os.link", "os.truncate"}
+
+
+class Disk:
+    """The folder of a station, and the writes to it. `kill_in` counts down; at 0 the folder is copied."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.points = 0
+        self.kill_in: int | None = None
+        self.is_full = False
+        self.copy: Path | None = None
+        self.killed_at = ""
+        self._connections: list[sqlite3.Connection] = []
+        self._new: list[sqlite3.Connection] = []
+        self._is_copying = False
+
+    @property
+    def is_dead(self) -> bool:
+        """True from the point on at which the process was killed."""
+        return self.copy is not None
+
+    def hear(self, event: str, arguments: tuple[Any, ...]) -> None:
+        """Take an audit event of the interpreter."""
+        if self._is_copying:
+            return
+        self.attach()
+        if event == "sqlite3.connect/handle":
+            self._new.append(arguments[0])
+        elif event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR):
+            self._write_file(arguments[0], "open")
+        elif event in WRITES:
+            self._write_file(arguments[0], event)
+
+    def fill(self, is_full: bool) -> None:
+        """Leave no room, or room again: SQLite may not grow, and no file is made."""
+        self.is_full = is_full
+        for connection in self._connections:
+            self._limit(connection)
+
+    def forget(self) -> None:
+        """A new process has no connection."""
+        self._connections.clear()
+        self._new.clear()
+        self.copy, self.kill_in, self.killed_at = None, None, ""
+
+    def attach(self) -> None:
+        """Listen to the connections that were made; the event comes before one is ready."""
+        for connection in list(self._new):
+            try:
+                connection.set_trace_callback(self._statement)
+            except sqlite3.Error:
+                continue
+            self._new.remove(connection)
+            self._connections.append(connection)
+            self._limit(connection)
+
+    def _limit(self, connection: sqlite3.Connection) -> None:
+        try:
+            pages = connection.execute("PRAGMA page_count").fetchone()[0] if self.is_full else 1 << 30
+            connection.execute(f"PRAGMA max_page_count = {max(1, pages)}")
+        except sqlite3.Error:
+            self._connections.remove(connection)  # it is closed
+
+    def _statement(self, statement: str) -> None:
+        if not statement.startswith(("SELECT", "PRAGMA", "--")):
+            self._point(statement.partition(" ")[0])
+
+    def _write_file(self, path: object, event: str) -> None:
+        if not isinstance(path, str | Path) or not str(path).startswith(str(self.folder)):
+            return
+        self._point(f"{event} {Path(path).suffix}")
+        if self.is_full and event == "open" and not os.path.exists(path):
+            raise OSError(28, "No space left on device", str(path))
+
+    def _point(self, name: str) -> None:
+        self.points += 1
+        if self.kill_in is None or self.is_dead:
+            return
+        self.kill_in -= 1
+        if self.kill_in <= 0:
+            self._is_copying = True
+            copy = self.folder.with_name(f"{self.folder.name}-after")
+            shutil.copytree(self.folder, copy)
+            self.copy, self.killed_at, self._is_copying = copy, name, False
+
+
+class Station:
+    """One station over all of its lives."""
+
+    def __init__(
+        self, world: World, folder: Path, read_config: Callable[[], Config], rng: random.Random
+    ) -> None:
+        self.world, self.disk = world, Disk(folder)
+        self.lives = 0
+        self.seen_ns: dict[str, int] = {}
+        self._read_config, self._rng = read_config, rng
+        self._closing = ExitStack()
+        self.loop: StationLoop
+        world.is_dead = lambda: self.disk.is_dead
+        sys.addaudithook(self._hear)
+        self._is_heard = True
+
+    def _hear(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if self._is_heard:
+            self.disk.hear(event, arguments)
+
+    def open(self, checked: Preflight | None = None) -> None:
+        """Begin a life."""
+        self.lives += 1
+        opened = open_station(self._read_config(), self.world.clock, self._note, checked)
+        self.loop = self._closing.enter_context(opened)
+        self.loop.parts.pictures.recall()
+
+    def stop(self) -> None:
+        """End in order, as at SIGTERM."""
+        self._closing.close()
+        self.disk.forget()
+
+    def bury(self) -> None:
+        """The process is dead: its folder is as it was at that point."""
+        copy = self.disk.copy
+        assert copy is not None
+        for broker in self.world.brokers.values():
+            broker.lose_all()
+        self._closing.close()
+        self.disk.forget()
+        self._is_heard = False
+        shutil.rmtree(self.disk.folder)
+        copy.rename(self.disk.folder)
+        self._is_heard = True
+
+    def close(self) -> None:
+        """End the run."""
+        self._closing.close()
+        self._is_heard = False
+
+    def ask(self, verb: str, **arguments: Any) -> Any:
+        """Do a request as the loop does it."""
+        command = next(command for command in every_command() if command.verb == verb)
+        return command.do(self.loop, command.arguments.of(arguments))
+
+    def _note(self, report: PressReport) -> None:
+        """Note when a press was seen, also what a dead process has written before."""
+        self.seen_ns[report.result.press_id] = report.press.judged_ns or self.world.clock.now_ns
