@@ -30,7 +30,7 @@ Mask = NDArray[np.bool_]
 MOST_PRESSES, _FEW_PRESSES, _PRESSES_PX = 48, 12, 48 * 320 * 240
 """Of more presses as many are taken, evenly spread, and of large pictures fewer, for the time that it takes."""
 
-_ROUNDS = 3
+_ROUNDS, _ROWS = 3, 8
 _DEGREE = 4
 # A place is filled from its surroundings where this share of the presses touches it, and is the median of those that do
 # not where so many are left.
@@ -217,16 +217,17 @@ def _median_of_free(pictures: Sequence[U8], views: Sequence[View], gel: F32) -> 
         for mask in touching
     ]
     found = gel.copy()
-    for row in range(len(gel)):  # row by row, for the memory
+    for top in range(0, len(gel), _ROWS):  # a few rows at a time, for the memory
+        rows = slice(top, top + _ROWS)
         lines = np.stack(
-            [one.applied(p[row, None].astype(np.float32))[0] for one, p in zip(levels, pictures, strict=True)]
+            [one.applied(p[rows].astype(np.float32)) for one, p in zip(levels, pictures, strict=True)]
         )
-        hidden = np.stack([mask[row] for mask in masks])
+        hidden = np.stack([mask[rows] for mask in masks])
         free = len(masks) - hidden.sum(axis=0)
         lines[hidden] = np.inf
-        middle = np.take_along_axis(np.sort(lines, axis=0), (free // 2)[None, :, None], axis=0)[0]
+        middle = np.take_along_axis(np.sort(lines, axis=0), (free // 2)[None, ..., None], axis=0)[0]
         enough = free >= max(_FEWEST, _FREE_SHARE * len(masks))
-        found[row, enough] = middle[enough]
+        found[rows][enough] = middle[enough]
     return found
 
 
@@ -248,7 +249,8 @@ def _fit_light(view: View) -> NDArray[np.float64]:
     found = []
     for kept in (_rim(view.shape)[::2, ::2].ravel(), np.ones(len(terms), np.bool_)):
         for _ in range(_FITS):
-            weights = np.asarray(np.linalg.lstsq(terms[kept], levels[kept])[0], np.float64)
+            known = terms[kept]  # few terms over few digits: the normal equations are exact enough, and fast
+            weights = np.asarray(np.linalg.lstsq(known.T @ known, known.T @ levels[kept])[0], np.float64)
             away = np.abs(terms @ weights - levels).max(axis=1)
             now = away < _SIGMAS * max(_SD_OF_MAD * float(np.median(away[kept])), _NOISE)
             if np.array_equal(now, kept) or now.sum() < 3 * terms.shape[1]:
