@@ -237,7 +237,7 @@ def _take_features(plan: _Plan, progress: Progress) -> _Features:
     augmentation = plan.augment(pose.learnt is not None)
     copies = Copies.of(presses, augmentation.each, config.profile.pixels_per_mm, config.seed, take)
     nominal = reader.nominal(posed, progress)
-    said += [*pose.warnings, *plan.warnings, *feature_warnings(nominal, reader.grid)]
+    said += [*pose.find_warnings(presses.names), *plan.warnings, *feature_warnings(nominal, reader.grid)]
     learner = replace(learner, copies=copies)
     return _Features(plan, take, learner, pose, posed, nominal, augmentation, said)
 

@@ -4,6 +4,7 @@ The proof is made on the part's own presses: a third is held out, small damage i
 others judge them, registered and as they lie.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,6 +16,7 @@ from calibration.fitting.limits.held_out import Learner, ShownPresses
 from calibration.fitting.pose.registration import LearntPose, completed, learn_pose
 from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.presses.strangers import list_names
 from calibration.metrics import auroc
 from edge.core.detector import Nominal
 from edge.core.errors import FitError
@@ -63,15 +65,23 @@ class PoseChoice:
         """The sentence for the manifest."""
         return {"registration": self.why} if self.why else {}
 
-    @property
-    def warnings(self) -> list[str]:
-        """Say that turns by which presses are compared may be wrong."""
-        if self.learnt is None or self.learnt.nearly == 1:
+    def find_warnings(self, names: Sequence[str]) -> list[str]:
+        """Name presses that are not recognised, and say that turns by which presses are compared may be wrong."""
+        if self.learnt is None:
             return []
+        found = []
+        if lost := [names[k] for k in self.learnt.unrecognised]:
+            found.append(
+                f"the part is not recognised in {list_names(lost, len(names))}: a gateway rejects such presses; press "
+                f"nearer to the middle, and leave these out (--leave-out '{lost[0]}')"
+            )
+        if self.learnt.nearly == 1:
+            return found
         steps = f"by {360 / self.learnt.nearly:.0f} degrees" if self.learnt.nearly else "by other angles"
         return [
+            *found,
             f"the turn of presses is not sure: some agree nearly as well turned {steps}; where one is turned wrong, "
-            "what breaks the symmetry scores high or hides damage; press more, or hold the part at one turn"
+            "what breaks the symmetry scores high or hides damage; press more, or hold the part at one turn",
         ]
 
     def apply(self, presses: NominalPresses) -> NominalPresses:

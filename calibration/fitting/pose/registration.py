@@ -78,6 +78,16 @@ class LearntPose:
     nearly: int = 1
     """Presses may lie turned by this part of a full turn, as `PartInPose.symmetry`; 1 where their turns are sure."""
 
+    @property
+    def unrecognised(self) -> list[int]:
+        """The nominal presses that a gateway rejects, for they show too little of the part, or none."""
+        least_match, least_seen = self.part.least_match, self.part.least_seen
+        return [
+            k
+            for k, one in enumerate(self.registered)
+            if one.match < least_match or one.seen_share < least_seen
+        ]
+
 
 def learn_pose(frames: U8, free: U8) -> LearntPose:
     """Learn the pose from nominal presses and the free gel, uint8 (n, h, w, 3) and (h, w, 3). Errors: FitError."""

@@ -16,9 +16,9 @@ __all__ = ["CoarseSearch"]
 
 F32 = NDArray[np.float32]
 
-# The transform has this many times the cells of the field, so that little wraps round from one side to the other. A
-# ball at the rim lay 0.66 of the field from where most lay; with 8 / 7 no more than 0.62 is found.
-_ROOM = 9 / 7
+# The transform has this many times the cells of the field, so that little wraps round from one side to the other: what
+# lies more than half of them from where most lie is not found. Balls at the rim lay up to 0.75 of the field away.
+_ROOM = 11 / 7
 
 # Candidates at one turn differ by more than two rows or columns.
 _NEAR = np.arange(-2, 3)

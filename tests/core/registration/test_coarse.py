@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 import turned_parts as parts
 
 from edge.core.registration.coarse import CoarseSearch
@@ -45,3 +46,13 @@ def test_a_pose_between_the_turns_and_the_cells_is_found_there() -> None:
 
     assert max(abs(rest.x_px), abs(rest.y_px)) < 0.4
     assert abs(math.degrees(rest.turn_rad)) < 2.5
+
+
+def test_a_part_is_found_from_one_side_of_the_field_to_the_other() -> None:
+    """Learnt at the left, pressed 0.75 of the field further right: no shift wraps round to another."""
+    ball = ((0.0, 0.0, 6.0, 6.0),)
+    learnt, pressed = (parts.slopes(ball, Pose(x), 64).astype(np.float32) for x in (-24, 24))
+    ((pose, _), *_) = CoarseSearch(learnt, 1).candidates(pressed, 8)
+
+    assert pose.x_px == pytest.approx(48, abs=1.5)  # its flanks have left the field
+    assert pose.y_px == pytest.approx(0, abs=1)

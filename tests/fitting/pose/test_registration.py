@@ -186,9 +186,16 @@ def test_a_turn_that_some_presses_do_not_show_is_said() -> None:
 
     assert (sure.part.symmetry, sure.nearly) == (1, 1)
     assert (doubtful.part.symmetry, doubtful.nearly) == (1, 3)
-    said = PoseChoice(doubtful).warnings
+    said = PoseChoice(doubtful).find_warnings([""] * 10)
     assert "turn of presses is not sure: some agree nearly as well turned by 120 degrees" in said[0]
-    assert not PoseChoice(sure).warnings
+    assert not PoseChoice(sure).find_warnings([""] * 8)
+
+
+def test_a_press_in_which_the_part_is_not_recognised_is_named() -> None:
+    """A gateway rejects it, and so the next one like it."""
+    frames = np.concatenate([parts.anywhere(parts.BLOCK, 8)[1], parts.free_gel()[None]])
+    said, *_ = PoseChoice(learn_pose(frames, parts.free_gel())).find_warnings([*"abcdefgh", "empty"])
+    assert "the part is not recognised in 1 of 9 presses ('empty'): a gateway rejects such presses" in said
 
 
 def test_one_damage_of_a_symmetric_part_fails_at_each_of_its_turns() -> None:
