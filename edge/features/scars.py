@@ -224,7 +224,9 @@ def _press_of_rules(inspection: Press, inspector: Inspector, found: Findings) ->
         None if placed is None else (placed.pose.x_px * x_mm, placed.pose.y_px * y_mm),
         lambda change: inspector.score_map(without_marks(rgb, change, size, region)),
     )
-    return replace(press, reach=_reach(press, inspection, inspector, found))
+    # Only what exceeds the limit can lie beyond the part's reach.
+    is_above = bool((press.score_map > press.limit).any())
+    return replace(press, reach=_reach(press, inspection, inspector, found)) if is_above else press
 
 
 def _reach(

@@ -50,17 +50,13 @@ class ScoredPress:
 
     def extent(self) -> Mask:
         """Find the pixels of the view that were judged, bool (120, 160)."""
-        judged = np.ones(self.score_map.shape, bool) if self.unseen is None else ~self.unseen
-        return np.asarray(self.in_view(judged.astype(np.float32)) > 0)
+        if self.unseen is None:
+            return _whole_extent(self.region, self.size)
+        return np.asarray(self.in_view((~self.unseen).astype(np.float32)) > 0)
 
     def in_view(self, values: F32) -> F32:
         """The largest value in each pixel of the view, float32 (120, 160). values: (h, w) of the region, >= 0."""
-        width, height = self.size
-        picture = np.zeros((height, width), np.float32)
-        self.region.crop(picture)[:] = values
-        kernel = np.ones((math.ceil(height / VIEW_SIZE[1]), math.ceil(width / VIEW_SIZE[0])), np.uint8)
-        rows, columns = _centres(VIEW_SIZE[1], height), _centres(VIEW_SIZE[0], width)
-        return np.asarray(cv2.dilate(picture, kernel).take(rows, 0).take(columns, 1), np.float32)
+        return _in_view(values, self.region, self.size)
 
     def in_map(self, places: Mask) -> Mask:
         """Places of the view in the map, bool (h, w)."""
@@ -71,6 +67,23 @@ class ScoredPress:
     def area_mm2(self, places: Mask) -> float:
         """Measure the area of places of the map."""
         return float(np.count_nonzero(places)) * self.mm_per_pixel[0] * self.mm_per_pixel[1]
+
+
+def _in_view(values: F32, region: Region, size: tuple[int, int]) -> F32:
+    if not values.any():
+        return np.zeros((VIEW_SIZE[1], VIEW_SIZE[0]), np.float32)
+    width, height = size
+    picture = np.zeros((height, width), np.float32)
+    region.crop(picture)[:] = values
+    kernel = np.ones((math.ceil(height / VIEW_SIZE[1]), math.ceil(width / VIEW_SIZE[0])), np.uint8)
+    rows, columns = _centres(VIEW_SIZE[1], height), _centres(VIEW_SIZE[0], width)
+    return np.asarray(cv2.dilate(picture, kernel).take(rows, 0).take(columns, 1), np.float32)
+
+
+@cache
+def _whole_extent(region: Region, size: tuple[int, int]) -> Mask:
+    """The pixels of the view that a region reaches, bool (120, 160)."""
+    return np.asarray(_in_view(np.ones((region.height, region.width), np.float32), region, size) > 0)
 
 
 @cache
