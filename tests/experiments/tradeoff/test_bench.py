@@ -36,6 +36,20 @@ def test_every_stage_of_every_press_has_its_time(station: tuple[Path, Path], tmp
     assert found["idle"]["core_share"] > 0
     assert found["machine"]["threads"] == 1
 
+    (tmp_path / "before.json").write_text(ended.out)
+    page = gelgate("lab", "bench", *station, *words[:-1], "--before", tmp_path / "before.json").out
+    row = next(line for line in page.splitlines() if line.startswith("| outbox"))
+    assert row.split("|")[-2].strip() == f"{stages['outbox']['median']:.3g}"
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"stages": {"outbox": {}}}', '{"stages": {"outbox": 1}}'])
+def test_what_is_no_earlier_run_is_refused(station: tuple[Path, Path], tmp_path: Path, text: str) -> None:
+    """Before anything is measured."""
+    (tmp_path / "before.json").write_text(text)
+    ended = gelgate("lab", "bench", *station, "--before", tmp_path / "before.json")
+    assert ended.code == 3
+    assert "before.json is not the JSON of an earlier run" in ended.sentence()
+
 
 @pytest.mark.parametrize(("presses", "free"), [(1, 0), (0, 28)])
 def test_a_recording_without_free_frames_or_presses_is_refused(
