@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
+.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-planted acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -107,6 +107,10 @@ soak: $(VENV)/.test
 # The gateway in a simulated world: new seeds until it is stopped; docs/simulation.md.
 sim: $(VENV)/.test
 	PYTHONPATH=tests/support $(BIN)/python -m simulation --seed $$(date +%s)
+
+# Bugs planted one by one in a copy of the program: each must be found within a minute, and named.
+sim-planted: $(VENV)/.test
+	PYTHONPATH=tests/support $(BIN)/python -m simulation.planted
 
 # The tables of docs/acquire.md: 1,000 simulated acquisitions, half an hour.
 acquisitions: $(VENV)/.test

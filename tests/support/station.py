@@ -92,12 +92,16 @@ def press_recording(
 
 
 def small_bundle(
-    folder: Path, nominal: Path, sensor: SensorProfile | None = None, threshold: float = 0.1
+    folder: Path,
+    nominal: Path,
+    sensor: SensorProfile | None = None,
+    threshold: float = 0.1,
+    part: str = "PZ0",
 ) -> Path:
     """A bundle fitted on a recording with the smallest detector: what is tested is everything around it."""
     sensor = sensor or profile("cropped_lr")
     region = Region.centre(sensor.size)
-    config = FitConfig("PZ0", "pos1", sensor, region, TINY, Trunk("tiny", tiny_trunk()), threshold=threshold)
+    config = FitConfig(part, "pos1", sensor, region, TINY, Trunk("tiny", tiny_trunk()), threshold=threshold)
     return fit_files(read_presses([nominal], sensor, region), config, created="2026-01-01").write(folder)
 
 

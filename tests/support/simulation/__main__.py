@@ -10,8 +10,7 @@ from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
-from station import press_recording, small_bundle
-
+from simulation.bundles import both_bundles
 from simulation.schedule import Simulation
 from simulation.surroundings import install_plugins
 
@@ -24,15 +23,19 @@ def main() -> int:
     )
     words.add_argument("--presses", type=int, default=60, help="presses of a run")
     words.add_argument("--events", action="store_true", help="print what happens")
+    words.add_argument("--bundle", type=Path, nargs=2, help="of both parts; by default new ones")
+    words.add_argument(
+        "--until-failed", type=float, default=0, help="end with the first failure, or after so many s"
+    )
     given = words.parse_args()
     reached, begun, failed, done, turns = Counter[str](), time.perf_counter(), 0, 0, 0
     with tempfile.TemporaryDirectory() as made, contextmanager(install_plugins)(Path(made) / "packages"):
         folder = Path(made)
-        bundle = small_bundle(folder / "bundle", press_recording(folder / "nominal", 12, seed=1))
+        bundles = given.bundle or both_bundles(folder)
         seeds = range(given.seed, given.seed + given.runs) if given.runs else count(given.seed)
         with suppress(KeyboardInterrupt):
             for seed in seeds:
-                simulation = Simulation(seed, given.presses, bundle, folder / f"run{seed}")
+                simulation = Simulation(seed, given.presses, bundles, folder / f"run{seed}")
                 print(f"seed {seed}: {simulation.chosen}", flush=True)
                 run = simulation.play()
                 shutil.rmtree(folder / f"run{seed}")
@@ -40,6 +43,8 @@ def main() -> int:
                 if given.events or run.faults:
                     print("\n".join([*run.events, *(f"seed {seed}: {fault}" for fault in run.faults)]))
                 failed += bool(run.faults)
+                if given.until_failed and (failed or time.perf_counter() - begun > given.until_failed):
+                    break
     seconds = time.perf_counter() - begun
     print("\n".join(f"{number:8d} {name}" for name, number in sorted(reached.items())))
     presses = done * given.presses

@@ -9,11 +9,24 @@ from pathlib import Path
 
 from edge.store.integrity import check_database
 from simulation.lives import Station
+from simulation.outputs import DEADLINE_S, GATE, LAMP, REJECT
 from simulation.surroundings import SERIAL, Broker, S, World
 
 CALM_S = 60
 """So long after the last fault everything has left, and the station is ready (docs/operations.md)."""
 
+
+OPENED_S = 6
+"""A relay that is plugged in is opened so soon, and all of its outputs are written (docs/operations.md)."""
+
+SHOWN_S = 0.7
+"""A press is noticed, and the relay switched, so long after its begin."""
+
+OLDEST_S = 1.0
+"""An older frame is refused (docs/operations.md)."""
+
+LONGEST_S = 3.0
+"""A pulse belongs to a press of this time before it."""
 
 LATEST_S = 1.5
 """A press that has no judged frame has the time of its row, so long after its end at most."""
@@ -30,10 +43,22 @@ def audit_always(world: World, station: Station) -> Iterator[str]:
                 yield f"{broker.name}: press {press_id} has neither a verdict nor an error"
 
 
+def audit_now(world: World) -> Iterator[str]:
+    """What holds while the hand holds a part: no pass of an earlier one is shown, nor one of a dented part."""
+    press, relay, now_ns = world.sensor.press, world.relay, world.clock.now_ns
+    if press is None or press.why or not press.is_dented or not relay.is_on[LAMP]:
+        return
+    is_well = relay.mood == "up" and now_ns - relay.well_since_ns > OPENED_S * S
+    if is_well and now_ns - press.begin_ns > SHOWN_S * S:
+        yield f"press {press.number} is dented, and a pass is shown"
+
+
 def audit_end(world: World, station: Station) -> Iterator[str]:
     """What holds when all is calm again."""
     yield from audit_always(world, station)
     yield from _audit_presses(world, station)
+    yield from _audit_judged(station)
+    yield from _audit_outputs(world, station)
     yield from _audit_ledger(
         station.disk.folder / "gelgate.db", sum(bool(one.why) for one in world.sensor.presses)
     )
@@ -50,9 +75,10 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
 def _audit_presses(world: World, station: Station) -> Iterator[str]:
     """Each press of the hand is one row, in order, with its verdict; where a fault was, it may be lost."""
     rows = read_presses(station.disk.folder / "gelgate.db")
-    found: dict[int, list[tuple[str, str, int]]] = {}
+    found: dict[int, list[tuple[str, str, str]]] = {}
+    times = {seen.press_id: seen.frame_ns or seen.noted_ns for seen in station.seen}
     for row in rows:
-        seen_ns = station.seen_ns.get(row[0])
+        seen_ns = times.get(row[0])
         made = [one for one in world.sensor.presses if seen_ns and one.begin_ns <= seen_ns]
         if not made or seen_ns > made[-1].end_ns + LATEST_S * S:
             when = seen_ns and f"{seen_ns / S:.2f} s"
@@ -65,11 +91,49 @@ def _audit_presses(world: World, station: Station) -> Iterator[str]:
             yield f"press {press.number} has {len(own)} rows"
         if not own and not press.why:
             yield f"press {press.number} at {press.begin_ns / S:.2f} s is lost, without any fault"
-        for _, verdict, _ in own:
+        for _, verdict, part in own:
+            if not press.why and part not in world.parts.allowed(press):
+                yield f"press {press.number} is judged as {part}, begun as {world.parts.allowed(press)}"
             if press.is_dented and verdict == "pass":
                 yield f"press {press.number} is dented and passed ({', '.join(press.why) or 'no fault'})"
             if not press.why and verdict != ("fail" if press.is_dented else "pass"):
                 yield f"press {press.number} has the verdict {verdict}, without any fault"
+
+
+def _audit_judged(station: Station) -> Iterator[str]:
+    """A verdict is of a frame of the same second, and of the same uninterrupted press."""
+    for seen in station.seen:
+        if seen.word not in ("pass", "fail") or seen.frame_ns is None:
+            continue
+        age_s = (seen.judged_ns - seen.frame_ns) / S
+        if OLDEST_S < age_s < 10:  # otherwise the wall clock was set
+            yield f"the frame of press {seen.press_id} was {age_s:.1f} s old when it was judged"
+        if seen.is_over_gap:
+            yield f"press {seen.press_id} was judged by a frame from before an interruption"
+
+
+def _audit_outputs(world: World, station: Station) -> Iterator[str]:
+    """Each output belongs to one press that was judged so, and none comes after its deadline."""
+    unused = {REJECT: [one for one in station.seen if one.word != "pass"]}
+    unused |= {GATE: [one for one in station.seen if one.word == "pass"]}
+    for one in world.relay.switched:
+        when = f"at {one.told_ns / S:.3f} s"
+        if one.channel == LAMP:
+            before = [seen.word for seen in station.seen if seen.noted_ns <= one.told_ns]
+            if before[-1:] != ["pass"]:
+                yield f"a pass was shown {when}, and the last press was {before[-1:] or 'none'}"
+            continue
+        presses = unused[one.channel]
+        own = [
+            seen for seen in presses if 0 <= one.told_ns - (seen.frame_ns or seen.judged_ns) < LONGEST_S * S
+        ]
+        if not own:
+            if not any(0 <= killed - one.told_ns < LONGEST_S * S for killed in station.killed_ns):
+                yield f"the pulse on channel {one.channel} {when} belongs to no press"
+            continue
+        presses.remove(own[-1])
+        if own[-1].frame_ns is not None and one.told_ns - own[-1].frame_ns > DEADLINE_S * S:
+            yield f"the pulse on channel {one.channel} {when} was given after its deadline"
 
 
 def _audit_ledger(path: Path, disturbed: int) -> Iterator[str]:
@@ -101,8 +165,8 @@ def _audit_subscriber(broker: Broker, path: Path) -> Iterator[str]:
         yield f"{broker.name}: {len(without)} presses have no picture message"
 
 
-def read_presses(path: Path) -> list[tuple[str, str, int]]:
-    """Id, verdict and running time of each row, in order."""
+def read_presses(path: Path) -> list[tuple[str, str, str]]:
+    """Id, verdict and part of each row, in order."""
     with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
-        query = "SELECT press_id, verdict, time_ns FROM presses WHERE serial = ? ORDER BY number"
+        query = "SELECT press_id, verdict, part FROM presses WHERE serial = ? ORDER BY number"
         return list(connection.execute(query, (SERIAL,)))

@@ -12,10 +12,13 @@ import sqlite3
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from edge.config import Config
+from edge.features.outputs.stage import Outputs
 from edge.gateway.build import open_station
 from edge.gateway.command_table import every_command
 from edge.gateway.preflight import Preflight
@@ -23,7 +26,24 @@ from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
 from simulation.surroundings import World
 
+GAP_NS = 270_000_000
+"""Frames further apart are an interruption (docs/contact.md)."""
 WRITES = {"os.rename", "os.remove", "os.mkdir", "os.link", "os.truncate"}
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A press as the station reports it when it is recorded. Times are of the clock that nobody sets."""
+
+    press_id: str
+    noted_ns: int
+    frame_ns: int | None
+    """Of the judged frame, or of the rest that it stands for; None without one."""
+    word: str
+    judged_ns: int
+    """By the wall clock of now: wrong where it was set since."""
+    is_over_gap: bool
+    """Frames are missing between the judged frame and the verdict."""
 
 
 class Disk:
@@ -118,7 +138,10 @@ class Station:
     ) -> None:
         self.world, self.disk = world, Disk(folder)
         self.lives = 0
-        self.seen_ns: dict[str, int] = {}
+        self.seen: list[Seen] = []
+        self.killed_ns: list[int] = []
+        self.fed_ns: list[int] = []
+        """The times of the frames that this life has looked at."""
         self._read_config, self._rng = read_config, rng
         self._closing = ExitStack()
         self.loop: StationLoop
@@ -133,9 +156,18 @@ class Station:
     def open(self, checked: Preflight | None = None) -> None:
         """Begin a life."""
         self.lives += 1
+        self.fed_ns.clear()
+        self.world.parts.forget(self.world.clock.now_ns)
         opened = open_station(self._read_config(), self.world.clock, self._note, checked)
         self.loop = self._closing.enter_context(opened)
         self.loop.parts.pictures.recall()
+
+    @property
+    def outputs(self) -> Outputs:
+        """The stage with relay and pedal."""
+        outputs = self.loop.find(Outputs)
+        assert outputs is not None
+        return outputs
 
     def stop(self) -> None:
         """End in order, as at SIGTERM."""
@@ -146,6 +178,7 @@ class Station:
         """The process is dead: its folder is as it was at that point."""
         copy = self.disk.copy
         assert copy is not None
+        self.killed_ns.append(self.world.clock.now_ns)
         for broker in self.world.brokers.values():
             broker.lose_all()
         self._closing.close()
@@ -166,5 +199,20 @@ class Station:
         return command.do(self.loop, command.arguments.of(arguments))
 
     def _note(self, report: PressReport) -> None:
-        """Note when a press was seen, also what a dead process has written before."""
-        self.seen_ns[report.result.press_id] = report.press.judged_ns or self.world.clock.now_ns
+        """Note what was seen of a press, also by a dead process that has written before."""
+        press, now_ns = report.press, self.world.clock.now_ns
+        gaps = (
+            later - then > GAP_NS
+            for then, later in pairwise(self.fed_ns)
+            if later >= (press.judged_ns or now_ns)
+        )
+        self.seen.append(
+            Seen(
+                press.press_id,
+                now_ns,
+                press.judged_ns,
+                press.word,
+                press.time_ns - self.world.clock.wall_ns,
+                any(gaps),
+            )
+        )

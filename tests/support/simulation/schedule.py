@@ -6,15 +6,16 @@ and the clock moves to the next actor that has something to do. The same seed an
 
 import random
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from edge.config import Config, load_config
-from edge.core.errors import GelgateError
-from simulation.auditors import CALM_S, audit_end
+from simulation.auditors import CALM_S, audit_end, audit_now
+from simulation.faults import FAULTS
 from simulation.lives import Station
+from simulation.outputs import TABLES
 from simulation.surroundings import PERIOD_NS, S, World
 
 CONFIG = """
@@ -22,13 +23,14 @@ version = 1
 [device]
 plugin = "simulated"
 [inspection]
-bundle = "{bundle}"
 threads = 1
+part = "PZ0/pos1"
+{bundles}
 [store]
 path = "{folder}/gelgate.db"
 {archive}
 """
-SINK = '[[sinks]]\nname = "{name}"\nplugin = "simulated"\noptions = {{ name = "{name}" }}\n'
+SINK = '[[sinks]]\nplugin = "simulated"\noptions = {{ name = "{name}" }}\n'
 
 
 @dataclass
@@ -70,10 +72,10 @@ class Run:
 
 
 class Simulation:
-    """A station in its world. bundle: of the tiny detector. folder: empty, for the disk."""
+    """A station in its world. bundles: of both parts, with the tiny detector. folder: empty, for the disk."""
 
     def __init__(
-        self, seed: int, presses: int, bundle: Path, folder: Path, chosen: Chosen | None = None
+        self, seed: int, presses: int, bundles: Sequence[Path], folder: Path, chosen: Chosen | None = None
     ) -> None:
         self.rng = random.Random(seed)
         self.chosen = chosen or Chosen.of(self.rng)
@@ -83,7 +85,7 @@ class Simulation:
         self._disk = folder / "disk"
         self._disk.mkdir(parents=True)
         self._config = folder / "gelgate.toml"
-        self._config.write_text(_config(self.chosen, bundle, self._disk, self.world))
+        self._config.write_text(_config(self.chosen, bundles, self._disk, self.world))
         self.station = Station(self.world, self._disk, self._read_config, self.rng)
         self._calm_ns: int | None = None
         self._asked_ns = 0
@@ -119,6 +121,8 @@ class Simulation:
         ready = [actor for actor in self._actors if actor.due_ns <= clock.now_ns]
         actor = ready[0] if ready[0].name == "camera" else self.rng.choice(ready)
         self.run.turns += 1
+        if actor.name == "camera":
+            self.run.faults += audit_now(self.world)
         self.station.disk.attach()
         pause_s = actor.act()
         actor.due_ns = clock.now_ns + round(pause_s * S)
@@ -143,8 +147,21 @@ class Simulation:
 
     def _threads(self) -> list[Actor]:
         threads = [Actor("reader", self._read), Actor("loop", self._loop), Actor("pictures", self._draw)]
+        threads += [
+            Actor("bundles", self._open_bundles),
+            Actor("relay", self._switch),
+            Actor("pedal", self._tread),
+        ]
         names = list(self.world.brokers)
-        return [*threads, *(Actor(name, lambda name=name: self._publish(name)) for name in names)]  # type: ignore[misc]
+        threads += [Actor(name, lambda name=name: self._publish(name)) for name in names]  # type: ignore[misc]
+        self._own = {actor.name for actor in threads}
+        return threads
+
+    def freeze(self, seconds: float) -> None:
+        """Let no thread of the station take a turn for so long."""
+        for actor in self._actors:
+            if actor.name in self._own:
+                actor.due_ns = max(actor.due_ns, self.world.clock.now_ns + round(seconds * S))
 
     def _camera(self) -> float:
         sensor = self.world.sensor
@@ -173,6 +190,8 @@ class Simulation:
         loop = self.station.loop
         self._obey()
         frame = loop.parts.acquisition.next(0)
+        if frame is not None:
+            self.station.fed_ns.append(frame.timestamp_ns)
         was_halted = loop.is_halted
         loop.step(frame)
         if loop.is_halted != was_halted:
@@ -184,8 +203,21 @@ class Simulation:
         self.station.loop.parts.pictures.step()
         return 0.1 + self._lag(0.2)
 
+    def _open_bundles(self) -> float:
+        self.station.loop.parts.selection.worker.step()
+        return 0.1 + self._lag(0.2)
+
+    def _switch(self) -> float:
+        (driver,) = self.station.outputs.drivers
+        return min(driver.step(), 0.06) + self._lag(0)
+
+    def _tread(self) -> float:
+        (reader,) = self.station.outputs.readers
+        return (reader.step() or 0.05) + self._lag(0)
+
     def _publish(self, name: str) -> float:
-        worker = self.station.loop.parts.publisher.workers[name]
+        workers = self.station.loop.parts.publisher.workers
+        worker = list(workers.values())[list(self.world.brokers).index(name)]
         pause_s = worker.step()
         return min(pause_s, 5.0) if not worker.counters.is_up else min(pause_s, 0.15 + self._lag(0.2))
 
@@ -207,7 +239,7 @@ class Simulation:
         lasts_s = act(self)
         return lasts_s + self.rng.expovariate(rate / 60)
 
-    def _for_a_while(
+    def for_a_while(
         self, name: str, lasts_s: float, end: Callable[[], None], *, is_sensors: bool = False
     ) -> float:
         """Let a fault last; it ends then, or at the end of the run. is_sensors: a press that meets it may be lost."""
@@ -237,97 +269,6 @@ class Simulation:
         self.note(f"{name}, for {lasts_s:.1f} s")
         return lasts_s
 
-    def unplug(self) -> float:
-        """The sensor's cable is pulled, and comes back."""
-        sensor = self.world.sensor
-        sensor.is_plugged = False
-        self.reach("the sensor was unplugged during a press" if sensor.press else "the sensor was unplugged")
-
-        def plug() -> None:
-            sensor.is_plugged = True
-
-        return self._for_a_while("unplugged", self.rng.choice((0.2, 2, 12)), plug, is_sensors=True)
-
-    def silence(self) -> float:
-        """The sensor gives no frame, and stays on the bus."""
-        sensor = self.world.sensor
-        sensor.is_silent = True
-
-        def speak() -> None:
-            sensor.is_silent = False
-
-        return self._for_a_while("silent", self.rng.choice((0.3, 1.5, 6)), speak, is_sensors=True)
-
-    def corrupt(self) -> float:
-        """Some frames end in the middle."""
-        sensor = self.world.sensor
-        sensor.corrupt_share = self.rng.choice((0.02, 0.3, 1.0))
-
-        def mend() -> None:
-            sensor.corrupt_share = 0.0
-
-        return self._for_a_while("corrupt frames", self.rng.uniform(0.5, 6), mend, is_sensors=True)
-
-    def hang_up(self) -> float:
-        """A broker is away, forgets its answers, or refuses one kind of message."""
-        broker = self.rng.choice(list(self.world.brokers.values()))
-        broker.mood = self.rng.choice(("away", "forgets answers", "refuses"))
-        broker.refuses = self.rng.choice(("result", "heatmap", "gel"))
-        if broker.mood == "away":
-            broker.lose_all()
-        self.reach(f"a broker {'is away' if broker.mood == 'away' else broker.mood}")
-
-        def come_back() -> None:
-            broker.mood = "up"
-
-        return self._for_a_while(f"{broker.name} {broker.mood}", self.rng.uniform(1, 30), come_back)
-
-    def fill_disk(self) -> float:
-        """No room on the disk, then room again."""
-        disk = self.station.disk
-        disk.fill(True)
-        return self._for_a_while("disk full", self.rng.uniform(1, 20), lambda: disk.fill(False))
-
-    def step_clock(self) -> float:
-        """Somebody, or a time server, sets the wall clock."""
-        step_s = self.rng.choice((-86_400, -3600, -1, 1, 3600, 30 * 86_400))
-        self.world.clock.wall_ns += step_s * S
-        self.note(f"the wall clock is set by {step_s} s")
-        self.reach("the wall clock went back" if step_s < 0 else "the wall clock went on")
-        return 0.0
-
-    def replace_gel(self) -> float:
-        """A person changes the gel, says so, and goes on when the new one was seen free for a while."""
-        sensor = self.world.sensor
-        if sensor.press is not None:
-            return 0.1
-        sensor.wait(4)
-        try:
-            self.station.ask("replace_gel")
-            self.reach("the gel was replaced")
-            self.note("the gel is replaced")
-        except GelgateError as error:
-            self.note(f"the gel is not replaced: {error}")
-        return 0.0
-
-    def stop(self) -> float:
-        """The service is restarted."""
-        self.note("stopped in order")
-        self.world.sensor.disturb("the gateway was restarted")
-        self.reach(
-            "the gateway was restarted during a press"
-            if self.world.sensor.press
-            else "the gateway was restarted"
-        )
-        self.station.stop()
-        self._open_again()
-        return 0.0
-
-    def kill(self) -> float:
-        """The process is killed at one of its next writes."""
-        self.station.disk.kill_in = self.rng.randint(1, 60)
-        return 0.0
-
     def _rise(self) -> None:
         """The process is dead: the next one opens what the disk holds."""
         point = self.station.disk.killed_at
@@ -335,29 +276,16 @@ class Simulation:
         self.reach(f"killed at {point}")
         self.world.sensor.disturb("the gateway was killed")
         self.station.bury()
-        self._open_again()
+        self.open_again()
 
-    def _open_again(self) -> None:
+    def open_again(self) -> None:
         self.station.open()
         for actor in self._actors:
-            if actor.name in ("reader", "loop", "pictures", *self.world.brokers):
+            if actor.name in self._own:
                 actor.due_ns = self.world.clock.now_ns
 
     def _read_config(self) -> Config:
         return load_config(self._config)
-
-
-FAULTS: dict[str, Callable[[Simulation], float]] = {
-    "unplug": Simulation.unplug,
-    "silence": Simulation.silence,
-    "corrupt": Simulation.corrupt,
-    "hang up": Simulation.hang_up,
-    "fill disk": Simulation.fill_disk,
-    "step clock": Simulation.step_clock,
-    "replace gel": Simulation.replace_gel,
-    "stop": Simulation.stop,
-    "kill": Simulation.kill,
-}
 
 
 @contextmanager
@@ -376,7 +304,8 @@ def _drawn_from(rng: random.Random) -> Iterator[None]:
         random.Random = real  # type: ignore[misc]
 
 
-def _config(chosen: Chosen, bundle: Path, disk: Path, world: World) -> str:
+def _config(chosen: Chosen, bundles: Sequence[Path], disk: Path, world: World) -> str:
     archive = "" if chosen.has_archive else "[archive]\npresses = 0\n"
-    text = CONFIG.format(bundle=bundle, folder=disk, archive=archive)
-    return text + "".join(SINK.format(name=name) for name in world.brokers)
+    paths = "".join(f'[[inspection.bundles]]\npath = "{path}"\n' for path in bundles)
+    text = CONFIG.format(bundles=paths, folder=disk, archive=archive)
+    return text + TABLES + "".join(SINK.format(name=name) for name in world.brokers)

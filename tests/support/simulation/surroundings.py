@@ -30,9 +30,12 @@ from edge.core.errors import (
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, DeviceIdentity, DiscoveredDevice, Message
 from edge.core.sink_context import Station
+from simulation.outputs import Pedal, Relay
 
 S = 10**9
 PERIOD_NS = round(S / 18.75)
+NOTICED_S = 0.5
+"""A contact is a press so long after its begin at most."""
 SERIAL = "SIM00001"
 IDENTITY = DeviceIdentity("GelSight Mini R0B SIM0-0001", SERIAL, (320, 240), 18.75)
 
@@ -77,7 +80,7 @@ def _pictures(kind: str) -> Sequence[bytes]:
 class Sensor:
     """A sensor on USB, and the hand that presses parts on it. It makes a frame each period, whether it is read or not.
 
-    The driver keeps four frames, as that of a camera does; one that comes while they wait pushes out the oldest.
+    The driver keeps four frames, as those of cameras do: the oldest or the newest.
     """
 
     KEPT = 4
@@ -93,7 +96,8 @@ class Sensor:
         """Until then a press may count as one with that before the interruption (docs/contact.md)."""
         self.presses: list[MadePress] = []
         self.openings = 0
-        self.dropped = 0
+        self.keeps_oldest = rng.random() < 0.5
+        """Of frames that nobody reads; otherwise the newest."""
         self.next_ns = clock.now_ns
         self.most_presses = 0
         self._made = 0
@@ -113,7 +117,7 @@ class Sensor:
     def make(self) -> None:
         """The camera makes a frame of what is on the gel now."""
         kind = self._phase()
-        self.next_ns += PERIOD_NS
+        made_ns, self.next_ns = self.next_ns, self.next_ns + PERIOD_NS
         if self.press:
             self.press.why |= self.troubles
             if self.press.begin_ns < self.dim_until_ns:
@@ -123,10 +127,9 @@ class Sensor:
         picture = self._rng.choice(_pictures(kind))
         self._made += 1
         comment = b"\xff\xfe" + (10).to_bytes(2, "big") + self._made.to_bytes(8, "big")
-        self._kept.append((picture[:2] + comment + picture[2:], self._clock.now_ns))
+        self._kept.append((picture[:2] + comment + picture[2:], made_ns))
         if len(self._kept) > self.KEPT:
-            self._kept.popleft()
-            self.dropped += 1
+            self._kept.pop() if self.keeps_oldest else self._kept.popleft()
             self.disturb("frames were dropped")
 
     @property
@@ -292,6 +295,31 @@ class Session:
             self._broker.answer(message)
 
 
+class Parts:
+    """What a person has selected, and when: the truth about each press."""
+
+    names = ("PZ0", "PZ1")
+
+    def __init__(self) -> None:
+        self.wanted = self.names[0]
+        self._changes: list[tuple[int, str | None]] = [(0, self.names[0])]
+
+    def select(self, now_ns: int, part: str) -> None:
+        """Take a selection that the station has confirmed."""
+        self.wanted = part
+        self._changes.append((now_ns, part))
+
+    def forget(self, now_ns: int) -> None:
+        """A selection that waits may be lost: a restart, or a disk without room."""
+        self._changes.append((now_ns, None))
+
+    def allowed(self, press: MadePress) -> set[str]:
+        """The parts under which this press may be judged: that of its begin, which is noticed a moment later."""
+        before = [part for when, part in self._changes if when <= press.begin_ns][-1]
+        soon = [part for when, part in self._changes if 0 < when - press.begin_ns < NOTICED_S * S]
+        return set(self.names) if None in (before, *soon) else {str(part) for part in (before, *soon)}
+
+
 class World:
     """The surroundings of the run that is on; the plugins find them here."""
 
@@ -302,6 +330,9 @@ class World:
         self.sensor = Sensor(rng, self.clock)
         self.brokers = {f"broker{number}": Broker(f"broker{number}", rng) for number in range(brokers)}
         self.is_dead = lambda: False
+        self.parts = Parts()
+        self.relay = Relay.now = Relay(self.clock, lambda: self.is_dead())
+        self.pedal = Pedal.now = Pedal(self.clock)
         World.now = self
 
 
@@ -346,8 +377,13 @@ def install_plugins(folder: Path) -> Iterator[None]:
     info = folder / "simulated-1.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: simulated\nVersion: 1\n")
-    places = {"devices": "sensor_plugin", "sinks": "broker_plugin"}
-    lines = (f"[gelgate.{group}]\nsimulated = {__name__}:{value}\n" for group, value in places.items())
+    places = {
+        "devices": f"{__name__}:sensor_plugin",
+        "sinks": f"{__name__}:broker_plugin",
+        "triggers": "simulation.outputs:pedal_plugin",
+        "actuators": "simulation.outputs:relay_plugin",
+    }
+    lines = (f"[gelgate.{group}]\nsimulated = {place}\n" for group, place in places.items())
     (info / "entry_points.txt").write_text("".join(lines))
     sys.path.insert(0, str(folder))
     registry._points.cache_clear()

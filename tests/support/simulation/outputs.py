@@ -1,0 +1,144 @@
+"""A relay board and a pedal, each with a state of its own, and what was switched when."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from pydantic import BaseModel
+
+from edge.core.digital_io import DiscoveredPort
+from edge.core.errors import DeviceLost, DeviceNotFound, DeviceStalled
+from edge.core.ports import Clock
+
+if TYPE_CHECKING:
+    from simulation.surroundings import SimulatedClock
+
+S = 10**9
+LAMP, REJECT, GATE = 1, 2, 3
+DEADLINE_S = 0.5
+"""Of both pulses: a part that fails is thrown out, one that passes is let through."""
+
+TABLES = f"""
+[[actuators]]
+plugin = "simulated"
+outputs = [
+  {{ channel = {LAMP}, when = ["pass"] }},
+  {{ channel = {REJECT}, when = ["fail", "unsure", "rejected", "error"], pulse_ms = 200, deadline_ms = {1000 * DEADLINE_S} }},
+  {{ channel = {GATE}, when = ["pass"], pulse_ms = 200, deadline_ms = {1000 * DEADLINE_S} }},
+]
+[[triggers]]
+plugin = "simulated"
+action = "acknowledge"
+"""  # noqa: E501
+
+
+@dataclass(frozen=True)
+class Switching:
+    """A channel that was switched on, and when the board was told."""
+
+    channel: int
+    told_ns: int
+
+
+class Relay:
+    """A board that keeps its relays when it is unplugged. mood: `up`, `unplugged`, `slow` or `stuck`."""
+
+    now: ClassVar["Relay"]
+    """That of the run that is on."""
+    name = "simulated relay"
+    channels = 3
+
+    def __init__(self, clock: "SimulatedClock", is_dead: Callable[[], bool]) -> None:
+        self._clock, self._is_dead = clock, is_dead
+        self.mood = "up"
+        self.well_since_ns = 0
+        self.is_on = {LAMP: False, REJECT: False, GATE: False}
+        self.switched: list[Switching] = []
+
+    def mend(self) -> None:
+        """It is plugged in, and switches at once."""
+        self.mood, self.well_since_ns = "up", self._clock.now_ns
+
+    def write(self, channel: int, is_on: bool) -> None:
+        told_ns = self._clock.now_ns
+        if self.mood == "unplugged" or self._is_dead():
+            raise DeviceLost("the relay was unplugged")
+        if self.mood == "stuck":
+            raise DeviceStalled("the relay does not switch")
+        if self.mood == "slow":
+            self._clock.now_ns += S // 10
+        if is_on and not self.is_on[channel]:
+            self.switched.append(Switching(channel, told_ns))
+        self.is_on[channel] = is_on
+
+    def is_present(self) -> bool:
+        return self.mood != "unplugged"
+
+    def close(self) -> None:
+        """The relays stay as they are."""
+
+
+class Pedal:
+    """A pedal. mood: `up`, `unplugged`, `stuck` (held down) or `trodden` (down and up again and again)."""
+
+    now: ClassVar["Pedal"]
+    """That of the run that is on."""
+    name = "simulated pedal"
+
+    def __init__(self, clock: "SimulatedClock") -> None:
+        self._clock = clock
+        self.mood = "up"
+        self._was_down = False
+
+    def mend(self) -> None:
+        """It is plugged in, and nobody treads on it."""
+        self.mood = "up"
+
+    def read(self, deadline_ns: int) -> bool | None:
+        """Return a change; it waits for none, for the schedule does."""
+        if self.mood == "unplugged":
+            raise DeviceLost("the pedal was unplugged")
+        is_down = self.mood == "stuck" or (self.mood == "trodden" and self._clock.now_ns // (S // 5) % 2 == 0)
+        was_down, self._was_down = self._was_down, is_down
+        return is_down if is_down != was_down else None
+
+    def is_present(self) -> bool:
+        return self.mood != "unplugged"
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class Options(BaseModel):
+    """No options."""
+
+
+class RelayPlugin:
+    """The board of the run."""
+
+    Options = Options
+
+    def discover(self, options: Options) -> Sequence[DiscoveredPort]:
+        return [DiscoveredPort("simulated", Relay.name)] if Relay.now.is_present() else []
+
+    def open(self, options: Options, clock: Clock) -> Relay:
+        if not Relay.now.is_present():
+            raise DeviceNotFound("no relay is plugged in")
+        return Relay.now
+
+
+class PedalPlugin:
+    """The pedal of the run."""
+
+    Options = Options
+
+    def discover(self, options: Options) -> Sequence[DiscoveredPort]:
+        return [DiscoveredPort("simulated", Pedal.name)] if Pedal.now.is_present() else []
+
+    def open(self, options: Options, clock: Clock) -> Pedal:
+        if not Pedal.now.is_present():
+            raise DeviceNotFound("no pedal is plugged in")
+        return Pedal.now
+
+
+relay_plugin, pedal_plugin = RelayPlugin(), PedalPlugin()

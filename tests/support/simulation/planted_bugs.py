@@ -1,0 +1,142 @@
+"""Bugs to plant: each is one change of one file, and the words with which an auditor must name it."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Bug:
+    """old: text that the file has once. new: what stands there instead. sentence: what an auditor says matches it."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    sentence: str
+
+
+BUGS = (
+    Bug(
+        "fsync left out",
+        "edge/store/database.py",
+        "{'FULL' if is_durable else 'NORMAL'}",
+        "{'NORMAL'}",
+        "results",
+    ),
+    Bug(
+        "deleted before it is acknowledged",
+        "edge/messaging/sink_worker.py",
+        "        if row.row_id != self._accepted:\n",
+        "        self._outbox.acknowledge(row.row_id, self.name)\n        if row.row_id != self._accepted:\n",
+        "results lack|have no picture message",
+    ),
+    Bug(
+        "count outside the transaction",
+        "edge/store/press_store.py",
+        '        with self._database.writing(f"recording press {press.press_id}") as connection:\n',
+        '        with self._database.writing("counting") as connection:\n'
+        "            self._mount_first(connection, press.serial, press.time_ns)\n"
+        "            ledger.count_press(connection, press.serial, press.time_ns)\n"
+        '        with self._database.writing(f"recording press {press.press_id}") as connection:\n'
+        "            ledger.count_press(connection, press.serial, press.time_ns, -1)\n",
+        "presses, and",
+    ),
+    Bug(
+        "wall clock for ages",
+        "edge/gateway/build.py",
+        "config.gel.warn_fraction, clock.monotonic_ns)",
+        "config.gel.warn_fraction, clock.time_ns)",
+        "results lack",
+    ),
+    Bug(
+        "sinks by position",
+        "edge/config/loading.py",
+        "return [sink.name or _receiver(sink) for sink in sinks]",
+        'return [f"{sink.plugin}-{number}" for number, sink in enumerate(sinks)]',
+        "results lack",
+    ),
+    Bug(
+        "stale frame scored",
+        "edge/model/inspector.py",
+        "        if stale:\n",
+        "        if False:\n",
+        "old when it was judged",
+    ),
+    Bug(
+        "gap not seen",
+        "edge/core/contact/press_detector.py",
+        "GAP_S: Final = 0.27",
+        "GAP_S: Final = 9.0",
+        "before an interruption",
+    ),
+    Bug(
+        "press recorded under the next part",
+        "edge/gateway/part_selection.py",
+        "if not is_pressed and (self.is_waiting",
+        "if (self.is_waiting",
+        "judged as",
+    ),
+    Bug(
+        "pulse after its deadline",
+        "edge/features/outputs/actuator_driver.py",
+        "        if now_ns > pulse.start_by_ns:\n            return f",
+        "        if False:\n            return f",
+        "after its deadline",
+    ),
+    Bug(
+        "an error is shown as a pass",
+        "edge/features/outputs/stage.py",
+        "        elif press.label is None:\n            self._verdict, self._awaited_ns = press.word, None",
+        "        elif press.label is None:\n"
+        '            self._verdict, self._awaited_ns = "pass" if press.error else press.word, None',
+        "shown",
+    ),
+    Bug(
+        "the verdict stays when the next press begins",
+        "edge/features/outputs/stage.py",
+        "        if isinstance(event, PressBegan):\n",
+        "        if False:\n",
+        "shown",
+    ),
+    Bug(
+        "score NaN passes",
+        "edge/core/verdict.py",
+        "    if not (math.isfinite(score) and math.isfinite(threshold)):\n",
+        "    if math.isnan(score):\n        score = 0.0\n    if False:\n",
+        "passed",
+    ),
+    Bug(
+        "retained state not resent",
+        "edge/messaging/sink_worker.py",
+        "return [message for _, message in self.since(-1) if message.retain]",
+        "return []",
+        "retains",
+    ),
+    Bug(
+        "the score ahead of another frame",
+        "edge/model/inspector.py",
+        "for *asked, press in self._ahead if asked == [frame, touch]), None)",
+        "for *asked, press in self._ahead), None)",
+        "scores otherwise",
+    ),
+    Bug(
+        "owed pictures forgotten",
+        "edge/gateway/pictures.py",
+        "for press_id in self._store.owed_pictures():",
+        "for press_id in self._store.owed_pictures()[:0]:",
+        "have no picture message",
+    ),
+    Bug(
+        "result with the old gel after a replacement",
+        "edge/gateway/recorder.py",
+        "    gel = recorded.gel\n",
+        '    gel = _result.__dict__.setdefault("gel", recorded.gel)\n',
+        "gel",
+    ),
+    Bug(
+        "the old gel is pressed on in the ledger",
+        "edge/store/gel_ledger.py",
+        "    gel_id = gel_id or next(",
+        "    if len(ids) > 1:\n        return\n    gel_id = gel_id or next(",
+        "gel",
+    ),
+)
