@@ -73,9 +73,8 @@ def noisy(alpha: float | None) -> Trial:
 
 
 def test_the_evaluation_fits_the_limit_where_a_rate_is_stated() -> None:
-    """Black squares fail and no sound press does; a trial without a rate, and --no-limits, have the old measures
-    alone.
-    """
+    """Black squares fail, and of four sound presses one at most: 1 in 17 is the best that 16 presses promise. A trial
+    without a rate, and --no-limits, have the old measures alone."""
     rows = {}
     trunk = {"random": random_trunk()}
     for alpha, limits in ((0.05, True), (None, True), (0.05, False)):
@@ -84,7 +83,7 @@ def test_the_evaluation_fits_the_limit_where_a_rate_is_stated() -> None:
         rows[alpha, limits] = found["sets"]["noisy"]["rows"][0]["measures"]
     measures = {name: measure["value"] for name, measure in rows[0.05, True].items()}
     assert measures["detected"] == measures["peak_found"] == measures["image_auroc"] == 1
-    assert measures["false_alarms"] == measures["relit_alarms"] == 0
+    assert max(measures["false_alarms"], measures["relit_alarms"]) <= 0.25
     assert measures["others_detected"] == measures["others_auroc"] == 1
     assert measures["aupro_fpr05"] > measures["aupro_fpr01"]
     old = ["image_auroc", "pixel_auroc", "pixel_auprc", "aupro_fpr01"]
