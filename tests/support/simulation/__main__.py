@@ -11,6 +11,7 @@ from itertools import count
 from pathlib import Path
 
 from simulation.bundles import both_bundles
+from simulation.conditions import SOMETIMES
 from simulation.schedule import Simulation
 from simulation.surroundings import install_plugins
 
@@ -47,6 +48,7 @@ def main() -> int:
                     break
     seconds = time.perf_counter() - begun
     print("\n".join(f"{number:8d} {name}" for name, number in sorted(reached.items())))
+    print("".join(f"   NEVER {name}\n" for name in SOMETIMES if not reached[name]), end="")
     presses = done * given.presses
     print(
         f"{done} runs, {presses} presses and {turns} turns in {seconds:.0f} s, {presses / seconds:.1f} presses "

@@ -75,7 +75,7 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
 def _audit_presses(world: World, station: Station) -> Iterator[str]:
     """Each press of the hand is one row, in order, with its verdict; where a fault was, it may be lost."""
     rows = read_presses(station.disk.folder / "gelgate.db")
-    found: dict[int, list[tuple[str, str, str]]] = {}
+    found: dict[int, list[tuple[str, str, str, str]]] = {}
     times = {seen.press_id: seen.frame_ns or seen.noted_ns for seen in station.seen}
     for row in rows:
         seen_ns = times.get(row[0])
@@ -91,9 +91,11 @@ def _audit_presses(world: World, station: Station) -> Iterator[str]:
             yield f"press {press.number} has {len(own)} rows"
         if not own and not press.why:
             yield f"press {press.number} at {press.begin_ns / S:.2f} s is lost, without any fault"
-        for _, verdict, part in own:
-            if not press.why and part not in world.parts.allowed(press):
-                yield f"press {press.number} is judged as {part}, begun as {world.parts.allowed(press)}"
+        for _, verdict, part, gel in own:
+            if not press.why and not world.parts.allows(press, part):
+                yield f"press {press.number} is judged as {part}, and another part was selected at its begin"
+            if not press.why and not world.gels.allows(press, gel):
+                yield f"press {press.number} counts on gel {gel}, and another gel was mounted at its begin"
             if press.is_dented and verdict == "pass":
                 yield f"press {press.number} is dented and passed ({', '.join(press.why) or 'no fault'})"
             if not press.why and verdict != ("fail" if press.is_dented else "pass"):
@@ -158,6 +160,10 @@ def _audit_subscriber(broker: Broker, path: Path) -> Iterator[str]:
         yield f"{broker.name}: {len(lacking)} results lack, {len(more)} are of no row"
     elif order != ids and not broker.has_refused_results:  # those are offered again later, behind others
         yield f"{broker.name}: the results came in another order than they were made"
+    for press_id, _, part, gel in read_presses(path):
+        results = broker.results.get(press_id, [])
+        if any((one["gel_id"], one["part"]) != (gel, part) for one in results):
+            yield f"{broker.name}: the result of press {press_id} has another gel or part than its row"
     without = [
         row[0] for row in read_presses(path) if row[1] in ("pass", "fail") and not broker.pictures[row[0]]
     ]
@@ -165,8 +171,8 @@ def _audit_subscriber(broker: Broker, path: Path) -> Iterator[str]:
         yield f"{broker.name}: {len(without)} presses have no picture message"
 
 
-def read_presses(path: Path) -> list[tuple[str, str, str]]:
-    """Id, verdict and part of each row, in order."""
+def read_presses(path: Path) -> list[tuple[str, str, str, str]]:
+    """Id, verdict, part and gel of each row, in order."""
     with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
-        query = "SELECT press_id, verdict, part FROM presses WHERE serial = ? ORDER BY number"
+        query = "SELECT press_id, verdict, part, gel_id FROM presses WHERE serial = ? ORDER BY number"
         return list(connection.execute(query, (SERIAL,)))

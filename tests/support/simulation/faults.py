@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from edge.core.errors import GelgateError
-from simulation.surroundings import S
+from simulation.surroundings import PARTS, S
 
 if TYPE_CHECKING:
     from simulation.schedule import Simulation
@@ -14,12 +14,11 @@ def unplug(run: "Simulation") -> float:
     """The sensor's cable is pulled, and comes back."""
     sensor = run.world.sensor
     sensor.is_plugged = False
-    run.reach("the sensor was unplugged during a press" if sensor.press else "the sensor was unplugged")
 
     def plug() -> None:
         sensor.is_plugged = True
 
-    return run.for_a_while("unplugged", run.rng.choice((0.2, 2, 12)), plug, is_sensors=True)
+    return run.for_a_while("sensor unplugged", run.rng.choice((0.2, 2, 12)), plug, is_sensors=True)
 
 
 def silence(run: "Simulation") -> float:
@@ -30,7 +29,7 @@ def silence(run: "Simulation") -> float:
     def speak() -> None:
         sensor.is_silent = False
 
-    return run.for_a_while("silent", run.rng.choice((0.3, 1.5, 6)), speak, is_sensors=True)
+    return run.for_a_while("sensor silent", run.rng.choice((0.3, 1.5, 6)), speak, is_sensors=True)
 
 
 def corrupt(run: "Simulation") -> float:
@@ -45,13 +44,17 @@ def corrupt(run: "Simulation") -> float:
 
 
 def hang_up(run: "Simulation") -> float:
-    """A broker is away, forgets its answers, or refuses one kind of message."""
+    """A broker is away, forgets its answers, refuses one kind of message, or restarts without what it retained."""
     broker = run.rng.choice(list(run.world.brokers.values()))
-    broker.mood = run.rng.choice(("away", "forgets answers", "refuses"))
+    broker.mood = run.rng.choice(("away", "away", "forgets answers", "refuses", "restarts without memory"))
     broker.refuses = run.rng.choice(("result", "heatmap", "gel"))
-    if broker.mood == "away":
+    run.reach(f"a broker {broker.mood}")
+    if broker.mood == "restarts without memory":
+        broker.mood = "away"
         broker.lose_all()
-    run.reach(f"a broker {'is away' if broker.mood == 'away' else broker.mood}")
+        broker.retained.clear()
+    elif broker.mood == "away":
+        broker.lose_all()
 
     def come_back() -> None:
         broker.mood = "up"
@@ -69,10 +72,12 @@ def fill_disk(run: "Simulation") -> float:
 
 def step_clock(run: "Simulation") -> float:
     """Somebody, or a time server, sets the wall clock."""
-    step_s = run.rng.choice((-86_400, -3600, -1, 1, 3600, 30 * 86_400))
+    step_s = run.rng.choice((-86_400, -3600, -1, 1, 3600, 31 * 86_400, 31 * 86_400))
     run.world.clock.wall_ns += step_s * S
     run.note(f"the wall clock is set by {step_s} s")
     run.reach("the wall clock went back" if step_s < 0 else "the wall clock went on")
+    if run.is_broker_away:
+        run.reach("the wall clock was set while a broker was away")
     return 0.0
 
 
@@ -83,10 +88,13 @@ def replace_gel(run: "Simulation") -> float:
         return 0.1
     sensor.wait(4)
     try:
-        run.station.ask("replace_gel")
-        run.reach("the gel was replaced")
+        run.world.gels.select(run.world.clock.now_ns, run.station.ask("replace_gel")["gel_id"])
+        run.reach(
+            "the gel was replaced while a broker was away" if run.is_broker_away else "the gel was replaced"
+        )
         run.note("the gel is replaced")
     except GelgateError as error:
+        run.reach("the gel could not be replaced")
         run.note(f"the gel is not replaced: {error}")
     return 0.0
 
@@ -95,9 +103,7 @@ def stop(run: "Simulation") -> float:
     """The service is restarted."""
     run.note("stopped in order")
     run.world.sensor.disturb("the gateway was restarted")
-    run.reach(
-        "the gateway was restarted during a press" if run.world.sensor.press else "the gateway was restarted"
-    )
+    run.reach_here("restarted")
     run.station.stop()
     run.open_again()
     return 0.0
@@ -112,24 +118,23 @@ def kill(run: "Simulation") -> float:
 def select_part(run: "Simulation") -> float:
     """A command selects the other part, at any moment."""
     parts = run.world.parts
-    part = parts.names[1 - parts.names.index(parts.wanted)]
+    part = PARTS[1 - PARTS.index(parts.wanted)]
     try:
         answer = run.station.ask("select_part", part=part, position="pos1")
     except GelgateError as error:
         run.note(f"part {part} is not selected: {error}")
         return 0.0
     parts.select(run.world.clock.now_ns, part)
-    run.reach(
-        "a part change waited for the end of a press" if answer["is_waiting"] else "the part was changed"
-    )
-    run.note(f"part {part} is selected{', and waits' if answer['is_waiting'] else ''}")
+    is_waiting = answer["is_waiting"]
+    run.reach("a part change came during a press, and waited" if is_waiting else "the part was changed")
+    run.note(f"part {part} is selected{', and waits' if is_waiting else ''}")
     return 0.0
 
 
 def reload(run: "Simulation") -> float:
     """A command opens the bundles again."""
     run.station.ask("reload")
-    run.reach("a reload during a press" if run.world.sensor.press else "a reload")
+    run.reach_here("the bundles were opened again")
     run.note("the bundles are opened again")
     return 0.0
 
@@ -138,7 +143,6 @@ def disturb_relay(run: "Simulation") -> float:
     """The relay board is unplugged, slow or stuck."""
     relay = run.world.relay
     relay.mood = run.rng.choice(("unplugged", "slow", "stuck"))
-    run.reach(f"the relay was {relay.mood}")
     return run.for_a_while(f"relay {relay.mood}", run.rng.uniform(0.5, 8), relay.mend)
 
 
@@ -146,7 +150,6 @@ def disturb_pedal(run: "Simulation") -> float:
     """The pedal is unplugged, held down, or trodden."""
     pedal = run.world.pedal
     pedal.mood = run.rng.choice(("unplugged", "stuck", "trodden", "trodden"))
-    run.reach(f"the pedal was {pedal.mood}")
     return run.for_a_while(f"pedal {pedal.mood}", run.rng.uniform(0.1, 2), pedal.mend)
 
 
@@ -154,8 +157,7 @@ def freeze(run: "Simulation") -> float:
     """The process gets no time for a while, as in a machine that is suspended or short of memory."""
     lasts_s = run.rng.choice((0.3, 0.9, 1.3, 3.0))
     run.freeze(lasts_s)
-    run.reach("the process was frozen during a press" if run.world.sensor.press else "the process was frozen")
-    return run.for_a_while("frozen", lasts_s, lambda: None, is_sensors=True)
+    return run.for_a_while("process frozen", lasts_s, lambda: run.freeze(0), is_sensors=True)
 
 
 FAULTS: "dict[str, Callable[[Simulation], float]]" = {

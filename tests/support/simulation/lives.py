@@ -158,6 +158,7 @@ class Station:
         self.lives += 1
         self.fed_ns.clear()
         self.world.parts.forget(self.world.clock.now_ns)
+        self.world.gels.forget(self.world.clock.now_ns)
         opened = open_station(self._read_config(), self.world.clock, self._note, checked)
         self.loop = self._closing.enter_context(opened)
         self.loop.parts.pictures.recall()

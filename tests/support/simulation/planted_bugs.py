@@ -83,11 +83,11 @@ BUGS = (
         "after its deadline",
     ),
     Bug(
-        "an error is shown as a pass",
+        "a rejected press is shown as a pass",
         "edge/features/outputs/stage.py",
         "        elif press.label is None:\n            self._verdict, self._awaited_ns = press.word, None",
         "        elif press.label is None:\n"
-        '            self._verdict, self._awaited_ns = "pass" if press.error else press.word, None',
+        '            self._verdict, self._awaited_ns = "pass" if press.word == "rejected" else press.word, None',
         "shown",
     ),
     Bug(

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from edge.config import Config, load_config
 from simulation.auditors import CALM_S, audit_end, audit_now
+from simulation.conditions import reached_at_end
 from simulation.faults import FAULTS
 from simulation.lives import Station
 from simulation.outputs import TABLES
@@ -46,7 +47,7 @@ class Chosen:
     @classmethod
     def of(cls, rng: random.Random) -> "Chosen":
         """Draw: each kind of fault is left out of half of the runs, so that others meet alone."""
-        rates = {name: rng.choice((0, 0, 1, 3)) for name in FAULTS}
+        rates = {name: rng.choice((0, 0, 1, 5)) for name in FAULTS}
         return cls(rng.choice((1, 1, 2)), rng.random() < 0.5, rates, rng.choice((0.0, 0.01, 0.03)))
 
 
@@ -85,7 +86,7 @@ class Simulation:
         self._disk = folder / "disk"
         self._disk.mkdir(parents=True)
         self._config = folder / "gelgate.toml"
-        self._config.write_text(_config(self.chosen, bundles, self._disk, self.world))
+        self._bundles, self._order = bundles, list(self.world.brokers)
         self.station = Station(self.world, self._disk, self._read_config, self.rng)
         self._calm_ns: int | None = None
         self._asked_ns = 0
@@ -101,6 +102,7 @@ class Simulation:
                     self._turn()
                 if not self.run.faults:
                     self.run.faults += audit_end(self.world, self.station)
+                self.run.reached.update(set(reached_at_end(self.world, self.station)))
             finally:
                 self.station.close()
         return self.run
@@ -112,6 +114,15 @@ class Simulation:
     def reach(self, condition: str) -> None:
         """Count a condition that is sometimes so."""
         self.run.reached[condition] += 1
+
+    def reach_here(self, condition: str) -> None:
+        """Count it, and whether it came during a press."""
+        self.reach(condition + (" during a press" if self.world.sensor.press else ""))
+
+    @property
+    def is_broker_away(self) -> bool:
+        """A broker does not answer now."""
+        return any(broker.mood == "away" for broker in self.world.brokers.values())
 
     def _turn(self) -> None:
         """Let one of the actors that are due take its turn; where none is, time goes on to the next."""
@@ -161,7 +172,7 @@ class Simulation:
         """Let no thread of the station take a turn for so long."""
         for actor in self._actors:
             if actor.name in self._own:
-                actor.due_ns = max(actor.due_ns, self.world.clock.now_ns + round(seconds * S))
+                actor.due_ns = self.world.clock.now_ns + round(seconds * S)
 
     def _camera(self) -> float:
         sensor = self.world.sensor
@@ -217,7 +228,7 @@ class Simulation:
 
     def _publish(self, name: str) -> float:
         workers = self.station.loop.parts.publisher.workers
-        worker = list(workers.values())[list(self.world.brokers).index(name)]
+        worker = list(workers.values())[self._order.index(name)]
         pause_s = worker.step()
         return min(pause_s, 5.0) if not worker.counters.is_up else min(pause_s, 0.15 + self._lag(0.2))
 
@@ -267,13 +278,20 @@ class Simulation:
         actor = Actor(f"end of {name}", ended, self.world.clock.now_ns + round(lasts_s * S))
         self._actors.append(actor)
         self.note(f"{name}, for {lasts_s:.1f} s")
+        if name.split()[0] not in self.world.brokers:
+            self.reach(name) if name.startswith(("relay", "pedal")) else self.reach_here(name)
         return lasts_s
 
     def _rise(self) -> None:
         """The process is dead: the next one opens what the disk holds."""
         point = self.station.disk.killed_at
         self.note(f"killed at {point}")
-        self.reach(f"killed at {point}")
+        self.reach(f"killed at {'a file' if ' ' in point else point}")
+        self.reach("killed during a press" if self.world.sensor.press else "killed between presses")
+        if self.is_broker_away:
+            self.reach("killed while a broker was away")
+        if self.station.disk.is_full:
+            self.reach("killed while the disk was full")
         self.world.sensor.disturb("the gateway was killed")
         self.station.bury()
         self.open_again()
@@ -285,6 +303,12 @@ class Simulation:
                 actor.due_ns = self.world.clock.now_ns
 
     def _read_config(self) -> Config:
+        """Read what a person has written, who gives the brokers another order."""
+        before = list(self._order)
+        self.rng.shuffle(self._order)
+        if self._order != before and self.station.lives > 1:
+            self.reach("restarted with the sinks in another order")
+        self._config.write_text(_config(self.chosen, self._bundles, self._disk, self._order))
         return load_config(self._config)
 
 
@@ -304,8 +328,8 @@ def _drawn_from(rng: random.Random) -> Iterator[None]:
         random.Random = real  # type: ignore[misc]
 
 
-def _config(chosen: Chosen, bundles: Sequence[Path], disk: Path, world: World) -> str:
+def _config(chosen: Chosen, bundles: Sequence[Path], disk: Path, brokers: Sequence[str]) -> str:
     archive = "" if chosen.has_archive else "[archive]\npresses = 0\n"
     paths = "".join(f'[[inspection.bundles]]\npath = "{path}"\n' for path in bundles)
     text = CONFIG.format(bundles=paths, folder=disk, archive=archive)
-    return text + TABLES + "".join(SINK.format(name=name) for name in world.brokers)
+    return text + TABLES + "".join(SINK.format(name=name) for name in brokers)

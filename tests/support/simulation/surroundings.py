@@ -34,7 +34,7 @@ from simulation.outputs import Pedal, Relay
 
 S = 10**9
 PERIOD_NS = round(S / 18.75)
-NOTICED_S = 0.5
+NOTICED_S = 0.25
 """A contact is a press so long after its begin at most."""
 SERIAL = "SIM00001"
 IDENTITY = DeviceIdentity("GelSight Mini R0B SIM0-0001", SERIAL, (320, 240), 18.75)
@@ -295,14 +295,15 @@ class Session:
             self._broker.answer(message)
 
 
-class Parts:
-    """What a person has selected, and when: the truth about each press."""
+PARTS = ("PZ0", "PZ1")
 
-    names = ("PZ0", "PZ1")
 
-    def __init__(self) -> None:
-        self.wanted = self.names[0]
-        self._changes: list[tuple[int, str | None]] = [(0, self.names[0])]
+class Selected:
+    """What a person has selected or mounted, and when: the truth about each press."""
+
+    def __init__(self, first: str) -> None:
+        self.wanted = first
+        self._changes: list[tuple[int, str | None]] = [(0, first)]
 
     def select(self, now_ns: int, part: str) -> None:
         """Take a selection that the station has confirmed."""
@@ -313,11 +314,11 @@ class Parts:
         """A selection that waits may be lost: a restart, or a disk without room."""
         self._changes.append((now_ns, None))
 
-    def allowed(self, press: MadePress) -> set[str]:
-        """The parts under which this press may be judged: that of its begin, which is noticed a moment later."""
+    def allows(self, press: MadePress, name: str) -> bool:
+        """Tell whether a press may be of this: what was selected at its begin, which is noticed a moment later."""
         before = [part for when, part in self._changes if when <= press.begin_ns][-1]
         soon = [part for when, part in self._changes if 0 < when - press.begin_ns < NOTICED_S * S]
-        return set(self.names) if None in (before, *soon) else {str(part) for part in (before, *soon)}
+        return None in (before, *soon) or name in (before, *soon)
 
 
 class World:
@@ -330,7 +331,7 @@ class World:
         self.sensor = Sensor(rng, self.clock)
         self.brokers = {f"broker{number}": Broker(f"broker{number}", rng) for number in range(brokers)}
         self.is_dead = lambda: False
-        self.parts = Parts()
+        self.parts, self.gels = Selected(PARTS[0]), Selected(f"{SERIAL}-1")
         self.relay = Relay.now = Relay(self.clock, lambda: self.is_dead())
         self.pedal = Pedal.now = Pedal(self.clock)
         World.now = self

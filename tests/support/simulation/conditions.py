@@ -1,0 +1,77 @@
+"""What a run should sometimes reach: a simulator is judged by these, for what it never reaches it does not check."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+from simulation.lives import Station
+from simulation.outputs import GATE, LAMP, REJECT
+from simulation.surroundings import Broker, World
+
+SOMETIMES = (
+    *(
+        f"{fault}{when}"
+        for fault in ("sensor unplugged", "sensor silent", "corrupt frames", "process frozen", "disk full")
+        for when in ("", " during a press")
+    ),
+    *(f"relay {mood}" for mood in ("unplugged", "slow", "stuck")),
+    *(f"pedal {mood}" for mood in ("unplugged", "stuck", "trodden")),
+    *(f"a broker {mood}" for mood in ("away", "forgets answers", "refuses", "restarts without memory")),
+    "the wall clock went back",
+    "the wall clock went on",
+    "the wall clock was set while a broker was away",
+    "the gel was replaced",
+    "the gel was replaced while a broker was away",
+    "the gel could not be replaced",
+    "the part was changed",
+    "a part change came during a press, and waited",
+    "the bundles were opened again",
+    "the bundles were opened again during a press",
+    "restarted",
+    "restarted during a press",
+    "restarted with the sinks in another order",
+    *(f"killed at {statement}" for statement in ("BEGIN", "COMMIT", "INSERT", "UPDATE", "DELETE", "a file")),
+    "killed during a press",
+    "killed while a broker was away",
+    "killed while the disk was full",
+    "the store refused a press",
+    "the store took what had waited",
+    "the hand lifted because the station asked for it",
+    "a row was sent twice and counts once",
+    "a result came late, and said so",
+    "a dented part failed",
+    "a press had no verdict",
+    "a press was lost, with a reason",
+    "two presses had different parts",
+    "a lamp showed a pass",
+    "a pulse threw out a part",
+    "a pulse let a part through",
+    "a pulse was not given in time",
+)
+
+
+def reached_at_end(world: World, station: Station) -> Iterator[str]:
+    """What the end of a run shows."""
+    for broker in world.brokers.values():
+        yield from _of_broker(broker)
+    words = {seen.word for seen in station.seen}
+    channels = {one.channel for one in world.relay.switched}
+    found = {
+        "a dented part failed": "fail" in words,
+        "a press had no verdict": bool(words & {"rejected", "error"}),
+        "a press was lost, with a reason": len(station.seen) < len(world.sensor.presses),
+        "a lamp showed a pass": LAMP in channels,
+        "a pulse threw out a part": REJECT in channels,
+        "a pulse let a part through": GATE in channels,
+        "a pulse was not given in time": "pulse" in station.loop.parts.status.view().alarms,
+    }
+    yield from (name for name, is_so in found.items() if is_so)
+
+
+def _of_broker(broker: Broker) -> Iterator[str]:
+    results = [broker.results[press_id] for press_id in broker.order]
+    if any(len(one) > 1 for one in results):
+        yield "a row was sent twice and counts once"
+    if any(one["is_replayed"] for same in results for one in same):
+        yield "a result came late, and said so"
+    if any(first[0]["part"] != second[0]["part"] for first, second in pairwise(results)):
+        yield "two presses had different parts"
