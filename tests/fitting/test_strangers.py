@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import read_presses
+from calibration.fitting.presses.strangers import find_repeated, small_view
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
@@ -65,7 +66,7 @@ BAD: dict[str, tuple[Presses, Presses, U8 | None, str]] = {
     "mirrored": (press, lambda k: press(k)[:, ::-1], None, "turned or mirrored"),
     "another light": (press, lambda k: gel(k, tilt=60), None, "--leave-out 'good/a.png'"),
     "free gel": (press, gel, gel(99), f"no contact is seen in {TWO}"),
-    "one press again": (press, same, None, f"{TWO} are the same as an earlier one"),
+    "one press again": (press, same, None, f"{TWO} are the same as another"),
     "too bright": (press, bright, None, f"too bright a light in {TWO}"),
     "markers": (press, marked, gel(99), f"the dots of a marker gel in {TWO}"),
     "no markers": (marked, press, dotted(gel(99), DOTS), f"no dots of a marker gel in {TWO}"),
@@ -121,6 +122,16 @@ def test_the_same_press_again_counts_as_the_same_piece(tmp_path: Path) -> None:
     )
     assert good == (*[f"good/{k:02d}.png" for k in range(4)] * 3, None)
     assert named == (*["000", "001", "002", "003"] * 2, "008", "009", "010", "011")
+
+
+@pytest.mark.parametrize(
+    "again", [lambda k: small_view(press(1)), lambda k: small_view(same(k))], ids=["copy", "same"]
+)
+def test_a_press_without_a_name_is_of_the_piece_that_it_is_the_same_as(again: Presses) -> None:
+    """Whichever comes first: a named piece keeps all of its presses."""
+    pieces = [None, None, "1", "1"]
+    _, found = find_repeated(list("abcd"), [again(1), again(2), again(3), small_view(press(2))], pieces)
+    assert found == ["1"] * 4
 
 
 def test_of_three_presses_the_one_that_does_not_belong_is_named(tmp_path: Path) -> None:

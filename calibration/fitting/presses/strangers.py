@@ -108,16 +108,17 @@ def find_copies(names: Sequence[str], frames: Sequence[U8]) -> list[str]:
 def find_repeated(
     names: Sequence[str], views: Sequence[U8], pieces: Sequence[str | None]
 ) -> tuple[list[str], list[str | None]]:
-    """Name the presses that differ from an earlier one by noise alone; not its exact copies. views: as above.
+    """Name the presses that differ from another by noise alone; not its exact copies. views: as above.
 
     Returns the pieces too, None where unknown: copies, and presses that are the same without another piece's name, are
     of one piece, so that none is held out while another is learnt.
     """
     broad = [cv2.GaussianBlur(view.astype(np.float32), (0, 0), _PLACE_PX)[::2, ::2] for view in views]
     same, found = list[str](), list(pieces)
-    for k in range(1, len(broad)):
-        away = [float(np.abs(broad[k] - one).max()) for one in broad[:k]]
-        first = int(np.argmin(away))
+    named_first = sorted(range(len(broad)), key=lambda k: pieces[k] is None)
+    for place, k in enumerate(named_first[1:], 1):
+        away = {one: float(np.abs(broad[k] - broad[one]).max()) for one in named_first[:place]}
+        first = min(away, key=away.__getitem__)
         is_copy, is_same = away[first] == 0, away[first] < _SAME_LEVELS
         same += [names[k]] if is_same and not is_copy else []
         if is_copy or (is_same and found[k] is None):
@@ -125,7 +126,7 @@ def find_repeated(
     if not same:
         return [], found
     return [
-        f"{list_names(same, len(names))} are the same as an earlier one, but for noise: they teach nothing, and count "
+        f"{list_names(same, len(names))} are the same as another, but for noise: they teach nothing, and count "
         "as one piece where no other is named; give each press once"
     ], found
 
