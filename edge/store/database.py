@@ -194,9 +194,8 @@ def _prepare(connection: sqlite3.Connection, path: Path, is_durable: bool, migra
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute(f"PRAGMA synchronous = {'FULL' if is_durable else 'NORMAL'}")
     connection.execute(f"PRAGMA journal_size_limit = {JOURNAL_LIMIT_BYTES}")
-    if (
-        is_durable
-    ):  # a press does not wait for a checkpoint: the publisher makes it after SQLite's usual 1000 pages
+    if is_durable:
+        # A publisher that commits makes the checkpoint, after SQLite's usual 1000 pages: no press waits for it.
         connection.execute(f"PRAGMA wal_autocheckpoint = {JOURNAL_LIMIT_BYTES >> 12}")
     if _pragma(connection, "user_version") == SCHEMA_VERSION:
         return

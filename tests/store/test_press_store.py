@@ -282,6 +282,20 @@ def test_commits_survive_a_power_cut_and_acknowledgements_need_not(path: Path) -
     assert modes == [("wal", 2), ("wal", 1)]
 
 
+@pytest.mark.parametrize(("acknowledges", "most_mib"), [(False, 18), (True, 6)])
+def test_the_journal_stays_small(store: Store, path: Path, acknowledges: bool, most_mib: int) -> None:
+    """Without a publisher, or with one whose receiver is away, the gateway itself makes the checkpoints."""
+    journal, most = path.with_name(path.name + "-wal"), 0
+    with Outbox(path) as outbox:
+        outbox.register(["mqtt"])
+        for n in range(40):
+            store.record_press(make_press(n), messages_of(make_press(n), 1_000_000))
+            for row in outbox.pending("mqtt") if acknowledges else ():
+                outbox.acknowledge(row.row_id, "mqtt")
+            most = max(most, journal.stat().st_size)
+    assert most < most_mib << 20
+
+
 @pytest.mark.parametrize(
     "field",
     [{"press_id": "7"}, {"verdict": "perhaps"}, {"serial": ""}, {"part": ""}],
