@@ -3,11 +3,14 @@
 import json
 import sqlite3
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
+from edge.core.errors import ArchiveError
+from edge.features.black_box.replay import Bundles, judge_again
 from edge.store.integrity import check_database
+from edge.store.press_archive import ArchiveFolder
 from simulation.lives import Station
 from simulation.outputs import DEADLINE_S, GATE, LAMP, REJECT
 from simulation.surroundings import SERIAL, Broker, S, World
@@ -72,6 +75,23 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
         yield f"{status.rows} messages still wait {CALM_S} s after the last fault"
 
 
+def audit_replay(world: World, station: Station, bundles: Sequence[Path]) -> Iterator[str]:
+    """An archived press scores the same again, bit for bit (docs/operations.md)."""
+    path = station.disk.folder / "gelgate.db"
+    again, archive = Bundles(bundles, world.clock), ArchiveFolder(path.with_suffix(".archive"))
+    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+        query = "SELECT press_id, evidence FROM presses WHERE evidence IS NOT NULL AND verdict IN ('pass', 'fail')"
+        rows = list(connection.execute(query))
+    for press_id, evidence in rows:
+        try:
+            press = archive.press(press_id, evidence)
+            replayed = judge_again(press, archive, again.inspector(press))
+        except ArchiveError:
+            continue  # the archive drops, and may be lost with the power
+        for difference in replayed.differences:
+            yield f"press {press_id} scores otherwise when it is judged again: {difference}"
+
+
 def _audit_presses(world: World, station: Station) -> Iterator[str]:
     """Each press of the hand is one row, in order, with its verdict; where a fault was, it may be lost."""
     rows = read_presses(station.disk.folder / "gelgate.db")
@@ -130,7 +150,10 @@ def _audit_outputs(world: World, station: Station) -> Iterator[str]:
             seen for seen in presses if 0 <= one.told_ns - (seen.frame_ns or seen.judged_ns) < LONGEST_S * S
         ]
         if not own:
-            if not any(0 <= killed - one.told_ns < LONGEST_S * S for killed in station.killed_ns):
+            noted = [*(seen.noted_ns for seen in station.seen if seen.noted_ns >= one.told_ns), 1 << 62][0]
+            if not any(
+                one.told_ns <= killed <= noted for killed in station.killed_ns
+            ):  # before it was recorded
                 yield f"the pulse on channel {one.channel} {when} belongs to no press"
             continue
         presses.remove(own[-1])

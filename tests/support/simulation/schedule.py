@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from edge.config import Config, load_config
-from simulation.auditors import CALM_S, audit_end, audit_now
+from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.conditions import reached_at_end
 from simulation.faults import FAULTS
 from simulation.lives import Station
@@ -102,6 +102,7 @@ class Simulation:
                     self._turn()
                 if not self.run.faults:
                     self.run.faults += audit_end(self.world, self.station)
+                    self.run.faults += audit_replay(self.world, self.station, self._bundles)
                 self.run.reached.update(set(reached_at_end(self.world, self.station)))
             finally:
                 self.station.close()
