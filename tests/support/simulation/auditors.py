@@ -152,7 +152,7 @@ def _audit_outputs(world: World, station: Station) -> Iterator[str]:
         if not own:
             noted = [*(seen.noted_ns for seen in station.seen if seen.noted_ns >= one.told_ns), 1 << 62][0]
             if not any(
-                one.told_ns <= killed <= noted for killed in station.killed_ns
+                one.told_ns <= killed <= noted for killed in station.ended_ns
             ):  # before it was recorded
                 yield f"the pulse on channel {one.channel} {when} belongs to no press"
             continue

@@ -31,6 +31,7 @@ SOMETIMES = (
     "restarted with the sinks in another order",
     *(f"killed at {statement}" for statement in ("BEGIN", "COMMIT", "INSERT", "UPDATE", "DELETE", "a file")),
     "killed during a press",
+    "writes were lost with the power",
     "killed while a broker was away",
     "killed while the disk was full",
     "the store refused a press",

@@ -7,6 +7,9 @@ from edge.core.errors import GelgateError
 from simulation.surroundings import PARTS, S
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from simulation.power import Unsynced
     from simulation.schedule import Simulation
 
 
@@ -115,6 +118,17 @@ def kill(run: "Simulation") -> float:
     return 0.0
 
 
+def lose_power(run: "Simulation") -> float:
+    """The power is lost at one of the next writes: what was not synced is lost in part."""
+
+    def lose(unsynced: "Unsynced", copy: "Path") -> None:
+        if unsynced.lose(copy, run.rng):
+            run.reach("writes were lost with the power")
+
+    run.station.disk.kill_in, run.station.disk.lost = run.rng.randint(1, 60), lose
+    return 0.0
+
+
 def select_part(run: "Simulation") -> float:
     """A command selects the other part, at any moment."""
     parts = run.world.parts
@@ -170,9 +184,13 @@ FAULTS: "dict[str, Callable[[Simulation], float]]" = {
     "replace gel": replace_gel,
     "stop": stop,
     "kill": kill,
+    "lose power": lose_power,
     "select part": select_part,
     "reload": reload,
     "relay": disturb_relay,
     "pedal": disturb_pedal,
     "freeze": freeze,
 }
+
+ASKING = (replace_gel, select_part, reload, stop, freeze)
+"""Faults that need an answer of the process."""

@@ -24,6 +24,7 @@ from edge.gateway.command_table import every_command
 from edge.gateway.preflight import Preflight
 from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
+from simulation.power import Unsynced
 from simulation.surroundings import World
 
 GAP_NS = 270_000_000
@@ -53,6 +54,9 @@ class Disk:
         self.folder = folder
         self.points = 0
         self.kill_in: int | None = None
+        self.unsynced: Unsynced | None = None
+        self.lost: Callable[[Unsynced, Path], None] | None = None
+        """Takes from the copy what a loss of power takes; None where only the process is killed."""
         self.is_full = False
         self.copy: Path | None = None
         self.killed_at = ""
@@ -67,7 +71,7 @@ class Disk:
 
     def hear(self, event: str, arguments: tuple[Any, ...]) -> None:
         """Take an audit event of the interpreter."""
-        if self._is_copying:
+        if self._is_copying or event.startswith("ctypes"):  # SQLite is in the middle of a call
             return
         self.attach()
         if event == "sqlite3.connect/handle":
@@ -87,7 +91,7 @@ class Disk:
         """A new process has no connection."""
         self._connections.clear()
         self._new.clear()
-        self.copy, self.kill_in, self.killed_at = None, None, ""
+        self.copy, self.kill_in, self.killed_at, self.lost = None, None, "", None
 
     def attach(self) -> None:
         """Listen to the connections that were made; the event comes before one is ready."""
@@ -127,6 +131,8 @@ class Disk:
             self._is_copying = True
             copy = self.folder.with_name(f"{self.folder.name}-after")
             shutil.copytree(self.folder, copy)
+            if self.lost is not None and self.unsynced is not None:
+                self.lost(self.unsynced, copy)
             self.copy, self.killed_at, self._is_copying = copy, name, False
 
 
@@ -139,7 +145,7 @@ class Station:
         self.world, self.disk = world, Disk(folder)
         self.lives = 0
         self.seen: list[Seen] = []
-        self.killed_ns: list[int] = []
+        self.ended_ns: list[int] = []
         self.fed_ns: list[int] = []
         """The times of the frames that this life has looked at."""
         self._read_config, self._rng = read_config, rng
@@ -172,6 +178,7 @@ class Station:
 
     def stop(self) -> None:
         """End in order, as at SIGTERM."""
+        self.ended_ns.append(self.world.clock.now_ns)
         self._closing.close()
         self.disk.forget()
 
@@ -179,7 +186,7 @@ class Station:
         """The process is dead: its folder is as it was at that point."""
         copy = self.disk.copy
         assert copy is not None
-        self.killed_ns.append(self.world.clock.now_ns)
+        self.ended_ns.append(self.world.clock.now_ns)
         for broker in self.world.brokers.values():
             broker.lose_all()
         self._closing.close()
@@ -187,6 +194,8 @@ class Station:
         self._is_heard = False
         shutil.rmtree(self.disk.folder)
         copy.rename(self.disk.folder)
+        if self.disk.unsynced is not None:
+            self.disk.unsynced.start_again()
         self._is_heard = True
 
     def close(self) -> None:

@@ -20,7 +20,7 @@ BUGS = (
         "edge/store/database.py",
         "{'FULL' if is_durable else 'NORMAL'}",
         "{'NORMAL'}",
-        "results",
+        "results lack|are of no row",
     ),
     Bug(
         "deleted before it is acknowledged",

@@ -14,9 +14,10 @@ from pathlib import Path
 from edge.config import Config, load_config
 from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.conditions import reached_at_end
-from simulation.faults import FAULTS
+from simulation.faults import ASKING, FAULTS
 from simulation.lives import Station
 from simulation.outputs import TABLES
+from simulation.power import listening
 from simulation.surroundings import PERIOD_NS, S, World
 
 CONFIG = """
@@ -95,7 +96,7 @@ class Simulation:
 
     def play(self) -> Run:
         """Play until all presses are made and all is calm; stops at the first thing that must not be."""
-        with _drawn_from(self.rng):
+        with _drawn_from(self.rng), listening(self._disk) as self.station.disk.unsynced:
             self.station.open()
             try:
                 while not self.run.faults and not self._is_over():
@@ -248,6 +249,8 @@ class Simulation:
                 )  # type: ignore[misc]
 
     def _fault(self, act: "Callable[[Simulation], float]", rate: float) -> float:
+        if "process frozen" in self._ending and act in ASKING:  # nobody answers
+            return 0.1
         lasts_s = act(self)
         return lasts_s + self.rng.expovariate(rate / 60)
 
@@ -286,7 +289,7 @@ class Simulation:
     def _rise(self) -> None:
         """The process is dead: the next one opens what the disk holds."""
         point = self.station.disk.killed_at
-        self.note(f"killed at {point}")
+        self.note(f"{'the power is lost' if self.station.disk.lost else 'killed'} at {point}")
         self.reach(f"killed at {'a file' if ' ' in point else point}")
         self.reach("killed during a press" if self.world.sensor.press else "killed between presses")
         if self.is_broker_away:

@@ -183,6 +183,7 @@ class OpenSensor:
         self._sequence = 0
         self._opening = sensor.openings = sensor.openings + 1
         sensor.forget()
+        sensor.dim_until_ns = max(sensor.dim_until_ns, sensor._clock.now_ns + S)
 
     @property
     def identity(self) -> DeviceIdentity:
