@@ -39,7 +39,7 @@ def bench_station(
 
     Prints a page: each stage of a press beside the least that this machine can do, and an idle gateway with its memory.
     """
-    earlier = read_stages(before) if before else {}
+    earlier = _read_stages(before) if before else {}
     with tempfile.TemporaryDirectory(prefix="gelgate-bench-", dir=folder) as made:
         measured = bench(BenchSettings(bundle, recording, presses, idle, threads), Path(made))
     typer.echo(json.dumps(summary(measured)) if as_json else page(measured, earlier), nl=as_json)
@@ -55,7 +55,7 @@ def summary(measured: Measured) -> dict[str, Any]:
     return {**asdict(measured), "stages": stages}
 
 
-def read_stages(path: Path) -> Mapping[str, Mapping[str, float]]:
+def _read_stages(path: Path) -> Mapping[str, Mapping[str, float]]:
     """Return the stages of an earlier run. Errors: ConfigError for a file that is not the JSON of one."""
     try:
         stages: dict[str, dict[str, float]] = json.loads(path.read_text(encoding="utf-8"))["stages"]

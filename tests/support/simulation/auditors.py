@@ -35,8 +35,8 @@ LATEST_S = 1.5
 """A press that has no judged frame has the time of its row, so long after its end at most."""
 
 
-def audit_always(world: World, station: Station) -> Iterator[str]:
-    """What holds at every moment: no press is doubled, and none passes that must not."""
+def _audit_results(world: World, station: Station) -> Iterator[str]:
+    """What holds of all that a subscriber got: one result a press, with a verdict or an error."""
     for broker in world.brokers.values():
         for press_id, results in broker.results.items():
             kept = [{key: value for key, value in one.items() if key != "is_replayed"} for one in results]
@@ -58,7 +58,7 @@ def audit_now(world: World) -> Iterator[str]:
 
 def audit_end(world: World, station: Station) -> Iterator[str]:
     """What holds when all is calm again."""
-    yield from audit_always(world, station)
+    yield from _audit_results(world, station)
     yield from _audit_presses(world, station)
     yield from _audit_judged(station)
     yield from _audit_outputs(world, station)

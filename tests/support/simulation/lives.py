@@ -6,13 +6,13 @@ From then on the process is dead: what it still does reaches no broker, and its 
 """
 
 import os
-import random
 import shutil
 import sqlite3
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from edge.config import Config
 from edge.features.outputs.stage import Outputs
 from edge.gateway.build import open_station
 from edge.gateway.command_table import every_command
-from edge.gateway.preflight import Preflight
 from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
 from simulation.power import Unsynced
@@ -136,36 +135,50 @@ class Disk:
             self.copy, self.killed_at, self._is_copying = copy, name, False
 
 
+_heard: Disk | None = None
+
+
+def hear_audits(disk: Disk | None) -> None:
+    """Let this disk hear the interpreter's audit events from now on; None: no disk."""
+    global _heard
+    _heard = disk
+    _add_hook()
+
+
+@cache
+def _add_hook() -> None:
+    """Once in a process, for the interpreter never forgets a hook."""
+
+    def hear(event: str, arguments: tuple[Any, ...]) -> None:
+        if _heard is not None:
+            _heard.hear(event, arguments)
+
+    sys.addaudithook(hear)
+
+
 class Station:
     """One station over all of its lives."""
 
-    def __init__(
-        self, world: World, folder: Path, read_config: Callable[[], Config], rng: random.Random
-    ) -> None:
+    def __init__(self, world: World, folder: Path, read_config: Callable[[], Config]) -> None:
         self.world, self.disk = world, Disk(folder)
         self.lives = 0
         self.seen: list[Seen] = []
         self.ended_ns: list[int] = []
         self.fed_ns: list[int] = []
         """The times of the frames that this life has looked at."""
-        self._read_config, self._rng = read_config, rng
+        self._read_config = read_config
         self._closing = ExitStack()
         self.loop: StationLoop
         world.is_dead = lambda: self.disk.is_dead
-        sys.addaudithook(self._hear)
-        self._is_heard = True
+        hear_audits(self.disk)
 
-    def _hear(self, event: str, arguments: tuple[Any, ...]) -> None:
-        if self._is_heard:
-            self.disk.hear(event, arguments)
-
-    def open(self, checked: Preflight | None = None) -> None:
+    def open(self) -> None:
         """Begin a life."""
         self.lives += 1
         self.fed_ns.clear()
         self.world.parts.forget(self.world.clock.now_ns)
         self.world.gels.forget(self.world.clock.now_ns)
-        opened = open_station(self._read_config(), self.world.clock, self._note, checked)
+        opened = open_station(self._read_config(), self.world.clock, self._note)
         self.loop = self._closing.enter_context(opened)
         self.loop.parts.pictures.recall()
 
@@ -191,17 +204,17 @@ class Station:
             broker.lose_all()
         self._closing.close()
         self.disk.forget()
-        self._is_heard = False
+        hear_audits(None)
         shutil.rmtree(self.disk.folder)
         copy.rename(self.disk.folder)
         if self.disk.unsynced is not None:
             self.disk.unsynced.start_again()
-        self._is_heard = True
+        hear_audits(self.disk)
 
     def close(self) -> None:
         """End the run."""
         self._closing.close()
-        self._is_heard = False
+        hear_audits(None)
 
     def ask(self, verb: str, **arguments: Any) -> Any:
         """Do a request as the loop does it."""

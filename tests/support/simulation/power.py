@@ -8,6 +8,7 @@ Ref: https://www.sqlite.org/c3ref/vfs.html and https://www.sqlite.org/c3ref/io_m
 import ctypes
 import os
 import random
+import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from ctypes import (
@@ -106,10 +107,24 @@ def _revert(path: Path, before: dict[int, bytes], share: float, rng: random.Rand
     return len(chosen)
 
 
+def find_library() -> str:
+    """Return the SQLite that this Python has loaded. Errors: RuntimeError where it is built in."""
+    lines = Path("/proc/self/maps").read_text().splitlines()
+    found = next(
+        (words[5] for line in lines if "libsqlite3" in line and len(words := line.split()) > 5), None
+    )
+    if found is None:
+        raise RuntimeError(
+            f"SQLite {sqlite3.sqlite_version} is built into this Python, so nobody can listen to its writes; use a "
+            "Python that loads libsqlite3"
+        )
+    return found
+
+
 @contextmanager
 def listening(folder: Path) -> Iterator[Unsynced]:
     """Listen to all that is written in a folder."""
-    found, library = Unsynced(folder), ctypes.CDLL("libsqlite3.so.0")
+    found, library = Unsynced(folder), ctypes.CDLL(find_library())
     library.sqlite3_vfs_find.restype = POINTER(Vfs)
     vfs = library.sqlite3_vfs_find(None).contents
     real, kept = vfs.open, _exchange(found, vfs)

@@ -88,7 +88,7 @@ class Simulation:
         self._disk.mkdir(parents=True)
         self._config = folder / "gelgate.toml"
         self._bundles, self._order = bundles, list(self.world.brokers)
-        self.station = Station(self.world, self._disk, self._read_config, self.rng)
+        self.station = Station(self.world, self._disk, self._read_config)
         self._calm_ns: int | None = None
         self._asked_ns = 0
         self._ending: dict[str, Callable[[], None]] = {}
