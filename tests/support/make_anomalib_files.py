@@ -17,26 +17,15 @@ import sys
 import time
 from pathlib import Path
 
+import cpu_torchvision  # noqa: F401
 import numpy as np
-import torch
-from PIL import Image
-
-# torchvision's wheels are built for torch with CUDA; beside torch for the CPU its compiled operators do not load, and
-# its import then asks for these two, which nothing here calls.
-try:
-    import torchvision.io  # noqa: F401
-except RuntimeError:
-    for _name in [name for name in sys.modules if name.split(".")[0] == "torchvision"]:
-        del sys.modules[_name]
-    _library = torch.library.Library("torchvision", "DEF")
-    for _operator in ("nms", "qnms"):
-        _library.define(f"{_operator}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
-
 import timm
+import torch
 from anomalib.data import Folder
 from anomalib.deploy import ExportType
 from anomalib.engine import Engine
 from anomalib.models import Dfkde, Dfm, Dinomaly, EfficientAd, Padim, Patchcore, Stfpm, Supersimplenet
+from PIL import Image
 
 _mean = torch.mean
 
