@@ -86,6 +86,9 @@ class StageParts:
     """Lets the loop call something between two frames; any thread may use it."""
     trigger: Callable[[], None]
     """Asks the loop to score the press that is held now; any thread may use it."""
+    announce: Callable[[Message], object]
+    """Publishes what the station says of itself; a retained message is sent again on every connection. Any thread may
+    use it."""
     listen: Callable[[Callable[[Message], object]], None]
     """Lets a stage hear what the station says of itself: state, alarms, stats. Any thread calls it then."""
 

@@ -4,8 +4,8 @@ import datetime
 import json
 import re
 import time
-from collections import Counter
-from collections.abc import Iterable
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Final
@@ -14,7 +14,9 @@ import typer
 
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
 from edge.clock import local_time
+from edge.config import load_config
 from edge.core.errors import ConfigError
+from edge.core.person_verdict import Agreement
 from edge.core.printable import printable, score_texts
 from edge.core.suggest import suggestion
 from edge.extras import needs
@@ -50,12 +52,20 @@ def history(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Write this .csv or .parquet file; all that fit.")
     ] = None,
+    by: Annotated[
+        str | None,
+        typer.Option(
+            help="Print yield, false alarms and escapes for each: day, shift, part or gel; all that fit."
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")] = False,
 ) -> None:
     """Show which presses were made.
 
     Oldest first, with a line of totals. The gateway may run meanwhile. Each press is one row: number, id, time,
-    sensor, gel, part, position, verdict, score, threshold and cause: part or gel."""
+    sensor, gel, part, position, verdict, score, threshold, cause: part or gel, and what a person said of it."""
+    if by is not None and by not in _GROUPS:
+        raise ConfigError(f"presses have no '{by}'; {suggestion(by, _GROUPS)}")
     if output is not None and output.suffix.lower() == ".parquet":
         needs("parquet", f"writing {output}")
     now_ns = time.time_ns()
@@ -67,9 +77,12 @@ def history(
         serial,
         gel,
         _verdicts(verdict or []),
-        count if output or count else PRINTED,
+        count if output or count or by else PRINTED,
     )
     rows = read_history(database_path(config, database), query)
+    if by is not None:
+        _print_agreement(rows, _GROUPS[by], _shifts(config) if by == "shift" else ())
+        return
     if output is not None:
         typer.echo(f"{write_history(output, rows)} presses in {output}")
     else:
@@ -94,6 +107,46 @@ def _verdicts(given: list[str]) -> tuple[str, ...]:
     return tuple(given)
 
 
+def _shifts(config: Path) -> Sequence[datetime.time]:
+    """Read when shifts begin. Errors: ConfigError without any."""
+    shifts = load_config(config).reference.shifts
+    if not shifts:
+        raise ConfigError(
+            f'{config} has no shifts; give their local times under [reference], as shifts = ["06:00"]'
+        )
+    return sorted(shifts)
+
+
+def _shift_of(row: HistoryRow, shifts: Sequence[datetime.time]) -> str:
+    """Name the shift by its day and begin; before the first one of a day it is the last of the day before."""
+    moment = datetime.datetime.fromtimestamp(row.time_ns / 1e9)
+    begun = [shift for shift in shifts if shift <= moment.time()]
+    day = moment.date() if begun else moment.date() - datetime.timedelta(days=1)
+    return f"{day} {begun[-1] if begun else shifts[-1]:%H:%M}"
+
+
+_GROUPS: Final[Mapping[str, Callable[[HistoryRow, Sequence[datetime.time]], str]]] = {
+    "day": lambda row, shifts: f"{datetime.datetime.fromtimestamp(row.time_ns / 1e9):%Y-%m-%d}",
+    "shift": _shift_of,
+    "part": lambda row, shifts: f"{row.part}/{row.position or '-'}",
+    "gel": lambda row, shifts: f"gel {row.gel_id}",
+}
+
+
+def _print_agreement(
+    rows: Iterable[HistoryRow],
+    name: Callable[[HistoryRow, Sequence[datetime.time]], str],
+    shifts: Sequence[datetime.time],
+) -> None:
+    groups: dict[str, Agreement] = defaultdict(Agreement)
+    for row in rows:
+        groups[name(row, shifts)].add(row.verdict, row.person_verdict)
+    for group, agreement in groups.items():
+        typer.echo(printable(f"{group}: {agreement.describe()}"))
+    if not groups:
+        typer.echo("no press fits")
+
+
 def _print(rows: Iterable[HistoryRow], *, as_json: bool) -> None:
     totals: Counter[str] = Counter()
     for row in rows:
@@ -109,7 +162,8 @@ def _line(row: HistoryRow) -> str:
     if row.score is not None and row.threshold is not None:
         score = "  " + " / ".join(score_texts(row.score, row.threshold))
     cause = f" ({row.cause})" if row.cause else ""
+    said = " ".join(filter(None, (row.person_verdict, row.damage_kind)))
     return printable(
         f"{row.number}  {local_time(row.time_ns)}  {row.part}/{row.position or '-'}  {row.verdict}{cause}{score}"
-        f"  gel {row.gel_id}"
+        f"  gel {row.gel_id}{f'  {row.person}: {said}' if said else ''}"
     )

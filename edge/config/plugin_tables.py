@@ -37,10 +37,10 @@ class SinkTable(PluginTable):
 class TriggerTable(PluginTable):
     """A pedal or button."""
 
-    action: Literal["trigger", "acknowledge"] = Field(
+    action: Literal["trigger", "acknowledge", "good", "damaged"] = Field(
         default="trigger",
         description="trigger: score the press that is held now; acknowledge: a person has seen the last verdict, which "
-        "goes off, and the alarm `pulse`",
+        "goes off, and the alarm `pulse`; good, damaged: a person says so of the last press (`confirm_press`)",
     )
     debounce_ms: float = Field(
         default=40,

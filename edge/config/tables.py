@@ -278,6 +278,17 @@ class ArchiveTable(Table):
     )
 
 
+class ConfirmTable(Table):
+    """What people are asked about, where `confirm_press` is served: see operations.md."""
+
+    questions_per_day: int = Field(
+        default=10,
+        ge=0,
+        le=1000,
+        description="presses that a person is asked about on one day, at most; 0: none",
+    )
+
+
 class MetricsTable(Table):
     """Counters for Prometheus, on this machine alone: http://127.0.0.1:<port>/metrics. Needs the extra `metrics`."""
 
@@ -299,7 +310,7 @@ class CommandTable(Table):
         default=None, description="file that holds only the secret, at least 16 bytes, rights 0640"
     )
     page: tuple[str, ...] = Field(
-        default=("select_part", "acknowledge_alarm", "replace_gel"),
+        default=("select_part", "acknowledge_alarm", "replace_gel", "confirm_press"),
         description="verbs for a person at the sink `page` who has its token; without a token none is served there",
     )
     requests_per_minute: int = Field(
@@ -333,6 +344,7 @@ class Config(Table):
     archive: ArchiveTable = ArchiveTable()
     press_again: PressAgainTable = PressAgainTable()
     commands: CommandTable = CommandTable()
+    confirm: ConfirmTable = ConfirmTable()
     metrics: MetricsTable = MetricsTable()
     sinks: list[SinkTable] = Field(min_length=1, description="where results go; one table each")
     triggers: list[TriggerTable] = Field(
@@ -363,5 +375,6 @@ class Config(Table):
             "outputs": bool(self.triggers or self.actuators),
             "black_box": self.archive.presses > 0,
             "snapshots": "snapshot" in served,
+            "person_verdicts": True,
             "metrics": self.metrics.port is not None,
         }

@@ -114,6 +114,7 @@ def _build(
         find_low_space=free_space.check,
         post=lambda do: calls.post(lambda loop: do()),
         trigger=partial(calls.post, trigger_by_pedal),
+        announce=status.announce,
         listen=listeners.append,
     )
     by_name = _open_stages(stage_parts, stages, closing)

@@ -2,16 +2,18 @@
 
 from typing import ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
-from edge.messaging.payload_base import Payload
+from edge.messaging.payload_base import Payload, PressId
 from edge.store.gel_ledger import GelRecord
 
 __all__ = [
     "GelPayload",
     "InfoPayload",
+    "Question",
+    "QuestionsPayload",
     "StatePayload",
     "StatsPayload",
     "availability_message",
@@ -127,3 +129,29 @@ class GelPayload(Payload):
         names = ("gel_id", "presses", "limit_presses", "state", "wear_index", "first_use_ns", "last_use_ns")
         fields = {name: getattr(gel, name) for name in names}
         return cls(time_ns=time_ns, sensor_serial=gel.serial, **fields)
+
+
+class Question(BaseModel):
+    """One press that a person is asked about."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+
+    press_id: PressId
+    time_ns: int = Field(ge=0)
+    time_ms: int = Field(ge=0)
+    verdict: str
+    score_ratio: float = Field(description="score divided by threshold")
+    part: str
+    position: str | None = None
+
+
+class QuestionsPayload(Payload):
+    """The presses that would teach most if a person said what they were; `cmd/confirm_press` answers."""
+
+    topic: ClassVar = "questions"
+    per_day: int = Field(ge=0, description="at most this number is asked on one day; 0: nobody is asked")
+    answered_today: int = Field(default=0, ge=0)
+    presses: tuple[Question, ...] = Field(
+        default=(),
+        description="oldest first: those closest to the threshold, and of five one pass drawn by its id",
+    )

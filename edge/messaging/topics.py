@@ -7,7 +7,13 @@ from pydantic import BaseModel
 from edge.messaging.alarm_payload import AlarmPayload
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
-from edge.messaging.status_payloads import GelPayload, InfoPayload, StatePayload, StatsPayload
+from edge.messaging.status_payloads import (
+    GelPayload,
+    InfoPayload,
+    QuestionsPayload,
+    StatePayload,
+    StatsPayload,
+)
 
 __all__ = ["TOPICS", "Topic"]
 
@@ -73,6 +79,7 @@ TOPICS: Final[tuple[Topic, ...]] = (
         "the newest reference press with its control charts; such a press is on no other topic but `heatmap`",
     ),
     Topic("gel", 1, True, GelPayload, "wear of the mounted gel"),
+    Topic("questions", 1, True, QuestionsPayload, "presses that a person is asked about"),
     Topic("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over", may_be_empty=True),
     Topic("stats", 0, False, StatsPayload, "counters, for dashboards"),
     Topic("cmd/<verb>", 1, False, CommandRequest, "requests to the station; never retained"),

@@ -13,7 +13,13 @@ from edge.core.sink_context import topic_level
 from edge.messaging.alarm_payload import Alarm, AlarmPayload, list_alarms
 from edge.messaging.payload_base import Payload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
-from edge.messaging.status_payloads import GelPayload, InfoPayload, StatePayload, StatsPayload
+from edge.messaging.status_payloads import (
+    GelPayload,
+    InfoPayload,
+    QuestionsPayload,
+    StatePayload,
+    StatsPayload,
+)
 from edge.pictures.image_file import content_type, texts
 from edge.store.ulid import is_ulid
 
@@ -26,7 +32,8 @@ __all__ = [
     "readable",
 ]
 
-# Results that are shown, and of how many the picture is kept; a picture has at most 2 MiB.
+# Results that are shown, and of how many the picture is kept, but for those that a person is asked about; a picture has
+# at most 2 MiB.
 MOST_PRESSES: Final = 50
 MOST_PICTURES: Final = 12
 LARGEST_PICTURE_BYTES: Final = 4 << 20
@@ -44,12 +51,13 @@ _MODELS: Final[Mapping[str, type[Payload]]] = {
     "info": InfoPayload,
     "gel": GelPayload,
     "reference": ReferencePayload,
+    "questions": QuestionsPayload,
     "stats": StatsPayload,
     "alarm": AlarmPayload,
     "result": ResultPayload,
 }
 
-_STATUS: Final = ("state", "info", "gel", "reference", "stats")
+_STATUS: Final = ("state", "info", "gel", "reference", "questions", "stats")
 
 
 class Picture(NamedTuple):
@@ -105,7 +113,11 @@ class Shown:
             return  # it could not be drawn
         picture = Picture(data, content_type(data))
         with self._changed:
-            _keep(self._pictures, press_id, picture, MOST_PICTURES)
+            self._pictures[press_id] = picture
+            asked = {one["press_id"] for one in (self._status["questions"] or {}).get("presses", ())}
+            others = [known for known in self._pictures if known not in asked]
+            for old in others[:-MOST_PICTURES]:
+                del self._pictures[old]
             self._note()
 
     def _see_last_picture(self, data: bytes) -> None:
@@ -160,6 +172,7 @@ class Shown:
                 "place": self._place,
                 "away": self._away,
                 **self._status,
+                "pictures": list(self._pictures),
                 "alarms": dict(self._alarms),
             }
 

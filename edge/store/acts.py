@@ -12,10 +12,13 @@ from typing import Any, Final, Literal
 from edge.store import ledger_chain
 from edge.store.database import insert
 
-__all__ = ["Act", "Outcome", "begin", "earlier", "finish", "newest"]
+__all__ = ["CONFIRM", "Act", "Outcome", "begin", "earlier", "finish", "newest"]
 
-# Acts that were done, and requests that were refused. They are counted apart: a flood of the second kind must not push
-# the first out.
+# What people said of presses (edge.store.person_verdicts).
+CONFIRM: Final = "confirm_press"
+
+# Acts that were done, what people said, and refused requests are counted apart: a flood of refusals pushes out no act,
+# and a line that selects a part every few seconds pushes out no word of a person.
 KEPT_ACTS: Final = 100_000
 KEPT_REFUSALS: Final = 10_000
 
@@ -55,20 +58,22 @@ def begin(connection: sqlite3.Connection, act: Act, running_ns: int) -> int:
     number = insert(connection, "acts", row)
     if act.outcome != "refused":
         ledger_chain.append(connection, "act", number)
-    _remove_old(connection, "= 'refused'", KEPT_REFUSALS)
-    if removed := _remove_old(connection, "IS NOT 'refused'", KEPT_ACTS):
-        ledger_chain.note_removed_acts(connection, removed)
+    _remove_old(connection, "outcome = 'refused'", KEPT_REFUSALS)
+    done = "outcome IS NOT 'refused' AND verb"
+    removed = [_remove_old(connection, f"{done} {which} '{CONFIRM}'", KEPT_ACTS) for which in ("<>", "=")]
+    if any(removed):
+        ledger_chain.note_removed_acts(connection, max(removed))
     return number
 
 
 def _remove_old(connection: sqlite3.Connection, condition: str, kept: int) -> int:
-    """Keep the newest of such an outcome, and up to a hundredth more, so that they go in groups; the newest id that was
+    """Keep the newest that fit, and up to a hundredth more, so that they go in groups; return the newest id that was
     removed, or 0."""
-    oldest = f"SELECT act_id FROM acts WHERE outcome {condition} ORDER BY act_id DESC LIMIT 1 OFFSET ?"
+    oldest = f"SELECT act_id FROM acts WHERE {condition} ORDER BY act_id DESC LIMIT 1 OFFSET ?"
     if connection.execute(oldest, (kept + kept // 100,)).fetchone() is None:
         return 0
     (newest,) = connection.execute(oldest, (kept,)).fetchone()
-    connection.execute(f"DELETE FROM acts WHERE outcome {condition} AND act_id <= ?", (newest,))
+    connection.execute(f"DELETE FROM acts WHERE {condition} AND act_id <= ?", (newest,))
     return int(newest)
 
 

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Final
 
 from edge.core.errors import StoreError
+from edge.core.person_verdict import settle
 from edge.store.database import open_read_only
+from edge.store.person_verdicts import read_verdicts
 
 __all__ = ["COLUMNS", "FORMATS", "HistoryQuery", "HistoryRow", "read_history", "write_history"]
 
@@ -38,9 +40,17 @@ class HistoryRow:
     threshold: float | None
     cause: str | None = None
     """The cause of a fail or unsure: part, gel or unsure; None where it is not known."""
+    person_verdict: str | None = None
+    """What people say: good, damaged, gel or cannot_tell; None where nobody spoke."""
+    damage_kind: str | None = None
+    """The kind of damage that a person named."""
+    person: str | None = None
 
 
 COLUMNS: Final = tuple(field.name for field in fields(HistoryRow))
+
+# Those of the table of presses; the others come from the acts.
+_STORED: Final = COLUMNS[: COLUMNS.index("person_verdict")]
 
 
 @dataclass(frozen=True)
@@ -76,15 +86,18 @@ def read_history(path: Path, query: HistoryQuery) -> Iterator[HistoryRow]:
     """The presses that fit, oldest first, one at a time. Errors: StoreError."""
     condition, values = query.where()
     limit = -1 if query.newest is None else query.newest
-    columns = ", ".join("running_ns / 1e9" if name == "running_s" else name for name in COLUMNS)
+    columns = ", ".join("running_ns / 1e9" if name == "running_s" else name for name in _STORED)
     with open_read_only(path, "reading the history") as connection:
+        said = read_verdicts(connection)
         rows = connection.execute(
             f"SELECT {columns} FROM presses WHERE number IN (SELECT number FROM presses WHERE {condition} "
             "ORDER BY number DESC LIMIT ?) ORDER BY number",
             (*values, limit),
         )
         for row in rows:
-            yield HistoryRow(*row)
+            settled = settle(said.get(row[1], ()))
+            people = (settled.saying, settled.kind, settled.person) if settled else ()
+            yield HistoryRow(*row, *people)
 
 
 # Rows of one row group of a Parquet file; all of them are in memory at once.

@@ -87,10 +87,10 @@ def bench(tmp_path: Path, recording: Path, bundle: Path) -> Iterator[tuple[Bench
 
 
 def test_what_a_person_changes_at_the_page(bench: tuple[Bench, SteppedStation]) -> None:
-    """Three verbs, each done at the station and written down with the person who gave a name. A browser that asks twice
+    """The verbs, each done at the station and written down with the person who gave a name. A browser that asks twice
     for the same gets the first outcome; what the station refuses is admitted, and its answer says how it ended."""
     page, station = bench
-    verbs = ["acknowledge_alarm", "replace_gel", "select_part"]
+    verbs = ["acknowledge_alarm", "confirm_press", "replace_gel", "select_part"]
     assert asked(page.port, "/station.json")["changes"] == {"verbs": verbs, "why_not": None}
     station.parts.store.findings.append("database gelgate.db: it knew fewer presses")
     station.loop.publish_stats()

@@ -201,6 +201,13 @@ def test_a_shift_at_the_page(changing: Any, running: tuple[StationLoop, int]) ->
     said(changing, "Unlocked.")
     assert changing.input_value("#token") == ""
 
+    changing.wait_for_selector("#ask button")
+    changing.click("#ask button")
+    changing.fill("#kind", "burr")
+    changing.press("#kind", "Enter")  # says nothing: the first button is "good"
+    changing.click("#what button[value=damaged]")
+    said(changing, "Kept: damaged, burr. The station had said")
+
     changing.wait_for_selector("#select", state="visible")
     changing.select_option("#parts", "PZ1/pos1")
     changing.click("#select button")
@@ -234,6 +241,7 @@ def test_a_shift_at_the_page(changing: Any, running: tuple[StationLoop, int]) ->
         ("kim, at the page", "replace_gel", "done"),
         ("kim, at the page", "acknowledge_alarm", "done"),
         ("kim, at the page", "select_part", "done"),
+        ("kim, at the page", "confirm_press", "done"),
         ("page", "unlock", "refused"),
     ]
     assert acts[0].arguments == {"limit_presses": 700, "note": "batch 7"}

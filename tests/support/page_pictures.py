@@ -15,6 +15,7 @@ from chromium import BROWSER_MS, chromium, wait_until
 from page_messages import PICTURE, T0_NS, gel, info, press, state, stats
 
 from edge.clock import SystemClock
+from edge.config.tables import CommandTable
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import PageRequests
@@ -100,7 +101,7 @@ def served(scene: Scene) -> Iterator[int]:
     shown = Shown("plant/line1/press2", scene.away)
     for message in scene.messages:
         shown.see(message)
-    verbs = PageRequests(frozenset({"select_part", "acknowledge_alarm", "replace_gel"}), _answer, _answer)
+    verbs = PageRequests(frozenset(CommandTable().page), _answer, _answer)
     with mock.patch.dict(os.environ, TOKEN_OF_THE_PAGE=TOKEN):
         server = PageServer(shown, PageSettings(token_variable="TOKEN_OF_THE_PAGE"), verbs, clock, port=0)
     yield server.port

@@ -15,14 +15,17 @@ from edge.config import ActuatorTable, Config, PluginTable
 from edge.core.contact.events import Event, PressBegan, PressSettled
 from edge.core.contact.press_detector import Look
 from edge.core.digital_io import DiscoveredPort, StationView
-from edge.core.errors import DeviceNotFound
+from edge.core.errors import DeviceNotFound, StoreError
+from edge.core.person_verdict import Saying
 from edge.core.ports import Clock
 from edge.core.press import Press
 from edge.features.outputs.actuator_driver import ActuatorDriver
 from edge.features.outputs.trigger_reader import TriggerReader
 from edge.model.inspector import Inspector
 from edge.press_stage import PressStage, StageParts
+from edge.store.acts import CONFIRM, Act
 from edge.store.gel_ledger import GelRecord
+from edge.store.press_store import Store
 
 __all__ = ["Outputs", "describe_actuator"]
 
@@ -45,6 +48,7 @@ class Outputs(PressStage):
         self._verdict: str | None = None
         self._awaited_ns: int | None = None
         self._seen_ns: int | None = None
+        self._last_id: str | None = None
         self._faults: dict[str, dict[str, str]] = {"trigger_device": {}, "actuator": {}}
         self._late: Counter[str] = Counter()
 
@@ -52,7 +56,12 @@ class Outputs(PressStage):
     def open(cls, parts: StageParts) -> Self:
         """Open the configured pedals, lights and relays, not yet started. Errors: ConfigError."""
         outputs = cls(parts.alarms.say, parts.clock)
-        acknowledge = partial(parts.post, outputs.acknowledge_all)
+        actions: dict[str, Callable[[], None]] = {
+            "trigger": parts.trigger,
+            "acknowledge": partial(parts.post, outputs.acknowledge_all),
+            "good": partial(parts.post, partial(outputs.confirm_last, "good", parts.store)),
+            "damaged": partial(parts.post, partial(outputs.confirm_last, "damaged", parts.store)),
+        }
         outputs.drivers = [
             ActuatorDriver(
                 _open_later(registry.actuator(table.plugin), table, parts.clock),
@@ -68,7 +77,7 @@ class Outputs(PressStage):
             TriggerReader(
                 _open_later(registry.trigger(table.plugin), table, parts.clock),
                 parts.clock,
-                parts.trigger if table.action == "trigger" else acknowledge,
+                actions[table.action],
                 partial(outputs.note_fault, "trigger_device", name),
                 debounce_ns=round(table.debounce_ms * 1e6),
             )
@@ -148,6 +157,8 @@ class Outputs(PressStage):
 
     def record(self, press: Press, gel: GelRecord) -> None:
         """A pass is one now. It is shown unless another press has begun since."""
+        if press.label is None:
+            self._last_id = press.press_id
         if press.label is None and press.word == "pass":
             if press.judged_ns == self._awaited_ns:
                 self._verdict = press.word
@@ -162,6 +173,19 @@ class Outputs(PressStage):
         """Take it that a person has seen the last verdict, and the pulses that were not given."""
         self._verdict, self._awaited_ns = None, None
         self.acknowledge("pulse")
+
+    def confirm_last(self, saying: Saying, store: Store) -> None:
+        """A person says at a pedal what the last press was. No one waits for an answer, so what fails is in the log."""
+        if self._last_id is None:
+            log.warning(
+                "a pedal says '%s', and no press was recorded since the start; nothing is kept", saying
+            )
+            return
+        given = {"press_id": self._last_id, "verdict": saying}
+        try:
+            store.begin_act(Act(self._clock.time_ns(), "pedal", CONFIRM, None, given, outcome="done"), 0)
+        except StoreError as error:
+            log.error("what a pedal says of press %s is not kept: %s", self._last_id, error)
 
     def _pulse(self, press: Press) -> None:
         """Deadlines count from the judged frame, or from now where there is none."""

@@ -100,6 +100,7 @@ function showStation(station) {
   draw("alarms", [alarms, may("acknowledge_alarm")], () => alarms.map(showAlarm));
   showPart(info);
   showGel(station.gel);
+  showQuestions(station.questions, station.pictures || []);
   at("new-gel").hidden = !may("replace_gel") || !station.gel;
   put("sensor", [info.sensor_product, info.sensor_serial && `serial ${info.sensor_serial}`,
     typeof stats.delivered_fps === "number" && `${stats.delivered_fps.toFixed(1)} frames a second`,
@@ -122,12 +123,46 @@ function showRow(press) {
     time.replaceChildren(link);
   }
   row.append(element("td", word(press), word(press)), element("td", ratio(press)), element("td", named(press)), time);
+  if (may("confirm_press")) {
+    const cell = element("td", ""), button = element("button", "Say…");
+    button.setAttribute("aria-label", `Say what the press at ${clock(press)} was`);
+    button.onclick = () => askWhat(press, press.has_picture);
+    cell.append(button);
+    row.append(cell);
+  }
   return row;
+}
+
+// The press is fixed when the dialog opens: a list that changes under the hand changes no answer.
+function askWhat(press, hasPicture) {
+  at("what-form").reset();
+  put("what-press", [word(press), ratio(press) && `${ratio(press)} × threshold`, named(press), clock(press)].filter(Boolean).join(" · "));
+  at("what-picture").hidden = !hasPicture;
+  put("no-picture", hasPicture ? "" : "Its picture is not here any more.");
+  if (hasPicture) { at("what-picture").src = `pictures/${press.press_id}`; } else { at("what-picture").removeAttribute("src"); }
+  at("what").dataset.press = press.press_id;
+  at("what").showModal();
+  at("what-cancel").focus();
+}
+
+function showQuestions(questions, pictures) {
+  const asked = (questions || {}).presses || [], mayAnswer = may("confirm_press");
+  at("questions").hidden = !asked.length;
+  put("asked", asked.length ? `${asked.length} presses would teach most today`
+    + (mayAnswer ? ": say what they were." : "; unlock to say what they were.") : "");
+  draw("ask", [asked, pictures, mayAnswer], () => asked.map((press) => {
+    const item = element("li", ""), button = element("button", `${clock(press)} ${named(press)}: ${press.verdict} at ${ratio(press)}`);
+    button.disabled = !mayAnswer;
+    button.onclick = () => askWhat(press, pictures.includes(press.press_id));
+    item.append(button);
+    return item;
+  }));
 }
 
 function showPresses(presses) {
   const last = presses[0], newest = presses.slice(0, 12);
-  draw("presses", newest.map((press) => [press.press_id, press.has_picture]), () => newest.map(showRow));
+  draw("presses", [newest.map((press) => [press.press_id, press.has_picture]), may("confirm_press")], () => newest.map(showRow));
+  at("say-head").hidden = !may("confirm_press");
   at("verdict").className = last ? word(last) : "none";
   if (!last) { put("verdict", "no press yet"); return; }
   put("verdict", word(last));
@@ -232,6 +267,17 @@ at("gel-form").onsubmit = () => {
   const limit = at("limit").valueAsNumber, note = at("note").value.trim();
   const wanted = { ...(Number.isInteger(limit) ? { limit_presses: limit } : {}), ...(note ? { note } : {}) };
   change(at("new-gel"), "replace_gel", wanted, (data) => `Gel ${data.gel_id} counts from now on. Leave it free until the station is ready.`);
+};
+
+// Enter in the field would press the first button, "good".
+at("kind").onkeydown = (event) => { if (event.key === "Enter") { event.preventDefault(); } };
+at("what-cancel").onclick = () => at("what").close();
+at("what-form").onsubmit = (event) => {
+  const verdict = event.submitter.value, kind = at("kind").value.trim(), press_id = at("what").dataset.press;
+  change(event.submitter, "confirm_press", { press_id, verdict, ...(kind && verdict === "damaged" ? { kind } : {}) },
+    (data) => `Kept: ${verdict.replace("_", " ")}${kind && verdict === "damaged" ? `, ${kind}` : ""}. The station had said ${data.verdict}.`
+      + (data.earlier.length ? ` Said before: ${data.earlier.join(", ")}.` : "")
+      + (data.is_archived ? "" : " It is not archived, so nothing can be learnt from it."));
 };
 
 async function look() {

@@ -1,0 +1,121 @@
+"""What a person says of a press, beside the machine's verdict: what it shows, and which presses to ask about."""
+
+import math
+from collections.abc import Container, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Final, Literal, get_args
+
+from edge.core.binomial import rate_limits
+
+__all__ = ["SAYINGS", "Agreement", "Asked", "PersonVerdict", "Saying", "choose_questions", "settle"]
+
+Saying = Literal["good", "damaged", "gel", "cannot_tell"]
+"""The part is good; it is damaged; a mark of the gel shows, and the part is good; a person cannot tell."""
+
+SAYINGS: Final[tuple[str, ...]] = get_args(Saying)
+
+
+@dataclass(frozen=True)
+class PersonVerdict:
+    """What one person said of one press."""
+
+    press_id: str
+    time_ns: int
+    """Wall clock."""
+    person: str
+    """The name that was given, or by which way it came."""
+    saying: str
+    kind: str | None = None
+    """What the damage is, such as `burr`."""
+
+
+def settle(verdicts: Sequence[PersonVerdict]) -> PersonVerdict | None:
+    """Return what holds of one press: the newest word of each person, oldest first in `verdicts`; where two persons
+    contradict each other nobody can tell. None for a press of which nobody spoke."""
+    newest = {verdict.person: verdict for verdict in verdicts}
+    if not newest:
+        return None
+    last = verdicts[-1]
+    said = {verdict.saying for verdict in newest.values()} - {"cannot_tell"}
+    if len(said) > 1:
+        return PersonVerdict(last.press_id, last.time_ns, ", ".join(sorted(newest)), "cannot_tell")
+    return next((one for one in reversed(list(newest.values())) if one.saying in said), last)
+
+
+@dataclass
+class Agreement:
+    """How the verdicts of the machine agree with those of people, over some presses."""
+
+    presses: int = 0
+    passed: int = 0
+    judged: int = 0
+    """With a pass, a fail or unsure."""
+    good: dict[bool, int] = field(default_factory=lambda: {True: 0, False: 0})
+    """Presses whose part a person found good, by whether they passed."""
+    damaged: dict[bool, int] = field(default_factory=lambda: {True: 0, False: 0})
+    """The same, damaged."""
+
+    def add(self, verdict: str, saying: str | None) -> None:
+        """Count a press. verdict: the machine's. saying: what settled; None where nobody spoke."""
+        is_pass = verdict == "pass"
+        self.presses += 1
+        self.passed += is_pass
+        if verdict not in ("pass", "fail", "unsure"):
+            return
+        self.judged += 1
+        if saying in ("good", "gel"):
+            self.good[is_pass] += 1
+        elif saying == "damaged":
+            self.damaged[is_pass] += 1
+
+    def describe(self) -> str:
+        """Give yield, false alarms and escapes in one line, with what is not known.
+
+        Intervals are those of Clopper and Pearson, 90 % sure at each end. They are of the presses that people looked
+        at: who looks at doubtful ones finds more.
+        """
+        share = f"{self.passed / self.presses:.1%}" if self.presses else "-"
+        return (
+            f"{self.presses} presses, yield {share}; "
+            f"false alarms: {_rate(self.good[False], self.good[False] + self.damaged[False], 'fail')}; "
+            f"escapes: {_rate(self.damaged[True], self.good[True] + self.damaged[True], 'pass')}"
+        )
+
+
+def _rate(wrong: int, said: int, word: str) -> str:
+    if not said:
+        return f"not known, nobody judged a {word}"
+    low, high = rate_limits(wrong, said)
+    return f"{wrong} of {said} judged ({low:.0%} to {high:.0%})"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A press that a person may be asked about."""
+
+    press_id: str
+    time_ns: int
+    verdict: str
+    score_ratio: float
+    """Score by threshold."""
+    part: str
+    position: str | None = None
+
+    @property
+    def doubt(self) -> float:
+        """Say how little is known of it, the larger the less: how close the score is to the threshold."""
+        return -abs(math.log(self.score_ratio)) if 0 < self.score_ratio < math.inf else -math.inf
+
+
+def choose_questions(presses: Iterable[Asked], answered: Container[str], most: int) -> list[Asked]:
+    """Choose the presses that would teach most: closest to the threshold, and of five one pass whatever its score.
+
+    Without the latter nobody would ever look at a damage that the machine does not see at all. Which pass it is, is
+    drawn by its id, so the choice stays the same until something changes. Oldest first.
+    """
+    open_ = [press for press in presses if press.press_id not in answered]
+    drawn = sorted((one for one in open_ if one.verdict == "pass"), key=lambda one: one.press_id[::-1])[
+        : most // 5
+    ]
+    close = sorted((one for one in open_ if one not in drawn), key=lambda one: (-one.doubt, one.press_id))
+    return sorted([*drawn, *close[: max(0, most - len(drawn))]], key=lambda one: one.press_id)

@@ -1,0 +1,145 @@
+"""What people say of presses: an act of the ledger each, and the presses that a page asks about."""
+
+from collections.abc import Callable
+from datetime import date, datetime
+from functools import partial
+from typing import Final, Self
+
+from pydantic import Field, model_validator
+
+from edge.core.person_verdict import Asked, Saying, choose_questions
+from edge.core.ports import Clock, Message
+from edge.messaging.command_payloads import CommandArguments, PlainText
+from edge.messaging.payload_base import PressId
+from edge.messaging.status_payloads import Question, QuestionsPayload
+from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
+from edge.store.acts import CONFIRM
+from edge.store.person_verdicts import find_table, read_askable, read_verdicts
+from edge.store.press_store import Store
+
+__all__ = ["PersonVerdicts"]
+
+# New presses are looked for this often, and an answer for so long: its act is complete soon after it is given.
+LOOK_S: Final = 1.0
+ANSWERED_S: Final = 5.0
+
+# Older presses are not asked for: nobody has the part at hand any more.
+DAY_NS: Final = 86_400 * 10**9
+
+# The newest presses among which is chosen.
+MOST_REMEMBERED: Final = 2000
+
+
+class ConfirmPressArguments(CommandArguments):
+    """Of `cmd/confirm_press`. verdict: what a person says: `good`, `damaged`, `gel` (the gel, not the part) or
+    `cannot_tell`. kind: of the damage."""
+
+    press_id: PressId
+    verdict: Saying
+    kind: PlainText | None = Field(default=None, min_length=1, max_length=64)
+
+    @model_validator(mode="after")
+    def _kind_of_damage(self) -> Self:
+        if self.kind is not None and self.verdict != "damaged":
+            raise ValueError(f"kind is of a damage, and the verdict is {self.verdict}")
+        return self
+
+
+class PersonVerdicts(PressStage):
+    """Takes what people say, and asks for it. per_day: questions of a day at most; 0: none is asked."""
+
+    def __init__(
+        self, per_day: int, store: Store, announce: Callable[[Message], object], clock: Clock
+    ) -> None:
+        self._per_day, self._store, self._announce, self._clock = per_day, store, announce, clock
+        self._after = 0
+        self._presses: list[Asked] = []
+        self._shown: tuple[object, ...] | None = None
+        self._day: date | None = None
+        self._next_look_ns = 0
+        self._answered_ns = -(1 << 62)
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self:
+        """Without the verb nobody could answer, and without the archive nobody could look, so nothing is asked."""
+        table, archive = parts.config.commands, parts.config.archive
+        is_served = CONFIRM in (*table.unsigned, *table.signed, *table.page)
+        per_day = parts.config.confirm.questions_per_day if is_served and archive.presses else 0
+        stage = cls(per_day, parts.store, parts.announce, parts.clock)
+        stage._show(0, [])  # a question of an earlier start is no longer asked
+        return stage
+
+    def turn(self, mounted: Mounted | None) -> None:
+        """Ask anew when presses or answers have come, and on a new day. Errors: StoreError."""
+        now_ns = self._clock.monotonic_ns()
+        if not self._per_day or now_ns < self._next_look_ns:
+            return
+        self._next_look_ns = now_ns + round(LOOK_S * 1e9)
+        today = _day_of(self._clock.time_ns())
+        if self._read() or today != self._day or now_ns < self._answered_ns + ANSWERED_S * 1e9:
+            self._day = today
+            self._ask(today)
+
+    def _ask(self, today: date) -> None:
+        said = self._store.read("reading what people said", read_verdicts)
+        answered = sum(any(_day_of(one.time_ns) == today for one in verdicts) for verdicts in said.values())
+        questions = choose_questions(self._presses, said, max(0, self._per_day - answered))
+        if (answered, questions) != self._shown:
+            self._show(answered, questions)
+
+    def _show(self, answered: int, questions: list[Asked]) -> None:
+        self._shown = answered, questions
+        asked = tuple(Question(**vars(one), time_ms=one.time_ns // 1_000_000) for one in questions)
+        payload = QuestionsPayload(
+            time_ns=self._clock.time_ns(), per_day=self._per_day, answered_today=answered, presses=asked
+        )
+        self._announce(payload.message())
+
+    def _read(self) -> bool:
+        """Read the presses since the last look, and forget those of yesterday. Return whether anything has changed."""
+        query = partial(read_askable, after=self._after, most=MOST_REMEMBERED)
+        new = self._store.read("reading the newest presses", query)
+        self._after = max([self._after, *(number for number, _ in new)])
+        now_ns, before = self._clock.time_ns(), self._presses
+        recent = [
+            one for one in (*before, *(press for _, press in new)) if 0 <= now_ns - one.time_ns < DAY_NS
+        ]
+        self._presses = sorted(recent, key=lambda one: one.time_ns)[-MOST_REMEMBERED:]
+        return self._presses != before
+
+    def _confirm(self, arguments: ConfirmPressArguments) -> Data:
+        """Say what is known of the press; the request itself is the record. Errors: ValueError, StoreError."""
+        press_id = arguments.press_id
+        table = self._store.read("looking for a press", partial(find_table, press_id=press_id))
+        if table is None:
+            raise ValueError(
+                f"press {press_id} is not in the history of this station: it is another station's, or too old"
+            )
+        if table.name != "presses":
+            raise ValueError(
+                f"press {press_id} is of a master piece or of a study: what it is, is known; confirm presses of parts"
+            )
+        earlier = self._store.read("reading what people said", read_verdicts).get(press_id, [])
+        self._next_look_ns, self._answered_ns = 0, self._clock.monotonic_ns()
+        return {
+            "press_id": press_id,
+            "verdict": table.verdict,
+            "is_archived": table.is_archived,
+            "earlier": [f"{one.person}: {one.saying}" for one in earlier],
+        }
+
+    commands = (
+        Command(
+            CONFIRM,
+            ConfirmPressArguments,
+            _confirm,
+            "a person says what a press was, beside the verdict of the station, which stays; the newest word of each "
+            "person counts, and where two contradict each other nobody can tell. `earlier`: what was said before; "
+            "`is_archived`: whether the press can still be replayed",
+        ),
+    )
+
+
+def _day_of(time_ns: int) -> date:
+    """Give the day of a moment, by this machine's local time."""
+    return datetime.fromtimestamp(time_ns / 1e9).date()

@@ -1,0 +1,62 @@
+"""What people said of presses: acts of the verb `confirm_press`, which the ledger chains like every act.
+
+Functions that take a connection run inside the caller's transaction.
+"""
+
+import json
+import sqlite3
+from collections import defaultdict
+from typing import NamedTuple
+
+from edge.core.person_verdict import Asked, PersonVerdict
+from edge.store.acts import CONFIRM
+
+__all__ = ["Found", "find_table", "read_askable", "read_verdicts"]
+
+
+def read_verdicts(connection: sqlite3.Connection) -> dict[str, list[PersonVerdict]]:
+    """Read what was said of each press by its id, oldest first."""
+    said: dict[str, list[PersonVerdict]] = defaultdict(list)
+    rows = connection.execute(
+        "SELECT time_ns, who, arguments FROM acts WHERE verb = ? AND outcome = 'done' ORDER BY act_id",
+        (CONFIRM,),
+    )
+    for time_ns, who, arguments in rows:
+        given = json.loads(arguments)
+        verdict = PersonVerdict(
+            given["press_id"], time_ns, who.partition(", ")[0], given["verdict"], given.get("kind")
+        )
+        said[verdict.press_id].append(verdict)
+    return dict(said)
+
+
+class Found(NamedTuple):
+    """A press that was looked for: its table, the machine's verdict, and whether it can be replayed."""
+
+    name: str
+    verdict: str
+    is_archived: bool
+
+
+def find_table(connection: sqlite3.Connection, press_id: str) -> Found | None:
+    """Find a press by its id; None for one that this database does not have."""
+    for table, evidence in (
+        ("presses", "evidence"),
+        ("reference_presses", "NULL"),
+        ("study_presses", "NULL"),
+    ):
+        query = f"SELECT verdict, {evidence} IS NOT NULL FROM {table} WHERE press_id = ?"
+        if (row := connection.execute(query, (press_id,)).fetchone()) is not None:
+            return Found(table, row[0], bool(row[1]))
+    return None
+
+
+def read_askable(connection: sqlite3.Connection, after: int, most: int) -> list[tuple[int, Asked]]:
+    """Read those of the newest `most` presses after this number that are scored and archived, with their numbers."""
+    rows = connection.execute(
+        "SELECT number, press_id, time_ns, verdict, score / threshold, part, position FROM presses "
+        "WHERE number > max(?, (SELECT coalesce(max(number), 0) FROM presses) - ?) AND evidence IS NOT NULL "
+        "AND score > 0 AND threshold > 0 AND verdict IN ('pass', 'fail', 'unsure') ORDER BY number",
+        (after, most),
+    )
+    return [(number, Asked(*row)) for number, *row in rows]

@@ -1,0 +1,92 @@
+"""What people say of presses: what holds, what it shows, and which presses they are asked about."""
+
+import math
+
+import pytest
+
+from edge.core.person_verdict import Agreement, Asked, PersonVerdict, choose_questions, settle
+
+
+def said(person: str, saying: str, kind: str | None = None) -> PersonVerdict:
+    return PersonVerdict("01", 0, person, saying, kind)
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "holds"),
+    [
+        ([], None),
+        ([said("kim", "good")], "good"),
+        ([said("kim", "good"), said("kim", "damaged", "burr")], "damaged"),  # the newest word of one person
+        ([said("kim", "good"), said("lee", "damaged")], "cannot_tell"),
+        ([said("kim", "good"), said("lee", "damaged"), said("lee", "good")], "good"),
+        ([said("kim", "damaged"), said("lee", "cannot_tell")], "damaged"),
+        ([said("kim", "cannot_tell")], "cannot_tell"),
+        ([said("kim", "good"), said("lee", "gel")], "cannot_tell"),
+    ],
+)
+def test_two_people_who_contradict_each_other_settle_nothing(
+    verdicts: list[PersonVerdict], holds: str | None
+) -> None:
+    """Whoever cannot tell contradicts nobody."""
+    settled = settle(verdicts)
+
+    assert (settled and settled.saying) == holds
+
+
+def test_the_kind_is_that_of_the_word_that_holds() -> None:
+    settled = settle([said("kim", "damaged", "burr"), said("lee", "cannot_tell")])
+
+    assert settled is not None
+    assert (settled.kind, settled.person) == ("burr", "kim")
+
+
+def test_false_alarms_and_escapes_are_of_the_presses_that_people_judged() -> None:
+    """Ten presses by hand: yield 6 of 10, one of two judged fails was good, one of three judged passes was damaged.
+
+    90 % limits of Clopper and Pearson by hand: 1 of 2 from 1 - 0.9^(1/2) = 5 % to 95 %; 1 of 3 from
+    1 - 0.9^(1/3) = 3 % to the root of (1-x)^3 + 3x(1-x)^2 = 0.1, 80 %.
+    """
+    agreement = Agreement()
+    for verdict, saying in (
+        *(("pass", None),) * 3,
+        ("pass", "good"),
+        ("pass", "gel"),
+        ("pass", "damaged"),
+        ("fail", "good"),
+        ("unsure", "damaged"),
+        ("rejected", "good"),
+        ("error", "damaged"),
+    ):
+        agreement.add(verdict, saying)
+
+    assert agreement.describe() == (
+        "10 presses, yield 60.0%; false alarms: 1 of 2 judged (5% to 95%); escapes: 1 of 3 judged (3% to 80%)"
+    )
+    assert "not known, nobody judged a fail" in Agreement().describe()
+
+
+def asked(n: int, verdict: str, ratio: float) -> Asked:
+    return Asked(f"{n:04d}", n, verdict, ratio, "bolt")
+
+
+def test_the_presses_closest_to_the_threshold_are_asked_for_and_a_pass_that_is_drawn() -> None:
+    """Twice too high is as far as half; what is answered is not asked again; a fifth are passes of any score."""
+    presses = [
+        asked(1, "fail", 2.0),
+        asked(2, "fail", 1.05),
+        asked(3, "unsure", 1.0),
+        asked(4, "fail", 1.3),
+        asked(5, "fail", 3.0),
+        asked(6, "pass", 0.2),
+        asked(7, "fail", 1.01),
+    ]
+
+    chosen = choose_questions(presses, {"0007"}, 5)
+
+    assert [one.press_id for one in chosen] == ["0001", "0002", "0003", "0004", "0006"]
+    assert choose_questions(presses, {"0007"}, 2) == [presses[1], presses[2]]
+    assert choose_questions(presses, set(), 0) == []
+
+
+def test_a_score_without_a_ratio_is_asked_for_last() -> None:
+    assert asked(1, "fail", math.inf).doubt == asked(1, "pass", 0.0).doubt == -math.inf

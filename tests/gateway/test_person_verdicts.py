@@ -1,0 +1,203 @@
+"""A person says what a press was: the ledger keeps it beside the verdict, and the station asks for doubtful ones."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from command_line import gelgate
+from station import Motion, press_recording, station_config
+from stepped_station import SteppedStation
+
+from edge.features.outputs.stage import Outputs
+from edge.gateway.commands import Change, CommandPolicy, Commands
+from edge.store.history import HistoryQuery, read_history
+from edge.store.integrity import check_database
+from edge.store.ulid import new_ulid
+
+
+@pytest.fixture(scope="module")
+def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four presses, the third one dented."""
+    folder = tmp_path_factory.mktemp("said") / "presses"
+    return press_recording(folder, 4, dented=[2], motion=Motion(hold=8, idle=34), seed=5)
+
+
+@pytest.fixture
+def played(tmp_path: Path, presses: Path, bundle: Path) -> Iterator[SteppedStation]:
+    """All four are recorded, and the station has asked."""
+    with SteppedStation(station_config(tmp_path, presses, bundle)) as station:
+        station.play_presses(4)
+        settle(station)
+        yield station
+
+
+def settle(station: SteppedStation) -> None:
+    station.clock.sleep(1.5)
+    station.turn()
+
+
+def say(station: SteppedStation, by: str = "kim") -> Callable[..., dict[str, object]]:
+    """Ask as a person at the page does; returns the response."""
+    root = station.parts.config.station.place.root
+    policy = CommandPolicy(root, frozenset(), page=frozenset({"confirm_press"}))
+    handlers = {"confirm_press": lambda given: Change(station.ask("confirm_press", **given))}
+    commands = Commands(handlers, policy, station.parts.store, station.clock)
+    number = iter(range(100))
+
+    def do(**arguments: object) -> dict[str, object]:
+        request = {"transaction": f"{by}{next(number)}", "by": by, "arguments": arguments}
+        response: dict[str, object] = json.loads(
+            commands.from_page("confirm_press", json.dumps(request).encode())
+        )
+        return response
+
+    return do
+
+
+def test_a_word_is_kept_beside_the_verdict_and_the_press_is_not_asked_for_again(
+    played: SteppedStation, tmp_path: Path
+) -> None:
+    """The verdict stays; the ledger is sound; the history has both; a restart knows what was said."""
+    dented = played.results[2]
+    before = played.said("questions")
+
+    response = say(played)(press_id=dented.press_id, verdict="damaged", kind="dent")
+    again = say(played, "lee")(press_id=dented.press_id, verdict="damaged")
+    settle(played)
+
+    assert dented.press_id in [one["press_id"] for one in before["presses"]]
+    assert response["data"] == {
+        "press_id": dented.press_id,
+        "verdict": "fail",
+        "is_archived": True,
+        "earlier": [],
+    }
+    assert again["data"]["earlier"] == ["kim: damaged"]  # type: ignore[index]
+    after = played.said("questions")
+    assert dented.press_id not in [one["press_id"] for one in after["presses"]]
+    assert (before["answered_today"], after["answered_today"]) == (0, 1)
+    path = played.parts.store.path
+    assert [one for one in check_database(path) if one.is_fault] == []
+    rows = list(read_history(path, HistoryQuery()))
+    assert [(row.verdict, row.person_verdict, row.person) for row in rows] == [
+        ("pass", None, None),
+        ("pass", None, None),
+        ("fail", "damaged", "lee"),
+        ("pass", None, None),
+    ]
+    assert gelgate("history", "--by", "part", "-c", tmp_path / "gelgate.toml").out == (
+        "PZ0/pos1: 4 presses, yield 75.0%; false alarms: 0 of 1 judged (0% to 90%); escapes: not known, "
+        "nobody judged a pass\n"
+    )
+    played.__exit__(None, None, None)
+    with SteppedStation(tmp_path / "gelgate.toml") as restarted:
+        settle(restarted)
+        assert restarted.said("questions")["answered_today"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (
+            {"press_id": new_ulid(1, lambda k: bytes(k)), "verdict": "good"},
+            "is not in the history of this station",
+        ),
+        ({"press_id": "last", "verdict": "good"}, "press_id: String should match pattern"),
+        ({"verdict": "good"}, "press_id: Field required"),
+        (
+            {"press_id": "", "verdict": "bad"},
+            "verdict: Input should be 'good', 'damaged', 'gel' or 'cannot_tell'",
+        ),
+        ({"press_id": None, "verdict": "good", "kind": "burr"}, "press_id"),
+    ],
+)
+def test_what_cannot_be_kept_is_refused_with_a_sentence(
+    played: SteppedStation, arguments: dict[str, object], sentence: str
+) -> None:
+    response = say(played)(**arguments)
+
+    assert response["status"] == "error"
+    assert sentence in str(response["error"])
+
+
+def test_a_kind_belongs_to_a_damage(played: SteppedStation) -> None:
+    response = say(played)(press_id=played.results[0].press_id, verdict="good", kind="burr")
+
+    assert "kind is of a damage, and the verdict is good" in str(response["error"])
+
+
+def test_two_people_who_contradict_each_other_are_asked_about_no_more(played: SteppedStation) -> None:
+    """The history says that nobody can tell, with both names."""
+    press_id = played.results[0].press_id
+    say(played)(press_id=press_id, verdict="good")
+    say(played, "lee")(press_id=press_id, verdict="damaged")
+
+    (row, *_) = read_history(played.parts.store.path, HistoryQuery())
+
+    assert (row.person_verdict, row.person, row.verdict) == ("cannot_tell", "kim, lee", "pass")
+
+
+def test_at_most_the_configured_number_is_asked_on_a_day(tmp_path: Path, presses: Path, bundle: Path) -> None:
+    """Two a day: in the evening after two answers none is asked, and on the next morning the others are."""
+    config = station_config(tmp_path, presses, bundle, tables="[confirm]\nquestions_per_day = 2")
+    with SteppedStation(config) as station:
+        station.clock.sleep(20 * 3600)
+        station.play_presses(4)
+        settle(station)
+        asked = station.said("questions")["presses"]
+        answer = say(station)
+        for one in asked:
+            answer(press_id=one["press_id"], verdict="good")
+        settle(station)
+        then = station.said("questions")["presses"]
+        station.clock.sleep(13 * 3600)
+        station.turn()
+        later = station.said("questions")["presses"]
+        station.clock.sleep(13 * 3600)
+        station.turn()
+
+        assert (len(asked), then) == (2, [])
+        assert len({one["press_id"] for one in [*asked, *later]}) == 4
+        assert station.said("questions")["presses"] == []  # of yesterday
+
+
+@pytest.mark.parametrize(
+    "tables",
+    ["[archive]\npresses = 0", '[commands]\npage = ["select_part"]', "[confirm]\nquestions_per_day = 0"],
+)
+def test_nothing_is_asked_that_nobody_could_answer(
+    tmp_path: Path, presses: Path, bundle: Path, tables: str
+) -> None:
+    """A retained question of an earlier configuration is replaced."""
+    with SteppedStation(station_config(tmp_path, presses, bundle, tables=tables)) as station:
+        station.play_presses(1)
+        settle(station)
+
+        assert (station.said("questions")["per_day"], station.said("questions")["presses"]) == (0, [])
+
+
+def test_a_pedal_says_what_the_last_press_was(tmp_path: Path, presses: Path, bundle: Path) -> None:
+    """Before the first press there is nothing to say it of."""
+    with SteppedStation(station_config(tmp_path, presses, bundle)) as station:
+        outputs = Outputs(lambda alarm, text: None, station.clock)
+        outputs.confirm_last("good", station.parts.store)
+        station.play_presses(1)
+        outputs.record(station.reports[0].press, station.reports[0].gel)
+        outputs.confirm_last("damaged", station.parts.store)
+
+        (row,) = read_history(station.parts.store.path, HistoryQuery())
+
+    assert (row.person_verdict, row.person, row.verdict) == ("damaged", "pedal", "pass")
+
+
+def test_presses_have_shifts_only_where_they_are_configured(played: SteppedStation, tmp_path: Path) -> None:
+    config = tmp_path / "gelgate.toml"
+
+    without = gelgate("history", "--by", "shift", "-c", config).sentence()
+    config.write_text(config.read_text() + '\n[reference]\nshifts = ["06:00", "14:00"]\n')
+    found = gelgate("history", "--by", "shift", "-c", config).out
+
+    assert "has no shifts" in without
+    assert found.count("presses, yield") == 1
+    assert "presses have no 'moon'" in gelgate("history", "--by", "moon", "-c", config).sentence()
