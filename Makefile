@@ -22,9 +22,11 @@ readme-picture: demo
 page-pictures: $(VENV)/.test
 	PYTHONPATH=tests/support $(BIN)/python tests/support/page_pictures.py docs/images
 
-# The picture of accuracy against time in README.md, from the rows that `gelgate lab tradeoff` wrote.
+# The picture of accuracy against time in README.md, from the rows that `gelgate lab tradeoff` wrote and the page of
+# `gelgate lab bench`.
 tradeoff-picture: $(VENV)/.test
-	$(BIN)/python -m calibration.experiments.tradeoff.figure docs/studies/tradeoff.jsonl docs/images/tradeoff.svg
+	$(BIN)/python -m calibration.experiments.tradeoff.figure docs/studies/tradeoff.jsonl docs/images/tradeoff.svg \
+		--bench docs/performance.md
 
 # One process more than cores, for half of the time of a test is waiting; at most eight. `make test PROCESSES=0` runs the
 # tests in one.

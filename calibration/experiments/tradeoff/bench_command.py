@@ -15,7 +15,7 @@ from calibration.experiments.tradeoff.bench import STAGES, BenchSettings, Measur
 from calibration.experiments.tradeoff.machine import busy
 from edge.core.errors import ConfigError
 
-__all__ = ["bench_station", "page", "summary"]
+__all__ = ["bench_station", "page", "read_medians", "summary"]
 
 
 def bench_station(
@@ -77,6 +77,14 @@ def _quantiles(values: Sequence[float], floor: float | None) -> Mapping[str, flo
 def page(measured: Measured, before: Mapping[str, Mapping[str, float]] | None = None) -> str:
     """Return the page as Markdown. before: the stages of an earlier run, whose medians are shown too."""
     return "\n".join(_lines(measured, summary(measured)["stages"], before or {})) + "\n"
+
+
+def read_medians(page: str) -> dict[str, float]:
+    """Read the median of each stage from a page, in milliseconds."""
+    rows = ([cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines())
+    cells = [row for row in rows if len(row) > 1]
+    median = cells[0].index("median")
+    return {row[0]: float(row[median]) for row in cells if row[0] in STAGES}
 
 
 def _lines(

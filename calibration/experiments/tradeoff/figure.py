@@ -1,9 +1,12 @@
-"""The picture of a run: accuracy against what the line waits for, the front named. Made from rows alone."""
+"""The picture of a run: accuracy against what the line waits for, the front named. Made from rows alone.
+
+Below it, in grey, what a press takes after its verdict, where a page of `gelgate lab bench` is given.
+"""
 
 import argparse
 import io
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -29,13 +32,20 @@ MARKS: Final = {
     "subspace": ("P", "#86751c"),
 }
 PEER, OTHER = ("X", "#22272b"), ("*", "#5d6a75")
-INK, SOFT, GRID, FLOOR = "#22272b", "#565d63", "#e4e2dc", "#e9e6df"
+INK, SOFT, GRID, FLOOR, LATER_FILL = "#22272b", "#565d63", "#e4e2dc", "#e9e6df", "#cfcdc7"
 
 NEAR: Final = 2.0
 """Points up to this many times the fastest one have a linear axis of their own: most differ by milliseconds."""
 
-WIDTH_IN, LABEL_IN, PLOT_IN, BELOW_IN = 5.2, 0.31, 2.35, 1.45
+WIDTH_IN, LABEL_IN, PLOT_IN, BELOW_IN, LATER_IN = 5.2, 0.31, 2.35, 1.45, 0.86
 """At 400 pixels' width the letters are 9 pixels high."""
+
+LATER: Final[Mapping[str, str]] = {
+    "outbox": "result in the outbox",
+    "subscriber": "result at a subscriber",
+    "picture": "its picture there",
+}
+"""Stages after the verdict, for which the line does not wait."""
 
 STYLE: Final[dict[Any, Any]] = {
     "font.family": "sans-serif",
@@ -54,27 +64,33 @@ DARK: Final = (
 )
 
 
-def svg(rows: Sequence[Row]) -> bytes:
-    """Return the picture as SVG bytes, dark where the reader's screen is; equal rows give equal bytes."""
+def svg(rows: Sequence[Row], medians: Mapping[str, float] | None = None) -> bytes:
+    """Return the picture as SVG bytes, dark where the reader's screen is; equal values give equal bytes."""
     import matplotlib as mpl
 
     stream = io.BytesIO()
     with mpl.rc_context(STYLE):
-        figure(rows).savefig(stream, format="svg", metadata={"Date": None, "Creator": "gelgate lab tradeoff"})
+        figure(rows, medians).savefig(
+            stream, format="svg", metadata={"Date": None, "Creator": "gelgate lab tradeoff"}
+        )
     return stream.getvalue().replace(b"<defs>", DARK + b"\n <defs>", 1)
 
 
-def figure(rows: Sequence[Row]) -> "Figure":
-    """Draw accuracy (AU-PRO) against the milliseconds to the verdict, as a matplotlib figure without a window."""
+def figure(rows: Sequence[Row], medians: Mapping[str, float] | None = None) -> "Figure":
+    """Draw accuracy (AU-PRO) against the milliseconds to the verdict, as a matplotlib figure without a window.
+
+    medians: milliseconds from the settled frame to the stages `verdict` and `LATER` of a station.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     drawn = [row for row in rows if row["accuracy"][FIRST]["value"] is not None]
     front = list_front(drawn, FIRST)
-    height = BELOW_IN + PLOT_IN + LABEL_IN * len(front) + 0.48
+    below = BELOW_IN + (LATER_IN if medians else 0)
+    height = below + PLOT_IN + LABEL_IN * len(front) + 0.48
     made = Figure(figsize=(WIDTH_IN, height), facecolor="white")
     FigureCanvasAgg(made)
-    for axes in _panels(made, drawn, height):
+    for axes in _panels(made, drawn, height, below):
         _floor(axes, drawn)
         steps = [(verdict_ms(row), _value(row)) for row in front]
         axes.step(
@@ -85,7 +101,9 @@ def figure(rows: Sequence[Row]) -> "Figure":
         for level, row in enumerate(reversed(front)):
             _name(axes, row, PLOT_IN + LABEL_IN * level)
         _name_best_peer(axes, drawn)
-    _legend(made, drawn, height)
+    _legend(made, drawn, height, below)
+    if medians:
+        _draw_later(made, medians, height)
     first, machine = rows[0], rows[0]["machine"]
     made.text(
         0.02, 1 - 0.2 / height, "What accuracy costs in time", fontsize=12, fontweight="bold", color=INK
@@ -135,14 +153,14 @@ def _best_peer(rows: Sequence[Row]) -> Row | None:
     return max(peers, key=_value, default=None)
 
 
-def _panels(made: "Figure", rows: Sequence[Row], height: float) -> list["Axes"]:
+def _panels(made: "Figure", rows: Sequence[Row], height: float, below: float) -> list["Axes"]:
     """A linear panel of the fast points and, where there are slower ones, a logarithmic one beside it."""
     from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
     times, values = [verdict_ms(row) for row in rows], [_value(row) for row in rows]
     limit, room = NEAR * min(times), 0.04 * max(max(values) - min(values), 0.02)
     is_split = max(times) > limit
-    bottom, tall = BELOW_IN / height, PLOT_IN / height
+    bottom, tall = below / height, PLOT_IN / height
     panels = [made.add_axes((0.115, bottom, 0.555 if is_split else 0.865, tall))]
     panels[0].set_xlim(0, limit)
     if is_split:
@@ -241,7 +259,28 @@ def _name_best_peer(axes: "Axes", rows: Sequence[Row]) -> None:
     )  # fmt: skip
 
 
-def _legend(made: "Figure", rows: Sequence[Row], height: float) -> None:
+def _draw_later(made: "Figure", medians: Mapping[str, float], height: float) -> None:
+    """Draw in grey when a press's result and picture arrive, from its verdict on."""
+    axes = made.add_axes((0.115, 0.7 / height, 0.865, (LATER_IN - 0.3) / height))
+    axes.set_axis_off()
+    axes.set(xlim=(0, 1.75 * max(medians[name] for name in LATER)), ylim=(len(LATER) - 0.5, -0.5))
+    start = medians["verdict"]
+    axes.plot((start, start), (-0.5, len(LATER) - 0.5), color=SOFT, linewidth=1)
+    for level, (name, text) in enumerate(LATER.items()):
+        axes.barh(level, medians[name] - start, 0.6, start, color=LATER_FILL, edgecolor=SOFT, linewidth=0.6)
+        axes.annotate(
+            f"{text}: {medians[name]:.0f} ms", (medians[name], level), xytext=(4, 0), textcoords="offset points",
+            va="center", fontsize=8, color=SOFT,
+        )  # fmt: skip
+    axes.annotate(
+        f"verdict\n{start:.0f} ms", (start, 1), xytext=(-4, 0), textcoords="offset points", ha="right", va="center",
+        fontsize=8, color=SOFT,
+    )  # fmt: skip
+    title = "Afterwards, at a running station, whatever the point: the line does not wait for it"
+    made.text(0.02, (LATER_IN + 0.46) / height, title, fontsize=8, color=SOFT)
+
+
+def _legend(made: "Figure", rows: Sequence[Row], height: float, below: float) -> None:
     from matplotlib.lines import Line2D
 
     present = dict.fromkeys(row["method"] for row in rows if not row.get("peer"))
@@ -258,7 +297,7 @@ def _legend(made: "Figure", rows: Sequence[Row], height: float) -> None:
     made.legend(
         handles=entries,
         loc="center",
-        bbox_to_anchor=(0.53, (BELOW_IN - 0.66) / height),
+        bbox_to_anchor=(0.53, (below - 0.66) / height),
         frameon=False,
         fontsize=8,
         ncols=4,
@@ -268,8 +307,12 @@ def _legend(made: "Figure", rows: Sequence[Row], height: float) -> None:
 
 
 if __name__ == "__main__":
+    from calibration.experiments.tradeoff.bench_command import read_medians  # a gateway and all that it loads
+
     given = argparse.ArgumentParser(description="Draw the rows of a run.")
     given.add_argument("rows", type=Path)
     given.add_argument("picture", type=Path)
+    given.add_argument("--bench", type=Path, help="a page of `gelgate lab bench`")
     paths = given.parse_args()
-    paths.picture.write_bytes(svg(read_rows(paths.rows)))
+    medians = read_medians(paths.bench.read_text(encoding="utf-8")) if paths.bench else None
+    paths.picture.write_bytes(svg(read_rows(paths.rows), medians))

@@ -10,6 +10,7 @@ from command_line import gelgate
 from station import HEADER, Motion, gel, jpeg, press_recording, small_bundle
 
 from calibration.experiments.tradeoff.bench import STAGES
+from calibration.experiments.tradeoff.bench_command import read_medians
 from edge.recording.format import RecordingWriter
 
 
@@ -40,6 +41,7 @@ def test_every_stage_of_every_press_has_its_time(station: tuple[Path, Path], tmp
     page = gelgate("lab", "bench", *station, *words[:-1], "--before", tmp_path / "before.json").out
     row = next(line for line in page.splitlines() if line.startswith("| outbox"))
     assert row.split("|")[-2].strip() == f"{stages['outbox']['median']:.3g}"
+    assert set(read_medians(page)) == set(STAGES)
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"stages": {"outbox": {}}}', '{"stages": {"outbox": 1}}'])
