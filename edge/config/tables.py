@@ -372,6 +372,7 @@ class Config(Table):
             "overview": self.overview is not None,
             "scars": True,
             "press_again": self.inspection.press_again != "never",
+            "drift": True,
             "outputs": bool(self.triggers or self.actuators),
             "black_box": self.archive.presses > 0,
             "snapshots": "snapshot" in served,

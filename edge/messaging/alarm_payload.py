@@ -127,6 +127,13 @@ ALARMS: Final[Mapping[str, Alarm]] = {
         "wipe the gel at that place and press a part that is known to be good; if the alarm stays, change "
         "the gel",
     ),
+    "drift": Alarm(
+        "passing presses are no longer as they were: score, strength, place, noise or light has shifted; stays until "
+        "acknowledged",
+        "the text names what has shifted, since when, and what to check; acknowledge it where that is right: the chart "
+        "then begins again",
+        stays=True,
+    ),
     "trigger_device": Alarm(
         "a pedal or button cannot be used",
         "check its cable; `gelgate check` tries each; it is opened again when it is back",

@@ -1,4 +1,4 @@
-"""What is known of each gel, in files: the first picture of the free gel, to measure wear, the last, and the scars.
+"""What is known of each gel, in files: the first picture of the free gel, to measure wear, the last, scars, charts.
 
 They are no records: a damaged or missing one is learnt again, and no count depends on them.
 """
@@ -20,7 +20,7 @@ __all__ = ["KEPT_GELS", "GelFiles"]
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
-Name = Literal["first", "last", "scars"]
+Name = Literal["first", "last", "scars", "drift"]
 
 # Gels of one sensor whose files are kept, the newest ones; 1.5 MB each.
 KEPT_GELS: Final = 20
@@ -83,7 +83,7 @@ class GelFiles:
         try:
             lasts = sorted(folder.glob(f"*{end}"), key=lambda path: path.stat().st_mtime_ns)
             for last in lasts[:-KEPT_GELS]:
-                for other in (end, ".first.npy", ".scars.npy"):
+                for other in (end, ".first.npy", ".scars.npy", ".drift.npy"):
                     last.with_name(last.name.replace(end, other)).unlink(missing_ok=True)
         except OSError as error:
             log.warning("old files in %s were not removed: %s", folder, error.strerror or error)

@@ -42,10 +42,17 @@ def load_with(monkeypatch: pytest.MonkeyPatch, config: Config, lamp: str) -> lis
 def test_what_is_not_configured_is_not_loaded(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A feature of another package is installed on purpose; it stands before the outputs, which show what it says."""
     few = load_config(config)
-    assert list(load_features(few)) == ["sensing_watch", "gel_proof", "scars", "black_box", "person_verdicts"]
+    assert list(load_features(few)) == [
+        "sensing_watch",
+        "gel_proof",
+        "scars",
+        "drift",
+        "black_box",
+        "person_verdicts",
+    ]
     more = few.model_copy(update={"triggers": [TriggerTable(plugin="virtual_hid")]})
     assert load_with(monkeypatch, more, "edge.press_stage:PressStage") == [
-        "sensing_watch", "gel_proof", "scars", "lamp", "outputs", "black_box", "person_verdicts"
+        "sensing_watch", "gel_proof", "scars", "drift", "lamp", "outputs", "black_box", "person_verdicts"
     ]  # fmt: skip
     with pytest.raises(ConfigError, match=r"'lamp' of gelgate.features is no class of PressStage"):
         load_with(monkeypatch, few, "math:pi")

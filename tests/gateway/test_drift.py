@@ -1,0 +1,68 @@
+"""A station whose passing presses shift says what has shifted, and goes on after a restart and another gel."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from station import Motion, press_recording, station_config
+from stepped_station import SteppedStation
+
+from edge.core.drift import MEASURES
+from edge.features.drift import DriftWatch, _bundles_from
+
+
+@pytest.fixture(scope="module")
+def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Thirty short presses, the third one dented."""
+    folder = tmp_path_factory.mktemp("drift") / "presses"
+    return press_recording(folder, 30, dented=[2], motion=Motion(hold=8, idle=10), seed=5)
+
+
+def shift(station: SteppedStation, name: str, far: float) -> None:
+    """Move what was charted so far, as if the presses from now on lay elsewhere."""
+    watch = station.find(DriftWatch)
+    charts = watch._bundles[watch._bundle]
+    charts[name] = charts[name].__class__.from_numbers(
+        [charts[name].count, charts[name].mean + far, *charts[name].numbers[2:]]
+    )
+
+
+def test_a_shift_is_an_alarm_until_somebody_acknowledges_it(
+    tmp_path: Path, presses: Path, bundle: Path
+) -> None:
+    """Of 24 presses, 23 pass and are charted; then every place lies 3 mm away. The alarm comes again after a restart;
+    acknowledged, this chart begins again, and the others go on."""
+    config = station_config(tmp_path, presses, bundle)
+    with SteppedStation(config) as station:
+        station.play_presses(24)
+        quiet, charts = station.alarm("drift"), dict(station.find(DriftWatch)._bundles)
+        shift(station, "x_mm", 3.0)
+        station.play_presses(30)
+        said = station.alarm("drift")
+    with SteppedStation(config) as again:
+        again.play_until(lambda: again.loop.session is not None)
+        restarted = again.alarm("drift")
+        again.ask("acknowledge_alarm", alarm="drift")
+        watch = again.find(DriftWatch)
+        left = watch._bundles[watch._bundle]
+        assert again.alarm("drift") is None
+        again.ask("replace_gel")
+        assert watch._bundles == {}
+
+    assert quiet is None
+    (only,) = charts.values()
+    assert set(only) == {measure.name for measure in MEASURES}
+    assert {chart.count for name, chart in only.items() if name != "noise_levels"} == {29}
+    assert said is not None
+    assert said.startswith("place x is lower since about 6 passing presses: ")
+    assert restarted == said
+    assert set(left) == {measure.name for measure in MEASURES} - {"x_mm"}
+
+
+@pytest.mark.parametrize(
+    "damaged", [np.zeros((2, 3)), np.full((1, 10), np.nan), np.full((1, 10), 7.0), np.zeros(3, np.float32)]
+)
+def test_damaged_charts_are_refused(damaged: np.ndarray) -> None:
+    """The folder of the gel then logs it, and they are learnt again."""
+    with pytest.raises(ValueError):  # noqa: PT011 - each fault has its own sentence
+        _bundles_from(damaged)
