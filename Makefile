@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-planted acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
+.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-planted threads acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -113,6 +113,10 @@ sim: $(VENV)/.test
 # Bugs planted one by one in a copy of the program: each must be found within a minute, and named.
 sim-planted: $(VENV)/.test
 	PYTHONPATH=tests/support $(BIN)/python -m simulation.planted
+
+# What two threads share, in every order of their accesses, with longer threads than in `make test`.
+threads: $(VENV)/.test
+	GELGATE_TURNS=2 $(BIN)/pytest tests/gateway/test_thread_schedules.py --durations=0
 
 # The tables of docs/acquire.md: 1,000 simulated acquisitions, half an hour.
 acquisitions: $(VENV)/.test

@@ -96,7 +96,7 @@ class Acquisition:
         self._backoff = backoff or Backoff(random.Random(), _FIRST_PAUSE_S, _LONGEST_PAUSE_S)
         self._frames: deque[CameraFrame] = deque()
         self._times_ns: deque[int] = deque(maxlen=_RATE_FRAMES)
-        self._changed = threading.Condition()
+        self._changed = threading.Condition(threading.RLock())  # `_deliver` holds it while it calls `_set`
         self._closing = threading.Event()
         self._status = AcquisitionStatus()
         self._ending: BaseException | None = None

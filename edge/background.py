@@ -24,6 +24,7 @@ class Background(Generic[T]):
         self._job: Callable[[], T] | None = None
         self._outcome: T | None = None
         self._is_working = self._is_closing = False
+        self._exchange = threading.Lock()  # no thread takes what another one has just replaced
         self._asked = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
@@ -38,22 +39,27 @@ class Background(Generic[T]):
 
     def ask(self, job: Callable[[], T]) -> None:
         """Do this next, instead of one that still waits."""
-        self._job = job
+        with self._exchange:
+            self._job = job
         self._asked.set()
 
     def take(self) -> T | None:
         """Return the outcome of the last job, once; None while there is none."""
-        outcome, self._outcome = self._outcome, None
+        with self._exchange:
+            outcome, self._outcome = self._outcome, None
         return outcome
 
     def step(self) -> None:
         """Do the job that waits, if there is one."""
         self._is_working = True
         self._asked.clear()
-        job, self._job = self._job, None
+        with self._exchange:
+            job, self._job = self._job, None
         try:
             if job is not None:
-                self._outcome = job()
+                outcome = job()
+                with self._exchange:
+                    self._outcome = outcome
         except Exception as error:  # the thread goes on with the next job
             log.exception("the job of thread '%s' failed: %s", self._thread.name, error)
         finally:

@@ -93,9 +93,9 @@ def _acknowledge_alarm(loop: StationLoop, arguments: AcknowledgeAlarmArguments) 
         loop.report.acknowledge_drops()
     elif alarm == "counts":
         loop.parts.store.findings.clear()
+    loop.parts.status.say(alarm, None)  # first: what a stage's own thread raises from here on stays
     for stage in loop.parts.stages:
         stage.acknowledge(alarm)
-    loop.parts.status.say(alarm, None)
     return {"alarms": _alarms(loop)}
 
 

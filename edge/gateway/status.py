@@ -67,18 +67,20 @@ class StationStatus:
 
     def sensor_changed(self, sensor: AcquisitionStatus) -> None:
         """Called from the reader thread, once per change."""
-        if sensor.state is AcquisitionState.STREAMING:
-            log.info("sensor %s delivers frames", sensor.identity.serial if sensor.identity else "?")
-            self._sensor_fault = None
-        elif sensor.state is AcquisitionState.FAULT:
-            self._sensor_fault = sensor.fault or "the sensor stopped without a reason"
-            log.warning("%s", self._sensor_fault)
-        self._say_device()
+        with self._lock:
+            if sensor.state is AcquisitionState.STREAMING:
+                log.info("sensor %s delivers frames", sensor.identity.serial if sensor.identity else "?")
+                self._sensor_fault = None
+            elif sensor.state is AcquisitionState.FAULT:
+                self._sensor_fault = sensor.fault or "the sensor stopped without a reason"
+                log.warning("%s", self._sensor_fault)
+            self._say_device()
 
     def set_blind(self, reason: str | None) -> None:
         """Say why the sensor's frames show nothing; None while they do. Frames alone do not end this fault."""
-        self._blind = reason
-        self._say_device()
+        with self._lock:
+            self._blind = reason
+            self._say_device()
 
     def _say_device(self) -> None:
         faults = [fault for fault in (self._sensor_fault, self._blind) if fault is not None]

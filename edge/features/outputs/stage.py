@@ -4,6 +4,7 @@ They follow the presses of parts; master pieces and studies switch nothing.
 """
 
 import logging
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -50,6 +51,7 @@ class Outputs(PressStage):
         self._seen_ns: int | None = None
         self._last_id: str | None = None
         self._faults: dict[str, dict[str, str]] = {"trigger_device": {}, "actuator": {}}
+        self._lock = threading.Lock()  # of the faults and the late pulses, which each owner's thread reports
         self._late: Counter[str] = Counter()
 
     @classmethod
@@ -94,20 +96,22 @@ class Outputs(PressStage):
 
     def note_fault(self, alarm: str, name: str, fault: str | None) -> None:
         """The device of that name cannot be used, or with None can again. The owner threads call it."""
-        found = {**self._faults[alarm], name: fault}
-        self._faults[alarm] = {key: text for key, text in found.items() if text is not None}
-        text = "; ".join(f"{key}: {one}" for key, one in sorted(self._faults[alarm].items()))
-        self._say(alarm, text or None)
+        with self._lock:
+            found = {**self._faults[alarm], name: fault}
+            self._faults[alarm] = {key: text for key, text in found.items() if text is not None}
+            text = "; ".join(f"{key}: {one}" for key, one in sorted(self._faults[alarm].items()))
+            self._say(alarm, text or None)
 
     def note_late(self, name: str, sentence: str) -> None:
         """A pulse was not given in time. It stays an alarm until a person acknowledges it, or a restart."""
-        self._late[name] += 1
         log.error("%s: %s", name, sentence)
-        self._say(
-            "pulse",
-            f"{self._late.total()} pulses were not given in time; a part may have passed. The last one: {name}: "
-            f"{sentence}",
-        )
+        with self._lock:
+            self._late[name] += 1
+            self._say(
+                "pulse",
+                f"{self._late.total()} pulses were not given in time; a part may have passed. The last one: {name}: "
+                f"{sentence}",
+            )
 
     def start(self) -> None:
         """Outputs first: they are then in the state `starting` before anything can be asked for."""
@@ -165,9 +169,10 @@ class Outputs(PressStage):
             self._pulse(press)
 
     def acknowledge(self, alarm: str) -> None:
-        if alarm == "pulse" and self._late:
-            self._late.clear()
-            self._say("pulse", None)
+        with self._lock:
+            if alarm == "pulse" and self._late:
+                self._late.clear()
+                self._say("pulse", None)
 
     def acknowledge_all(self) -> None:
         """Take it that a person has seen the last verdict, and the pulses that were not given."""
