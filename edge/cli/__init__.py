@@ -71,7 +71,7 @@ _SECTIONS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "fit": "Learn a bundle from nominal presses.",
             "evaluate": "Score a bundle on a dataset: metrics and report.",
             "export": "Import trained backbones, or write graphs.",
-            "bundle": "Acquire, inspect, verify, sign or carry over a bundle.",
+            "bundle": "Acquire, inspect, verify, sign, carry over or teach a bundle.",
         },
         "Research": {"lab": "Simulate, study accuracy, and train: the laboratory."},
     }
@@ -93,6 +93,7 @@ _GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         "bundle": {
             "acquire": "Take nominal presses until they are enough, then fit.",
             "carry": "Carry a bundle over to a new gel of its sensor.",
+            "learn": "Learn from what people said at the station.",
             "inspect": "Show what a bundle contains, from its manifest.",
             "verify": "Check a bundle's files and its scores on this machine.",
             "sign": "Sign a bundle, so that a gateway can tell who made it.",

@@ -1,0 +1,160 @@
+"""What a bundle may learn from operation: archived presses of its part of which people said what they were.
+
+Parts that are good are learnt; parts that are damaged are kept apart, to show that the new bundle loses none of them.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from edge.clock import SystemClock
+from edge.core.errors import ArchiveError, FitError
+from edge.core.imaging.image_bytes import kind
+from edge.core.part_position import PartPosition
+from edge.core.person_verdict import PersonVerdict, settle
+from edge.core.press import Press
+from edge.features.black_box.replay import judge_again
+from edge.model.bundle import Bundle
+from edge.model.inspector import Inspector
+from edge.model.scorer import Scorer
+from edge.store.database import open_read_only
+from edge.store.person_verdicts import read_verdicts
+from edge.store.press_archive import ArchivedPress, ArchiveFolder
+
+__all__ = ["Comparison", "ConfirmedPresses", "compare", "read_confirmed", "write_pictures"]
+
+# A part that people call good, this far beyond the threshold, would widen the bank to what it should find: a picture of
+# it among the nominal presses says so on purpose.
+FARTHEST: Final = 2.0
+
+
+@dataclass(frozen=True)
+class ConfirmedPress:
+    """A press with what people said of it, and the camera's bytes."""
+
+    press: ArchivedPress
+    said: PersonVerdict
+    frame: bytes
+
+    def describe(self) -> str:
+        """Name it for a person: id, score, and who said what."""
+        score, threshold = self.press.score, self.press.threshold
+        ratio = f", {score / threshold:.2f} of the threshold" if score is not None and threshold else ""
+        what = " ".join(filter(None, (self.said.saying, self.said.kind)))
+        return f"{self.press.press_id} ({self.press.verdict}{ratio}; {self.said.person}: {what})"
+
+
+@dataclass
+class ConfirmedPresses:
+    """What people said of the presses of one part and position."""
+
+    good: list[ConfirmedPress] = field(default_factory=list)
+    damaged: list[ConfirmedPress] = field(default_factory=list)
+    words: Counter[str] = field(default_factory=Counter)
+    """How often each word holds."""
+    left_out: list[str] = field(default_factory=list)
+    """Presses that could have been used, with the reason why they are not."""
+
+    def add(self, one: ConfirmedPress) -> None:
+        """Sort it in."""
+        score, threshold = one.press.score, one.press.threshold
+        if one.said.saying == "damaged":
+            self.damaged.append(one)
+        elif score is None or not threshold:
+            self.left_out.append(f"{one.describe()} has no score")
+        elif score > FARTHEST * threshold:
+            self.left_out.append(
+                f"{one.describe()} lies beyond {FARTHEST:g} times the threshold; if such parts are good, give a "
+                "picture of it among the nominal presses"
+            )
+        else:
+            self.good.append(one)
+
+
+def read_confirmed(database: Path, part: PartPosition) -> ConfirmedPresses:
+    """Read them with their frames. Errors: StoreError."""
+    found, archive = ConfirmedPresses(), ArchiveFolder(database.with_suffix(".archive"))
+    with open_read_only(database, "reading what people said") as connection:
+        said = read_verdicts(connection)
+        rows = connection.execute(
+            "SELECT press_id, evidence FROM presses WHERE part = ? AND position = ? ORDER BY number", part
+        ).fetchall()
+    for press_id, evidence in rows:
+        verdict = settle(said.get(press_id, ()))
+        if verdict is None:
+            continue
+        found.words[verdict.saying] += 1
+        if verdict.saying not in ("good", "damaged"):
+            continue
+        try:
+            press = archive.press(press_id, evidence)
+            frame = archive.read(press.frame, f"the judged frame of press {press_id}")
+        except ArchiveError as error:
+            found.left_out.append(str(error))
+            continue
+        found.add(ConfirmedPress(press, verdict, frame))
+    return found
+
+
+def write_pictures(presses: Sequence[ConfirmedPress], folder: Path) -> None:
+    """Write the camera's bytes as pictures with the names of their presses."""
+    folder.mkdir()
+    for one in presses:
+        ending = "png" if kind(one.frame) == "png" else "jpg"
+        (folder / f"{one.press.press_id}.{ending}").write_bytes(one.frame)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How two bundles judge the presses that people spoke of."""
+
+    presses: ConfirmedPresses
+    before: Mapping[str, Press]
+    """By the id of the press, judged by the old bundle."""
+    after: Mapping[str, Press]
+
+    def count(self, presses: Sequence[ConfirmedPress], judged: Mapping[str, Press]) -> int:
+        """Count those that do not pass."""
+        return sum(judged[one.press.press_id].word != "pass" for one in presses)
+
+    def describe(self) -> str:
+        """Give both in one sentence."""
+        damaged, good = self.presses.damaged, self.presses.good
+        return (
+            f"of {len(damaged)} presses that people call damaged {self.count(damaged, self.before)} do not pass the "
+            f"old bundle and {self.count(damaged, self.after)} do not pass the new one; of {len(good)} that they call "
+            f"good {self.count(good, self.before)} and {self.count(good, self.after)}"
+        )
+
+    def check(self) -> None:
+        """Errors: FitError where the new bundle loses a known damage, or fails more good parts."""
+        lost = [
+            one.describe()
+            for one in self.presses.damaged
+            if self.before[one.press.press_id].word != "pass"
+            and self.after[one.press.press_id].word == "pass"
+        ]
+        if lost:
+            raise FitError(
+                f"the new bundle passes what the old one finds, and is not written: {'; '.join(lost)}. Look at these "
+                "presses: what was called good may be damaged too, or the other way round"
+            )
+        good = self.presses.good
+        if self.count(good, self.after) > self.count(good, self.before):
+            raise FitError(
+                f"the new bundle fails more of the presses that people call good, and is not written: {self.describe()}"
+            )
+
+
+def compare(old: Bundle, new: Bundle, presses: ConfirmedPresses, database: Path, threads: int) -> Comparison:
+    """Judge them by both, as a replay does. Errors: ArchiveError, BundleError."""
+    archive = ArchiveFolder(database.with_suffix(".archive"))
+
+    def judge(bundle: Bundle) -> dict[str, Press]:
+        inspector = Inspector(Scorer(bundle, threads), SystemClock())
+        both = [*presses.good, *presses.damaged]
+        return {one.press.press_id: judge_again(one.press, archive, inspector).now for one in both}
+
+    return Comparison(presses, judge(old), judge(new))

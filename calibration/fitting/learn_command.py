@@ -1,0 +1,123 @@
+"""`gelgate bundle learn`: a bundle, its nominal presses and what people said at the station in, a new bundle out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calibration.fitting.options import Alpha, GelId, NoContact, Output, Overwrite, Threads
+from edge.cli.arguments import flatten
+from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
+
+if TYPE_CHECKING:
+    from calibration.fitting.fit_config import FitConfig
+    from edge.model.bundle import Bundle
+
+__all__ = ["LearnArguments", "learn"]
+
+
+@dataclass(frozen=True)
+class LearnArguments:
+    """What the command line says."""
+
+    bundle: Annotated[Path, typer.Argument(help="The bundle in use.")]
+    sources: Annotated[
+        list[Path], typer.Argument(metavar="SOURCE...", help="Its nominal presses, as for `fit`.")
+    ]
+    output: Output
+    config: ConfigOption = CONFIG
+    database: DatabaseOption = None
+    alpha: Alpha = 0.05
+    no_contact: NoContact = None
+    gel: GelId = None
+    threads: Threads = 2
+    overwrite: Overwrite = False
+
+
+@flatten
+def learn(given: LearnArguments) -> None:
+    """Learn from what people said at the station.
+
+    Presses that people call good are learnt beside the nominal ones, with the detector and the backbone of the bundle.
+    The new bundle is not written where it passes a press that people call damaged and the old one finds, or fails more
+    good ones. Copy it in the place of the old one, keep that, and reload.
+    """
+    import tempfile
+
+    from calibration.fitting.command import count_presses, make, refuse_existing
+    from calibration.fitting.fit import Fitted, fit_files
+    from calibration.fitting.learn import compare, read_confirmed, write_pictures
+    from calibration.fitting.presses.nominal_presses import read_presses
+    from edge.cli.options import database_path
+    from edge.core.errors import FitError
+    from edge.core.part_position import PartPosition
+    from edge.model.bundle import Bundle
+
+    refuse_existing(given.output, given.overwrite)
+    old = Bundle.load(given.bundle)
+    manifest, database = old.manifest, database_path(given.config, given.database)
+    confirmed = read_confirmed(database, PartPosition(manifest.part, manifest.position))
+    for sentence in confirmed.left_out:
+        typer.echo(f"warning: not learnt: {sentence}", err=True)
+    words = ", ".join(f"{number} {word}" for word, number in sorted(confirmed.words.items())) or "nothing"
+    typer.echo(f"people said of {manifest.part}/{manifest.position}: {words}")
+    if not confirmed.good:
+        raise FitError(
+            f"no press of {manifest.part}/{manifest.position} that people call good can be learnt; say what presses "
+            "were, on the page or with `confirm_press`"
+        )
+    config = _configure_again(old, given)
+    with tempfile.TemporaryDirectory() as folder:
+        pictures = Path(folder) / "confirmed"
+        write_pictures(confirmed.good, pictures)
+        presses = read_presses(
+            [*given.sources, pictures], old.profile, old.region, no_contact=given.no_contact
+        )
+    typer.echo(f"{count_presses(len(presses))}, {len(confirmed.good)} of them from the station")
+
+    def fit_and_check(**how: object) -> Fitted:
+        fitted = fit_files(presses, config, **how)  # type: ignore[arg-type]
+        comparison = compare(old, fitted.bundle(), confirmed, database, given.threads)
+        typer.echo(comparison.describe())
+        comparison.check()
+        return fitted
+
+    make(fit_and_check, given.output, given.overwrite)
+
+
+def _configure_again(old: "Bundle", given: LearnArguments) -> "FitConfig":
+    """Make the configuration of a fit like that of the old bundle. Errors: FitError for a bundle of another origin."""
+    import json
+
+    from calibration.fitting.fit_config import FitConfig
+    from calibration.fitting.trunks import open_trunk
+    from edge import registry
+    from edge.core.errors import FitError
+
+    manifest = old.manifest
+    if manifest.backbone is None or manifest.mode is None:
+        raise FitError(f"bundle {old.where} is no bundle of `gelgate fit`, so it cannot be fitted again")
+    detector = registry.detector(manifest.method)
+    usual = json.loads(json.dumps(dict(vars(detector.parameters(manifest.mode)))))
+    overrides = {
+        name: value for name, value in manifest.parameters.items() if value != usual.get(name, value)
+    }
+    return FitConfig(
+        part=manifest.part,
+        position=manifest.position,
+        profile=old.profile,
+        region=old.region,
+        detector=detector,
+        trunk=open_trunk(
+            manifest.backbone.id, detector.taps(detector.parameters(manifest.mode, **overrides))
+        ),
+        mode=manifest.mode,
+        overrides=overrides,
+        alpha=given.alpha,
+        threads=given.threads,
+        register="auto",
+        augment="auto",
+        revision=(manifest.revision or 0) + 1,
+        gel_id=given.gel,
+    )

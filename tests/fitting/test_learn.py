@@ -1,0 +1,189 @@
+"""`gelgate bundle learn`: what people said at a station becomes a new bundle, or a sentence."""
+
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import cv2
+import pytest
+from command_line import Outcome, gelgate
+from station import Motion, press_recording, station_config
+from stepped_station import SteppedStation
+
+from edge import registry
+from edge.model.bundle import Bundle
+from edge.store.acts import CONFIRM, Act
+from edge.store.press_store import Store
+
+
+@pytest.fixture(autouse=True, scope="module")
+def other_package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """The tiny detector and backbone as another distribution installs its own."""
+    site = tmp_path_factory.mktemp("site")
+    info = site / "other_package-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other_package\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[gelgate.detectors]\ntiny = tiny:TINY\n[gelgate.backbones]\ntiny = tiny:TINY_BACKBONE\n"
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "path", [*sys.path, str(site)])
+        registry._points.cache_clear()
+        yield
+    registry._points.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def inspected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """A bundle of eight nominal presses, and a station that has judged six, the third and fifth one dented; the folder,
+    and the ids of its presses."""
+    folder = tmp_path_factory.mktemp("learn")
+    nominal = press_recording(folder / "nominal", 8, motion=Motion(hold=8, idle=20), seed=1)
+    made = gelgate(
+        "fit", nominal, "-o", folder / "old", "--part", "bolt", "--method", "tiny", "--backbone", "tiny",
+        "--set", "gain=2.0",
+    )  # fmt: skip
+    assert made.code == 0, made.err
+    presses = press_recording(folder / "presses", 6, dented=[2, 4], motion=Motion(hold=8, idle=34), seed=5)
+    with SteppedStation(station_config(folder, presses, folder / "old")) as station:
+        station.play_presses(6)
+        ids = [result.press_id for result in station.results]
+        assert station.verdicts == ["pass", "pass", "fail", "pass", "fail", "pass"]
+    return folder, ids
+
+
+@pytest.fixture
+def station(inspected: tuple[Path, list[str]], tmp_path: Path) -> tuple[Path, list[str]]:
+    """A copy, in which people may say something else."""
+    folder, ids = inspected
+    for path in folder.glob("gelgate.*"):
+        (shutil.copytree if path.is_dir() else shutil.copy)(path, tmp_path / path.name)
+    (tmp_path / "gelgate.toml").write_text(
+        (folder / "gelgate.toml")
+        .read_text()
+        .replace('path = "gelgate.db"', f'path = "{tmp_path}/gelgate.db"')
+    )
+    return tmp_path, ids
+
+
+def say(folder: Path, words: Mapping[str, str]) -> None:
+    with Store(folder / "gelgate.db") as store:
+        for press_id, word in words.items():
+            given = {"press_id": press_id, "verdict": word}
+            store.begin_act(Act(1, "kim, at the page", CONFIRM, None, given, outcome="done"), 0)
+
+
+def learn(inspected: tuple[Path, list[str]], folder: Path, *more: object) -> Outcome:
+    old, nominal = inspected[0] / "old", inspected[0] / "nominal"
+    return gelgate(
+        "bundle", "learn", old, nominal, "-o", folder / "new", "-c", folder / "gelgate.toml", *more
+    )
+
+
+def test_what_is_called_good_is_learnt_and_what_is_called_damaged_is_still_found(
+    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
+) -> None:
+    """With the parameters and the backbone of the old bundle, and the next revision; the old one is as it was."""
+    folder, ids = station
+    before = (inspected[0] / "old" / "manifest.json").read_bytes()
+    say(folder, {ids[0]: "good", ids[1]: "good", ids[2]: "damaged", ids[3]: "cannot_tell", ids[5]: "gel"})
+
+    done = learn(inspected, folder)
+
+    assert done.code == 0, done.err
+    assert "people said of bolt/default: 1 cannot_tell, 1 damaged, 1 gel, 2 good\n" in done.out
+    assert "10 nominal presses, 2 of them from the station\n" in done.out
+    assert (
+        "of 1 presses that people call damaged 1 do not pass the old bundle and 1 do not pass the new one; of 2 that "
+        "they call good 0 and 0\n" in done.out
+    )
+    manifest = Bundle.load(folder / "new").manifest
+    assert (manifest.revision, manifest.parameters["gain"], manifest.method) == (2, 2.0, "tiny")
+    assert {f"confirmed/{press_id}.jpg" for press_id in ids[:2]} <= set(manifest.provenance.presses)
+    assert (inspected[0] / "old" / "manifest.json").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ({}, "no press of bolt/default that people call good can be learnt"),
+        ({3: "cannot_tell", 5: "gel"}, "no press of bolt/default that people call good can be learnt"),
+    ],
+)
+def test_without_a_good_word_nothing_is_learnt(
+    inspected: tuple[Path, list[str]],
+    station: tuple[Path, list[str]],
+    words: Mapping[int, str],
+    sentence: str,
+) -> None:
+    folder, ids = station
+    say(folder, {ids[number]: word for number, word in words.items()})
+
+    done = learn(inspected, folder)
+
+    assert sentence in done.sentence()
+    assert not (folder / "new").exists()
+
+
+def test_a_damage_that_somebody_calls_good_is_left_out_and_named(
+    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it lies beyond the threshold by enough: what is learnt of it would hide the next one."""
+    folder, ids = station
+    monkeypatch.setattr("calibration.fitting.learn.FARTHEST", 1.1)  # the dents of this film score 1.25 of it
+    say(folder, {ids[0]: "good", ids[2]: "good", ids[4]: "damaged"})
+
+    done = learn(inspected, folder)
+
+    assert done.code == 0, done.err
+    assert f"warning: not learnt: {ids[2]} (fail, 1.2" in done.err
+    assert "lies beyond 1.1 times the threshold" in done.err
+    assert "9 nominal presses, 1 of them from the station" in done.out
+
+
+def test_a_bundle_that_loses_a_known_damage_is_not_written(
+    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
+) -> None:
+    """A faint dent is learnt as good, and another such dent would pass."""
+    folder, ids = station
+    say(folder, {ids[0]: "good", ids[2]: "good", ids[4]: "damaged"})
+
+    done = learn(inspected, folder)
+
+    assert f"passes what the old one finds, and is not written: {ids[4]} (fail, " in done.sentence()
+    assert not (folder / "new").exists()
+
+
+def test_a_press_that_is_gone_from_the_archive_is_named(
+    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
+) -> None:
+    """The others are learnt."""
+    folder, ids = station
+    (folder / "gelgate.archive" / "presses" / f"{ids[1]}.json").unlink()
+    say(folder, {ids[0]: "good", ids[1]: "good"})
+
+    done = learn(inspected, folder)
+
+    assert done.code == 0, done.err
+    assert f"press {ids[1]}" in done.err
+    assert "9 nominal presses, 1 of them from the station" in done.out
+
+
+def test_the_learnt_pictures_are_the_camera_s_bytes(
+    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
+) -> None:
+    """The picture that is learnt decodes to the frame that was judged."""
+    from calibration.fitting.learn import read_confirmed, write_pictures
+    from edge.core.part_position import PartPosition
+
+    folder, ids = station
+    say(folder, {ids[0]: "good"})
+    found = read_confirmed(folder / "gelgate.db", PartPosition("bolt", "default"))
+
+    write_pictures(found.good, folder / "confirmed")
+
+    (path,) = (folder / "confirmed").iterdir()
+    assert path.name == f"{ids[0]}.jpg"
+    assert path.read_bytes() == found.good[0].frame
+    assert cv2.imread(str(path)).shape == (240, 320, 3)
