@@ -5,6 +5,7 @@ Parts that are good are learnt; parts that are damaged are kept apart, to show t
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -24,6 +25,12 @@ from edge.store.person_verdicts import read_verdicts
 from edge.store.press_archive import ArchivedPress, ArchiveFolder
 
 __all__ = ["Comparison", "ConfirmedPresses", "compare", "read_confirmed", "write_pictures"]
+
+# Presses that change and are named.
+MOST_NAMED: Final = 8
+
+# Presses of which nobody spoke that both bundles judge: some ten seconds.
+MOST_OTHERS: Final = 200
 
 # A part that people call good, this far beyond the threshold, would widen the bank to what it should find: a picture of
 # it among the nominal presses says so on purpose.
@@ -56,6 +63,8 @@ class ConfirmedPresses:
     """How often each word holds."""
     left_out: list[str] = field(default_factory=list)
     """Presses that could have been used, with the reason why they are not."""
+    others: list[ArchivedPress] = field(default_factory=list)
+    """The newest archived presses of which nobody spoke."""
 
     def add(self, one: ConfirmedPress) -> None:
         """Sort it in."""
@@ -81,9 +90,12 @@ def read_confirmed(database: Path, part: PartPosition) -> ConfirmedPresses:
         rows = connection.execute(
             "SELECT press_id, evidence FROM presses WHERE part = ? AND position = ? ORDER BY number", part
         ).fetchall()
-    for press_id, evidence in rows:
+    for press_id, evidence in reversed(rows):
         verdict = settle(said.get(press_id, ()))
         if verdict is None:
+            with suppress(ArchiveError):  # the archive keeps the newest ones
+                if evidence is not None and len(found.others) < MOST_OTHERS:
+                    found.others.append(archive.press(press_id, evidence))
             continue
         found.words[verdict.saying] += 1
         if verdict.saying not in ("good", "damaged"):
@@ -128,6 +140,17 @@ class Comparison:
             f"good {self.count(good, self.before)} and {self.count(good, self.after)}"
         )
 
+    def changes(self) -> str:
+        """Say which of the presses of which nobody spoke get another verdict."""
+        others = [one.press_id for one in self.presses.others]
+        known = self.before.keys() & self.after.keys()
+        both = [(key, self.before[key].word, self.after[key].word) for key in others if key in known]
+        changed = [f"{key} {before} to {after}" for key, before, after in both if before != after]
+        named = "; ".join(changed[:MOST_NAMED]) + (" and others" if len(changed) > MOST_NAMED else "")
+        return f"{len(changed)} of {len(both)} other archived presses change" + (
+            f": {named}" if changed else ""
+        )
+
     def check(self) -> None:
         """Errors: FitError where the new bundle loses a known damage, or fails more good parts."""
         lost = [
@@ -153,8 +176,12 @@ def compare(old: Bundle, new: Bundle, presses: ConfirmedPresses, database: Path,
     archive = ArchiveFolder(database.with_suffix(".archive"))
 
     def judge(bundle: Bundle) -> dict[str, Press]:
-        inspector = Inspector(Scorer(bundle, threads), SystemClock())
-        both = [*presses.good, *presses.damaged]
-        return {one.press.press_id: judge_again(one.press, archive, inspector).now for one in both}
+        inspector, judged = Inspector(Scorer(bundle, threads), SystemClock()), dict[str, Press]()
+        for one in (*presses.good, *presses.damaged):
+            judged[one.press.press_id] = judge_again(one.press, archive, inspector).now.drop_pictures()
+        for press in presses.others:
+            with suppress(ArchiveError):  # a running station removes the oldest ones meanwhile
+                judged[press.press_id] = judge_again(press, archive, inspector).now.drop_pictures()
+        return judged
 
     return Comparison(presses, judge(old), judge(new))

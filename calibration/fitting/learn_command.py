@@ -79,7 +79,7 @@ def learn(given: LearnArguments) -> None:
     def fit_and_check(**how: object) -> Fitted:
         fitted = fit_files(presses, config, **how)  # type: ignore[arg-type]
         comparison = compare(old, fitted.bundle(), confirmed, database, given.threads)
-        typer.echo(comparison.describe())
+        typer.echo(f"{comparison.describe()}; {comparison.changes()}")
         comparison.check()
         return fitted
 

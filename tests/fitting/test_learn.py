@@ -96,7 +96,7 @@ def test_what_is_called_good_is_learnt_and_what_is_called_damaged_is_still_found
     assert "10 nominal presses, 2 of them from the station\n" in done.out
     assert (
         "of 1 presses that people call damaged 1 do not pass the old bundle and 1 do not pass the new one; of 2 that "
-        "they call good 0 and 0\n" in done.out
+        "they call good 0 and 0; 0 of 1 other archived presses change\n" in done.out
     )
     manifest = Bundle.load(folder / "new").manifest
     assert (manifest.revision, manifest.parameters["gain"], manifest.method) == (2, 2.0, "tiny")
@@ -140,6 +140,19 @@ def test_a_damage_that_somebody_calls_good_is_left_out_and_named(
     assert f"warning: not learnt: {ids[2]} (fail, 1.2" in done.err
     assert "lies beyond 1.1 times the threshold" in done.err
     assert "9 nominal presses, 1 of them from the station" in done.out
+
+
+def test_presses_that_get_another_verdict_are_named(
+    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
+) -> None:
+    """The other dent, of which nobody spoke, would pass."""
+    folder, ids = station
+    say(folder, {ids[2]: "good"})
+
+    done = learn(inspected, folder)
+
+    assert done.code == 0, done.err
+    assert f"1 of 5 other archived presses change: {ids[4]} fail to pass\n" in done.out
 
 
 def test_a_bundle_that_loses_a_known_damage_is_not_written(
