@@ -1,55 +1,101 @@
-"""A gateway that is killed between any two writes of a press, and started again."""
+"""A gateway that is killed between any two writes of a press, and started again.
+
+A kill leaves the files as they are: before each write of a first life, to the database or to the file sink, they are
+copied, and a second life goes on with the copy. tests/support/soak.py kills processes.
+"""
 
 import json
-import multiprocessing
+import shutil
+import sqlite3
 from collections import defaultdict
-from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-import killed_gateway
-from station import Motion, press_recording, station_config
+import pytest
+from station import JSONL, Motion, press_recording, station_config
+from stepped_station import SteppedStation
 
 from edge.store.history import HistoryQuery, read_history
 from edge.store.press_store import Store
 
-# Every process is forked from one that has done the imports: they cost more than a press.
-PROCESSES = multiprocessing.get_context("forkserver")
-PROCESSES.set_forkserver_preload(["killed_gateway"])
+WRITES = ("INSERT", "UPDATE", "DELETE", "COMMIT")
+# The acknowledgements of the later messages are like those of the first.
+KILLS = 24
 
 
-def live(config: Path, deadly: int) -> tuple[int | None, int]:
-    """Let one process live; return its exit code, and how many presses are recorded since the first life."""
-    process = PROCESSES.Process(target=killed_gateway.main, args=(config, deadly))
-    process.start()
-    process.join(300)
-    with Store(config.parent / "gelgate.db") as store:
-        return process.exitcode, len(list(read_history(store.path, HistoryQuery())))
+class Kills:
+    """Copies the files of a station before each write once something has pressed; SQL triggers count as one with it.
+
+    The shared memory of the journal is none of them: SQLite makes it again where no other process has the file.
+    """
+
+    def __init__(self, station: Path, copies: Path) -> None:
+        self.is_armed = False
+        self.folders: list[Path] = []
+        self._station, self._copies, self._last = station, copies, ""
+        self._connect, self._open = sqlite3.connect, Path.open
+
+    def open(self, path: Path, *arguments: Any, **options: Any) -> Any:
+        if path.name == "messages.jsonl":
+            self.copy()
+        return self._open(path, *arguments, **options)
+
+    def connect(self, *arguments: object, **options: object) -> sqlite3.Connection:
+        connection: sqlite3.Connection = self._connect(*arguments, **options)  # type: ignore[call-overload]
+        connection.set_trace_callback(self.see)
+        return connection
+
+    def see(self, sql: str) -> None:
+        if self.is_armed and sql != self._last and sql.lstrip().upper().startswith(WRITES):
+            self._last = sql
+            self.copy()
+
+    def copy(self) -> None:
+        if self.is_armed and len(self.folders) < KILLS:
+            folder = self._copies / f"{len(self.folders):02d}"
+            shutil.copytree(self._station, folder, ignore=shutil.ignore_patterns("*-shm"))
+            self.folders.append(folder)
 
 
-def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(tmp_path: Path, bundle: Path) -> None:
-    """Killed at each of its writes in turn, then left to finish: no press is lost, doubled or counted twice."""
+def live(config: Path, kills: Kills | None = None) -> None:
+    """Play the recording to its end, and publish."""
+    with SteppedStation(config) as station:
+        while not station.has_ended:
+            station.play(1)
+            if kills is not None and station.loop.is_pressed:
+                kills.is_armed = True
+            station.publish()
+
+
+def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(
+    tmp_path: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed before each of its writes in turn: no press is lost, doubled or counted twice."""
     recording = press_recording(tmp_path / "presses", 1, motion=Motion(free=28, hold=8, idle=2))
-    config = station_config(tmp_path / "station", recording, bundle)
-    assert live(config, 0) == (0, 1)
-    # The acknowledgements of the later messages are like those of the first.
-    writes = min(int((config.parent / "writes").read_text()), 19)
-    assert writes >= 10
-    # A run that lives has made fewer writes than the one that they were counted in: rows of the first life are settled.
-    ends = [(0, 1), *(live(config, write) for write in range(1, writes + 1)), live(config, 0)]
 
-    seen: dict[str, set[str]] = defaultdict(set)
-    for line in map(json.loads, (config.parent / "out/messages.jsonl").read_text().splitlines()):
-        if line["topic"] == "result":
-            content = line["payload"] | {"is_replayed": None}
-            seen[content["press_id"]].add(json.dumps(content))
-    with Store(config.parent / "gelgate.db") as store:
-        assert set(seen) == {press.press_id for press in read_history(store.path, HistoryQuery())}
-        assert sum(gel.presses for gel in store.gels()) == len(seen)
-    assert all(len(contents) == 1 for contents in seen.values())
-    codes, recorded = zip(*ends, strict=True)
-    assert set(codes) == {0, killed_gateway.KILLED}
-    assert codes.count(killed_gateway.KILLED) >= writes - 4
-    assert codes[-1] == 0
-    assert {later - earlier for earlier, later in pairwise(recorded)} == {0, 1}, (
-        "killed before its row, and after"
-    )
+    def config(folder: Path) -> Path:
+        return station_config(folder, recording, bundle, sinks=f'{JSONL % (folder / "out")}\nname = "line"')
+
+    first = config(tmp_path / "station")
+    kills = Kills(first.parent, tmp_path / "killed")
+    with monkeypatch.context() as patched:
+        patched.setattr(sqlite3, "connect", kills.connect)
+        patched.setattr(Path, "open", lambda path, *given, **options: kills.open(path, *given, **options))
+        live(first, kills)
+    assert len(kills.folders) == KILLS
+
+    recorded = []
+    for folder in kills.folders:
+        live(config(folder))
+        seen: dict[str, set[str]] = defaultdict(set)
+        for line in map(json.loads, (folder / "out/messages.jsonl").read_text().splitlines()):
+            if line["topic"] == "result":
+                content = line["payload"] | {"is_replayed": None}
+                seen[content["press_id"]].add(json.dumps(content))
+        with Store(folder / "gelgate.db") as store:
+            assert set(seen) == {press.press_id for press in read_history(store.path, HistoryQuery())}
+            assert sum(gel.presses for gel in store.gels()) == len(seen)
+        assert all(len(contents) == 1 for contents in seen.values())
+        recorded.append(len(seen))
+    assert recorded == sorted(recorded)
+    assert set(recorded) == {1, 2}, "killed before its row, and after"
