@@ -135,8 +135,8 @@ class Mounted:
 class PressStage:
     """One concern of a press. Each method does nothing here: a stage has those that it needs. The loop alone calls it.
 
-    The calls of a press come in this order: `begin`, `admit`, the score, `judge`, `keep`, `fields` and `table`,
-    `record`. The others are about what is mounted, what is seen, and time.
+    The calls of a press come in this order: `begin`, `expect` for each frame that is scored ahead, `admit`, the score,
+    `judge`, `keep`, `fields` and `table`, `record`. The others are about what is mounted, what is seen, and time.
     """
 
     commands: ClassVar[Sequence[Command[Any, Any]]] = ()
@@ -186,6 +186,9 @@ class PressStage:
     def begin(self, label: PressLabel | None) -> PressLabel | None:
         """Return what the press that begins is for, None for a part; `label` is the word of the stages before."""
         return label
+
+    def expect(self, frame: CameraFrame) -> None:
+        """Take the frame that the present press will most likely be judged by: what takes long may be done now."""
 
     def admit(self, press: Press) -> Press:
         """Return the press before its score, rejected where it may not be judged."""

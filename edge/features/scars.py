@@ -62,7 +62,8 @@ class ScarWatch(PressStage):
         return cls(GelFiles(folder), parts.alarms, is_masking=is_masking, most_blind_share=share)
 
     def mount(self, gel: GelRecord) -> None:
-        """Read the record of this gel; an unknown gel has none."""
+        """Read the record of this gel, and keep that of the one before; an unknown gel has none."""
+        self._save()
         self._serial, self._gel_id = gel.serial, gel.gel_id
         self._read()
 
@@ -103,8 +104,15 @@ class ScarWatch(PressStage):
             return press
         judged = self._judge(press, inspector, found)
         self._say()
-        self._save()
         return judged
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        """Keep the record of the scars where it is due: a result does not wait for a file. Never raises."""
+        self._save()
+
+    def close(self) -> None:
+        """Keep what a press that the store refused has added. Never raises."""
+        self._save()
 
     def fields(self, press: Press) -> Mapping[str, Any]:
         scars, blame = press.scars, press.blame
@@ -137,7 +145,6 @@ class ScarWatch(PressStage):
         return mask_scars(inspection, self._findings(inspection, judged), inspector.bundle)
 
     def _save(self) -> None:
-        """Keep the record where it is due. Never raises."""
         if self._unsaved >= _KEPT_EVERY and self._scars.record.planes.any():
             self._folder.save(self._serial, self._gel_id, "scars", self._scars.record.planes)
             self._unsaved = 0

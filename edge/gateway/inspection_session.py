@@ -228,6 +228,8 @@ class InspectionSession:
         probable = self._detector.probable
         if probable is not None and self.inspector.examine_ahead(*probable):
             self._ahead_ns = newest.timestamp_ns
+            for stage in self._stages:
+                stage.expect(probable[0])
 
     def _score(self, press: Press, settled: PressSettled, started_ns: int) -> Press:
         frame, findings = settled.frame, settled.findings

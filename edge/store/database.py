@@ -274,9 +274,11 @@ class RunningTime:
 
     def store(self, connection: sqlite3.Connection) -> int:
         """Store the running time, and return it in nanoseconds."""
-        now_ns = self.now_ns(connection)
-        connection.execute("UPDATE running SET running_ns = ?", (now_ns,))
-        return now_ns
+        if self._before_ns is None:
+            self._before_ns = self._read_stored(connection)
+        now_ns = self._before_ns + self._monotonic_ns() - self._opened_ns
+        query = "UPDATE running SET running_ns = max(running_ns, ?) RETURNING running_ns"
+        return int(connection.execute(query, (now_ns,)).fetchone()[0])
 
     def store_sometimes(self, connection: sqlite3.Connection) -> None:
         """Keep it if that was not done for ten minutes."""

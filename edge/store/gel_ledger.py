@@ -5,13 +5,13 @@ as history.
 """
 
 import sqlite3
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from edge.core.errors import StoreError
-from edge.core.gel_life import GelState, state_of
+from edge.core.gel_life import DEFAULT_WARN_FRACTION, GelState, state_of
 from edge.store import ledger_chain
 
-__all__ = ["GelRecord", "count_press", "find_mounted", "history", "mount", "set_wear"]
+__all__ = ["GelRecord", "count_press", "find_mounted", "history", "mount"]
 
 _COLUMNS = (
     "serial, gel_id, presses, limit_presses, installed_ns, first_use_ns, last_use_ns, removed_ns, wear_index, "
@@ -61,10 +61,13 @@ def find_mounted(connection: sqlite3.Connection, serial: str, warn_fraction: flo
     row = connection.execute(
         f"SELECT {_COLUMNS} FROM gels WHERE serial = ? AND removed_ns IS NULL", (serial,)
     ).fetchone()
-    gel = None if row is None else _record(row, warn_fraction)
-    if gel is not None and not gel.can_be:
+    return None if row is None else _refuse_impossible(_record(row, warn_fraction))
+
+
+def _refuse_impossible(gel: GelRecord) -> GelRecord:
+    if not gel.can_be:
         raise StoreError(
-            f"gel {gel.gel_id} of sensor {serial} has {gel.presses} of {gel.limit_presses} presses in the ledger, "
+            f"gel {gel.gel_id} of sensor {gel.serial} has {gel.presses} of {gel.limit_presses} presses in the ledger, "
             "which no gelgate writes; mount a new gel with `gelgate gel replace`, or bring back a copy of the database"
         )
     return gel
@@ -110,20 +113,30 @@ def mount(
     ledger_chain.append_gels(connection, serial)
 
 
-def count_press(connection: sqlite3.Connection, serial: str, time_ns: int, presses: int = 1) -> None:
-    """More presses on the mounted gel. The last use never becomes earlier, also when the clock is set back."""
-    connection.execute(
+def count_press(
+    connection: sqlite3.Connection,
+    serial: str,
+    time_ns: int,
+    presses: int = 1,
+    wear_index: float | None = None,
+    warn_fraction: float = DEFAULT_WARN_FRACTION,
+) -> GelRecord | None:
+    """Count more presses on the mounted gel, and return it; None for an unknown sensor.
+
+    wear_index: its optical wear, None where it was not measured. The last use never becomes earlier, also when the
+    clock is set back. Errors: StoreError for an impossible count.
+    """
+    row = connection.execute(
         "UPDATE gels SET presses = presses + :presses, first_use_ns = coalesce(first_use_ns, :t), "
-        "last_use_ns = max(coalesce(last_use_ns, :t), :t) WHERE serial = :serial AND removed_ns IS NULL",
-        {"t": time_ns, "serial": serial, "presses": presses},
-    )
-
-
-def set_wear(connection: sqlite3.Connection, serial: str, wear_index: float) -> None:
-    """Store the optical wear of the mounted gel."""
-    connection.execute(
-        "UPDATE gels SET wear_index = ? WHERE serial = ? AND removed_ns IS NULL", (wear_index, serial)
-    )
+        "last_use_ns = max(coalesce(last_use_ns, :t), :t), wear_index = coalesce(:wear, wear_index) "
+        f"WHERE serial = :serial AND removed_ns IS NULL RETURNING {_COLUMNS}",
+        {"t": time_ns, "serial": serial, "presses": presses, "wear": wear_index},
+    ).fetchone()
+    if row is None:
+        return None
+    gel = _record(row, warn_fraction)
+    _refuse_impossible(replace(gel, presses=gel.presses - presses))
+    return gel
 
 
 def _record(row: tuple[object, ...], warn_fraction: float) -> GelRecord:

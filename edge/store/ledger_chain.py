@@ -201,9 +201,11 @@ def _plain(value: object) -> object:
 
 def _newest(connection: sqlite3.Connection) -> tuple[str, int, bytes]:
     """(ledger id, number, hash) of the newest link, or of the one that the chain starts after."""
-    ledger_id, number, made = connection.execute("SELECT ledger_id, link, hash FROM ledger_start").fetchone()
-    newest = connection.execute("SELECT link, hash FROM ledger_chain ORDER BY link DESC LIMIT 1").fetchone()
-    return (ledger_id, *newest) if newest else (ledger_id, number, made)
+    ledger_id, number, made = connection.execute(
+        "SELECT ledger_id, coalesce(newest.link, begun.link), coalesce(newest.hash, begun.hash) FROM ledger_start "
+        "AS begun LEFT JOIN (SELECT link, hash FROM ledger_chain ORDER BY link DESC LIMIT 1) AS newest"
+    ).fetchone()
+    return ledger_id, number, made
 
 
 def _is_hex(text: str, digits: int) -> bool:

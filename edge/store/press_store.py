@@ -73,8 +73,7 @@ class PressRecord:
             raise ValueError(f"a press has a sensor and a part, found {self.serial!r} and {self.part!r}")
 
 
-# Rows kept in the press history; about 350 bytes each with their links, so 350 MB. The ledger's counts do not depend on
-# them.
+# Rows of the press history: 350 bytes each with their links, so 350 MB. The ledger's counts do not need them.
 KEPT_PRESSES: Final = 1_000_000
 
 
@@ -83,20 +82,18 @@ class History:
 
     name = "presses"
 
-    def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
+    def insert(
+        self, connection: sqlite3.Connection, press: PressRecord, gel: GelRecord, running_ns: int
+    ) -> int:
         """Add the press to the history and return its number, which SQLite's AUTOINCREMENT never uses twice."""
-        query = "SELECT presses FROM gels WHERE serial = ? AND removed_ns IS NULL"
-        (gel_presses,) = connection.execute(query, (press.serial,)).fetchone()
-        row = {**vars(press), "gel_id": gel_id, "running_ns": running_ns, "gel_presses": gel_presses}
-        del row["wear_index"]  # of the gel
-        return insert(connection, "presses", row)
+        row = {**vars(press), "gel_id": gel.gel_id, "running_ns": running_ns, "gel_presses": gel.presses}
+        return insert(connection, "presses", {name: row[name] for name in row if name != "wear_index"})
 
 
 def find_number(connection: sqlite3.Connection, table: str, press: PressRecord) -> int | None:
     """Find the number of a press that is recorded already. Errors: StoreError when the id is another press's."""
-    row = connection.execute(
-        f"SELECT number, serial, time_ns, verdict, score FROM {table} WHERE press_id = ?", (press.press_id,)
-    ).fetchone()
+    query = f"SELECT number, serial, time_ns, verdict, score FROM {table} WHERE press_id = ?"
+    row = connection.execute(query, (press.press_id,)).fetchone()
     if row is None:
         return None
     if row[1:] != (press.serial, press.time_ns, press.verdict, press.score):
@@ -130,14 +127,13 @@ class Recorded:
 
 
 class PressTable(Protocol):
-    """Where presses of one kind are kept. Each has at least the columns `number`, `press_id`, `serial`, `time_ns`,
-    `verdict` and `score`."""
+    """Where presses of one kind are kept; `number`, `press_id`, `serial`, `time_ns`, `verdict`, `score` it has."""
 
     @property
     def name(self) -> str: ...
 
     def insert(
-        self, connection: sqlite3.Connection, press: "PressRecord", gel_id: str, running_ns: int
+        self, connection: sqlite3.Connection, press: "PressRecord", gel: GelRecord, running_ns: int
     ) -> int:
         """Add it inside the caller's transaction, and return its number, which is never used twice."""
 
@@ -202,20 +198,16 @@ class Store:
             if known is not None:
                 gel = self._require_mounted(connection, press.serial)
                 return Recorded(gel, known, ledger_chain.head(connection))
-            self._mount_first(connection, press.serial, press.time_ns)
-            if press.wear_index is not None:
-                ledger.set_wear(connection, press.serial, press.wear_index)
-            ledger.count_press(connection, press.serial, press.time_ns)
-            gel = self._require_mounted(connection, press.serial)
+            gel = self._count(connection, press)
             running_ns = self._running.store(connection)
-            number = table.insert(connection, press, gel.gel_id, running_ns)
+            number = table.insert(connection, press, gel, running_ns)
             recorded = Recorded(gel, number, ledger_chain.append(connection, KIND_OF[table.name], number))
             cut_history(connection)
             outbox.put(connection, make_messages(recorded), press.verdict, press.time_ns, running_ns)
             outbox.enforce(connection, self._bounds, running_ns)
             if owes_picture:
                 outbox.owe_picture(connection, press.press_id, press.verdict, press.time_ns)
-            self._newest = _newest_number(connection)
+            self._newest = number if into is None else _newest_number(connection)
         if not owes_count:
             self.keep_count(gel)
         return recorded
@@ -383,6 +375,14 @@ class Store:
         self.findings += [f"database {self.path}: {sentence}" for sentence in sentences]
         self._compared.add(serial)
 
+    def _count(self, connection: sqlite3.Connection, press: PressRecord) -> GelRecord:
+        """Count a press on the mounted gel, the first one of an unknown sensor, and return it."""
+        one = (press.serial, press.time_ns, 1, press.wear_index, self._warn_fraction)
+        if (gel := ledger.count_press(connection, *one)) is not None:
+            return gel
+        self._mount_first(connection, press.serial, press.time_ns)
+        return self._count(connection, press)
+
     def _mount_first(self, connection: sqlite3.Connection, serial: str, time_ns: int) -> None:
         if ledger.find_mounted(connection, serial, self._warn_fraction) is None:
             ledger.mount(connection, serial, None, self._limit_presses, "first seen", time_ns)
@@ -396,5 +396,5 @@ class Store:
 
 def _newest_number(connection: sqlite3.Connection) -> int:
     """The number of the newest press that this database ever had."""
-    row = connection.execute("SELECT seq FROM sqlite_sequence WHERE name = 'presses'").fetchone()
-    return 0 if row is None else int(row[0])
+    query = "SELECT coalesce(max(seq), 0) FROM sqlite_sequence WHERE name = 'presses'"
+    return int(connection.execute(query).fetchone()[0])

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 from edge.core.reference_press.charts import ReferencePress
 from edge.core.reference_press.outcome import Imprint
 from edge.store.database import insert, open_read_only
+from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord, Store
 
 __all__ = [
@@ -72,7 +73,9 @@ class ReferenceTable:
         self._key = key
         self._press = press
 
-    def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
+    def insert(
+        self, connection: sqlite3.Connection, press: PressRecord, gel: GelRecord, running_ns: int
+    ) -> int:
         reference = self._press
         own = ("bundle_id", "expected", "verdict", "reason", "score", "threshold")
         row = {
@@ -82,7 +85,7 @@ class ReferenceTable:
             "press_id": press.press_id,
             "time_ns": press.time_ns,
             "running_ns": running_ns,
-            "gel_id": gel_id,
+            "gel_id": gel.gel_id,
             "is_start": int(reference.is_start),
         }
         number = insert(connection, "reference_presses", row)

@@ -11,6 +11,7 @@ from typing import ClassVar, Final
 from edge.core.press import StudyLabel
 from edge.store import ledger_chain
 from edge.store.database import insert, open_read_only
+from edge.store.gel_ledger import GelRecord
 from edge.store.press_store import PressRecord
 
 __all__ = ["StudyPress", "StudyTable", "begin_study", "of_study", "read_study", "studies", "void"]
@@ -57,8 +58,10 @@ class StudyTable:
     name: ClassVar = "study_presses"
     has_picture: ClassVar = False
 
-    def insert(self, connection: sqlite3.Connection, press: PressRecord, gel_id: str, running_ns: int) -> int:
-        row = {"gel_id": gel_id, "running_ns": running_ns, "position": press.position or ""}
+    def insert(
+        self, connection: sqlite3.Connection, press: PressRecord, gel: GelRecord, running_ns: int
+    ) -> int:
+        row = {"gel_id": gel.gel_id, "running_ns": running_ns, "position": press.position or ""}
         row |= {**vars(self.label), "bundle_id": self.bundle_id, "reason": self.reason}
         names = ("press_id", "time_ns", "serial", "part", "verdict", "score", "threshold")
         return insert(connection, "study_presses", {**row, **{name: getattr(press, name) for name in names}})

@@ -89,12 +89,9 @@ class GelScars:
             open_places = press.in_view(beyond.astype(np.float32)) > 0
             blames, scars = self._blame_places(press, excess, open_places, self._marks(free, left))
         self.record = self.record.after(excess > 0, shown, scars, press.place_mm)
-        contact = press.in_map(np.ones_like(before) if press.contact is None else press.contact)
-        blind = scarred & contact
         return Judged(
             masked,
-            press.area_mm2(blind),
-            int(np.count_nonzero(blind)) / max(1, int(np.count_nonzero(contact))),
+            *_blind(press, scarred),
             together(blames),
             bool((self.record.masked & ~before).any()),
             self._find_repeated(press, np.where(before, np.float32(0), excess), shown, outside),
@@ -102,6 +99,9 @@ class GelScars:
 
     def _find_repeated(self, press: ScoredPress, excess: F32, shown: Mask, outside: Mask) -> Repeated | None:
         """Find the place that exceeded in the most presses in a row."""
+        if not excess.any():
+            self._in_a_row[shown] = 0
+            return None
         near = _within(excess > 0, _HALO_PX)
         self._in_a_row = np.where(near, self._in_a_row + 1, np.where(shown, 0, self._in_a_row))
         most = int(self._in_a_row.max())
@@ -161,6 +161,15 @@ def _outside(press: ScoredPress, excess: F32) -> tuple[Mask, Mask]:
     met = is_met[labels] & above
     outside = above & ~met
     return outside, _within(outside, _HALO_PX) & ~met & ~press.reach
+
+
+def _blind(press: ScoredPress, scarred: Mask) -> tuple[float, float]:
+    """Measure how much of the contact lies under scars: in mm2, and as a share."""
+    if not scarred.any():
+        return 0.0, 0.0
+    contact = np.ones_like(scarred) if press.contact is None else press.in_map(press.contact)
+    blind = scarred & contact
+    return press.area_mm2(blind), int(np.count_nonzero(blind)) / max(1, int(np.count_nonzero(contact)))
 
 
 def _lefts(press: ScoredPress, judged: list[F32], known: Marks | None) -> list[float | None]:

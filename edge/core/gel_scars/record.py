@@ -50,7 +50,7 @@ class ScarRecord:
     def __post_init__(self) -> None:
         if self.planes.ndim != 3 or len(self.planes) != PLANES or self.planes.dtype != np.float32:
             raise ValueError(f"a record is float32 (7, h, w), found {self.planes.dtype} {self.planes.shape}")
-        if not np.isfinite(self.planes).all() or self.planes[[_HITS, _QUIET, _MASK, _PLACED]].min() < 0:
+        if not np.isfinite(self.planes).all() or self.planes[: _PLACED + 1].min() < 0:
             raise ValueError("a record has finite values, and numbers of presses of 0 or more")
 
     @classmethod

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from edge.core.contact.reference import View
+from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Reason
 from edge.core.press import Press
 from edge.model.inspector import Inspector
@@ -27,6 +28,7 @@ class BlackBox(PressStage):
         self._serial = ""
         self._machine: tuple[str, bytes] | None = None
         self._reference: tuple[View, tuple[str, bytes]] | None = None
+        self._frame: tuple[str, bytes] = "", b""
         self._unwritten: tuple[ArchivedPress, dict[str, bytes]] | None = None
 
     @classmethod
@@ -44,6 +46,10 @@ class BlackBox(PressStage):
         if self._machine is None:
             self._machine = _name_by_hash(fingerprint_bytes(fingerprint(self._threads)))
 
+    def expect(self, frame: CameraFrame) -> None:
+        """Hash its bytes ahead."""
+        self._frame = _name_by_hash(frame.payload)
+
     def keep(self, press: Press, inspector: Inspector) -> Press:
         """Return it with the SHA-256 of its record, which is written when the press is in the database; as it was
         without a judged frame, and where it cannot be kept."""
@@ -53,7 +59,9 @@ class BlackBox(PressStage):
         if judged is None or press.label is not None or inspector.fault is not None or is_late:
             return press
         assert self._machine is not None
-        frame, machine = _name_by_hash(judged.frame.payload), self._machine
+        if self._frame[1] is not judged.frame.payload:
+            self._frame = _name_by_hash(judged.frame.payload)
+        frame, machine = self._frame, self._machine
         reference = None if judged.reference is None else self._reference_now(judged.reference)
         score_map = None if press.score_map is None else _name_by_hash(map_bytes(press.score_map))
         scars, again, manifest = press.scars, press.again, inspector.bundle.manifest
@@ -87,6 +95,7 @@ class BlackBox(PressStage):
         kept = (frame, machine, reference, score_map, masked)
         self._write()  # the press before, which the store has not taken yet
         self._unwritten = record, dict(one for one in kept if one is not None)
+        self._frame = "", b""
         # After a fault the archive comes first: no press then names a record that is not there.
         is_sound = self._archive.fault is None and self._archive.why_not() is None
         return replace(press, evidence=record.sha256() if is_sound else self._write())

@@ -34,8 +34,7 @@ BUGS = (
         "edge/store/press_store.py",
         '        with self._database.writing(f"recording press {press.press_id}") as connection:\n',
         '        with self._database.writing("counting") as connection:\n'
-        "            self._mount_first(connection, press.serial, press.time_ns)\n"
-        "            ledger.count_press(connection, press.serial, press.time_ns)\n"
+        "            self._count(connection, press)\n"
         '        with self._database.writing(f"recording press {press.press_id}") as connection:\n'
         "            ledger.count_press(connection, press.serial, press.time_ns, -1)\n",
         "presses, and",
