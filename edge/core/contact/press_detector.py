@@ -5,6 +5,7 @@ out broken and repeated frames, and detects interruptions by the frames' own tim
 contact detection needs, and keeps the few frames that may still be chosen.
 """
 
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Final, final
 
@@ -13,6 +14,7 @@ from edge.core.contact.mask import Touch
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.sight import Sight
+from edge.core.contact.signals import IDLE
 from edge.core.contact.table import State
 from edge.core.contact.tracker import ContactTracker
 from edge.core.errors import FrameCorrupt
@@ -25,6 +27,41 @@ __all__ = ["Look", "PressDetector"]
 
 # Frames further apart than this are an interruption: five frames at the 18.75 fps that the sensor delivers.
 GAP_S: Final = 0.27
+
+# A held press whose compressed picture differs from the free gel's by less than this share, or by less than this many
+# times what the free gel's own sizes vary by, is looked at in every frame. So is one whose size has come this part of
+# the way back: the picture of a lifted part has the size of the free gel's.
+_TELLING_SHARE: Final = 0.01
+_TELLING_TIMES: Final = 4
+_BACK_SHARE: Final = 0.25
+_FREE_SIZES: Final = 8
+
+
+@final
+class HeldPress:
+    """Says which frames need not be decoded while a press that has its verdict is held: those whose compressed size is
+    still that of the press, as far as the size tells it from the free gel's."""
+
+    def __init__(self) -> None:
+        self._free: deque[int] = deque(maxlen=_FREE_SIZES)
+        self._held: int | None = None
+        self._room = 0.0
+
+    def look(self, state: State, size: int, *, is_settled: bool) -> None:
+        """Take a frame that was decoded, with the state after it. is_settled: the press got its verdict with it."""
+        if state in IDLE:
+            self._free.append(size)
+        if state is not State.CONTACT:
+            self._held = None
+        elif is_settled and self._free:
+            low, high = min(self._free), max(self._free)
+            apart = max(low - size, size - high, 0)
+            is_telling = apart >= max(_TELLING_SHARE * low, _TELLING_TIMES * (high - low))
+            self._held, self._room = (size, _BACK_SHARE * apart) if is_telling else (None, 0.0)
+
+    def is_as_before(self, size: int) -> bool:
+        """Tell whether the part is still pressed by the size of a frame; False where the size does not tell it."""
+        return self._held is not None and abs(size - self._held) < self._room
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +104,7 @@ class PressDetector:
         self._last_ns: int | None = None
         self.newest: CameraFrame | None = None
         self._kept: dict[int, CameraFrame] = {}
+        self._held = HeldPress()
 
     def feed(self, frame: CameraFrame) -> Look:
         """Take one frame. One that cannot be read, or is blind, is counted in `corrupt` and changes nothing."""
@@ -88,7 +126,8 @@ class PressDetector:
         if not self._is_sound(frame) or not self._is_new(frame):
             return [], None
         events = self._interrupted_before(frame)
-        if not self.tracker.is_due(frame.timestamp_ns):
+        is_held = self._held.is_as_before(len(frame.payload))
+        if not self.tracker.is_due(frame.timestamp_ns, is_held=is_held):
             return events, None
         try:
             view = decode_view(frame, self._profile)
@@ -99,7 +138,10 @@ class PressDetector:
             self._count(f"frame {frame.sequence} does not show the gel")
             return events, None
         self.newest = self._kept[frame.sequence] = frame
-        return [*events, *self.tracker.feed(view, frame.timestamp_ns, frame.sequence)], self.tracker.level
+        events += self.tracker.feed(view, frame.timestamp_ns, frame.sequence)
+        is_settled = any(isinstance(event, PressSettled) for event in events)
+        self._held.look(self.tracker.state, len(frame.payload), is_settled=is_settled)
+        return events, self.tracker.level
 
     def _is_sound(self, frame: CameraFrame) -> bool:
         if frame.damage is not None:

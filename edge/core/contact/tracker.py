@@ -21,7 +21,7 @@ from edge.core.contact.reference import Reference, View
 from edge.core.contact.relief import Relief, ReliefOfReference, with_relief
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
-from edge.core.contact.signals import ADDS_STRUCTURE, LEARNING, PRESSED, WATCHED, Track
+from edge.core.contact.signals import ADDS_STRUCTURE, IDLE, LEARNING, PRESSED, WATCHED, Track
 from edge.core.contact.table import State
 
 __all__ = ["ContactTracker"]
@@ -131,9 +131,10 @@ class ContactTracker:
                 return track.window.choose_peak(track.wanted_ns, track.strength_peak)
         return None
 
-    def is_due(self, timestamp_ns: int) -> bool:
-        """False for a frame that need not be decoded: nothing presses and the last look was a moment ago."""
-        idle = self.state in (State.NO_CONTACT, State.RECOVERY)
+    def is_due(self, timestamp_ns: int, *, is_held: bool = False) -> bool:
+        """False for a frame that need not be decoded: nothing presses, or a press that has its verdict `is_held` as
+        before, and the last look was a moment ago."""
+        idle = self.state in IDLE or (is_held and self.state is State.CONTACT)
         last_ns = self._track.last_ns
         return not idle or last_ns is None or timestamp_ns - last_ns >= self.settings.idle_interval_s * 1e9
 
