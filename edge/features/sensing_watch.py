@@ -2,7 +2,7 @@
 
 import logging
 from datetime import datetime
-from typing import Self, final
+from typing import Final, Self, final
 
 from edge.core.contact.events import Event, PressBegan, PressEnded
 from edge.core.contact.press_detector import Look
@@ -16,6 +16,11 @@ __all__ = ["SensingWatch"]
 
 log = logging.getLogger(__name__)
 
+_MERGED: Final = (
+    "the gel was pressed: where the part was lifted and another one pressed in that time, or just after it, both are "
+    "one press"
+)
+
 
 @final
 class SensingWatch(PressStage):
@@ -24,7 +29,8 @@ class SensingWatch(PressStage):
     The pass light goes out earlier, in `edge.features.outputs.stage`.
 
     A time in which nothing was seen, without frames or blind, is over with the next frame that shows the gel. It is
-    then an act of the gateway, for presses may have been made in it.
+    then an act of the gateway, for presses may have been made in it. A shorter interruption is one, the first of each
+    press, while the gel is pressed: another part may have taken the place of the first.
     """
 
     def __init__(self, alarms: Alarms, store: Store, clock: Clock) -> None:
@@ -33,6 +39,7 @@ class SensingWatch(PressStage):
         self._blind: str | None = None
         self._seen_ns: int | None = None
         self._unseen: Act | None = None
+        self._is_pressed = False  # and the press has not been interrupted
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -41,11 +48,17 @@ class SensingWatch(PressStage):
     def see(self, event: Event) -> None:
         if isinstance(event, PressBegan):
             self._contact.begin(event.timestamp_ns)
+            self._is_pressed = True
         elif isinstance(event, PressEnded):
             self._contact.end(event.timestamp_ns)
+            self._is_pressed = False
 
     def look(self, look: Look) -> None:
         sight, timestamp_ns = look.sight, look.timestamp_ns
+        if look.interruption_s and self._is_pressed:
+            self._is_pressed = False
+            log.warning("no frame came for %.1f s; %s", look.interruption_s, _MERGED)
+            self._note(look.interruption_s, _MERGED)
         if sight.since_ns == timestamp_ns and sight.lost is None:
             self._note_unseen(timestamp_ns)
             self._seen_ns = timestamp_ns
@@ -64,12 +77,14 @@ class SensingWatch(PressStage):
 
     def _note_unseen(self, timestamp_ns: int) -> None:
         seconds = 0.0 if self._seen_ns is None else (timestamp_ns - self._seen_ns) / 1e9
-        if seconds > BLIND_AFTER_S:
-            why = self._blind or "no frames came"
-            arguments = {"seconds": round(seconds, 1), "why": why}
-            self._unseen = Act(
-                self._clock.time_ns(), "the gateway", "not_seen", arguments=arguments, outcome="done"
-            )
+        if seconds > BLIND_AFTER_S and self._unseen is None:
+            self._note(seconds, self._blind or "no frames came")
+
+    def _note(self, seconds: float, why: str) -> None:
+        arguments = {"seconds": round(seconds, 1), "why": why}
+        self._unseen = Act(
+            self._clock.time_ns(), "the gateway", "not_seen", arguments=arguments, outcome="done"
+        )
 
     def _sentence(self, sight: Sight, timestamp_ns: int) -> str:
         ago_ns = timestamp_ns - (sight.since_ns if sight.since_ns is not None else timestamp_ns)

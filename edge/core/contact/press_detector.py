@@ -78,6 +78,8 @@ class Look:
     """Whether the sensor shows its gel."""
     level: View | None
     """Its view at the level of the free gel, float32 (h, w, 3); None for a frame that was not decoded, or is blind."""
+    interruption_s: float = 0.0
+    """How long no frame came before it, where that was an interruption."""
 
 
 @final
@@ -105,15 +107,18 @@ class PressDetector:
         self.newest: CameraFrame | None = None
         self._kept: dict[int, CameraFrame] = {}
         self._held = HeldPress()
+        self._interruption_s = 0.0
 
     def feed(self, frame: CameraFrame) -> Look:
         """Take one frame. One that cannot be read, or is blind, is counted in `corrupt` and changes nothing."""
+        self._interruption_s = 0.0
         events, level = self._take(frame)
         found = tuple(
             replace(event, frame=self._kept.get(event.sequence)) if isinstance(event, PressSettled) else event
             for event in events
         )
-        return Look(frame.timestamp_ns, found, self.tracker.state, self.sight, level)
+        state, interruption_s = self.tracker.state, self._interruption_s
+        return Look(frame.timestamp_ns, found, state, self.sight, level, interruption_s)
 
     @property
     def probable(self) -> tuple[CameraFrame, Touch] | None:
@@ -162,6 +167,7 @@ class PressDetector:
         last_ns, self._last_ns = self._last_ns, frame.timestamp_ns
         if last_ns is None or frame.timestamp_ns - last_ns <= GAP_S * 1e9:
             return []
+        self._interruption_s = (frame.timestamp_ns - last_ns) / 1e9
         self.sight.resume(frame.timestamp_ns)
         return self.tracker.gap()
 

@@ -1,12 +1,11 @@
 """A press that has its verdict is not looked at in every frame, and its lift is seen in the same frame as before."""
 
-from collections.abc import Iterator
-from functools import cache
 from itertools import count
 
 import cv2
 import numpy as np
 import pytest
+from ball_frames import PROFILE, frames
 from press_films import random_film
 
 from edge.core.contact import press_detector
@@ -15,28 +14,6 @@ from edge.core.contact.table import State
 from edge.core.imaging.decode import decode_view
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.sensor_profile import SensorProfile
-
-SIZE = (160, 120)
-PROFILE = SensorProfile("test", SIZE, (0.0, 0.0), SIZE, 1, 4.0)
-FPS = 25
-
-
-@cache
-def picture(depth: float, seed: int) -> bytes:
-    """The gel with a ball pressed into it, 0 to 1 deep, as a JPEG."""
-    rows, columns = np.mgrid[:120, :160].astype(np.float32)
-    radius = max(30 * depth**0.5, 1e-3)
-    u, v = (columns - 80) / radius, (rows - 60) / radius
-    slopes = np.stack([-60 * v, 55 * u, 60 * v], axis=-1) * (u * u + v * v <= 1)[..., None]
-    noise = np.random.default_rng(seed).normal(0, 1.3, slopes.shape)
-    level = (110 + rows / 6 + columns / 8)[..., None]
-    return cv2.imencode(".jpg", np.clip(level + slopes + noise, 0, 255).astype(np.uint8))[1].tobytes()
-
-
-def frames(depths: list[float]) -> Iterator[CameraFrame]:
-    for number, depth in enumerate(depths):
-        yield CameraFrame(picture(depth, number), 10**9 * (1 + number) // FPS, number)
-
 
 Events = list[tuple[str, int]]
 

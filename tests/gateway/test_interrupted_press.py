@@ -1,0 +1,65 @@
+"""An interruption while something presses is said: a lift and a new press in it count as one press."""
+
+from pathlib import Path
+from unittest.mock import Mock
+
+import pytest
+from ball_frames import FPS, PROFILE, frames
+
+from edge.clock import ManualClock
+from edge.core.contact.events import PressBegan
+from edge.core.contact.press_detector import PressDetector
+from edge.features.sensing_watch import SensingWatch
+from edge.store.press_store import Store
+
+FREE, PRESSED = [0.0] * 60, [1.0] * 25
+SHORT, LONG = [None] * 12, [None] * 60
+
+
+@pytest.mark.parametrize(
+    ("shown", "presses", "said"),
+    [
+        ([*FREE, *PRESSED, *SHORT, *PRESSED], 1, [0.5]),
+        ([*FREE, *PRESSED, *SHORT, *PRESSED, *SHORT, *PRESSED], 1, [0.5]),
+        ([*FREE, *PRESSED, *SHORT, 0.0, 0.0, *PRESSED], 1, [0.5]),
+        ([*FREE, *PRESSED, *SHORT, *FREE, *PRESSED], 2, [0.5]),
+        ([*FREE, *PRESSED, *FREE, *SHORT, *PRESSED], 2, []),
+        ([*FREE, *SHORT, *PRESSED, *FREE], 1, []),
+        ([*FREE, *PRESSED, *PRESSED], 1, []),
+        ([*FREE, *PRESSED, *LONG, *PRESSED], 1, [2.4]),
+    ],
+    ids=[
+        "while pressed",
+        "twice in one press",
+        "with a new press just after it",
+        "lifted after it",
+        "between two presses",
+        "before a press",
+        "none",
+        "longer than the sensor's blindness",
+    ],
+)
+def test_an_interrupted_press_is_an_act(
+    shown: list[float | None],
+    presses: int,
+    said: list[float],
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """The act has the seconds. The first of each press is said, so that a stream that is always interrupted does not
+    fill the ledger."""
+    detector, began = PressDetector(PROFILE), 0
+    with Store(tmp_path / "gelgate.db") as store:
+        watch = SensingWatch(Mock(), store, ManualClock())
+        for frame in frames(shown):
+            look = detector.feed(frame)
+            for event in look.events:
+                began += isinstance(event, PressBegan)
+                watch.see(event)
+            watch.look(look)
+            watch.turn(None)
+        acts = [act for act in store.acts() if act.verb == "not_seen"]
+    assert began == presses
+    assert sorted(act.arguments["seconds"] for act in acts) == pytest.approx(said, abs=1.5 / FPS)
+    assert ("both are one press" in caplog.text) == bool(said)
+    assert any("both are one press" in act.arguments["why"] for act in acts) == bool(said)
