@@ -155,6 +155,8 @@ class InspectionSession:
         just begun."""
         self.inspector.forget_ahead()
         self.inspector = inspector
+        if self._detector.newest is not None and not self.has_contact:
+            inspector.warm_up(self._detector.newest)
         for stage in self._stages:
             stage.use(inspector)
 

@@ -202,3 +202,21 @@ with open_station(load_config(Path({str(config)!r})), SystemClock()):
         "edge.model.tile_runner",
         "edge.recording.format",
     }
+
+
+def test_a_press_imports_nothing(config: Path) -> None:
+    """What the first press needs is there when the free gel is learnt: in a process of its own, with its pictures."""
+    program = f"""
+import sys
+from pathlib import Path
+sys.path.insert(0, {str(Path(__file__).parents[1] / "support")!r})
+from stepped_station import SteppedStation
+with SteppedStation(Path({str(config)!r})) as station:
+    station.play_until(lambda: station.said("state")["state"] == "ready")
+    before = set(sys.modules)
+    station.play()
+    station.parts.pictures.step()
+    print(len(station.reports), *sorted(set(sys.modules) - before))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["3"]

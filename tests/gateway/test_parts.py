@@ -1,6 +1,7 @@
 """Several parts at one station: selected between two presses, changed while it runs, the last good bundles kept."""
 
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from unittest.mock import Mock
@@ -67,6 +68,15 @@ def test_the_selected_part_is_inspected_from_the_next_press_on(station: SteppedS
     assert (info["part"], info["bundle_id"]) == ("PZ1", results[-1].bundle_id)
     assert info["parts"] == ["PZ0/pos1", "PZ1/pos1"]
     assert results[0].bundle_id != results[-1].bundle_id
+
+
+def test_a_selected_part_is_warm_before_its_first_press(station: SteppedStation) -> None:
+    """Its memory is allocated and its time is known, so that its first press too is scored ahead."""
+    station.play_until(lambda: len(station.reports) == 1)
+    station.play_until(lambda: not station.loop.is_pressed)
+    assert station.parts.selection.bundles[PZ1].inspector.took_s == math.inf
+    station.ask("select_part", part="PZ1")
+    assert station.parts.selection.bundles[PZ1].inspector.took_s < math.inf
 
 
 def test_a_part_that_is_left_keeps_no_frames(station: SteppedStation) -> None:
