@@ -25,6 +25,7 @@ from edge.store.ulid import is_ulid
 
 __all__ = [
     "LARGEST_PAYLOAD_BYTES",
+    "MOST_ASKED",
     "MOST_FOREIGN_ALARMS",
     "MOST_PICTURES",
     "MOST_PRESSES",
@@ -36,6 +37,7 @@ __all__ = [
 # at most 2 MiB.
 MOST_PRESSES: Final = 50
 MOST_PICTURES: Final = 12
+MOST_ASKED: Final = 20
 LARGEST_PICTURE_BYTES: Final = 4 << 20
 # Alarms that are not known here; a flood of names hides none that is known.
 MOST_FOREIGN_ALARMS: Final = 16
@@ -114,7 +116,8 @@ class Shown:
         picture = Picture(data, content_type(data))
         with self._changed:
             self._pictures[press_id] = picture
-            asked = {one["press_id"] for one in (self._status["questions"] or {}).get("presses", ())}
+            questions = (self._status["questions"] or {}).get("presses", ())[:MOST_ASKED]
+            asked = {one["press_id"] for one in questions}
             others = [known for known in self._pictures if known not in asked]
             for old in others[:-MOST_PICTURES]:
                 del self._pictures[old]

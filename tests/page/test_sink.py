@@ -19,8 +19,9 @@ from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared
+from edge.messaging.status_payloads import Question, QuestionsPayload
 from edge.page.http_server import MOST_OF_ONE, REQUEST_S, HttpHandler, HttpServer
-from edge.page.shown import MOST_PICTURES, MOST_PRESSES
+from edge.page.shown import MOST_ASKED, MOST_PICTURES, MOST_PRESSES
 from edge.pictures.image_file import encode, encode_jpeg
 from plugins.sinks.page import PageOptions, PageSink, plugin
 
@@ -66,6 +67,21 @@ def test_presses_are_newest_first_each_with_its_picture(sink: PageSink) -> None:
         b"\x89PNG\r\n\x1a\n%d" % (MOST_PRESSES + 19),
     )
     assert ask(sink.port, f"/pictures/{presses[19]['press_id']}")[0] == 404
+
+
+def test_pictures_that_a_person_is_asked_about_are_kept_longer(sink: PageSink) -> None:
+    """Of the first ones of a list; a broker that asks about every press fills no memory."""
+    pressed = [press(n) for n in range(1, MOST_ASKED + 2 * MOST_PICTURES)]
+    ids = [json.loads(messages[0].payload)["press_id"] for messages in pressed]
+    values = {"time_ns": 1, "time_ms": 0, "verdict": "pass", "score_ratio": 0.9, "part": "bolt"}
+    asked_now = tuple(Question(press_id=one, **values) for one in ids[: MOST_ASKED + 1])
+    sink.send(QuestionsPayload(time_ns=T0_NS, per_day=100, presses=asked_now).message())
+    for messages in pressed:
+        for message in messages:
+            sink.send(message)
+
+    assert len(asked(sink.port, "/questions.json")["presses"]) == MOST_ASKED + 1
+    assert asked(sink.port, "/station.json")["pictures"] == ids[:MOST_ASKED] + ids[-MOST_PICTURES:]
 
 
 @pytest.mark.parametrize(
