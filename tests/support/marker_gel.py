@@ -30,9 +30,13 @@ def lattice(shape: tuple[int, ...], turn_deg: float = 0.0) -> F64:
 def dotted(rgb: U8, places: F64, width_px: float = WIDTH_PX) -> U8:
     """The picture with dots at these places, each with an edge of one pixel."""
     covered = np.zeros(rgb.shape[:2])
+    reach = int(width_px / 2 + 2)
     for x, y in places:
-        v, u = np.mgrid[0 : rgb.shape[0], 0 : rgb.shape[1]]
-        covered = np.maximum(covered, np.clip(width_px / 2 - np.hypot(u - x, v - y) + 0.5, 0, 1))
+        near = tuple(slice(max(int(at) - reach, 0), max(int(at) + reach + 1, 0)) for at in (y, x))
+        v, u = np.indices(covered[near].shape)
+        away = np.hypot(u + near[1].start - x, v + near[0].start - y)
+        dot = np.clip(width_px / 2 - away + 0.5, 0, 1)
+        covered[near] = np.maximum(covered[near], dot)
     return np.asarray(np.rint(rgb * (1 - (1 - KEEPS) * covered)[..., None]), np.uint8)
 
 

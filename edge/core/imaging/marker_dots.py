@@ -184,10 +184,11 @@ def _extend(places: F64, apart: float, shape: tuple[int, ...]) -> F64:
     while len(found) > before:
         before, known = len(found), np.array(found)
         one, other = np.nonzero(_distances(known, known) < _DIAGONAL * apart)
-        for x, y in 2 * known[one] - known[other]:
-            is_near = -apart < x < shape[1] + apart and -apart < y < shape[0] + apart
-            if is_near and min(math.hypot(x - at[0], y - at[1]) for at in found) > 0.6 * apart:
-                found.append(np.array([x, y]))
+        new = 2 * known[one] - known[other]
+        new = new[(new > -apart).all(axis=1) & (new < np.array([shape[1], shape[0]]) + apart).all(axis=1)]
+        for place in new[_distances(new, known).min(axis=1) > 0.6 * apart]:
+            if all(math.hypot(*(place - at)) > 0.6 * apart for at in found[before:]):
+                found.append(place)
     return np.array(found)
 
 
