@@ -142,7 +142,7 @@ class Detector(Protocol):
         """The taps that this detector reads, of those in the trunk."""
 
     def fit(
-        self, nominal: Nominal, grid: Grid, parameters: Any, rng: np.random.Generator, progress: Progress
+        self, nominal: Nominal, grid: Grid, parameters: Any, rng: "np.random.Generator", progress: Progress
     ) -> Bank:
         """Learn the bank. Errors: FitError (no presses, non-finite features, nothing left after filtering)."""
 

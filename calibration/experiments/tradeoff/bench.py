@@ -2,12 +2,10 @@
 
 A gateway of this process plays a recording at its own pace and publishes over a broker on this machine. A stage of its
 presses notes the times, and runs the bare trunk between them, so that a busy machine slows both. A gateway in a process
-of its own looks at the free gel of the recording: its share of a core, and its memory.
+of its own looks at the free gel of the recording, and another one at its presses: processor time, memory, and start.
 """
 
 import os
-import subprocess
-import sys
 import threading
 import time
 from collections import defaultdict
@@ -20,6 +18,14 @@ import cv2
 import numpy as np
 
 from calibration.experiments.tradeoff.floor import Work, floor_ms, trunk_work, work_of
+from calibration.experiments.tradeoff.gateway_process import (
+    Package,
+    Taken,
+    measure_packages,
+    measure_sensor,
+    time_help,
+    watch_gateway,
+)
 from calibration.experiments.tradeoff.machine import Peak, best, fingerprint, probe
 from edge.clock import SystemClock
 from edge.config import Config, load_config
@@ -81,7 +87,7 @@ options = {{ host = "{broker.host}", port = {broker.port} }}
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """What is measured. presses: with their stages. idle_s: of the gateway that looks at the free gel."""
+    """What is measured. presses: with their stages. idle_s: of the gateways in processes of their own."""
 
     bundle: Path
     recording: Path
@@ -105,8 +111,16 @@ class Measured:
     """Operations and bytes per second, at most."""
     frame: Mapping[str, float]
     """Of the recording: width, height, mean bytes, frames per second."""
-    idle: Mapping[str, float]
-    """core_share of the gateway; memory_bytes at its peak."""
+    idle: Taken | None
+    """A gateway that looks at the free gel; None where the system does not show it, as for the next."""
+    pressing: Taken | None
+    """One that judges the recording's presses."""
+    sensor_share: float
+    """Of one core, of the simulated sensor that both have."""
+    help_s: float
+    """`gelgate --help`."""
+    packages: Mapping[str, Package]
+    """What gelgate needs."""
 
 
 def bench(settings: BenchSettings, folder: Path) -> Measured:
@@ -122,7 +136,11 @@ def bench(settings: BenchSettings, folder: Path) -> Measured:
         free = _copy_free_frames(recording, folder / "free")
         station = load_config(_write_config(folder / "station", settings.recording, settings, broker))
         stages = _play(station, bundle, settings, broker)
-        idle = _watch_idle(_write_config(folder / "idle", free, settings, broker), settings.idle_s)
+        fps = recording.header.nominal_fps
+        idle_config = _write_config(folder / "idle", free, settings, broker)
+        idle = watch_gateway(idle_config, settings.idle_s, broker, fps)
+        press_config = _write_config(folder / "pressing", settings.recording, settings, broker)
+        pressing = watch_gateway(press_config, settings.idle_s, broker, fps)
     peak = best(before, probe(settings.threads, REPEATS))
     payloads = [
         recording[k].frame.payload for k in range(0, len(recording), max(1, len(recording) // REPEATS))
@@ -137,8 +155,12 @@ def bench(settings: BenchSettings, folder: Path) -> Measured:
         stages,
         floors,
         asdict(peak),
-        {**frame, "fps": recording.header.nominal_fps},
+        {**frame, "fps": fps},
         idle,
+        pressing,
+        measure_sensor(settings.recording, settings.idle_s),
+        time_help(),
+        measure_packages(pressing.mapped_bytes if pressing else {}),
     )
 
 
@@ -260,30 +282,6 @@ def _copy_free_frames(recording: Recording, folder: Path) -> Path:
             "a recording of `gelgate lab simulate` or one with labels"
         )
     return folder
-
-
-def _watch_idle(config: Path, seconds: float) -> dict[str, float]:
-    """Run a gateway for some time: its share of a core, without its start, and its memory. Empty without /proc."""
-    words = [sys.executable, "-m", "gelgate", "run", "-c", str(config)]
-    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as running:
-        try:
-            time.sleep(seconds)
-            before_s, start = _cpu_s(running.pid), time.perf_counter()
-            time.sleep(seconds)
-            share = (_cpu_s(running.pid) - before_s) / (time.perf_counter() - start)
-            lines = Path(f"/proc/{running.pid}/status").read_text().splitlines()
-            memory = next(int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM"))
-            return {"core_share": share, "memory_bytes": float(memory)}
-        except FileNotFoundError:
-            return {}
-        finally:
-            running.terminate()
-
-
-def _cpu_s(pid: int) -> float:
-    """Time on a core of all its threads, in the program and in the kernel (proc(5): fields 14 and 15)."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _floors(bundle: Bundle, peak: Peak, payloads: Sequence[bytes], folder: Path) -> dict[str, float]:

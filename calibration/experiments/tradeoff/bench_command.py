@@ -5,7 +5,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import numpy as np
 import typer
@@ -17,13 +17,15 @@ from edge.core.errors import ConfigError
 
 __all__ = ["bench_station", "page", "read_medians", "summary"]
 
+SHOWN_PACKAGES: Final = 4
+
 
 def bench_station(
     bundle: Annotated[Path, typer.Argument(help="the bundle that judges")],
     recording: Annotated[Path, typer.Argument(help="free frames, then presses, with labels")],
     presses: Annotated[int, typer.Option(help="presses that are timed", min=3)] = 100,
     idle: Annotated[
-        float, typer.Option(help="seconds of the gateway that looks at the free gel", min=1)
+        float, typer.Option(help="seconds of each gateway in a process of its own", min=1)
     ] = 20.0,
     threads: Annotated[int, typer.Option(help="threads of the runtime", min=1, max=64)] = 2,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON, not a page")] = False,
@@ -37,7 +39,8 @@ def bench_station(
 ) -> None:
     """Measure a station, from frame to subscriber.
 
-    Prints a page: each stage of a press beside the least that this machine can do, and an idle gateway with its memory.
+    Prints a page: each stage of a press beside the least that this machine can do, and what a
+    gateway takes as a whole.
     """
     earlier = _read_stages(before) if before else {}
     with tempfile.TemporaryDirectory(prefix="gelgate-bench-", dir=folder) as made:
@@ -90,7 +93,7 @@ def read_medians(page: str) -> dict[str, float]:
 def _lines(
     measured: Measured, stages: Mapping[str, Mapping[str, float]], before: Mapping[str, Mapping[str, float]]
 ) -> Iterator[str]:
-    machine, peak, frame, idle = measured.machine, measured.peak, measured.frame, measured.idle
+    machine, peak, frame = measured.machine, measured.peak, measured.frame
     yield "# Performance\n"
     yield (
         "A reference, printed by `gelgate lab bench`: what a press takes on one machine, and the least that it can "
@@ -113,11 +116,7 @@ def _lines(
         heading.append("before")
         rows = [[*row, f"{before[row[0]]['median']:.3g}" if row[0] in before else ""] for row in rows]
     yield markdown_table(heading, rows)
-    if idle:
-        yield (
-            f"A gateway that looks at the free gel takes {100 * idle['core_share']:.1f} % of one core, the simulated "
-            f"sensor with it, and {idle['memory_bytes'] / 1e6:.0f} MB at its peak.\n"
-        )
+    yield markdown_table(["a gateway in a process of its own", ""], list(_whole(measured)))
     yield (
         "Floors: entropy decoding of a whole frame, the arithmetic or the bytes of trunk and head at the rates above,\n"
         "and the fastest flush of a page of this disk; a verdict and an outbox have the sum. A stage may stay below\n"
@@ -125,6 +124,32 @@ def _lines(
     )
     if before:
         yield "`before`: the median of an earlier version on the same machine."
+
+
+def _whole(measured: Measured) -> Iterator[list[str]]:
+    """The rows of what a gateway takes as a whole."""
+    idle, pressing, sensor = measured.idle, measured.pressing, measured.sensor_share
+    if idle is not None:
+        share = idle.core_share
+        yield ["looks at the free gel", f"{100 * share:.1f} % of one core"]
+        yield ["that without the simulated sensor", f"{100 * max(0.0, share - sensor):.1f} % of one core"]
+    if pressing is not None and pressing.press_cpu_ms is not None:
+        of_sensor = pressing.press_cpu_ms * min(1.0, sensor / pressing.core_share)
+        yield [
+            "processor time of a press, with the free gel after it",
+            f"{pressing.press_cpu_ms:.0f} ms, {of_sensor:.0f} of them the simulated sensor's",
+        ]
+    if pressing is not None:
+        yield ["memory at its peak, with presses", f"{pressing.memory_bytes / 1e6:.0f} MB"]
+        start = f"{pressing.start_s:.2f} s, at least {pressing.warm_up_s:.2f} of them frames of the free gel"
+        yield ["start to `ready`", start]
+    yield ["`gelgate --help`", f"{measured.help_s:.2f} s"]
+    sizes = list(measured.packages.items())
+    total = sum(package.installed for _, package in sizes)
+    yield ["packages that it needs, installed", f"{total / 1e6:.0f} MB"]
+    for name, package in sizes[:SHOWN_PACKAGES]:
+        in_memory = f", {package.in_memory / 1e6:.0f} MB of it in memory" if pressing else ""
+        yield [f"of that {name}", f"{package.installed / 1e6:.0f} MB{in_memory}"]
 
 
 def _cells(name: str, stage: Mapping[str, float | None]) -> list[str]:

@@ -58,6 +58,22 @@ def test_the_border_is_cut_in_camera_pixels(extension: str) -> None:
     assert picture[-1, 40, 1] == pytest.approx(high - half_pixel * 80 / 60, abs=2)
 
 
+@pytest.mark.parametrize(
+    "form",
+    [(cv2.IMWRITE_JPEG_RST_INTERVAL, 8), (cv2.IMWRITE_JPEG_PROGRESSIVE, 1), (cv2.IMWRITE_JPEG_OPTIMIZE, 1)],
+)
+def test_every_form_of_jpeg_gives_the_same_picture(form: tuple[int, int]) -> None:
+    """With restart markers, progressive, or with code tables of its own: frames are decoded whole, bit for bit."""
+    bgr = np.ascontiguousarray(gradient(656, 496)[..., ::-1])
+    plain, other = (
+        CameraFrame(cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 90, *more])[1].tobytes(), 123, 7)
+        for more in ((), form)
+    )
+    assert other.payload != plain.payload
+    assert np.array_equal(decode(other, SMALL), decode(plain, SMALL))
+    assert np.array_equal(decode_view(other, SMALL), decode_view(plain, SMALL))
+
+
 @pytest.mark.parametrize("scale", [1, 2, 4, 8])
 def test_decode_scales_agree_on_geometry(scale: int) -> None:
     """Every decode scale, JPEG or PNG, puts the gradient where the full decode puts it, within a level or two."""

@@ -24,7 +24,7 @@ def station(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 def test_every_stage_of_every_press_has_its_time(station: tuple[Path, Path], tmp_path: Path) -> None:
     """Each press comes to the outbox and to a subscriber, with its picture; stages add up; floors are positive."""
-    words = ("--presses", 3, "--idle", 1, "--threads", 1, "--folder", tmp_path, "--json")
+    words = ("--presses", 3, "--idle", 4, "--threads", 1, "--folder", tmp_path, "--json")
     ended = gelgate("lab", "bench", *station, *words)
     assert ended.code == 0, ended.err
     found = json.loads(ended.out)
@@ -34,13 +34,21 @@ def test_every_stage_of_every_press_has_its_time(station: tuple[Path, Path], tmp
     order = [stages[name]["median"] for name in ("verdict", "outbox", "picture")]
     assert order == sorted(order)
     assert min(found["floors"].values()) > 0
-    assert found["idle"]["core_share"] > 0
+    assert found["idle"]["core_share"] > found["sensor_share"] > 0
+    assert found["idle"]["presses"] == 0
+    assert found["pressing"]["presses"] > 0
+    assert found["pressing"]["press_cpu_ms"] > 0
+    assert found["pressing"]["start_s"] > found["pressing"]["warm_up_s"] > 0.5
+    cv2 = found["packages"]["opencv-contrib-python-headless"]
+    assert cv2["installed"] > cv2["in_memory"] > 1e6
+    assert "torch" not in found["packages"]
     assert found["machine"]["threads"] == 1
 
     (tmp_path / "before.json").write_text(ended.out)
     page = gelgate("lab", "bench", *station, *words[:-1], "--before", tmp_path / "before.json").out
     row = next(line for line in page.splitlines() if line.startswith("| outbox"))
     assert row.split("|")[-2].strip() == f"{stages['outbox']['median']:.3g}"
+    assert "of that opencv-contrib-python-headless" in page
     assert set(read_medians(page)) == set(STAGES)
 
 

@@ -1,0 +1,172 @@
+"""A gateway in a process of its own: what it takes of a core, of memory and of the disk, and how soon it is ready."""
+
+import json
+import os
+import re
+import statistics
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import Distribution, distribution
+from pathlib import Path
+from typing import Final
+
+from edge import registry
+from edge.clock import SystemClock
+from edge.core.contact.settings import ContactSettings
+from edge.core.errors import DeviceError
+from edge.messaging.local_broker import LocalBroker
+from edge.messaging.mqtt_broker import Broker, Level, Received
+from edge.messaging.mqtt_connection import Connection
+
+__all__ = ["Package", "Taken", "measure_packages", "measure_sensor", "time_help", "watch_gateway"]
+
+READY_S: Final = 60.0
+HELPS: Final = 5
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What a gateway takes. Shares of one core, and times, are of all its threads."""
+
+    core_share: float
+    """After it is ready."""
+    memory_bytes: float
+    """At its peak."""
+    start_s: float
+    """From its start to the state `ready`."""
+    warm_up_s: float
+    """Of that, the frames of the free gel that a reference takes."""
+    presses: int
+    """Results in the time."""
+    press_cpu_ms: float | None
+    """Processor time for each of them; None without one."""
+    mapped_bytes: Mapping[str, float]
+    """Of its packages, by the folder in which they are installed, what is in memory."""
+
+
+@dataclass(frozen=True)
+class Package:
+    """One that gelgate needs. Bytes."""
+
+    installed: float
+    in_memory: float
+
+
+def watch_gateway(config: Path, seconds: float, broker: LocalBroker, fps: float) -> Taken | None:
+    """Run a gateway until it is ready, and then for some time; None without /proc, and where it ends by itself."""
+    if not Path("/proc/self/smaps").is_file():
+        return None
+    ready, results = list[float](), list[float]()
+
+    def note(message: Received) -> None:
+        kind = message.topic.partition("/gel/v1/")[2]
+        if kind == "state" and message.payload and json.loads(message.payload)["state"] == "ready":
+            ready.append(time.perf_counter())
+        elif kind == "result":
+            results.append(time.perf_counter())
+
+    level: Level = "5" if broker.speaks_mqtt5 else "3.1.1"
+    connection = Connection.open(
+        Broker(broker.host, broker.port, "gelgate-bench-process", level=level), on_received=note
+    )
+    words = [sys.executable, "-m", "gelgate", "run", "-c", str(config)]
+    try:
+        connection.subscribe("gelgate/#")
+        ready.clear()
+        start = time.perf_counter()
+        with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as running:
+            try:
+                while not ready and running.poll() is None and time.perf_counter() - start < READY_S:
+                    time.sleep(0.005)
+                if not ready or running.poll() is not None:
+                    return None
+                before_s, before, from_s = _cpu_s(running.pid), len(results), time.perf_counter()
+                time.sleep(seconds)
+                cpu_s, presses = _cpu_s(running.pid) - before_s, len(results) - before
+                lasted_s = time.perf_counter() - from_s
+                lines = Path(f"/proc/{running.pid}/status").read_text().splitlines()
+                memory = next(int(line.split()[1]) << 10 for line in lines if line.startswith("VmHWM"))
+                settings = ContactSettings()
+                return Taken(
+                    cpu_s / lasted_s,
+                    float(memory),
+                    ready[0] - start,
+                    settings.warm_up_s + settings.baseline_frames / fps,
+                    presses,
+                    1e3 * cpu_s / presses if presses else None,
+                    _mapped(running.pid),
+                )
+            finally:
+                running.terminate()
+    finally:
+        connection.close()
+
+
+def measure_sensor(recording: Path, seconds: float) -> float:
+    """Measure the share of one core that the simulated sensor takes by itself, at its own pace."""
+    plugin, clock = registry.device("usb_mock"), SystemClock()
+    options = plugin.Options.model_validate({"recording": recording, "pace": 1.0, "loop": True})
+    device = plugin.open(options, clock)
+    try:
+        start, before_s = time.perf_counter(), time.process_time()
+        while time.perf_counter() - start < seconds:
+            try:
+                device.read(clock.monotonic_ns() + 10**9)
+            except DeviceError:
+                continue
+        return (time.process_time() - before_s) / (time.perf_counter() - start)
+    finally:
+        device.close()
+
+
+def time_help() -> float:
+    """Return the seconds of `gelgate --help`, the median of some."""
+    times = []
+    for _ in range(HELPS):
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "gelgate", "--help"], stdout=subprocess.DEVNULL, check=True)
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def measure_packages(mapped_bytes: Mapping[str, float]) -> dict[str, Package]:
+    """Return what gelgate needs, the largest first: what each package takes of the disk, and of a gateway's memory."""
+    packages = {}
+    for name in _needed("gelgate"):
+        files = [Path(str(file.locate())) for file in distribution(name).files or ()]
+        folders = {file.parts[0] for file in distribution(name).files or ()}
+        size = sum(file.stat().st_size for file in files if file.is_file())
+        packages[name] = Package(float(size), sum(mapped_bytes.get(folder, 0.0) for folder in folders))
+    return dict(sorted(packages.items(), key=lambda one: -one[1].installed))
+
+
+def _needed(name: str, known: frozenset[str] = frozenset()) -> set[str]:
+    """The distributions that this one needs without its extras, and those that they need; not itself."""
+    found: set[str] = set()
+    for requirement in Distribution.from_name(name).requires or ():
+        needed = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
+        if ";" in requirement or needed in known | found:
+            continue
+        found |= {needed} | _needed(needed, known | found)
+    return found
+
+
+def _mapped(pid: int) -> dict[str, float]:
+    """Bytes in memory of the files that are mapped from installed packages, by the folder of the package."""
+    found, folder = Counter[str](), ""
+    for line in Path(f"/proc/{pid}/smaps").read_text().splitlines():
+        if re.match(r"[0-9a-f]+-[0-9a-f]+ ", line):
+            folder = line.partition("/site-packages/")[2].partition("/")[0]
+        elif folder and line.startswith("Rss:"):
+            found[folder] += int(line.split()[1]) << 10
+    return {name: float(size) for name, size in found.items()}
+
+
+def _cpu_s(pid: int) -> float:
+    """Time on a core of all its threads, in the program and in the kernel (proc(5): fields 14 and 15)."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
