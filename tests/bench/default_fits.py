@@ -3,7 +3,8 @@
 `python tests/bench/default_fits.py ROWS.jsonl [KIND...] --tactile FOLDER` prints the table, worst first. A row is kept
 as soon as it is measured, and is not measured again; another trunk, method or free gel is another row. Kinds are those
 for development, or with --judgement those for judgement: of the sensors that `sets.toml` keeps for it, and random parts
-of other seeds. A kind takes about a minute of one core. --pictures FOLDER draws ten presses of each, the misses first.
+of other seeds. A kind takes about a minute of one core. --pictures FOLDER draws ten presses of each, the misses first;
+--gains fits again without each mechanism that a complete fit uses.
 
 peak: the share of damaged presses whose map is highest within 6 pixels of the damage; reported: that fail; of peak:
 of the former, those that fail; alarms: sound held-out presses that fail; lost: presses without a pose, sound and
@@ -13,11 +14,12 @@ damaged, which are rejected. found: what `fit` says of its own rendered damage.
 import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -30,10 +32,10 @@ from calibration.experiments.backbones.sets import SENSORS
 from calibration.experiments.backbones.trial import PROFILE, REGION, Trial
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.rows import Rows
+from calibration.fitting import fit
 from calibration.fitting.damage.conditions import relight
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.options import DEFAULT_METHOD
-from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from calibration.metrics import aupro, auroc
@@ -161,13 +163,38 @@ JUDGEMENT: Mapping[str, Maker] = {
 
 def fit_pictures(presses: NominalPresses, method: str, backbone: str, **changes: Any) -> Fitted:
     """Fit as `gelgate fit` does. changes: of the configuration."""
-    presses = take_out_dots(presses, PROFILE.pixels_per_mm)
     detector = registry.detector(method)
     trunk = open_trunk(backbone, detector.taps(detector.parameters()))
-    config = FitConfig(
-        "part", "top", PROFILE, REGION, detector, trunk, register="auto", augment="auto", **changes
-    )
+    settings: dict[str, Any] = {"register": "auto", "augment": "auto", **changes}
+    config = FitConfig("part", "top", PROFILE, REGION, detector, trunk, **settings)
     return fit_files(presses, config, created="2026-01-01")
+
+
+MECHANISMS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
+    "free gel": lambda row: True,
+    "registration": lambda row: bool(row["is_registered"]),
+    "surroundings": lambda row: row["limit"] == "surroundings",
+    "dots filled": lambda row: bool(row["has_dots"]),
+    "tactile_lite0": lambda row: row["trunk"] == "tactile_lite0",
+}
+"""What a fit can be measured without, by name: whether the complete fit of a row uses it."""
+
+
+def fit_without(name: str, presses: NominalPresses, method: str, backbone: str) -> Fitted:
+    """Fit as `fit_pictures`, without this mechanism if one is named: presses may then lie anywhere."""
+    if name == "free gel":
+        unknown = {"touches": (), "guessed": (), "touched": None, "no_contact": None, "free_view": None}
+        return fit_pictures(replace(presses, **unknown), method, backbone, is_scattered=True)
+    if name == "dots filled":  # no setting of a fit
+        with patch.object(fit, "take_out_dots", lambda presses, *_: presses):
+            return fit_pictures(presses, method, backbone)
+    if name == "tactile_lite0":
+        backbone = "tactile_resnet18"
+    changes = {
+        "registration": {"register": "never", "is_scattered": True},
+        "surroundings": {"limit": "plain"},
+    }
+    return fit_pictures(presses, method, backbone, **changes.get(name, {}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,6 +248,7 @@ def measure(fitted: Fitted, masks: NDArray[np.bool_], seen: Scores) -> dict[str,
         "limit": limit["kind"],
         "found": limit.get("found", {}).get(limit["kind"]),
         "is_registered": fitted.bundle().registration is not None,
+        "has_dots": manifest.dots is not None,
         "warnings": list(manifest.provenance.warnings),
     }
 
@@ -295,12 +323,30 @@ def _values(row: Mapping[str, Any]) -> list[str]:
     return [f"{row[name]:.3f}" for name in _MEANS]
 
 
+def gains_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Compare complete fits with those of the same kinds without each mechanism: means, and where it gains least."""
+    complete, lines = {row["kind"]: row for row in rows if not row.get("without")}, []
+    for name in MECHANISMS:
+        less = [row for row in rows if row.get("without") == name and "error" not in row]
+        if not less:
+            continue
+        whole = [complete[row["kind"]] for row in less]
+        means = [
+            " / ".join(f"{np.mean([row[of] for row in side]):.3f}" for side in (whole, less))
+            for of in ("auroc", "aupro", "reported")
+        ]
+        alarms = " / ".join(str(sum(row["alarms"] for row in side)) for side in (whole, less))
+        sound = sum(row["sound"] for row in whole)
+        gain, kind = min((a["aupro"] - b["aupro"], a["kind"]) for a, b in zip(whole, less, strict=True))
+        lines.append([name, str(len(less)), *means, f"{alarms} of {sound}", f"{gain:+.3f}, {kind}"])
+    head = ["with / without", "kinds", "AUROC", "AU-PRO", "reported", "alarms", "least gain of AU-PRO"]
+    return markdown_table(head, lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("rows", type=Path, help="the file of rows, made or continued")
-    parser.add_argument(
-        "kinds", nargs="*", metavar="KIND", help="words in a kind's name; default: every kind"
-    )
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help="words in a kind's name; default: all kinds")
     parser.add_argument(
         "--tactile", type=Path, help="the folder of real frames; without it real kinds have an error"
     )
@@ -312,30 +358,41 @@ def main() -> None:
         action="store_true",
         help="the judgement kinds: once, after every choice, in a file of their own",
     )
-    parser.add_argument(
-        "--pictures", type=Path, help="the folder for a picture of ten presses of each kind, misses first"
-    )
+    parser.add_argument("--pictures", type=Path, help="the folder for ten presses of each kind, misses first")
+    parser.add_argument("--gains", action="store_true", help="also fit without each mechanism that is used")
     given = parser.parse_args()
     rows, how = Rows(given.rows), {"asked": [given.method, given.backbone], "gel": given.gel}
     for kind, make in (JUDGEMENT if given.judgement else DEVELOPMENT).items():
-        key = "/".join((kind, *how["asked"], given.gel))
-        if key in rows.done() or not any(word in kind for word in given.kinds or [""]):
+        if not any(word in kind for word in given.kinds or [""]):
             continue
-        try:
-            presses, trial = make(given.tactile or Path("no-folder-given"), given.gel)
-            fitted = fit_pictures(presses, given.method, given.backbone)
-        except (FitError, ConfigError) as error:
-            found: dict[str, Any] = {"error": str(error)}
-        else:
-            frames, masks = trial.frames[trial.is_own], trial.masks[trial.is_own]
-            seen = score_presses(fitted, frames, masks)
-            found = measure(fitted, masks, seen)
-            if given.pictures:
-                name = "_".join((kind, given.method, given.backbone, given.gel)).replace(" ", "_")
-                _save(given.pictures / f"{name}.png", draw_presses(fitted, frames, masks, seen))
-        rows.append({"key": key, "kind": kind, **how, **found})
-        print(table([rows.read()[-1]]).splitlines()[2], flush=True)
-    print(table([row for row in rows.read() if {name: row[name] for name in how} == how]))
+        complete = "/".join((kind, *how["asked"], given.gel))
+        for name in ("", *(MECHANISMS if given.gains else ())):
+            key = f"{complete}/without {name}" if name else complete
+            whole = next((row for row in rows.read() if row["key"] == complete), {})
+            if key in rows.done() or (name and ("error" in whole or not MECHANISMS[name](whole))):
+                continue
+            found = _fit_and_measure(given, kind, make, name)
+            rows.append({"key": key, "kind": kind, "without": name, **how, **found})
+            print(name, table([rows.read()[-1]]).splitlines()[2], flush=True)
+    own = [row for row in rows.read() if {name: row[name] for name in how} == how]
+    print(table([row for row in own if not row.get("without")]))
+    if given.gains:
+        print(gains_table(own))
+
+
+def _fit_and_measure(given: argparse.Namespace, kind: str, make: Maker, without: str) -> dict[str, Any]:
+    """Measure a fit of a kind, and draw it where that is asked for; the sentence of a fit that is refused."""
+    try:
+        presses, trial = make(given.tactile or Path("no-folder-given"), given.gel)
+        fitted = fit_without(without, presses, given.method, given.backbone)
+    except (FitError, ConfigError) as error:
+        return {"error": str(error)}
+    frames, masks = trial.frames[trial.is_own], trial.masks[trial.is_own]
+    seen = score_presses(fitted, frames, masks)
+    if given.pictures:
+        name = "_".join((kind, given.method, given.backbone, given.gel, without)).replace(" ", "_")
+        _save(given.pictures / f"{name}.png", draw_presses(fitted, frames, masks, seen))
+    return measure(fitted, masks, seen)
 
 
 if __name__ == "__main__":
