@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from edge.config import Config
 from edge.core.errors import ConfigError, DeviceNotFound
+from edge.core.ports import Message
 from edge.core.suggest import suggestion
 from edge.gateway.commands import Change, Handler
 from edge.gateway.features import load_every_feature, load_features
@@ -25,7 +26,9 @@ from edge.messaging.command_payloads import (
     SelectPartArguments,
 )
 from edge.messaging.descriptions.station import DescribedStation
+from edge.messaging.status_payloads import GelPayload
 from edge.press_stage import Command, Data, PressStage
+from edge.store.gel_ledger import GelRecord
 
 __all__ = ["describe_station", "every_command", "station_commands", "station_handlers", "trigger_by_pedal"]
 
@@ -58,8 +61,13 @@ def _relearn(loop: StationLoop, arguments: NoArguments) -> Data:
 
 def _replace_gel(loop: StationLoop, arguments: ReplaceGelArguments) -> Data:
     session, parts = loop.need_session(), loop.parts
-    given = (arguments.gel_id, arguments.limit_presses, arguments.note)
-    session.see_gel(parts.store.replace_gel(session.gel.serial, parts.clock.time_ns(), *given))
+    given, now_ns = (arguments.gel_id, arguments.limit_presses, arguments.note), parts.clock.time_ns()
+
+    def say(gel: GelRecord) -> list[Message]:
+        """The new gel takes the place of the old one's count that waits for a receiver."""
+        return [GelPayload.of(gel, now_ns).message()]
+
+    session.see_gel(parts.store.replace_gel(session.gel.serial, now_ns, *given, make_messages=say))
     gel = session.gel
     return {"gel_id": gel.gel_id, "presses": gel.presses, "limit_presses": gel.limit_presses}
 

@@ -191,6 +191,9 @@ class SinkWorker:
         self._backoff = backoff
         self._has_said = False  # whether the log has a line on this sink
         self._sent_version = 0  # version of the retained state that this sink has
+        self._unsaid: set[str] = set()  # topics of the retained state that this sink has refused
+        self._unsaid_ns = 0  # when it refused the last of them
+        self._clock = clock
         self._passed = 0  # every row up to this one is settled with this sink
         self._accepted: int | None = (
             None  # the last row that the sink accepted; the store may not know it yet
@@ -230,12 +233,20 @@ class SinkWorker:
         return self._note_failure(SinkUnavailable(f"sink {self.name} is broken; its traceback is in the log"))
 
     def _say(self) -> None:
-        for version, message in self._retained_state.since(self._sent_version):
+        """Say what has changed, and again what was refused: else the receiver retains what is not so any more."""
+        now_ns = self._clock.monotonic_ns()
+        again = set(self._unsaid) if now_ns - self._unsaid_ns >= OFFER_REFUSED_S * 1e9 else set()
+        for version, message in self._retained_state.since(-1 if again else self._sent_version):
+            if version <= self._sent_version and message.topic not in again:
+                continue
             try:
                 self._deliver(message)
-            except SinkRejected as error:  # nothing to keep: the next change of that topic replaces it
+                self._unsaid.discard(message.topic)
+            except SinkRejected as error:
+                self._unsaid.add(message.topic)
+                self._unsaid_ns = now_ns
                 self._note_refused(message, str(error))
-            self._sent_version = version
+            self._sent_version = max(version, self._sent_version)
 
     def _send(self, row: OutboxRow) -> None:
         is_late = row.row_id <= self._late_up_to

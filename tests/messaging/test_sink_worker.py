@@ -246,6 +246,25 @@ def test_every_alarm_is_cleared_at_the_start(outbox: Outbox, sink: ScriptedSink)
     assert {m.topic for m in sink.taken if m.retain and not m.payload} == {f"alarm/{name}" for name in ALARMS}
 
 
+def test_a_refused_announcement_is_said_again_when_it_is_still_so(outbox: Outbox, sink: ScriptedSink) -> None:
+    """Otherwise the broker would retain `ready` of a station that is halted, until the next change or connection."""
+    retained_state, clock = RetainedState(), ManualClock()
+    one = worker(outbox, sink, retained_state=retained_state, clock=clock)
+    retained_state.announce(StatePayload(time_ns=1, state="ready").message())
+    drain(one)
+    sink.refuses = {"state"}
+    retained_state.announce(StatePayload(time_ns=2, state="halted", reason="full").message())
+    drain(one)
+    sink.refuses = set()
+    drain(one)
+    clock.sleep(OFFER_REFUSED_S)
+    for _ in range(3):
+        drain(one)
+
+    states = [json.loads(m.payload)["state"] for m in sink.taken if m.topic == "state"]
+    assert states == ["ready", "halted"]
+
+
 def test_a_refused_announcement_does_not_block_the_rows(
     store: Store, outbox: Outbox, sink: ScriptedSink
 ) -> None:
