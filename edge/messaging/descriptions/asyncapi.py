@@ -181,7 +181,8 @@ def payload_schemas(models: tuple[type[BaseModel], ...]) -> Mapping[str, Any]:
     return {name: _draft_07(model) for name, model in schema["$defs"].items()}
 
 
-def request_schema(request: type[BaseModel], arguments: type[BaseModel]) -> dict[str, Any]:
+@cache
+def request_schema(request: type[BaseModel], arguments: type[BaseModel]) -> Mapping[str, Any]:
     """Make the schema of a request with the arguments of one verb. It refuses unknown fields, as the station does."""
     schema = _draft_07(request.model_json_schema(), keeps_closed=True)
     schema["properties"]["arguments"] = _draft_07(arguments.model_json_schema(), keeps_closed=True)
