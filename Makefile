@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-planted threads acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
+.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-covered sim-planted threads acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -33,6 +33,7 @@ tradeoff-picture: $(VENV)/.test
 PROCESSES ?= $(shell expr $$(nproc) + 1)
 test: $(VENV)/.test debian lint
 	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0
+	PYTHONPATH=tests/support $(BIN)/python -m simulation --seed $(NEW_SEED) --seconds 30
 
 # What `make test` skips: the experiments (studies, trade-off, detectability, ...) and promises proved by simulation.
 test-lab: $(VENV)/.test debian
@@ -106,9 +107,15 @@ ROUNDS ?= 60
 soak: $(VENV)/.test
 	$(BIN)/python tests/support/soak.py --rounds $(ROUNDS)
 
-# The gateway in a simulated world: new seeds until it is stopped; docs/simulation.md.
+# The gateway in a simulated world: new seeds for ten minutes, and the table of what was tried; docs/simulation.md.
+NEW_SEED ?= $(shell date +%y%j%H%M)
+SIM_SECONDS ?= 600
 sim: $(VENV)/.test
-	PYTHONPATH=tests/support $(BIN)/python -m simulation --seed $$(date +%s)
+	PYTHONPATH=tests/support $(BIN)/python -m simulation --seed $(NEW_SEED) --seconds $(SIM_SECONDS) --jobs 2
+
+# Which lines of the gateway's rooms run while a fault is on; those that do not are listed.
+sim-covered: $(VENV)/.test
+	PYTHONPATH=tests/support $(BIN)/python -m simulation.covered --seed $(NEW_SEED)
 
 # Bugs planted one by one in a copy of the program: each must be found within a minute, and named.
 sim-planted: $(VENV)/.test

@@ -2,12 +2,16 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from simulation.bundles import both_bundles
-from simulation.faults import FAULTS
-from simulation.schedule import Chosen, Simulation
+from simulation.chosen import Chosen, Fault
+from simulation.conditions import SOMETIMES
+from simulation.failed import FAILED
+from simulation.schedule import Simulation
+from simulation.shrinking import Failure, kind_of, shrink
 from simulation.surroundings import install_plugins
 
 from edge.messaging.sink_worker import SinkWorker
@@ -31,20 +35,26 @@ def test_nothing_that_must_not_be(seed: int, bundles: list[Path], tmp_path: Path
     assert run.faults == []
 
 
+@pytest.mark.parametrize("failure", FAILED, ids=lambda failure: f"seed {failure.seed}")
+def test_what_has_failed_does_not_fail_again(failure: Failure, bundles: list[Path], tmp_path: Path) -> None:
+    run = failure.play(bundles, tmp_path)
+    assert run.faults == []
+
+
 def test_a_seed_gives_the_same_run_again(bundles: list[Path], tmp_path: Path) -> None:
-    """What happens, and when, byte for byte."""
-    chosen = Chosen(2, True, dict.fromkeys(FAULTS, 0.0) | {"kill": 20.0, "hang up": 6.0, "unplug": 6.0}, 0.02)
+    """What happens, and when, byte for byte; and so do the faults that it has drawn."""
+    rates = {"kill": 20.0, "hang up": 6.0, "unplug": 6.0, "request": 10.0, "slow disk": 3.0}
+    chosen = Chosen(2, True, rates, 0.02)
     first, second = (
         Simulation(12, 8, bundles, tmp_path / name, chosen).play() for name in ("first", "second")
     )
     assert (first.events, first.reached, first.turns) == (second.events, second.reached, second.turns)
     assert any("killed" in event for event in first.events)
+    assert first.schedule
 
 
-def test_a_fault_that_was_planted_is_named(
-    bundles: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A message is acknowledged before it is sent: with a broker that is away, a subscriber lacks results."""
+def plant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A message is acknowledged before it is sent."""
     send = SinkWorker._send
 
     def acknowledge_first(worker: SinkWorker, row: object) -> None:
@@ -52,6 +62,36 @@ def test_a_fault_that_was_planted_is_named(
         send(worker, row)  # type: ignore[arg-type]
 
     monkeypatch.setattr(SinkWorker, "_send", acknowledge_first)
-    chosen = Chosen(1, False, dict.fromkeys(FAULTS, 0.0) | {"hang up": 6.0, "stop": 6.0}, 0.0)
-    run = Simulation(3, 15, bundles, tmp_path / "run", chosen).play()
-    assert any("results lack" in fault for fault in run.faults)
+
+
+def test_a_planted_fault_is_named_and_shrinks_to_a_short_schedule(
+    bundles: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a broker that is away a subscriber lacks results. The schedule fails again, and passes without the bug."""
+    with monkeypatch.context() as planted:
+        plant(planted)
+        rates = {"hang up": 20.0, "stop": 6.0, "step clock": 6.0, "relay": 6.0}
+        run = Simulation(3, 12, bundles, tmp_path / "run", Chosen(1, False, rates, fps=7.0)).play()
+        failure = Failure.of(run)
+        assert "results lack" in failure.says
+        shortest = shrink(failure, lambda tried: tried.play(bundles, tmp_path).faults, most=40)
+        again = shortest.play(bundles, tmp_path)
+
+    assert failure.says in map(kind_of, again.faults)
+    assert {fault.name for fault in shortest.schedule} <= {"hang up", "stop"}
+    assert len(shortest.schedule) <= 3
+    assert shortest.presses < failure.presses
+    pasted = eval(shortest.text(), {"Failure": Failure, "Chosen": Chosen, "Fault": Fault})
+    assert pasted == shortest
+    assert pasted.play(bundles, tmp_path).faults == []
+
+
+def test_a_schedule_is_played_in_place_of_what_a_seed_draws(bundles: list[Path], tmp_path: Path) -> None:
+    schedule = (Fault(4.5, "unplug", 1), Fault(6.25, "step clock", 5))
+    run = Simulation(1, 4, bundles, tmp_path / "run", Chosen(fps=7.0), schedule).play()
+    assert run.faults == []
+    assert [replace(fault, at_s=round(fault.at_s, 2)) for fault in run.schedule] == list(schedule)
+
+
+def test_the_conditions_have_names_of_their_own() -> None:
+    assert len(set(SOMETIMES)) == len(SOMETIMES) >= 60

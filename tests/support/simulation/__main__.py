@@ -1,19 +1,89 @@
-"""`make sim`: runs of the station in a simulated world; the faults that an auditor finds, and what was reached."""
+"""`make sim`: runs of the station in a simulated world; the table of what was tried, and each failure, shrunk."""
 
 import argparse
+import logging
+import multiprocessing
 import shutil
 import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from pathlib import Path
 
+import cv2
+
 from simulation.bundles import both_bundles
 from simulation.conditions import SOMETIMES
-from simulation.schedule import Simulation
+from simulation.options import MEMORY
+from simulation.schedule import Run, Simulation
+from simulation.shrinking import Failure, shrink
 from simulation.surroundings import install_plugins
+
+TABLE = {
+    "presses": ("presses",),
+    "crashes at chosen writes": ("crashes at a write",),
+    "faults of brokers": ("faults of brokers",),
+    "unplugs": ("unplug",),
+    "other faults of the sensor": ("silence", "blind", "damage", "shake", "hold back"),
+    "changes of gel and part": ("replace gel", "select part"),
+    "reloads and restarts": ("reload", "stop"),
+    "steps of the clock": ("step clock",),
+    "disk full, slow or faulty": ("fill disk", "slow disk", "bad disk"),
+    "requests": ("request", "acknowledge"),
+    "freezes of the process": ("freeze",),
+    "faults of relay and pedal": ("relay", "pedal"),
+}
+
+
+@dataclass
+class Total:
+    """What several runs did together."""
+
+    runs: int = 0
+    turns: int = 0
+    events: int = 0
+    reached: Counter[str] = field(default_factory=Counter)
+    counted: Counter[str] = field(default_factory=Counter)
+    failed: list[Run] = field(default_factory=list)
+
+    def add(self, run: Run) -> None:
+        """Add one run."""
+        self.runs, self.turns, self.events = (
+            self.runs + 1,
+            self.turns + run.turns,
+            self.events + len(run.events),
+        )
+        self.reached += run.reached
+        self.counted += run.counted
+        if run.faults:
+            self.failed.append(run)
+
+    def lines(self, seconds: float) -> Iterator[str]:
+        """The table, what was reached and what never."""
+        yield from (f"{number:8d} {name}" for name, number in sorted(self.reached.items()))
+        yield from (f"   NEVER {name}" for name in SOMETIMES if not self.reached[name])
+        for name, keys in TABLE.items():
+            yield f"{sum(self.counted[key] for key in keys):10d} {name}"
+        said = " ".join(fault for run in self.failed for fault in run.faults)
+        for what, words in {
+            "lost": ("lost", "lack"),
+            "doubled": (" rows", "of no row", "done 2"),
+            "passed unjudged": ("passed", "shown"),
+        }.items():
+            yield f"{sum(word in said for word in words):10d} {what}"
+        presses = self.counted["presses"]
+        reached = sum(self.reached[name] > 0 for name in SOMETIMES)
+        yield (
+            f"{self.runs} runs in {seconds:.0f} s: {presses / seconds:.1f} presses, "
+            f"{self.turns / seconds:.0f} turns and "
+            f"{self.events / seconds:.0f} events a second; {reached} of {len(SOMETIMES)} conditions reached; "
+            f"{len(self.failed)} runs failed"
+        )
 
 
 def main() -> int:
@@ -22,39 +92,81 @@ def main() -> int:
     words.add_argument(
         "--runs", type=int, default=0, help="seeds, one after the other; 0: until it is stopped"
     )
+    words.add_argument("--seconds", type=float, default=0, help="end after the run that is on then")
+    words.add_argument("--jobs", type=int, default=1, help="processes, each with seeds of its own")
     words.add_argument("--presses", type=int, default=60, help="presses of a run")
     words.add_argument("--events", action="store_true", help="print what happens")
+    words.add_argument("--no-shrink", action="store_true", help="print a failure as it is")
     words.add_argument("--bundle", type=Path, nargs=2, help="of both parts; by default new ones")
     words.add_argument(
         "--until-failed", type=float, default=0, help="end with the first failure, or after so many s"
     )
     given = words.parse_args()
-    reached, begun, failed, done, turns = Counter[str](), time.perf_counter(), 0, 0, 0
-    with tempfile.TemporaryDirectory() as made, contextmanager(install_plugins)(Path(made) / "packages"):
+    begun, total = time.perf_counter(), Total()
+    with tempfile.TemporaryDirectory(dir=MEMORY) as made:
         folder = Path(made)
         bundles = given.bundle or both_bundles(folder)
-        seeds = range(given.seed, given.seed + given.runs) if given.runs else count(given.seed)
-        with suppress(KeyboardInterrupt):
-            for seed in seeds:
-                simulation = Simulation(seed, given.presses, bundles, folder / f"run{seed}")
-                print(f"seed {seed}: {simulation.chosen}", flush=True)
-                run = simulation.play()
-                shutil.rmtree(folder / f"run{seed}")
-                done, turns, reached = done + 1, turns + run.turns, reached + run.reached
-                if given.events or run.faults:
-                    print("\n".join([*run.events, *(f"seed {seed}: {fault}" for fault in run.faults)]))
-                failed += bool(run.faults)
-                if given.until_failed and (failed or time.perf_counter() - begun > given.until_failed):
-                    break
-    seconds = time.perf_counter() - begun
-    print("\n".join(f"{number:8d} {name}" for name, number in sorted(reached.items())))
-    print("".join(f"   NEVER {name}\n" for name in SOMETIMES if not reached[name]), end="")
-    presses = done * given.presses
-    print(
-        f"{done} runs, {presses} presses and {turns} turns in {seconds:.0f} s, {presses / seconds:.1f} presses "
-        f"a second; {failed} runs failed"
+        if given.jobs == 1:
+            for run in _plays(0, given, bundles, folder):
+                total.add(run)
+        else:
+            with multiprocessing.Pool(given.jobs) as pool:
+                parts = pool.imap_unordered(
+                    partial(_all, given=given, bundles=bundles, folder=folder), range(given.jobs)
+                )
+                for part in parts:
+                    for run in part:
+                        total.add(run)
+        print("\n".join(total.lines(time.perf_counter() - begun)), flush=True)
+        if total.failed and not given.no_shrink:
+            with contextmanager(install_plugins)(folder / "packages"):
+                _shrink(total.failed[0], bundles, folder)
+    return 1 if total.failed else 0
+
+
+def _all(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder: Path) -> list[Run]:
+    return list(_plays(job, given, bundles, folder))
+
+
+def _plays(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder: Path) -> Iterator[Run]:
+    """Play every job-th seed; a failure is printed."""
+    logging.disable(logging.CRITICAL)
+    cv2.setNumThreads(1)
+    begun, last_s = time.perf_counter(), given.seconds or given.until_failed
+    seeds = (
+        range(given.seed + job, given.seed + given.runs, given.jobs)
+        if given.runs
+        else count(given.seed + job, given.jobs)
     )
-    return 1 if failed else 0
+    with contextmanager(install_plugins)(folder / f"packages{job}"), suppress(KeyboardInterrupt):
+        for seed in seeds:
+            simulation = Simulation(seed, given.presses, bundles, folder / f"run{seed}")
+            run = simulation.play()
+            shutil.rmtree(folder / f"run{seed}")
+            if given.events or run.faults or given.runs == 1:
+                said = [
+                    f"seed {seed}: {run.chosen}",
+                    *run.events,
+                    *(f"seed {seed}: {fault}" for fault in run.faults),
+                ]
+                print("\n".join(said), flush=True)
+            yield run
+            if (given.until_failed and run.faults) or (last_s and time.perf_counter() - begun > last_s):
+                break
+
+
+def _shrink(run: Run, bundles: Sequence[Path], folder: Path) -> None:
+    """Print the shortest schedule that fails alike."""
+    failure = Failure.of(run)
+    if kind := failure.says:
+        print(
+            f"seed {run.seed} fails: {kind} Shrinking {len(failure.schedule)} faults, {failure.presses} presses ...",
+            flush=True,
+        )
+    shortest = shrink(failure, lambda tried: tried.play(bundles, folder).faults)
+    print(
+        f"{len(shortest.schedule)} faults, {shortest.presses} presses; for FAILED in failed.py:\n{shortest.text()}"
+    )
 
 
 if __name__ == "__main__":

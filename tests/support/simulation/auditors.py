@@ -11,25 +11,26 @@ from edge.core.errors import ArchiveError
 from edge.features.black_box.replay import Bundles, judge_again
 from edge.store.integrity import check_database
 from edge.store.press_archive import ArchiveFolder
-from simulation.lives import Station
-from simulation.outputs import DEADLINE_S, GATE, LAMP, REJECT
-from simulation.surroundings import SERIAL, Broker, S, World
+from simulation.alarms import audit_alarms
+from simulation.auditors_outputs import audit_lamp, audit_outputs
+from simulation.auditors_retained import audit_late, audit_outbox, audit_retained, audit_serials
+from simulation.brokers import Broker
+from simulation.lives import Station, find_lasting
+from simulation.sensor import SERIAL, S
+from simulation.surroundings import World
+
+ANSWERED_S = 2.0
+"""The loop answers a request with its next turn, also while the store refuses (docs/architecture.md)."""
 
 CALM_S = 60
 """So long after the last fault everything has left, and the station is ready (docs/operations.md)."""
 
 
-OPENED_S = 6
-"""A relay that is plugged in is opened so soon, and all of its outputs are written (docs/operations.md)."""
-
-SHOWN_S = 0.7
-"""A press is noticed, and the relay switched, so long after its begin."""
-
 OLDEST_S = 1.0
 """An older frame is refused (docs/operations.md)."""
 
-LONGEST_S = 3.0
-"""A pulse belongs to a press of this time before it."""
+AGAIN = {"the gateway was killed", "the gateway was restarted", "it began just after an interruption"}
+"""After these a part that still presses may be judged again, or a press count as one with that before."""
 
 LATEST_S = 1.5
 """A press that has no judged frame has the time of its row, so long after its end at most."""
@@ -46,14 +47,16 @@ def _audit_results(world: World, station: Station) -> Iterator[str]:
                 yield f"{broker.name}: press {press_id} has neither a verdict nor an error"
 
 
-def audit_now(world: World) -> Iterator[str]:
-    """What holds while the hand holds a part: no pass of an earlier one is shown, nor one of a dented part."""
-    press, relay, now_ns = world.sensor.press, world.relay, world.clock.now_ns
-    if press is None or press.why or not press.is_dented or not relay.is_on[LAMP]:
-        return
-    is_well = relay.mood == "up" and now_ns - relay.well_since_ns > OPENED_S * S
-    if is_well and now_ns - press.begin_ns > SHOWN_S * S:
-        yield f"press {press.number} is dented, and a pass is shown"
+def audit_now(world: World, station: Station) -> Iterator[str]:
+    """What holds at each moment."""
+    yield from audit_lamp(world, station)
+    yield from audit_alarms(world, station)
+    now_ns = world.clock.now_ns
+    since_ns = station.so_since("a request waits", bool(station.asking) and not station.is_frozen)
+    if since_ns is not None and now_ns - since_ns > ANSWERED_S * S:
+        yield f"a request has no answer after {ANSWERED_S} s"
+    if now_ns // (5 * S) != (now_ns - world.sensor.period_ns) // (5 * S):
+        yield from () if station.is_disk_disturbed else audit_outbox(station)
 
 
 def audit_end(world: World, station: Station) -> Iterator[str]:
@@ -61,10 +64,15 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from _audit_results(world, station)
     yield from _audit_presses(world, station)
     yield from _audit_judged(station)
-    yield from _audit_outputs(world, station)
+    yield from audit_outputs(world, station)
+    yield from audit_retained(world, station)
+    yield from audit_late(world, station)
+    yield from audit_serials(station)
+    yield from _audit_sight(station)
     yield from _audit_ledger(
-        station.disk.folder / "gelgate.db", sum(bool(one.why) for one in world.sensor.presses)
+        station.disk.folder / "gelgate.db", sum(bool(one.why) for one in world.hand.presses)
     )
+    yield from _audit_requests(station)
     for broker in world.brokers.values():
         yield from _audit_subscriber(broker, station.disk.folder / "gelgate.db")
         state = json.loads(broker.retained.get("state", b"null"))
@@ -73,6 +81,8 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     status = station.loop.parts.publisher.outbox_status()
     if status.rows:
         yield f"{status.rows} messages still wait {CALM_S} s after the last fault"
+    for alarm in sorted(find_lasting(station)):
+        yield f"the alarm {alarm} is still raised {CALM_S} s after the last fault"
 
 
 def audit_replay(world: World, station: Station, bundles: Sequence[Path]) -> Iterator[str]:
@@ -99,16 +109,19 @@ def _audit_presses(world: World, station: Station) -> Iterator[str]:
     times = {seen.press_id: seen.frame_ns or seen.noted_ns for seen in station.seen}
     for row in rows:
         seen_ns = times.get(row[0])
-        made = [one for one in world.sensor.presses if seen_ns and one.begin_ns <= seen_ns]
-        if not made or seen_ns > made[-1].end_ns + LATEST_S * S:
+        made = [one for one in world.hand.presses if seen_ns and one.begin_ns <= seen_ns]
+        if not made or (seen_ns > made[-1].end_ns + LATEST_S * S and not made[-1].why):
             when = seen_ns and f"{seen_ns / S:.2f} s"
             yield f"row {row[0]} ({row[1]}) at {when} belongs to no press of the hand"
             continue
         found.setdefault(made[-1].number, []).append(row)
-    for press in world.sensor.presses:
+    for press in world.hand.presses:
         own = found.get(press.number, [])
         if len(own) > 1 and not press.why:
             yield f"press {press.number} has {len(own)} rows"
+        judged = [row[0] for row in own if row[1] in ("pass", "fail")]
+        if len(judged) > 1 and not press.why & AGAIN:
+            yield f"press {press.number} was judged {len(judged)} times ({', '.join(press.why)})"
         if not own and not press.why:
             yield f"press {press.number} at {press.begin_ns / S:.2f} s is lost, without any fault"
         for _, verdict, part, gel in own:
@@ -116,10 +129,10 @@ def _audit_presses(world: World, station: Station) -> Iterator[str]:
                 yield f"press {press.number} is judged as {part}, and another part was selected at its begin"
             if not press.why and not world.gels.allows(press, gel):
                 yield f"press {press.number} counts on gel {gel}, and another gel was mounted at its begin"
-            if press.is_dented and verdict == "pass":
-                yield f"press {press.number} is dented and passed ({', '.join(press.why) or 'no fault'})"
-            if not press.why and verdict != ("fail" if press.is_dented else "pass"):
-                yield f"press {press.number} has the verdict {verdict}, without any fault"
+            if press.is_bad and verdict == "pass":
+                yield f"press {press.number} is {press.what} and passed ({', '.join(press.why) or 'no fault'})"
+            if not press.why and verdict not in press.words:
+                yield f"press {press.number}, {press.what}, has the verdict {verdict}, without any fault"
 
 
 def _audit_judged(station: Station) -> Iterator[str]:
@@ -132,33 +145,6 @@ def _audit_judged(station: Station) -> Iterator[str]:
             yield f"the frame of press {seen.press_id} was {age_s:.1f} s old when it was judged"
         if seen.is_over_gap:
             yield f"press {seen.press_id} was judged by a frame from before an interruption"
-
-
-def _audit_outputs(world: World, station: Station) -> Iterator[str]:
-    """Each output belongs to one press that was judged so, and none comes after its deadline."""
-    unused = {REJECT: [one for one in station.seen if one.word != "pass"]}
-    unused |= {GATE: [one for one in station.seen if one.word == "pass"]}
-    for one in world.relay.switched:
-        when = f"at {one.told_ns / S:.3f} s"
-        if one.channel == LAMP:
-            before = [seen.word for seen in station.seen if seen.noted_ns <= one.told_ns]
-            if before[-1:] != ["pass"]:
-                yield f"a pass was shown {when}, and the last press was {before[-1:] or 'none'}"
-            continue
-        presses = unused[one.channel]
-        own = [
-            seen for seen in presses if 0 <= one.told_ns - (seen.frame_ns or seen.judged_ns) < LONGEST_S * S
-        ]
-        if not own:
-            noted = [*(seen.noted_ns for seen in station.seen if seen.noted_ns >= one.told_ns), 1 << 62][0]
-            if not any(
-                one.told_ns <= killed <= noted for killed in station.ended_ns
-            ):  # before it was recorded
-                yield f"the pulse on channel {one.channel} {when} belongs to no press"
-            continue
-        presses.remove(own[-1])
-        if own[-1].frame_ns is not None and one.told_ns - own[-1].frame_ns > DEADLINE_S * S:
-            yield f"the pulse on channel {one.channel} {when} was given after its deadline"
 
 
 def _audit_ledger(path: Path, disturbed: int) -> Iterator[str]:
@@ -192,6 +178,31 @@ def _audit_subscriber(broker: Broker, path: Path) -> Iterator[str]:
     ]
     if without:
         yield f"{broker.name}: {len(without)} presses have no picture message"
+    if broker.misnamed:
+        yield f"{broker.name}: {len(broker.misnamed)} pictures name another press than their topic"
+
+
+def _audit_sight(station: Station) -> Iterator[str]:
+    """Each time without sight is an act, for presses may have been made in it (docs/operations.md)."""
+    with closing(
+        sqlite3.connect(f"file:{station.disk.folder / 'gelgate.db'}?mode=ro", uri=True)
+    ) as connection:
+        (acts,) = connection.execute("SELECT count(*) FROM acts WHERE verb = 'not_seen'").fetchone()
+    if acts < len(station.unseen_in):
+        yield f"{len(station.unseen_in)} times nothing was seen for long, and {acts} are in the acts"
+
+
+def _audit_requests(station: Station) -> Iterator[str]:
+    """A request is done once, and only where it is signed, or everyone may ask it (docs/mqtt.md)."""
+    path = station.disk.folder / "gelgate.db"
+    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+        query = "SELECT verb, request, count(*) FROM acts WHERE outcome = 'done' AND request IS NOT NULL GROUP BY 1, 2"
+        for verb, transaction, done in connection.execute(query):
+            if done > 1:
+                yield f"the request {verb}, {transaction}, was done {done} times"
+    for answer in station.answers:
+        if answer["status"] == "ok" and not station.allows(answer):
+            yield f"the request {answer['verb']}, {answer['transaction']}, was done, and nobody may ask it so"
 
 
 def read_presses(path: Path) -> list[tuple[str, str, str, str]]:

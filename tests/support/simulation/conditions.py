@@ -3,19 +3,35 @@
 from collections.abc import Iterator
 from itertools import pairwise
 
+from simulation.brokers import Broker
 from simulation.lives import Station
 from simulation.outputs import GATE, LAMP, REJECT
-from simulation.surroundings import Broker, World
+from simulation.surroundings import World
 
 SOMETIMES = (
     *(
         f"{fault}{when}"
-        for fault in ("sensor unplugged", "sensor silent", "corrupt frames", "process frozen", "disk full")
+        for fault in (
+            *("sensor unplugged", "sensor silent", "sensor frozen", "sensor covered", "another sensor"),
+            *("frames corrupt", "frames truncated", "frames broken inside", "frames jitter"),
+            *("frames in a burst", "process frozen", "disk full", "disk slow", "disk errs"),
+        )
         for when in ("", " during a press")
     ),
     *(f"relay {mood}" for mood in ("unplugged", "slow", "stuck")),
     *(f"pedal {mood}" for mood in ("unplugged", "stuck", "trodden")),
-    *(f"a broker {mood}" for mood in ("away", "forgets answers", "refuses", "restarts without memory")),
+    *(f"a broker {mood}" for mood in ("away", "silent", "forgets answers", "refuses", "kicks", "is narrow")),
+    *(f"a broker {mood}" for mood in ("doubles", "delays", "restarts without memory")),
+    *(f"the disk failed to {what}" for what in ("read", "write", "sync")),
+    *(f"a {kind} request" for kind in ("signed", "forged", "unsigned", "repeated")),
+    "the alarm pulse was acknowledged",
+    "the alarm counts was acknowledged",
+    "the wall clock drifts",
+    "the gel was replaced while the disk was full",
+    "a part change came as a press began, or after its verdict",
+    "restarted while the disk was full",
+    "a start failed, and the next one did not",
+    "killed between presses",
     "the wall clock went back",
     "the wall clock went on",
     "the wall clock was set while a broker was away",
@@ -41,6 +57,7 @@ SOMETIMES = (
     "a result came late, and said so",
     "a dented part failed",
     "a press had no verdict",
+    "a score was not a number",
     "a press was lost, with a reason",
     "two presses had different parts",
     "a lamp showed a pass",
@@ -58,8 +75,9 @@ def reached_at_end(world: World, station: Station) -> Iterator[str]:
     channels = {one.channel for one in world.relay.switched}
     found = {
         "a dented part failed": "fail" in words,
+        "a score was not a number": "error" in words,
         "a press had no verdict": bool(words & {"rejected", "error"}),
-        "a press was lost, with a reason": len(station.seen) < len(world.sensor.presses),
+        "a press was lost, with a reason": len(station.seen) < len(world.hand.presses),
         "a lamp showed a pass": LAMP in channels,
         "a pulse threw out a part": REJECT in channels,
         "a pulse let a part through": GATE in channels,

@@ -1,10 +1,12 @@
 """The faults that a schedule draws: each begins one, and returns how long it lasts, in seconds."""
 
+import random
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from edge.core.errors import GelgateError
-from simulation.surroundings import PARTS, S
+from edge.core.errors import StoreError
+from simulation.people import PEOPLE
+from simulation.sensor import OTHER_SERIAL, SERIAL, S
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -12,19 +14,25 @@ if TYPE_CHECKING:
     from simulation.power import Unsynced
     from simulation.schedule import Simulation
 
+# The sensor
 
-def unplug(run: "Simulation") -> float:
-    """The sensor's cable is pulled, and comes back."""
+
+def unplug(run: "Simulation", rng: random.Random) -> float:
+    """The sensor's cable is pulled, and comes back; or another sensor is plugged in for a while."""
     sensor = run.world.sensor
-    sensor.is_plugged = False
+    is_other = rng.random() < 0.25
+    sensor.is_plugged, sensor.serial = is_other, OTHER_SERIAL if is_other else SERIAL
+    sensor.forget()
 
     def plug() -> None:
-        sensor.is_plugged = True
+        sensor.is_plugged, sensor.serial = True, SERIAL
+        sensor.forget()
 
-    return run.for_a_while("sensor unplugged", run.rng.choice((0.2, 2, 12)), plug, is_sensors=True)
+    name = "another sensor" if is_other else "sensor unplugged"
+    return run.for_a_while(name, rng.choice((0.2, 2, 12)), plug, is_sensors=True)
 
 
-def silence(run: "Simulation") -> float:
+def silence(run: "Simulation", rng: random.Random) -> float:
     """The sensor gives no frame, and stays on the bus."""
     sensor = run.world.sensor
     sensor.is_silent = True
@@ -32,51 +40,137 @@ def silence(run: "Simulation") -> float:
     def speak() -> None:
         sensor.is_silent = False
 
-    return run.for_a_while("sensor silent", run.rng.choice((0.3, 1.5, 6)), speak, is_sensors=True)
+    return run.for_a_while("sensor silent", rng.choice((0.3, 1.5, 6, 12)), speak, is_sensors=True)
 
 
-def corrupt(run: "Simulation") -> float:
-    """Some frames end in the middle."""
+def blind(run: "Simulation", rng: random.Random) -> float:
+    """The sensor gives the same bytes again and again, or shows nothing."""
     sensor = run.world.sensor
-    sensor.corrupt_share = run.rng.choice((0.02, 0.3, 1.0))
+    name = rng.choice(("sensor frozen", "sensor covered"))
+    sensor.is_frozen, sensor.is_covered = name == "sensor frozen", name == "sensor covered"
+
+    begun_ns, lives = run.world.clock.now_ns, run.station.lives
+
+    def see() -> None:
+        lasted_s = (run.world.clock.now_ns - begun_ns) / S
+        others = sensor.troubles - {name}
+        if lasted_s > 4 and lives == run.station.lives and not others and run.station.loop.session:
+            run.station.expect_act()
+        sensor.is_frozen = sensor.is_covered = False
+
+    return run.for_a_while(name, rng.choice((0.3, 1.5, 6, 14)), see, is_sensors=True)
+
+
+def damage(run: "Simulation", rng: random.Random) -> float:
+    """Some frames end in the middle, or have a hole."""
+    sensor, kind = run.world.sensor, rng.choice(("corrupt", "truncated", "broken inside"))
+    sensor.damage = (kind, rng.choice((0.02, 0.3, 1.0)))
 
     def mend() -> None:
-        sensor.corrupt_share = 0.0
+        sensor.damage = ("", 0.0)
 
-    return run.for_a_while("corrupt frames", run.rng.uniform(0.5, 6), mend, is_sensors=True)
+    return run.for_a_while(f"frames {kind}", rng.choice((0.5, 2, 5, 12)), mend, is_sensors=True)
 
 
-def hang_up(run: "Simulation") -> float:
-    """A broker is away, forgets its answers, refuses one kind of message, or restarts without what it retained."""
-    broker = run.rng.choice(list(run.world.brokers.values()))
-    broker.mood = run.rng.choice(("away", "away", "forgets answers", "refuses", "restarts without memory"))
-    broker.refuses = run.rng.choice(("result", "heatmap", "gel"))
-    run.reach(f"a broker {broker.mood}")
-    if broker.mood == "restarts without memory":
-        broker.mood = "away"
-        broker.lose_all()
+def shake(run: "Simulation", rng: random.Random) -> float:
+    """Frames come irregularly."""
+    sensor = run.world.sensor
+    sensor.jitter_share = rng.choice((0.2, 0.6))
+
+    def calm() -> None:
+        sensor.jitter_share = 0.0
+
+    return run.for_a_while("frames jitter", rng.uniform(1, 10), calm, is_sensors=True)
+
+
+def hold_back(run: "Simulation", rng: random.Random) -> float:
+    """The bus gives nothing for a moment, then all of it in a burst."""
+    sensor = run.world.sensor
+    sensor.is_holding = True
+
+    def burst() -> None:
+        sensor.is_holding = False
+
+    return run.for_a_while("frames in a burst", rng.choice((0.15, 0.5, 1.2)), burst, is_sensors=True)
+
+
+# Brokers
+
+
+def hang_up(run: "Simulation", rng: random.Random) -> float:
+    """A broker is away, or has another of its moods."""
+    broker = rng.choice(list(run.world.brokers.values()))
+    moods = ("away", "away", "silent", "forgets answers", "refuses", "restarts without memory", "kicks")
+    mood = rng.choice((*moods, "is narrow", "doubles", "delays"))
+    broker.refuses = rng.choice(("result", "heatmap", "gel", "alarm", "info"))
+    run.reach(f"a broker {mood}")
+    broker.go("away" if mood == "restarts without memory" else mood)
+    if mood == "restarts without memory":
         broker.retained.clear()
-    elif broker.mood == "away":
-        broker.lose_all()
-
-    def come_back() -> None:
-        broker.mood = "up"
-
-    return run.for_a_while(f"{broker.name} {broker.mood}", run.rng.uniform(1, 30), come_back)
+    return run.for_a_while(f"{broker.name} {broker.mood}", rng.choice((1, 5, 15, 40)), broker.mend)
 
 
-def fill_disk(run: "Simulation") -> float:
+# Disk
+
+
+def fill_disk(run: "Simulation", rng: random.Random) -> float:
     """No room on the disk, then room again."""
     disk = run.station.disk
     disk.fill(True)
     run.world.parts.forget(run.world.clock.now_ns)
-    return run.for_a_while("disk full", run.rng.uniform(1, 20), lambda: disk.fill(False))
+    return run.for_a_while("disk full", rng.uniform(1, 20), lambda: disk.fill(False))
 
 
-def step_clock(run: "Simulation") -> float:
-    """Somebody, or a time server, sets the wall clock."""
-    step_s = run.rng.choice((-86_400, -3600, -1, 1, 3600, 31 * 86_400, 31 * 86_400))
-    run.world.clock.wall_ns += step_s * S
+def slow_disk(run: "Simulation", rng: random.Random) -> float:
+    """Each flush takes its time."""
+    unsynced = run.station.disk.unsynced
+    assert unsynced is not None
+    takes_s = rng.choice((0.02, 0.1, 0.4))
+    unsynced.at_sync = lambda: run.world.clock.sleep(takes_s)
+
+    def mend() -> None:
+        unsynced.at_sync = None
+
+    return run.for_a_while("disk slow", rng.uniform(1, 8), mend, is_sensors=True)
+
+
+def bad_disk(run: "Simulation", rng: random.Random) -> float:
+    """Some reads, writes or flushes of the database end in an error."""
+    unsynced = run.station.disk.unsynced
+    assert unsynced is not None
+    what, share, own = (
+        rng.choice(("read", "write", "sync")),
+        rng.choice((0.1, 0.5)),
+        random.Random(rng.random()),
+    )
+    unsynced.fails = lambda call: call == what and own.random() < share
+    run.world.parts.forget(run.world.clock.now_ns)
+    run.world.gels.forget(run.world.clock.now_ns)
+    run.reach(f"the disk failed to {what}")
+
+    def mend() -> None:
+        unsynced.fails = None
+        run.world.parts.forget(run.world.clock.now_ns)
+        run.world.gels.forget(run.world.clock.now_ns)
+
+    return run.for_a_while("disk errs", rng.uniform(0.5, 5), mend, is_sensors=True)
+
+
+# Clock
+
+
+def step_clock(run: "Simulation", rng: random.Random) -> float:
+    """Somebody, or a time server, sets the wall clock, or it drifts from now on."""
+    clock = run.world.clock
+    clock.set_ns = clock.now_ns
+    if rng.random() < 0.3:
+        now_ns, clock.drift = clock.time_ns(), rng.choice((-0.01, 0.0, 0.005))
+        clock.wall_ns += now_ns - clock.time_ns()
+        run.reach("the wall clock drifts")
+        run.note(f"the wall clock drifts by {clock.drift}")
+        return 0.0
+    step_s = rng.choice((-86_400, -3600, -1, 1, 3600, 31 * 86_400, 31 * 86_400))
+    clock.wall_ns += step_s * S
     run.note(f"the wall clock is set by {step_s} s")
     run.reach("the wall clock went back" if step_s < 0 else "the wall clock went on")
     if run.is_broker_away:
@@ -84,113 +178,87 @@ def step_clock(run: "Simulation") -> float:
     return 0.0
 
 
-def replace_gel(run: "Simulation") -> float:
-    """A person changes the gel, says so, and goes on when the new one was seen free for a while."""
-    sensor = run.world.sensor
-    if sensor.press is not None:
-        return 0.1
-    sensor.wait(4)
-    try:
-        run.world.gels.select(run.world.clock.now_ns, run.station.ask("replace_gel")["gel_id"])
-        run.reach(
-            "the gel was replaced while a broker was away" if run.is_broker_away else "the gel was replaced"
-        )
-        run.note("the gel is replaced")
-    except GelgateError as error:
-        run.reach("the gel could not be replaced")
-        run.note(f"the gel is not replaced: {error}")
-    return 0.0
+# The process
 
 
-def stop(run: "Simulation") -> float:
-    """The service is restarted."""
+def stop(run: "Simulation", rng: random.Random) -> float:
+    """The service is restarted: SIGTERM."""
     run.note("stopped in order")
     run.world.sensor.disturb("the gateway was restarted")
     run.reach_here("restarted")
-    run.station.stop()
+    if run.station.disk.is_full:
+        run.reach("restarted while the disk was full")
+    try:
+        run.station.stop()
+    except StoreError as error:
+        run.note(f"it did not end well: {error}")
     run.open_again()
     return 0.0
 
 
-def kill(run: "Simulation") -> float:
+def kill(run: "Simulation", rng: random.Random) -> float:
     """The process is killed at one of its next writes."""
-    run.station.disk.kill_in = run.rng.randint(1, 60)
+    run.station.disk.kill_in = rng.randint(1, 60)
     return 0.0
 
 
-def lose_power(run: "Simulation") -> float:
+def lose_power(run: "Simulation", rng: random.Random) -> float:
     """The power is lost at one of the next writes: what was not synced is lost in part."""
 
     def lose(unsynced: "Unsynced", copy: "Path") -> None:
-        if unsynced.lose(copy, run.rng):
+        if unsynced.lose(copy, rng):
             run.reach("writes were lost with the power")
 
-    run.station.disk.kill_in, run.station.disk.lost = run.rng.randint(1, 60), lose
+    run.station.disk.kill_in, run.station.disk.lost = rng.randint(1, 60), lose
     return 0.0
 
 
-def select_part(run: "Simulation") -> float:
-    """A command selects the other part, at any moment."""
-    parts = run.world.parts
-    part = PARTS[1 - PARTS.index(parts.wanted)]
-    try:
-        answer = run.station.ask("select_part", part=part, position="pos1")
-    except GelgateError as error:
-        run.note(f"part {part} is not selected: {error}")
-        return 0.0
-    parts.select(run.world.clock.now_ns, part)
-    is_waiting = answer["is_waiting"]
-    run.reach("a part change came during a press, and waited" if is_waiting else "the part was changed")
-    run.note(f"part {part} is selected{', and waits' if is_waiting else ''}")
-    return 0.0
-
-
-def reload(run: "Simulation") -> float:
-    """A command opens the bundles again."""
-    run.station.ask("reload")
-    run.reach_here("the bundles were opened again")
-    run.note("the bundles are opened again")
-    return 0.0
-
-
-def disturb_relay(run: "Simulation") -> float:
-    """The relay board is unplugged, slow or stuck."""
-    relay = run.world.relay
-    relay.mood = run.rng.choice(("unplugged", "slow", "stuck"))
-    return run.for_a_while(f"relay {relay.mood}", run.rng.uniform(0.5, 8), relay.mend)
-
-
-def disturb_pedal(run: "Simulation") -> float:
-    """The pedal is unplugged, held down, or trodden."""
-    pedal = run.world.pedal
-    pedal.mood = run.rng.choice(("unplugged", "stuck", "trodden", "trodden"))
-    return run.for_a_while(f"pedal {pedal.mood}", run.rng.uniform(0.1, 2), pedal.mend)
-
-
-def freeze(run: "Simulation") -> float:
-    """The process gets no time for a while, as in a machine that is suspended or short of memory."""
-    lasts_s = run.rng.choice((0.3, 0.9, 1.3, 3.0))
+def freeze(run: "Simulation", rng: random.Random) -> float:
+    """The process gets no time for a while: the machine is suspended, or short of memory."""
+    lasts_s = rng.choice((0.3, 0.9, 1.3, 3.0, 8.0))
     run.freeze(lasts_s)
     return run.for_a_while("process frozen", lasts_s, lambda: run.freeze(0), is_sensors=True)
 
 
-FAULTS: "dict[str, Callable[[Simulation], float]]" = {
+# Outputs
+
+
+def disturb_relay(run: "Simulation", rng: random.Random) -> float:
+    """The relay board is unplugged, slow or stuck."""
+    relay = run.world.relay
+    relay.mood = rng.choice(("unplugged", "slow", "stuck"))
+    return run.for_a_while(f"relay {relay.mood}", rng.uniform(0.5, 8), relay.mend)
+
+
+def disturb_pedal(run: "Simulation", rng: random.Random) -> float:
+    """The pedal is unplugged, held down, or trodden."""
+    pedal = run.world.pedal
+    pedal.mood = rng.choice(("unplugged", "stuck", "trodden", "trodden"))
+    return run.for_a_while(f"pedal {pedal.mood}", rng.uniform(0.1, 5), pedal.mend)
+
+
+FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "unplug": unplug,
     "silence": silence,
-    "corrupt": corrupt,
+    "blind": blind,
+    "damage": damage,
+    "shake": shake,
+    "hold back": hold_back,
     "hang up": hang_up,
     "fill disk": fill_disk,
+    "slow disk": slow_disk,
+    "bad disk": bad_disk,
     "step clock": step_clock,
-    "replace gel": replace_gel,
     "stop": stop,
     "kill": kill,
     "lose power": lose_power,
-    "select part": select_part,
-    "reload": reload,
+    "freeze": freeze,
     "relay": disturb_relay,
     "pedal": disturb_pedal,
-    "freeze": freeze,
+    **PEOPLE,
 }
 
-ASKING = (replace_gel, select_part, reload, stop, freeze)
+NEEDS_ANSWER = {"stop", "freeze", *PEOPLE}
 """Faults that need an answer of the process."""
+NEEDS_DISK = {"lose power", "slow disk", "bad disk"}
+"""Faults for which the writes of SQLite are listened to."""

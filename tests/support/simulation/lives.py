@@ -5,10 +5,13 @@ is a point at which the process can be killed; nothing of the program is replace
 From then on the process is dead: what it still does reaches no broker, and its folder is thrown away.
 """
 
+import json
 import os
 import shutil
 import sqlite3
 import sys
+import threading
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -18,12 +21,19 @@ from pathlib import Path
 from typing import Any
 
 from edge.config import Config
+from edge.core.errors import StoreError
 from edge.features.outputs.stage import Outputs
 from edge.gateway.build import open_station
 from edge.gateway.command_table import every_command
+from edge.gateway.opening import BundleOpener
+from edge.gateway.preflight import Preflight
 from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
+from edge.messaging.command_payloads import signature_of, signed_text
+from edge.model.session import TrunkSessions
+from simulation.options import SECRET
 from simulation.power import Unsynced
+from simulation.sensor import S
 from simulation.surroundings import World
 
 GAP_NS = 270_000_000
@@ -163,10 +173,26 @@ class Station:
         self.world, self.disk = world, Disk(folder)
         self.lives = 0
         self.seen: list[Seen] = []
+        self.began_ns = 0
         self.ended_ns: list[int] = []
         self.fed_ns: list[int] = []
         """The times of the frames that this life has looked at."""
+        self.answers: list[dict[str, Any]] = []
+        """Of requests that people have sent, in order."""
+        self.is_frozen = False
+        """No thread of it gets a turn."""
+        self.fps = S / world.sensor.period_ns
+        self.halted_ns: list[int] = []
+        """When it was not ready, about each time that the camera makes a frame."""
+        self.unseen_in: list[int] = []
+        """The lives in which a time without sight ended that must be in the acts."""
+        self._since_ns: dict[str, int] = {}
+        self.signed = set[str]()
+        """Transactions that were signed with the station's secret."""
+        self.asking: list[threading.Thread] = []
+        self._asked = 0
         self._read_config = read_config
+        self._trunks = TrunkSessions(1)
         self._closing = ExitStack()
         self.loop: StationLoop
         world.is_dead = lambda: self.disk.is_dead
@@ -176,9 +202,18 @@ class Station:
         """Begin a life."""
         self.lives += 1
         self.fed_ns.clear()
-        self.world.parts.forget(self.world.clock.now_ns)
-        self.world.gels.forget(self.world.clock.now_ns)
-        opened = open_station(self._read_config(), self.world.clock, self._note)
+        self._since_ns.clear()
+        clock = self.world.clock
+        self.began_ns = clock.now_ns
+        self.world.parts.forget(clock.now_ns)
+        self.world.gels.forget(clock.now_ns)
+        self.config = self._read_config()
+        checked = Preflight(BundleOpener(None, 1, clock))
+        checked.opener.trunks = (
+            self._trunks
+        )  # the same file in each life: opening it again would find nothing
+        checked.open_bundles(self.config)
+        opened = open_station(self.config, clock, self._note, checked)
         self.loop = self._closing.enter_context(opened)
         self.loop.parts.pictures.recall()
 
@@ -189,19 +224,62 @@ class Station:
         assert outputs is not None
         return outputs
 
+    @property
+    def is_calm(self) -> bool:
+        """Everything has left, every broker retains `ready`, and no alarm is raised that ends by itself."""
+        parts = self.loop.parts
+        states = (json.loads(one.retained.get("state", b"{}")) for one in self.world.brokers.values())
+        return (
+            all(state.get("state") == "ready" for state in states)
+            and not parts.publisher.outbox_status().rows
+            and not find_lasting(self)
+        )
+
+    @property
+    def is_disk_disturbed(self) -> bool:
+        """No room, or errors."""
+        return self.disk.is_full or (self.disk.unsynced is not None and self.disk.unsynced.fails is not None)
+
+    def expect_act(self) -> None:
+        """A time without sight ends now: it must be in the acts, unless the process ends before it sees again."""
+        if not self.is_disk_disturbed and not self.is_frozen:
+            self.unseen_in.append(self.lives)
+
+    def so_since(self, name: str, is_so: bool) -> int | None:
+        """Since when something is so in this life; None where it is not."""
+        if not is_so:
+            self._since_ns.pop(name, None)
+            return None
+        return self._since_ns.setdefault(name, self.world.clock.now_ns)
+
     def stop(self) -> None:
         """End in order, as at SIGTERM."""
-        self.ended_ns.append(self.world.clock.now_ns)
+        self._note_end()
+        stop = threading.Event()
+        stop.set()
+        try:
+            self.loop.turn_until(stop)
+        except (
+            StoreError
+        ) as error:  # the program ends with it; presses that wait are counted at the next start
+            self.world.said.append(str(error))
+        self.hear_answers()
         self._closing.close()
         self.disk.forget()
+
+    def _note_end(self) -> None:
+        self.ended_ns.append(self.world.clock.now_ns)
+        self.unseen_in = [life for life in self.unseen_in if life != self.lives]
 
     def bury(self) -> None:
         """The process is dead: its folder is as it was at that point."""
         copy = self.disk.copy
         assert copy is not None
-        self.ended_ns.append(self.world.clock.now_ns)
+        self._note_end()
         for broker in self.world.brokers.values():
             broker.lose_all()
+        self.loop.parts.calls.close(self.loop)
+        self.hear_answers()
         self._closing.close()
         self.disk.forget()
         hear_audits(None)
@@ -213,6 +291,9 @@ class Station:
 
     def close(self) -> None:
         """End the run."""
+        if hasattr(self, "loop"):
+            self.loop.parts.calls.close(self.loop)
+            self.hear_answers()
         self._closing.close()
         hear_audits(None)
 
@@ -221,21 +302,66 @@ class Station:
         command = next(command for command in every_command() if command.verb == verb)
         return command.do(self.loop, command.arguments.of(arguments))
 
+    def send_request(
+        self, verb: str, arguments: dict[str, Any], secret: str | None, transaction: str | None = None
+    ) -> str:
+        """Send a request over MQTT, on a thread as the sink does; the loop answers with its next turn.
+
+        Only one of the two threads runs at a time. Returns the transaction.
+        """
+        self._asked += 1
+        transaction, time_ns = transaction or f"request {self._asked}", self.world.clock.time_ns()
+        content: dict[str, Any] = {"transaction": transaction, "arguments": arguments, "by": "a person"}
+        if secret is not None:
+            root = self.config.station.place.root
+            text = signed_text(root, verb, transaction, time_ns, "a person", arguments)
+            content |= {"time_ns": time_ns, "signature": signature_of(secret.encode(), text)}
+        if secret == SECRET:
+            self.signed.add(transaction)
+        (session, *_) = next(iter(self.world.brokers.values())).sessions[-1:] or [None]
+        answer = session and session.context.on_command
+        if answer is None:
+            return transaction
+        payload, calls = json.dumps(content).encode(), self.loop.parts.calls
+        thread = threading.Thread(
+            target=lambda: self.answers.append({**json.loads(answer(verb, payload)), "lives": self.lives})
+        )
+        thread.start()
+        while thread.is_alive() and not calls._waiting:
+            time.sleep(0)
+        self.asking.append(thread)
+        return transaction
+
+    def allows(self, answer: dict[str, Any]) -> bool:
+        """Tell whether this request may be done: it was signed with the station's secret, or everyone may ask it."""
+        return answer["transaction"] in self.signed or answer["verb"] in self.config.commands.unsigned
+
+    def hear_answers(self) -> None:
+        """Wait for the threads whose requests the loop has done."""
+        if not self.loop.parts.calls._waiting:
+            for thread in self.asking:
+                thread.join()
+            self.asking.clear()
+
     def _note(self, report: PressReport) -> None:
         """Note what was seen of a press, also by a dead process that has written before."""
         press, now_ns = report.press, self.world.clock.now_ns
+        judged_ns = self.world.clock.running_ns(press.time_ns)
+        frame_ns = press.judged_ns or now_ns
+        if not frame_ns <= judged_ns <= now_ns or self.world.clock.set_ns > frame_ns:
+            judged_ns = frame_ns  # the wall clock was set since
         gaps = (
             later - then > GAP_NS
             for then, later in pairwise(self.fed_ns)
-            if later >= (press.judged_ns or now_ns)
+            if later >= frame_ns and then <= judged_ns
         )
-        self.seen.append(
-            Seen(
-                press.press_id,
-                now_ns,
-                press.judged_ns,
-                press.word,
-                press.time_ns - self.world.clock.wall_ns,
-                any(gaps),
-            )
-        )
+        self.seen.append(Seen(press.press_id, now_ns, press.judged_ns, press.word, judged_ns, any(gaps)))
+
+
+STAYS = {"archive", "outbox_full", "counts", "pulse", "overload", "gel", "gel_proof", "disk", "reference"}
+"""Alarms that a person ends, or the next press, or that say what is not over."""
+
+
+def find_lasting(station: Station) -> set[str]:
+    """Find the alarms that are raised and end by themselves when all is well."""
+    return set(station.loop.parts.status.view().alarms) - STAYS

@@ -43,7 +43,16 @@ def find(bug: Bug, tree: Path, bundles: list[Path], seconds: float) -> str:
         plant(bug, tree)
         begun = time.perf_counter()
         run = subprocess.run(
-            [sys.executable, "-m", "simulation", "--bundle", *bundles, "--until-failed", str(seconds)],
+            [
+                sys.executable,
+                "-m",
+                "simulation",
+                "--bundle",
+                *bundles,
+                "--until-failed",
+                str(seconds),
+                "--no-shrink",
+            ],
             env={**os.environ, "PYTHONPATH": f"{tree}:{tree / 'tests/support'}"},
             cwd=tree,
             capture_output=True,
@@ -54,7 +63,7 @@ def find(bug: Bug, tree: Path, bundles: list[Path], seconds: float) -> str:
     finally:
         shutil.rmtree(tree)
     said = [line for line in run.stdout.splitlines() if line.startswith("seed ")]
-    runs = sum("Chosen" in line for line in said)
+    runs = next((line.split()[0] for line in reversed(run.stdout.splitlines()) if " runs in " in line), "0")
     faults = [line for line in said if "Chosen" not in line]
     if run.returncode == 0:
         return f"NOT FOUND in {runs} runs, {took_s:.0f} s"

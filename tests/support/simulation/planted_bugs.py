@@ -98,10 +98,10 @@ BUGS = (
     ),
     Bug(
         "score NaN passes",
-        "edge/core/verdict.py",
-        "    if not (math.isfinite(score) and math.isfinite(threshold)):\n",
-        "    if math.isnan(score):\n        score = 0.0\n    if False:\n",
-        "passed",
+        "edge/model/scorer.py",
+        "        if not (np.isfinite(score_maps).all() and np.isfinite(scores).all()):\n",
+        "        scores = np.nan_to_num(scores, nan=0.0)\n        if False:\n",
+        "glaring and passed",
     ),
     Bug(
         "retained state not resent",
@@ -115,7 +115,7 @@ BUGS = (
         "edge/model/inspector.py",
         "for *asked, press in self._ahead if asked == [frame, touch]), None)",
         "for *asked, press in self._ahead), None)",
-        "scores otherwise",
+        "scores otherwise|passed|has .'pass'., and a pass",
     ),
     Bug(
         "owed pictures forgotten",

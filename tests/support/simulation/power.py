@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 SECTOR = 512
+IO_ERROR = 10
 OPEN = CFUNCTYPE(c_int, c_void_p, c_void_p, c_void_p, c_int, c_void_p)
 TRANSFER = CFUNCTYPE(c_int, c_void_p, c_void_p, c_int, c_int64)
 SYNC = CFUNCTYPE(c_int, c_void_p, c_int)
@@ -61,6 +62,10 @@ class Unsynced:
         """Of SQLite's files: the bytes before each sector that was written since the last sync."""
         self.synced: dict[int, bytes] = {}
         """Of other files, by inode: the content at the last sync."""
+        self.at_sync: Callable[[], object] | None = None
+        """Called at each sync: it takes its time."""
+        self.fails: Callable[[str], bool] | None = None
+        """Tells whether a `read`, `write` or `sync` of the database fails."""
 
     def lose(self, copy: Path, rng: random.Random) -> int:
         """Take from a copy of the folder what a loss of power takes; returns the number of sectors."""
@@ -144,6 +149,8 @@ _KEPT: list[Any] = []
 
 def _noted(found: Unsynced, sync: Callable[[int], None]) -> Callable[[int], None]:
     def synced(descriptor: int) -> None:
+        if found.at_sync is not None:
+            found.at_sync()
         sync(descriptor)
         found.note_sync(descriptor)
 
@@ -181,7 +188,14 @@ def _listening_methods(found: Unsynced, names: dict[int, str], address: int, kep
     really_read, really_write = TRANSFER(real.read), TRANSFER(real.write)
     really_sync, really_close = SYNC(real.sync), CLOSE(real.close)
 
+    def read(file: int, data: int, size: int, start: int) -> int:
+        if found.fails is not None and found.fails("read"):
+            return IO_ERROR
+        return int(really_read(file, data, size, start))
+
     def write(file: int, data: int, size: int, start: int) -> int:
+        if found.fails is not None and found.fails("write"):
+            return IO_ERROR
         sectors = found.sectors.setdefault(names[file], {})
         for sector in range(start // SECTOR * SECTOR, start + size, SECTOR):
             if sector not in sectors:
@@ -191,6 +205,10 @@ def _listening_methods(found: Unsynced, names: dict[int, str], address: int, kep
         return int(really_write(file, data, size, start))
 
     def sync(file: int, flags: int) -> int:
+        if found.at_sync is not None:
+            found.at_sync()
+        if found.fails is not None and found.fails("sync"):
+            return IO_ERROR
         found.sectors.pop(names[file], None)
         return int(really_sync(file, flags))
 
@@ -199,7 +217,7 @@ def _listening_methods(found: Unsynced, names: dict[int, str], address: int, kep
         return int(really_close(file))
 
     methods = Methods.from_buffer_copy(real)
-    functions = TRANSFER(write), SYNC(sync), CLOSE(close)
-    methods.write, methods.sync, methods.close = (cast(one, c_void_p) for one in functions)
+    functions = TRANSFER(read), TRANSFER(write), SYNC(sync), CLOSE(close)
+    methods.read, methods.write, methods.sync, methods.close = (cast(one, c_void_p) for one in functions)
     kept += functions
     return methods

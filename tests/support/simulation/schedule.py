@@ -1,4 +1,4 @@
-"""One run: a schedule that is drawn from a seed steps the station and its surroundings, and auditors watch.
+"""One run: a schedule steps the station and its surroundings, and auditors watch.
 
 No thread is started and no time is waited for: each thread of the station is an actor whose turn the schedule draws,
 and the clock moves to the next actor that has something to do. The same seed and commit give the same run.
@@ -7,18 +7,24 @@ and the clock moves to the next actor that has something to do. The same seed an
 import random
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from edge.config import Config, load_config
+from edge.core.errors import StoreError
 from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
+from simulation.auditors_retained import audit_retained
+from simulation.chosen import Chosen, Fault
 from simulation.conditions import reached_at_end
-from simulation.faults import ASKING, FAULTS
+from simulation.faults import FAULTS, NEEDS_ANSWER, NEEDS_DISK
 from simulation.lives import Station
+from simulation.options import SECRET
 from simulation.outputs import TABLES
 from simulation.power import listening
-from simulation.surroundings import PERIOD_NS, S, World
+from simulation.sensor import S
+from simulation.surroundings import World
 
 CONFIG = """
 version = 1
@@ -30,26 +36,15 @@ part = "PZ0/pos1"
 {bundles}
 [store]
 path = "{folder}/gelgate.db"
+[commands]
+unsigned = ["trigger", "acknowledge_alarm"]
+signed = ["select_part", "replace_gel", "reload", "relearn", "self_test"]
+secret_file = "{secret}"
 {archive}
 """
+RECORDED_S = 3
+"""So long after its end the last press is recorded."""
 SINK = '[[sinks]]\nplugin = "simulated"\noptions = {{ name = "{name}" }}\n'
-
-
-@dataclass
-class Chosen:
-    """What a seed chooses. Rates are faults per simulated minute."""
-
-    brokers: int
-    has_archive: bool
-    rates: dict[str, float]
-    sloth_s: float
-    """The longest wait of a ready actor for its turn."""
-
-    @classmethod
-    def of(cls, rng: random.Random) -> "Chosen":
-        """Draw: each kind of fault is left out of half of the runs, so that others meet alone."""
-        rates = {name: rng.choice((0, 0, 1, 5)) for name in FAULTS}
-        return cls(rng.choice((1, 1, 2)), rng.random() < 0.5, rates, rng.choice((0.0, 0.01, 0.03)))
 
 
 @dataclass
@@ -63,48 +58,71 @@ class Actor:
 
 @dataclass
 class Run:
-    """What a run did: the events in order, what was reached, and what an auditor found."""
+    """What a run did: the events and faults in order, what was reached, and what an auditor found."""
 
     seed: int
     presses: int
+    chosen: Chosen
     events: list[str] = field(default_factory=list)
+    schedule: list[Fault] = field(default_factory=list)
     reached: Counter[str] = field(default_factory=Counter)
+    counted: Counter[str] = field(default_factory=Counter)
+    """Each thing that happened, and how often, for the table."""
     faults: list[str] = field(default_factory=list)
     turns: int = 0
 
 
 class Simulation:
-    """A station in its world. bundles: of both parts, with the tiny detector. folder: empty, for the disk."""
+    """A station in its world. bundles: of both parts, with the tiny detector. folder: empty, for the disk.
+
+    schedule: the faults; by default they are drawn.
+    """
 
     def __init__(
-        self, seed: int, presses: int, bundles: Sequence[Path], folder: Path, chosen: Chosen | None = None
+        self,
+        seed: int,
+        presses: int,
+        bundles: Sequence[Path],
+        folder: Path,
+        chosen: Chosen | None = None,
+        schedule: Sequence[Fault] | None = None,
     ) -> None:
-        self.rng = random.Random(seed)
-        self.chosen = chosen or Chosen.of(self.rng)
-        self.run = Run(seed, presses)
-        self.world = World(self.rng, self.chosen.brokers)
-        self.world.sensor.most_presses = presses
+        self.chosen = chosen or Chosen.of(random.Random(f"{seed} chosen"), list(FAULTS))
+        self.rng = random.Random(f"{seed} turns")
+        self.run = Run(seed, presses, self.chosen)
+        self.world = World(seed, self.chosen)
+        self.world.hand.most_presses = presses
         self._disk = folder / "disk"
         self._disk.mkdir(parents=True)
-        self._config = folder / "gelgate.toml"
-        self._bundles, self._order = bundles, list(self.world.brokers)
+        self._config, self._secret = folder / "gelgate.toml", folder / "commands.key"
+        self._secret.write_text(SECRET)
+        self._secret.chmod(0o600)
+        self._bundles, self.order = bundles, list(self.world.brokers)
         self.station = Station(self.world, self._disk, self._read_config)
         self._calm_ns: int | None = None
         self._asked_ns = 0
-        self._ending: dict[str, Callable[[], None]] = {}
-        self._actors = [Actor("camera", self._camera), *self._threads(), *self._faults()]
+        self.ending: dict[str, Callable[[], None]] = {}
+        self._camera_actor = Actor("camera", self._camera)
+        faults = self._drawn_faults(seed) if schedule is None else self._given_faults(schedule)
+        self._actors = [self._camera_actor, *self._threads(), *faults]
+        names = {fault.name for fault in schedule} if schedule is not None else set(self.chosen.rates)
+        self._needs_disk = bool(names & NEEDS_DISK)
 
     def play(self) -> Run:
         """Play until all presses are made and all is calm; stops at the first thing that must not be."""
-        with _drawn_from(self.rng), listening(self._disk) as self.station.disk.unsynced:
-            self.station.open()
+        disk = listening(self._disk) if self._needs_disk else nullcontext()
+        with _drawn_from(self.rng), disk as self.station.disk.unsynced:
             try:
+                self.station.open()
                 while not self.run.faults and not self._is_over():
                     self._turn()
                 if not self.run.faults:
                     self.run.faults += audit_end(self.world, self.station)
                     self.run.faults += audit_replay(self.world, self.station, self._bundles)
                 self.run.reached.update(set(reached_at_end(self.world, self.station)))
+                self.run.counted["presses"] += len(self.world.hand.presses)
+                for broker in self.world.brokers.values():
+                    self.run.counted["faults of brokers"] += broker.said.total()
             finally:
                 self.station.close()
         return self.run
@@ -119,23 +137,26 @@ class Simulation:
 
     def reach_here(self, condition: str) -> None:
         """Count it, and whether it came during a press."""
-        self.reach(condition + (" during a press" if self.world.sensor.press else ""))
+        self.reach(condition + (" during a press" if self.world.hand.press else ""))
 
     @property
     def is_broker_away(self) -> bool:
         """A broker does not answer now."""
-        return any(broker.mood == "away" for broker in self.world.brokers.values())
+        return any(broker.mood in ("away", "silent") for broker in self.world.brokers.values())
 
     def _turn(self) -> None:
         """Let one of the actors that are due take its turn; where none is, time goes on to the next."""
-        clock = self.world.clock
-        first = min(actor.due_ns for actor in self._actors)
+        clock, camera = self.world.clock, self._camera_actor
+        first = min([actor.due_ns for actor in self._actors])
         clock.now_ns = max(clock.now_ns, first)
-        ready = [actor for actor in self._actors if actor.due_ns <= clock.now_ns]
-        actor = ready[0] if ready[0].name == "camera" else self.rng.choice(ready)
+        now_ns = clock.now_ns
+        if camera.due_ns <= now_ns:
+            actor = camera
+            self.run.faults += audit_now(self.world, self.station)
+        else:
+            ready = [actor for actor in self._actors if actor.due_ns <= now_ns]
+            actor = ready[0] if len(ready) == 1 else self.rng.choice(ready)
         self.run.turns += 1
-        if actor.name == "camera":
-            self.run.faults += audit_now(self.world)
         self.station.disk.attach()
         pause_s = actor.act()
         actor.due_ns = clock.now_ns + round(pause_s * S)
@@ -144,60 +165,77 @@ class Simulation:
 
     def _is_over(self) -> bool:
         """All presses are made, the faults have ended, and all is calm, or should be."""
-        if self.world.sensor.is_done and self._calm_ns is None:
-            for end in list(self._ending.values()):
+        if self.world.hand.is_done and self._calm_ns is None:
+            for end in list(self.ending.values()):
                 end()
-            self._ending.clear()
-            self._actors = [actor for actor in self._actors if actor.name not in FAULTS]
+            self.ending.clear()
+            self._actors = [actor for actor in self._actors if not actor.name.startswith("fault ")]
+            self.station.disk.kill_in = None
             self._calm_ns = self.world.clock.now_ns
         if self._calm_ns is None or self.world.clock.now_ns < self._asked_ns + S:
             return False
         self._asked_ns = self.world.clock.now_ns
         is_late = self._asked_ns > self._calm_ns + CALM_S * S
-        return is_late or not list(audit_end(self.world, self.station))
+        is_recorded = self._asked_ns > self._calm_ns + RECORDED_S * S
+        is_calm = is_recorded and self.station.is_calm
+        return is_late or (is_calm and not any(audit_retained(self.world, self.station)))
 
     # The threads of the station
 
     def _threads(self) -> list[Actor]:
-        threads = [Actor("reader", self._read), Actor("loop", self._loop), Actor("pictures", self._draw)]
+        self._reader, self._looper = Actor("reader", self._read), Actor("loop", self._loop)
+        self._relay = Actor("relay", self._switch)
+        threads = [self._reader, self._looper, Actor("pictures", self._draw)]
         threads += [
             Actor("bundles", self._open_bundles),
-            Actor("relay", self._switch),
             Actor("pedal", self._tread),
+            self._relay,
         ]
-        names = list(self.world.brokers)
-        threads += [Actor(name, lambda name=name: self._publish(name)) for name in names]  # type: ignore[misc]
-        self._own = {actor.name for actor in threads}
+        threads += [Actor(name, partial(self._publish, name)) for name in self.world.brokers]
+        self._own = list(threads)
         return threads
 
     def freeze(self, seconds: float) -> None:
         """Let no thread of the station take a turn for so long."""
-        for actor in self._actors:
-            if actor.name in self._own:
-                actor.due_ns = self.world.clock.now_ns + round(seconds * S)
+        self.station.is_frozen = seconds > 0
+        for actor in self._own:
+            actor.due_ns = self.world.clock.now_ns + round(seconds * S)
 
     def _camera(self) -> float:
-        sensor = self.world.sensor
-        before = sensor.press
+        sensor, hand = self.world.sensor, self.world.hand
+        before = hand.press
         sensor.make()
+        press = hand.press
         state = self.station.loop.parts.status.view().state
-        if sensor.press and state != "ready":
-            sensor.press.why.add(f"the station said '{state}'")
-        if sensor.press is not before and sensor.press is not None:
-            kind = "dented" if sensor.press.is_dented else "sound"
-            self.note(f"press {sensor.press.number} begins, {kind}")
+        if state != "ready":
+            self.station.halted_ns.append(self.world.clock.now_ns)
+            if press:
+                press.why.add(f"the station said '{state}'")
+        if press is not before and press is not None:
+            self.note(f"press {press.number} begins, {press.what}, {press.way}")
+        self._wake(self._reader)
         return (sensor.next_ns - self.world.clock.now_ns) / S
 
     def _read(self) -> float:
-        pause_s = self.station.loop.parts.acquisition.step()
-        return pause_s or self._lag(PERIOD_NS / S / 4)
+        acquisition = self.station.loop.parts.acquisition
+        frames = acquisition.status.frames
+        pause_s = acquisition.step()
+        if acquisition.status.frames != frames:
+            self._wake(self._looper)
+        return pause_s or (self._lag(0.002) if self.world.sensor.has_frame else 0.25)
+
+    def _wake(self, actor: Actor) -> None:
+        """A thread that waits for this has something to do, unless it pauses or does not run."""
+        if "process frozen" not in self.ending and actor.due_ns - self.world.clock.now_ns <= S // 4:
+            actor.due_ns = min(actor.due_ns, self.world.clock.now_ns + round(self._lag(0.001) * S))
 
     def _obey(self) -> None:
         """The person at the station reads the alarm, and leaves the gel free for a while."""
+        hand = self.world.hand
         said = self.station.loop.parts.status.view().alarms
-        if "contact" in said and not self.world.sensor.press and self.world.sensor.is_pressing_soon:
+        if "contact" in said and not hand.press and hand.is_pressing_soon:
             self.reach("the hand lifted because the station asked for it")
-            self.world.sensor.wait(3)
+            hand.wait(3)
 
     def _loop(self) -> float:
         loop = self.station.loop
@@ -207,52 +245,67 @@ class Simulation:
             self.station.fed_ns.append(frame.timestamp_ns)
         was_halted = loop.is_halted
         loop.step(frame)
+        self.station.hear_answers()
         if loop.is_halted != was_halted:
             self.reach("the store refused a press" if loop.is_halted else "the store took what had waited")
             self.note("the store refuses" if loop.is_halted else "the store accepts again")
-        return self._lag(PERIOD_NS / S / 3)
+        (driver,) = self.station.outputs.drivers
+        if driver._has_news:
+            driver._has_news = False
+            self._wake(self._relay)
+        return self._lag(0.001) if frame is not None else 0.2
 
     def _draw(self) -> float:
         self.station.loop.parts.pictures.step()
-        return 0.1 + self._lag(0.2)
+        return 0.2 + self._lag(0.2)
 
     def _open_bundles(self) -> float:
         self.station.loop.parts.selection.worker.step()
-        return 0.1 + self._lag(0.2)
+        return 0.2 + self._lag(0.2)
 
     def _switch(self) -> float:
         (driver,) = self.station.outputs.drivers
-        return min(driver.step(), 0.06) + self._lag(0)
+        return driver.step() + self._lag(0)
 
     def _tread(self) -> float:
         (reader,) = self.station.outputs.readers
-        return (reader.step() or 0.05) + self._lag(0)
+        return (reader.step() or 0.1) + self._lag(0)
 
     def _publish(self, name: str) -> float:
         workers = self.station.loop.parts.publisher.workers
-        worker = list(workers.values())[self._order.index(name)]
+        worker = list(workers.values())[self.order.index(name)]
         pause_s = worker.step()
-        return min(pause_s, 5.0) if not worker.counters.is_up else min(pause_s, 0.15 + self._lag(0.2))
+        return min(pause_s, 5.0) if not worker.counters.is_up else min(pause_s, 0.2 + self._lag(0.2))
 
     def _lag(self, least_s: float) -> float:
-        return least_s + self.rng.uniform(0, self.chosen.sloth_s)
+        return least_s + self.rng.random() * self.chosen.sloth_s
 
     # The faults
 
-    def _faults(self) -> Iterator[Actor]:
-        for name, act in FAULTS.items():
-            if rate := self.chosen.rates[name]:
-                yield Actor(
-                    name,
-                    lambda act=act, rate=rate: self._fault(act, rate),
-                    round(self.rng.expovariate(rate / 60) * S),
-                )  # type: ignore[misc]
+    def _drawn_faults(self, seed: int) -> Iterator[Actor]:
+        for name, rate in self.chosen.rates.items():
+            rng = random.Random(f"{seed} {name}")
+            first_ns = round(rng.expovariate(rate / 60) * S)
+            yield Actor(f"fault {name}", partial(self._drawn, name, rate, rng), S + first_ns)
 
-    def _fault(self, act: "Callable[[Simulation], float]", rate: float) -> float:
-        if "process frozen" in self._ending and act in ASKING:  # nobody answers
+    def _drawn(self, name: str, rate: float, rng: random.Random) -> float:
+        if "process frozen" in self.ending and name in NEEDS_ANSWER:  # nobody answers
             return 0.1
-        lasts_s = act(self)
-        return lasts_s + self.rng.expovariate(rate / 60)
+        return self._begin(name, rng.getrandbits(32)) + rng.expovariate(rate / 60)
+
+    def _given_faults(self, schedule: Sequence[Fault]) -> Iterator[Actor]:
+        for number, fault in enumerate(schedule):
+            yield Actor(f"fault {number}", partial(self._given, fault), round(fault.at_s * 1e6) * 1000)
+
+    def _given(self, fault: Fault) -> float:
+        self._begin(fault.name, fault.seed)
+        return 1e6
+
+    def _begin(self, name: str, seed: int) -> float:
+        """Begin a fault; returns how long it lasts."""
+        self.run.schedule.append(Fault(round(self.world.clock.now_ns / S, 6), name, seed))
+        self.run.counted[name] += 1
+        return FAULTS[name](self, random.Random(seed))
 
     def for_a_while(
         self, name: str, lasts_s: float, end: Callable[[], None], *, is_sensors: bool = False
@@ -271,10 +324,10 @@ class Simulation:
                 sensor.dim_until_ns = self.world.clock.now_ns + S
             self.note(f"{name} ends")
 
-        self._ending[name] = over
+        self.ending[name] = over
 
         def ended() -> float:
-            if self._ending.pop(name, None):
+            if self.ending.pop(name, None):
                 over()
             self._actors = [one for one in self._actors if one is not actor]
             return 0.0
@@ -288,31 +341,45 @@ class Simulation:
 
     def _rise(self) -> None:
         """The process is dead: the next one opens what the disk holds."""
-        point = self.station.disk.killed_at
-        self.note(f"{'the power is lost' if self.station.disk.lost else 'killed'} at {point}")
-        self.reach(f"killed at {'a file' if ' ' in point else point}")
-        self.reach("killed during a press" if self.world.sensor.press else "killed between presses")
+        disk = self.station.disk
+        self.note(f"{'the power is lost' if disk.lost else 'killed'} at {disk.killed_at}")
+        self.run.counted["crashes at a write"] += 1
+        self.reach(f"killed at {'a file' if ' ' in disk.killed_at else disk.killed_at}")
+        self.reach("killed during a press" if self.world.hand.press else "killed between presses")
         if self.is_broker_away:
             self.reach("killed while a broker was away")
-        if self.station.disk.is_full:
+        if disk.is_full:
             self.reach("killed while the disk was full")
         self.world.sensor.disturb("the gateway was killed")
         self.station.bury()
         self.open_again()
 
     def open_again(self) -> None:
-        self.station.open()
-        for actor in self._actors:
-            if actor.name in self._own:
-                actor.due_ns = self.world.clock.now_ns
+        """Begin the next life, with the station's own sensor; the service manager starts again what cannot start."""
+        if "another sensor" in self.ending:
+            self.ending.pop("another sensor")()
+        try:
+            self.station.open()
+        except StoreError as error:
+            self.note(f"the start failed: {error}")
+            self.reach("a start failed, and the next one did not")
+            if "disk errs" in self.ending:
+                self.ending.pop("disk errs")()
+            self.station.open()
+        for actor in self._own:
+            actor.due_ns = self.world.clock.now_ns
 
     def _read_config(self) -> Config:
         """Read what a person has written, who gives the brokers another order."""
-        before = list(self._order)
-        self.rng.shuffle(self._order)
-        if self._order != before and self.station.lives > 1:
+        before = list(self.order)
+        self.rng.shuffle(self.order)
+        if self.order != before and self.station.lives > 1:
             self.reach("restarted with the sinks in another order")
-        self._config.write_text(_config(self.chosen, self._bundles, self._disk, self._order))
+        archive = "" if self.chosen.has_archive else "[archive]\npresses = 0\n"
+        paths = "".join(f'[[inspection.bundles]]\npath = "{path}"\n' for path in self._bundles)
+        text = CONFIG.format(bundles=paths, folder=self._disk, archive=archive, secret=self._secret)
+        text += TABLES + "".join(SINK.format(name=name) for name in self.order)
+        self._config.write_text(text)
         return load_config(self._config)
 
 
@@ -330,10 +397,3 @@ def _drawn_from(rng: random.Random) -> Iterator[None]:
         yield
     finally:
         random.Random = real  # type: ignore[misc]
-
-
-def _config(chosen: Chosen, bundles: Sequence[Path], disk: Path, brokers: Sequence[str]) -> str:
-    archive = "" if chosen.has_archive else "[archive]\npresses = 0\n"
-    paths = "".join(f'[[inspection.bundles]]\npath = "{path}"\n' for path in bundles)
-    text = CONFIG.format(bundles=paths, folder=disk, archive=archive)
-    return text + TABLES + "".join(SINK.format(name=name) for name in brokers)

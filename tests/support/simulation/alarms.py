@@ -1,0 +1,84 @@
+"""Alarms that must be raised, and cleared, within a stated time (docs/operations.md)."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from simulation.lives import Station
+from simulation.sensor import SERIAL, S
+from simulation.surroundings import World
+
+
+@dataclass(frozen=True)
+class Rule:
+    """alarm: raised when `is_so` was so for `raised_s`; it may be raised while `may_be`; cleared `cleared_s` after."""
+
+    alarm: str
+    is_so: Callable[[World, Station], bool]
+    raised_s: float
+    may_be: Callable[[World, Station], bool]
+    cleared_s: float
+
+
+def is_sensor_lost(world: World, station: Station) -> bool:
+    """Tell whether nobody can see the gel now."""
+    sensor = world.sensor
+    is_silent = sensor.is_silent or sensor.is_frozen or sensor.is_covered or sensor.is_holding
+    is_broken = sensor.damage[0] != "" and sensor.damage[1] == 1.0
+    return not sensor.is_plugged or sensor.serial != SERIAL or is_silent or is_broken
+
+
+def _is_sensor_disturbed(world: World, station: Station) -> bool:
+    """Something is wrong with it, which may raise the alarm or not."""
+    return bool(world.sensor.troubles)
+
+
+def _is_relay_away(world: World, station: Station) -> bool:
+    return world.relay.mood == "unplugged"
+
+
+def _is_relay_disturbed(world: World, station: Station) -> bool:
+    return world.relay.mood != "up"
+
+
+def _is_pedal_away(world: World, station: Station) -> bool:
+    return world.pedal.mood == "unplugged"
+
+
+def _never(world: World, station: Station) -> bool:
+    return False
+
+
+def _is_disk_disturbed(world: World, station: Station) -> bool:
+    return station.is_disk_disturbed
+
+
+RULES = (
+    # Two seconds without a picture are a fault; 38 frames in a row that cannot be read are.
+    Rule("device", is_sensor_lost, 6.5, _is_sensor_disturbed, 14.0),
+    # Its presence is asked for once a second; it is opened again every 0.5 to 5 s, and a second.
+    Rule("actuator", _is_relay_away, 2.5, _is_relay_disturbed, 8.0),
+    Rule("trigger_device", _is_pedal_away, 2.5, _is_pedal_away, 8.0),
+    # It ends with the next press that is recorded, or with the next report, every 10 s.
+    Rule("store", _never, 0.0, _is_disk_disturbed, 14.0),
+)
+
+
+def audit_alarms(world: World, station: Station) -> Iterator[str]:
+    """Compare what is so with the alarms that the station raises. A process that gets no time says nothing."""
+    now_ns = world.clock.now_ns
+    view = station.loop.parts.status.view()
+    raised = view.alarms
+    for rule in RULES:
+        is_so, may = rule.is_so(world, station), rule.may_be(world, station)
+        # A sensor that is opened again may be well, until it is found that it is not; a frozen one stays the same.
+        again = world.sensor.given if world.sensor.is_frozen else world.sensor.openings
+        so_since_ns = station.so_since(f"{rule.alarm} is so {again}", is_so and not station.is_frozen)
+        well_since_ns = station.so_since(
+            f"{rule.alarm} is well", not (is_so or may) and not station.is_frozen
+        )
+        if so_since_ns is not None and now_ns - so_since_ns > rule.raised_s * S and rule.alarm not in raised:
+            yield f"the alarm {rule.alarm} is not raised {rule.raised_s} s after its reason came"
+        if rule.alarm in ("device", "store") and rule.alarm in raised and view.state == "ready":
+            yield f"the station is ready, and the alarm {rule.alarm} is raised"
+        if well_since_ns is not None and now_ns - well_since_ns > rule.cleared_s * S and rule.alarm in raised:
+            yield f"the alarm {rule.alarm} is still raised {rule.cleared_s} s after its reason went"

@@ -1,0 +1,68 @@
+"""What holds of the outputs (docs/operations.md): what is shown, and which pulse is given."""
+
+from collections.abc import Iterator
+
+from simulation.alarms import is_sensor_lost
+from simulation.lives import Station
+from simulation.outputs import DEADLINE_S, GATE, LAMP, REJECT
+from simulation.sensor import S
+from simulation.surroundings import World
+
+OPENED_S = 6
+"""A relay that is plugged in is opened so soon, and all of its outputs are written (docs/operations.md)."""
+
+SHOWN_S = 0.4
+"""The relay is switched so long after a press is noticed."""
+
+LONGEST_S = 3.0
+"""A pulse belongs to a press of this time before it."""
+
+UNSEEN_S = 1.0
+"""A pass goes out half a second after the last picture of the gel, and the relay is switched."""
+
+
+def audit_lamp(world: World, station: Station) -> Iterator[str]:
+    """What holds at each moment: no pass is shown for a part that has none yet, nor without a picture of the gel."""
+    press, relay, now_ns = world.hand.press, world.relay, world.clock.now_ns
+    is_well = relay.mood == "up" and now_ns - relay.well_since_ns > OPENED_S * S and not station.is_frozen
+    is_lost = station.so_since("nothing is seen", is_sensor_lost(world, station) and is_well)
+    if not relay.is_on[LAMP] or not is_well:
+        return
+    if is_lost is not None and now_ns - is_lost > (UNSEEN_S + 2 / station.fps) * S:
+        yield f"nothing is seen for {(now_ns - is_lost) / S:.1f} s, and a pass is shown"
+    if press is None or press.why:
+        return
+    if now_ns - press.begin_ns > (world.noticed_s + SHOWN_S) * S:
+        own = [seen.word for seen in station.seen[-4:] if seen.noted_ns >= press.begin_ns]
+        if press.is_bad or "pass" not in own:
+            yield f"press {press.number} is {press.what}, has {own[-1:] or 'no verdict'}, and a pass is shown"
+
+
+def audit_outputs(world: World, station: Station) -> Iterator[str]:
+    """Each output belongs to one press that was judged so, and none comes after its deadline."""
+    unused = {REJECT: [one for one in station.seen if one.word != "pass"]}
+    unused |= {GATE: [one for one in station.seen if one.word == "pass"]}
+    for one in world.relay.switched:
+        when = f"at {one.told_ns / S:.3f} s"
+        if one.channel == LAMP:
+            before = [seen.word for seen in station.seen if seen.noted_ns <= one.told_ns]
+            if before[-1:] != ["pass"]:
+                yield f"a pass was shown {when}, and the last press was {before[-1:] or 'none'}"
+            passed_ns = max(
+                [seen.noted_ns for seen in station.seen if seen.noted_ns <= one.told_ns], default=0
+            )
+            if any(passed_ns < halted_ns < one.told_ns - S for halted_ns in station.halted_ns):
+                yield f"a pass was shown {when}, and the station was not ready since that press"
+            continue
+        presses = unused[one.channel]
+        own = [
+            seen for seen in presses if 0 <= one.told_ns - (seen.frame_ns or seen.judged_ns) < LONGEST_S * S
+        ]
+        if not own:
+            noted = [*(seen.noted_ns for seen in station.seen if seen.noted_ns >= one.told_ns), 1 << 62][0]
+            if not any(one.told_ns <= ended <= noted for ended in station.ended_ns):  # before it was recorded
+                yield f"the pulse on channel {one.channel} {when} belongs to no press"
+            continue
+        presses.remove(own[-1])
+        if own[-1].frame_ns is not None and one.told_ns - own[-1].frame_ns > DEADLINE_S * S:
+            yield f"the pulse on channel {one.channel} {when} was given after its deadline"

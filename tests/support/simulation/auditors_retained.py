@@ -1,0 +1,83 @@
+"""What a subscriber that comes later would see, and what waits for it (docs/mqtt.md): nothing false, nor much."""
+
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+
+from simulation.lives import Station
+from simulation.sensor import OTHER_SERIAL, S
+from simulation.surroundings import World
+
+
+def audit_retained(world: World, station: Station) -> Iterator[str]:
+    """What each broker retains in the end is so: the newest press, the gel with its count, the part, the alarms."""
+    raised = station.loop.parts.status.view().alarms
+    with closing(_open(station)) as connection:
+        newest = connection.execute("SELECT press_id FROM presses ORDER BY number DESC LIMIT 1").fetchone()
+        gels = dict(connection.execute("SELECT gel_id, presses FROM gels"))
+    session = station.loop.session
+    for broker in world.brokers.values():
+        kept = {topic: _read(payload) for topic, payload in broker.retained.items()}
+        last = kept.get("last/press")
+        if newest and last is not None and last["press_id"] != newest[0]:  # a broker may forget it
+            yield f"{broker.name} retains the press {last['press_id']} as the last, and it is {newest[0]}"
+        gel = kept.get("gel")
+        if (
+            session
+            and gel
+            and (gel["gel_id"], gel["presses"]) != (session.gel.gel_id, gels[session.gel.gel_id])
+        ):
+            yield f"{broker.name} retains the gel {gel['gel_id']} with {gel['presses']} presses, which is not so"
+        info, part = kept.get("info"), station.loop.parts.selection.part.part
+        if info and info["part"] != part:
+            yield f"{broker.name} retains the part {info['part']}, and {part} inspects"
+        said = {topic.removeprefix("alarm/") for topic in kept if topic.startswith("alarm/")}
+        if said != raised:
+            yield f"{broker.name} retains the alarms {sorted(said)}, and raised are {sorted(raised)}"
+        yield from broker.went_back
+
+
+def audit_late(world: World, station: Station) -> Iterator[str]:
+    """A result that waited for the receiver says that it is late."""
+    made_ns = {seen.press_id: seen.noted_ns for seen in station.seen}
+    for broker in world.brokers.values():
+        for press_id, taken_ns in broker.taken_ns.items():
+            since_ns = made_ns.get(press_id)
+            was_away = any(
+                since_ns is not None
+                and begun_ns <= since_ns
+                and ended_ns - since_ns > 2 * S
+                and ended_ns <= taken_ns
+                for begun_ns, ended_ns in broker.outages
+            )
+            if was_away and not broker.results[press_id][0]["is_replayed"]:
+                yield f"{broker.name}: the result of press {press_id} came late, and does not say so"
+
+
+def audit_outbox(station: Station) -> Iterator[str]:
+    """Of the topics without history only the newest waits: the outbox does not grow with the presses."""
+    with closing(_open(station)) as connection:
+        query = "SELECT topic, count(*) FROM outbox WHERE retain = 1 GROUP BY topic HAVING count(*) > 2"
+        for topic, rows in connection.execute(query):
+            yield f"{rows} messages of the retained topic {topic} wait"
+
+
+def audit_serials(station: Station) -> Iterator[str]:
+    """Wear is counted for each sensor's own gel: another one during a run is refused (docs/operations.md)."""
+    with closing(_open(station)) as connection:
+        for table in ("gels", "presses"):
+            query = f"SELECT count(*) FROM {table} WHERE serial = ?"
+            if connection.execute(query, (OTHER_SERIAL,)).fetchone()[0]:
+                yield f"another sensor than the station's own has {table}"
+
+
+def _open(station: Station) -> sqlite3.Connection:
+    return sqlite3.connect(f"file:{station.disk.folder / 'gelgate.db'}?mode=ro", uri=True)
+
+
+def _read(payload: bytes) -> dict[str, object]:
+    try:
+        return dict(json.loads(payload))
+    except ValueError:
+        return {}  # a picture

@@ -1,0 +1,125 @@
+"""The hand that presses parts on the sensor, and the pictures that the camera then takes."""
+
+import random
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import repeat
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from station import gel, jpeg
+
+SIZE = (160, 120)
+"""That of the contact view, so nothing is scaled: a simulated camera is not what is tried."""
+Phase = tuple[float, str]
+"""Depth, 0 to 1, and what is on the gel: `sound`, `dented` or `glaring`."""
+FREE: Phase = (0.0, "sound")
+NOT_SETTLED = {"rejected"}
+
+
+@dataclass
+class MadePress:
+    """A press of the hand. why: the faults while it was made or recorded; with one it may be lost, never doubled."""
+
+    number: int
+    begin_ns: int
+    what: str
+    way: str = "steady"
+    end_ns: int = 0
+    why: set[str] = field(default_factory=set)
+
+    @property
+    def is_bad(self) -> bool:
+        """It must never pass."""
+        return self.what != "sound"
+
+    @property
+    def words(self) -> set[str]:
+        """The verdicts that it may have without any fault."""
+        word = {"sound": "pass", "dented": "fail", "glaring": "error"}[self.what]
+        return {word, *NOT_SETTLED} if self.way == "brief" else {word}
+
+
+def draw_gel(rng: np.random.Generator, depth: float, what: str) -> NDArray[np.uint8]:
+    """Draw BGR uint8 (120, 160, 3). glaring: so bright a place that the detector's score is not a number."""
+    if depth < 0:
+        return np.zeros((SIZE[1], SIZE[0], 3), np.uint8)  # covered: nothing is seen
+    picture = cv2.resize(gel(rng, depth, what == "dented"), SIZE, interpolation=cv2.INTER_AREA)
+    if what == "glaring":
+        cv2.circle(picture, (75, 50), 9, (250, 250, 250), cv2.FILLED)
+    return np.asarray(picture, np.uint8)
+
+
+@cache
+def pictures(phase: Phase) -> Sequence[bytes]:
+    """JPEGs of one phase, each with other noise: so many that none comes again soon, also where some are left out."""
+    rng = np.random.default_rng(200 + round(100 * phase[0]) + len(phase[1]))
+    return tuple(jpeg(draw_gel(rng, *phase)) for _ in range(13))
+
+
+class Hand:
+    """Presses one part after the other. period_s: of the camera's frames, for each phase is one frame."""
+
+    def __init__(self, rng: random.Random, period_s: float) -> None:
+        self._rng, self._period_s = rng, period_s
+        self.presses: list[MadePress] = []
+        self.most_presses = 0
+        self._phases: deque[Phase] = deque(repeat(FREE, round(2.2 / period_s)))
+
+    @property
+    def press(self) -> MadePress | None:
+        """The press that is made now."""
+        return self.presses[-1] if self.presses and not self.presses[-1].end_ns else None
+
+    @property
+    def is_done(self) -> bool:
+        """All presses are made, and the gel is free."""
+        return len(self.presses) >= self.most_presses and self.press is None
+
+    @property
+    def is_pressing_soon(self) -> bool:
+        """The gel is free, and not for long."""
+        return len(self._phases) < 8
+
+    def move(self, now_ns: int) -> Phase:
+        """Go on by one frame."""
+        if not self._phases:
+            if len(self.presses) >= self.most_presses:
+                return FREE
+            self._begin(now_ns)
+        phase = self._phases.popleft()
+        press = self.press
+        if press and phase == FREE:
+            press.end_ns = now_ns
+        return phase
+
+    def wait(self, seconds: float) -> None:
+        """Leave the gel free for this long, from the end of the press on."""
+        self._phases.extend(repeat(FREE, round(seconds / self._period_s)))
+
+    def _begin(self, now_ns: int) -> None:
+        what = self._rng.choices(("sound", "dented", "glaring"), (77, 20, 3))[0]
+        way = self._rng.choices(("steady", "slow", "hesitating", "brief"), (80, 8, 8, 4))[0]
+        self.presses.append(MadePress(len(self.presses), now_ns, what, way))
+        self._phases.extend((depth, what) for depth in self._depths(way))
+        self._phases.extend(repeat(FREE, self._frames(0.35, 0.75, 4)))
+
+    def _depths(self, way: str) -> Iterator[float]:
+        """Depths from the first touch to the lift."""
+        if way == "brief":
+            yield from (0.5, *repeat(1.0, self._frames(0.25, 0.32, 2)), 0.3)
+            return
+        yield 0.5
+        if way == "slow":
+            steps = self._frames(0.6, 1.6, 5)
+            yield from (round(0.4 + 0.6 * step / steps, 1) for step in range(steps))
+        elif way == "hesitating":
+            yield from repeat(0.6, self._frames(0.12, 0.2, 2))
+        yield from repeat(1.0, self._frames(0.5, 0.75, 5))
+        yield 0.3
+
+    def _frames(self, least_s: float, most_s: float, fewest: int) -> int:
+        return max(fewest, round(self._rng.uniform(least_s, most_s) / self._period_s))

@@ -1,0 +1,24 @@
+"""The options of the simulated plugins, and of the runs."""
+
+from pathlib import Path
+
+from pydantic import BaseModel
+
+SECRET = "a secret of this simulation, 32 bytes and more"
+"""With which a station's own people sign."""
+
+MEMORY = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
+"""A disk that takes no time, where there is one; what is lost with the power is known by what was synced."""
+
+
+class NoOptions(BaseModel):
+    """Nothing is asked."""
+
+
+class BrokerOptions(BaseModel):
+    """Which broker of the world."""
+
+    name: str = ""
+
+    def identity(self) -> str:
+        return self.name

@@ -1,0 +1,93 @@
+"""What people do at a station: they change gel and part, reload, acknowledge, ask, and forge."""
+
+import random
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from edge.core.errors import GelgateError
+from simulation.bundles import PARTS
+from simulation.options import SECRET
+
+if TYPE_CHECKING:
+    from simulation.schedule import Simulation
+
+
+def replace_gel(run: "Simulation", rng: random.Random) -> float:
+    """A person changes the gel, says so, and goes on when the new one was seen free for a while."""
+    hand = run.world.hand
+    if hand.press is not None:
+        return 0.1
+    hand.wait(4)
+    try:
+        run.world.gels.select(run.world.clock.now_ns, run.station.ask("replace_gel")["gel_id"])
+        run.reach(
+            "the gel was replaced while a broker was away" if run.is_broker_away else "the gel was replaced"
+        )
+        if run.station.disk.is_full:
+            run.reach("the gel was replaced while the disk was full")
+        run.note("the gel is replaced")
+    except GelgateError as error:
+        run.world.gels.forget(run.world.clock.now_ns)
+        run.reach("the gel could not be replaced")
+        run.note(f"the gel is not replaced: {error}")
+    return 0.0
+
+
+def select_part(run: "Simulation", rng: random.Random) -> float:
+    """A command selects the other part, at any moment."""
+    parts = run.world.parts
+    part = PARTS[1 - PARTS.index(parts.wanted)]
+    try:
+        answer = run.station.ask("select_part", part=part, position="pos1")
+    except GelgateError as error:
+        run.note(f"part {part} is not selected: {error}")
+        return 0.0
+    parts.select(run.world.clock.now_ns, part)
+    is_waiting = answer["is_waiting"]
+    run.reach("a part change came during a press, and waited" if is_waiting else "the part was changed")
+    if run.world.hand.press and not is_waiting:
+        run.reach("a part change came as a press began, or after its verdict")
+    run.note(f"part {part} is selected{', and waits' if is_waiting else ''}")
+    return 0.0
+
+
+def reload(run: "Simulation", rng: random.Random) -> float:
+    """A command opens the bundles again."""
+    run.station.ask("reload")
+    run.reach_here("the bundles were opened again")
+    run.note("the bundles are opened again")
+    return 0.0
+
+
+def request(run: "Simulation", rng: random.Random) -> float:
+    """A request comes over MQTT: signed, forged, repeated, or of nobody."""
+    kind = rng.choice(("signed", "forged", "unsigned", "repeated"))
+    verb = rng.choice(("self_test", "reload", "acknowledge_alarm", "trigger"))
+    arguments = {"alarm": "pulse"} if verb == "acknowledge_alarm" else {}
+    secret = {"signed": SECRET, "forged": "another secret of nobody here, and long", "repeated": SECRET}.get(
+        kind
+    )
+    transaction = run.station.send_request(verb, arguments, secret)
+    if kind == "repeated":
+        run.station.send_request(verb, arguments, secret, transaction)
+    run.reach(f"a {kind} request")
+    run.note(f"a {kind} request, {verb}")
+    return 0.0
+
+
+def acknowledge(run: "Simulation", rng: random.Random) -> float:
+    """A person acknowledges what stays."""
+    raised = sorted({"pulse", "counts", "outbox_full"} & run.station.loop.parts.status.view().alarms)
+    for alarm in raised:
+        run.station.ask("acknowledge_alarm", alarm=alarm)
+        run.reach(f"the alarm {alarm} was acknowledged")
+    return 0.0 if raised else 0.5
+
+
+PEOPLE: "dict[str, Callable[[Simulation, random.Random], float]]" = {
+    "replace gel": replace_gel,
+    "select part": select_part,
+    "reload": reload,
+    "request": request,
+    "acknowledge": acknowledge,
+}
