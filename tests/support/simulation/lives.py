@@ -358,7 +358,18 @@ class Station:
         self.seen.append(Seen(press.press_id, now_ns, press.judged_ns, press.word, judged_ns, any(gaps)))
 
 
-STAYS = {"archive", "outbox_full", "counts", "pulse", "overload", "gel", "gel_proof", "disk", "reference"}
+STAYS = {
+    "archive",
+    "drift",
+    "outbox_full",
+    "counts",
+    "pulse",
+    "overload",
+    "gel",
+    "gel_proof",
+    "disk",
+    "reference",
+}
 """Alarms that a person ends, or the next press, or that say what is not over."""
 
 
