@@ -128,12 +128,13 @@ class InspectionSession:
         while self._waiting:
             with about_press(self._waiting[0].row.press_id):
                 report = self._recorder.record(self._waiting[0])
-            self._waiting.popleft()
+            recorded = self._waiting.popleft()
             self.see_gel(report.gel)
             self._status.gel_wear(report.gel)
-            yield report
-            self._recorder.keep_count(report.gel)  # when the result is on its way
-
+            try:
+                yield report
+            finally:  # also where a stage cannot take the press
+                self._recorder.follow(recorded, report.gel)
         if self._uncounted:
             self.see_gel(self._recorder.count(self._uncounted))
             self._uncounted = 0

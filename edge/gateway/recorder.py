@@ -137,8 +137,8 @@ class Recorder:
         return WaitingPress(press.drop_pictures(), row, result, drawing, table)
 
     def record(self, waiting: WaitingPress) -> PressReport:
-        """Write press, count and messages in one transaction; its picture and `keep_count` follow. Errors: StoreError;
-        the call may be repeated."""
+        """Write press, count and messages in one transaction; `follow` is the rest. Errors: StoreError; the call may
+        be repeated."""
         press, table = waiting.press, waiting.table
         sentences: Sequence[str] = ()
         result: ResultPayload | None = None
@@ -152,16 +152,17 @@ class Recorder:
             own, sentences = table.publish(result, recorded.sequence)
             return [*own, GelPayload.of(recorded.gel, result.time_ns).message()]
 
-        drawing = waiting.drawing
+        owes_picture = waiting.drawing is not None
         recorded = self._store.record_press(
-            waiting.row, messages, table, owes_picture=drawing is not None, owes_count=True
+            waiting.row, messages, table, owes_picture=owes_picture, owes_count=True
         )
-        if drawing is not None:
-            self._add_picture(drawing)
         return PressReport(press, result or _result(waiting, recorded), recorded.gel, sentences)
 
-    def keep_count(self, gel: GelRecord) -> None:
-        """Write the count of the last press into its second record. Never raises."""
+    def follow(self, recorded: WaitingPress, gel: GelRecord) -> None:
+        """Have its picture drawn, and write its count into the second record, when its result is on its way. Never
+        raises."""
+        if recorded.drawing is not None:
+            self._add_picture(recorded.drawing)
         self._store.keep_count(gel)
 
     def count(self, presses: int) -> GelRecord:

@@ -71,6 +71,16 @@ def test_a_result_leaves_before_its_picture_is_drawn(store: Store, path: Path) -
     assert store.owed_pictures() == []
 
 
+def test_a_picture_is_asked_for_when_the_publisher_is_woken(
+    station: SteppedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread that draws does not take the core from the one that sends the result."""
+    waiting, pictures = list[int](), station.parts.pictures
+    monkeypatch.setattr(station.loop, "_on_press", lambda report: waiting.append(len(pictures._waiting)))
+    station.play()
+    assert waiting == [0, 0, 0]
+
+
 def test_the_retained_picture_changes_once_a_press_and_after_it(store: Store, path: Path) -> None:
     """The broker has the first press and was away for two more, with their pictures. Wherever the connection breaks
     then, its `last/heatmap` names its own press, never one later than `last/press`; at the end both are one press. It

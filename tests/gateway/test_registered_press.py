@@ -136,7 +136,10 @@ def test_its_picture_is_drawn_again_as_it_was(tmp_path: Path, inspector: Inspect
         recorder = Recorder(store, "SIM1", place, SystemClock(), drawings.append, [box])
         for one in (press, scarred):
             one = replace(one, press_id=new_ulid(0), bundle_id=inspector.bundle.digest)
-            box.record(one, recorder.record(recorder.prepare(one, inspector)).gel)
+            waiting = recorder.prepare(one, inspector)
+            gel = recorder.record(waiting).gel
+            box.record(one, gel)
+            recorder.follow(waiting, gel)
             again = draw_archived(one.press_id, store, [inspector.bundle], "jpeg")
             assert again == drawings[-1].draw()
     assert drawings[0].draw().sheet != drawings[1].draw().sheet
