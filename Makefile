@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-covered sim-planted threads acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
+.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -124,6 +124,12 @@ sim-planted: $(VENV)/.test
 # What two threads share, in every order of their accesses, with longer threads than in `make test`.
 threads: $(VENV)/.test
 	GELGATE_TURNS=2 $(BIN)/pytest tests/gateway/test_thread_schedules.py --durations=0
+
+# One place of each line of a diff is changed, and the tests must notice: `make mutants DIFF=main~5`, or a sample of rooms:
+# `make mutants ROOMS="edge/store edge/core" SAMPLE=60 SEED=1`. Lists what no test notices; the first time a room is slow.
+mutants: $(VENV)/.test
+	$(BIN)/python tests/support/mutants.py $(ROOMS) $(if $(DIFF),--diff $(DIFF)) $(if $(SAMPLE),--sample $(SAMPLE)) \
+	  $(if $(SEED),--seed $(SEED)) $(if $(MINUTES),--minutes $(MINUTES))
 
 # The tables of docs/acquire.md: 1,000 simulated acquisitions, half an hour.
 acquisitions: $(VENV)/.test

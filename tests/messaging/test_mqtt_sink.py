@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -201,6 +202,20 @@ def test_without_threads_every_attempt_is_a_step(listen: Listen, stepped: SinkTo
     assert 0 < pause_s <= 0.2
     with pytest.raises(SinkUnavailable, match="broker"):
         sink.send(Message("result", b"2"))
+
+
+def test_a_machine_that_does_not_answer_is_given_up_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit of an answer holds for the connection to its port too."""
+    limits = []
+
+    def connect(address: object, timeout: float, **options: object) -> None:
+        limits.append(timeout)
+        raise TimeoutError("timed out")
+
+    monkeypatch.setattr(socket, "create_connection", connect)
+    with pytest.raises(SinkUnavailable, match="no broker answers"):
+        Connection.open(Broker("broker.plant", 1883, "away", level="5", timeout_s=0.7))
+    assert limits == [0.7]
 
 
 @pytest.mark.parametrize("end", [Connection.close, lambda one: one.abandon("given up")])

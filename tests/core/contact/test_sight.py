@@ -61,3 +61,12 @@ def test_a_pause_of_the_stream_is_not_blindness() -> None:
     for number in range(10):
         sight.see(BLIND["black"](number), 10**10 + number * PERIOD_NS)
     assert sight.lost is None
+
+
+def test_a_sensor_that_never_showed_its_gel_is_lost_too() -> None:
+    """Its time without sight begins with its first frame."""
+    sight = Sight()
+    for number in range(60):
+        sight.see(BLIND["black"](number), number * PERIOD_NS)
+    assert "black" in str(sight.lost)
+    assert sight.since_ns == 0

@@ -1,0 +1,268 @@
+"""`make mutants`: the program is changed in one place of a line, and the tests of its room must notice.
+
+    python tests/support/mutants.py --diff main~5                  # every line that a diff has changed
+    python tests/support/mutants.py edge/store edge/core --sample 60 --seed 1
+
+The tests of a room run once under coverage, which says what tests run each line; those of a line are then run against
+its mutant, the quickest first, in a copy of the program. A mutant that no test notices is printed: add its fact to a
+test, or say why nothing can notice it. It is a plugin of pytest too, which notes the tests of each line.
+"""
+
+import argparse
+import ast
+import hashlib
+import json
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Lock
+
+import coverage
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+# The folders of the tests of a room, where they have other names or are several: a mutant goes through them in turn.
+TESTS_OF = {
+    "edge/core": ("core", "gateway"),
+    "edge/store": ("store", "gateway"),
+    "edge/messaging": ("messaging", "gateway", "cli", "docs"),
+    "edge/features": ("gateway",),
+    "plugins/sinks": ("messaging",),
+}
+PAIRS = ["< <=", "> >=", "== !=", "is is_not", "in not_in", "and or", "+ -", "* /", "// %", "| &", "<< >>"]
+SWAPPED = {
+    a.replace("_", " "): b.replace("_", " ") for one in PAIRS for a, b in (one.split(), one.split()[::-1])
+}
+# What only people and type checkers read.
+UNSEEN = re.compile(r"\s*(log\.|__all__|@|from |import |raise |class |assert )|.*(TYPE_CHECKING|: .*Field\()")
+# A mutant that takes longer than this is one that is noticed.
+CPU_S, WALL_S = 60, 300
+NOTED = "GELGATE_TESTS_OF_LINES"
+ONE_AT_A_TIME = Lock()
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A file whose line reads otherwise."""
+
+    path: str
+    line: int
+    source: str
+    before: str
+    after: str
+
+    @property
+    def folders(self) -> list[str]:
+        """The folders of the tests of its room."""
+        room = "/".join(self.path.split("/")[:2])
+        return [f"tests/{name}" for name in TESTS_OF.get(room, (room.split("/")[1],))]
+
+
+def change(node: ast.AST, source: bytes, starts: Sequence[int]) -> tuple[int, int, str] | None:
+    """Return (start, end, new text) for a node that can be changed."""
+
+    def span(one: ast.stmt | ast.expr) -> tuple[int, int]:
+        first, last = starts[one.lineno - 1], starts[(one.end_lineno or 0) - 1]
+        return first + one.col_offset, last + (one.end_col_offset or 0)
+
+    match node:
+        case (
+            ast.Compare(left=left, comparators=[right])
+            | ast.BoolOp(values=[left, right, *_])
+            | ast.BinOp(left=left, right=right)
+        ):
+            begin, end = span(left)[1], span(right)[0]
+            sign = re.search(rb"is\s+not|not\s+in|[a-z]+|[-+*/<>=!|&%]+", source[begin:end])
+            new = sign and SWAPPED.get(" ".join(sign[0].decode().split()))
+            return (begin + sign.start(), begin + sign.end(), new) if sign and new else None
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            return *span(node), source[slice(*span(operand))].decode()
+        case ast.Constant(value=bool() as value):
+            return *span(node), str(not value)
+        case ast.Constant(value=int() | float() as value):
+            return *span(node), repr(value + 1 if isinstance(value, int) else 2 * value + 1e-3)
+        case ast.Return(value=ast.expr() as value) if not isinstance(value, ast.Constant):
+            return *span(node), "return None"
+        case ast.Expr(value=ast.Call()) | ast.Assign(targets=[ast.Attribute()]) | ast.AugAssign():
+            return *span(node), "pass"
+        case ast.If(test=ast.Name() | ast.Attribute() | ast.Call() as test):
+            return *span(test), f"not {source[slice(*span(test))].decode()}"
+    return None
+
+
+def seen(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield a node and what is below it, but for annotations and sentences."""
+    yield node
+    for name, field in ast.iter_fields(node):
+        for child in field if isinstance(field, list) else [field]:
+            is_sentence = isinstance(child, ast.JoinedStr | ast.Raise)
+            if isinstance(child, ast.AST) and name not in ("annotation", "returns") and not is_sentence:
+                yield from seen(child)
+
+
+def mutants_of(path: Path, lines: Sequence[int] | None, rng: random.Random) -> Iterator[Mutant]:
+    """Yield one mutant of each of these lines that can be changed, of every line by default."""
+    source, by_line = path.read_bytes(), defaultdict(list)
+    shown = source.decode().splitlines()
+    starts = [0]
+    for text in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(text))
+    for node in seen(ast.parse(source)):
+        if (found := change(node, source, starts)) is not None:
+            by_line[source.count(b"\n", 0, found[0]) + 1].append(found)
+    for line, places in sorted(by_line.items()):
+        if (lines is None or line in lines) and not UNSEEN.match(shown[line - 1]):
+            start, end, new = rng.choice(places)
+            changed = (source[:start] + new.encode() + source[end:]).decode()
+            after = changed.splitlines()[line - 1]
+            yield Mutant(str(path.relative_to(ROOT)), line, changed, shown[line - 1], after)
+
+
+def changed_lines(since: str) -> Mapping[str, list[int]]:
+    """Read the lines that differ from a commit, by the path of their file."""
+    diff = subprocess.check_output(
+        ["git", "diff", "-U0", since, "--", "edge", "plugins"], cwd=ROOT, text=True
+    )
+    found: dict[str, list[int]] = defaultdict(list)
+    path = ""
+    for text in diff.splitlines():
+        if text.startswith("+++ "):
+            path = text[6:]
+        elif part := re.match(r"@@ -\S+ \+(\d+)(?:,(\d+))? @@", text):
+            found[path] += range(int(part[1]), int(part[1]) + int(part[2] or 1))
+    return {path: lines for path, lines in found.items() if path.endswith(".py") and (ROOT / path).exists()}
+
+
+class TestsOfLines:
+    """Notes which tests run each line of the program, and how long each test takes."""
+
+    __test__ = False
+
+    def __init__(self) -> None:
+        self.coverage = coverage.Coverage(data_file=None, source=[str(ROOT / "edge"), str(ROOT / "plugins")])
+        self.coverage.start()
+        self.seconds: dict[str, float] = {}
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        self.coverage.switch_context(item.nodeid)
+        begun = time.process_time()
+        result = yield
+        self.seconds[item.nodeid] = time.process_time() - begun
+        self.coverage.switch_context("")
+        return result
+
+    def pytest_sessionfinish(self) -> None:
+        self.coverage.stop()
+        data, lines = self.coverage.get_data(), {}
+        for file in data.measured_files():
+            by_line = {n: list(filter(None, tests)) for n, tests in data.contexts_by_lineno(file).items()}
+            lines[str(Path(file).relative_to(ROOT))] = {n: tests for n, tests in by_line.items() if tests}
+        Path(os.environ[NOTED]).write_text(json.dumps([lines, self.seconds]), encoding="utf-8")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if NOTED in os.environ:
+        config.pluginmanager.register(TestsOfLines())
+
+
+@cache
+def tests_of_lines(folder: str) -> tuple[Mapping[str, Mapping[str, list[str]]], Mapping[str, float]]:
+    """Return (path to line to its tests, test to seconds), measured once for a state of program and tests."""
+    files = sorted(file for name in ("edge", "plugins", "tests") for file in (ROOT / name).rglob("*.py"))
+    state = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+    kept = ROOT / ".mutants" / f"{Path(folder).name}-{state}.json"
+    if not kept.exists():
+        kept.parent.mkdir(exist_ok=True)
+        print(f"{folder}: its tests run once under coverage", flush=True)
+        if not passes(ROOT, [folder], {NOTED: str(kept)}):
+            sys.exit(f"the tests in {folder} fail without a mutant; run them")
+    lines, seconds = json.loads(kept.read_text(encoding="utf-8"))
+    return lines, seconds
+
+
+def passes(tree: Path, tests: Sequence[str], variables: Mapping[str, str], *limit: str) -> bool:
+    """Run these tests against the program in a folder. limit: a command that ends them."""
+    with tempfile.NamedTemporaryFile("w", suffix=".txt") as named:
+        named.write("\n".join(tests))
+        named.flush()
+        words = ["pytest", "-q", "-x", "-p", "mutants", "-p", "no:cacheprovider", f"@{named.name}"]
+        environment = {**os.environ, "PYTHONPATH": f"{tree}:{tree / 'tests/support'}", **variables}
+        command = [*limit, sys.executable, "-m", *words]
+        return not subprocess.run(
+            command, cwd=tree, env=environment, capture_output=True, check=False
+        ).returncode
+
+
+def survives(mutant: Mutant, tree: Path) -> bool:
+    """Run the tests of its line, or of its whole file for a line that runs at import."""
+    path = tree / mutant.path
+    sound = path.read_bytes()
+    for folder in mutant.folders:
+        with ONE_AT_A_TIME:
+            lines, seconds = tests_of_lines(folder)
+        of_file = lines.get(mutant.path, {})
+        tests = of_file.get(str(mutant.line)) or {test for named in of_file.values() for test in named}
+        path.write_text(mutant.source, encoding="utf-8")
+        try:
+            limit = ("timeout", str(WALL_S), "prlimit", f"--cpu={CPU_S}")
+            if tests and not passes(tree, sorted(tests, key=lambda test: seconds.get(test, 0.0)), {}, *limit):
+                return False
+        finally:
+            path.write_bytes(sound)
+    return True
+
+
+def main() -> int:
+    words = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    words.add_argument("paths", nargs="*", help="files and folders of the program")
+    words.add_argument("--diff", help="a commit: the lines that differ from it")
+    words.add_argument("--sample", type=int, help="at most so many mutants; default: all")
+    words.add_argument("--seed", type=int, default=0)
+    words.add_argument("--minutes", type=float, default=30.0, help="begin none later")
+    words.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    given = words.parse_args()
+    rng, lines = random.Random(given.seed), changed_lines(given.diff) if given.diff else {}
+    files = [file for name in given.paths for file in sorted((ROOT / name).rglob("*.py")) or [ROOT / name]]
+    wanted = [*((ROOT / path, numbers) for path, numbers in lines.items()), *((file, None) for file in files)]
+    mutants = [mutant for path, numbers in wanted for mutant in mutants_of(path, numbers, rng)]
+    mutants = rng.sample(mutants, min(given.sample or len(mutants), len(mutants)))
+    end, outcomes = time.monotonic() + 60 * given.minutes, Counter[str]()
+    with tempfile.TemporaryDirectory() as made, ThreadPoolExecutor(given.processes) as threads:
+        trees: SimpleQueue[Path] = SimpleQueue()
+        for number in range(given.processes):
+            hidden = shutil.ignore_patterns("__pycache__", ".*", "*.egg-info", "build")
+            trees.put(shutil.copytree(ROOT, Path(made, str(number)), ignore=hidden, symlinks=True))
+
+        def judge(mutant: Mutant) -> None:
+            tree = trees.get()
+            outcome = "not tried"
+            if time.monotonic() < end:
+                outcome = "survived" if survives(mutant, tree) else "killed"
+            trees.put(tree)
+            outcomes[outcome] += 1
+            if outcome == "survived":
+                print(f"{mutant.path}:{mutant.line}\n  -{mutant.before}\n  +{mutant.after}", flush=True)
+
+        list(threads.map(judge, mutants))
+    killed, survived = outcomes["killed"], outcomes["survived"]
+    print(
+        f"{killed} of {killed + survived} mutants killed, {outcomes['not tried']} not tried for want of time"
+    )
+    return 1 if survived else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
