@@ -3,9 +3,7 @@
 The detector has the mathematics; the procedure (which presses, which folds, which seed) is here.
 """
 
-import time
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -38,7 +36,7 @@ from calibration.fitting.limits.limit_choice import Choice, Evidence
 from calibration.fitting.limits.map_limit import PLAIN
 from calibration.fitting.limits.relief_step import ReliefChoice, try_relief
 from calibration.fitting.limits.threshold import conformal_threshold, limit_promise, of_copies, require_enough
-from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose
+from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose, compare_poses
 from calibration.fitting.presses.augmentation import (
     EACH,
     Augmentation,
@@ -51,6 +49,7 @@ from calibration.fitting.presses.colours import colour_warnings, nominal_colours
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from calibration.fitting.presses.scatter import scatter_warnings
+from calibration.fitting.stage_times import StageTimes
 from calibration.fitting.tap_reader import TapReader
 from calibration.progress import Report
 from calibration.threads import one_blas_thread
@@ -101,25 +100,11 @@ def fit_files(
     presses: NominalPresses, config: FitConfig, *, created: str, report: Report = lambda stage, fraction: None
 ) -> Fitted:
     """Fit a bundle in memory. created: the date for the provenance. Errors: FitError, ConfigError."""
-    watch = _Watch(report)
+    watch = StageTimes(report)
     plan = _plan_fit(take_out_dots(presses, config.profile.pixels_per_mm, config.mode), config)
     with watch.time("features"):
         features = _take_features(plan, partial(report, "features"))
     return _measure(_learn_bank(features, watch), created, watch)
-
-
-class _Watch:
-    """Reports how far a fit is, and measures the processor time of its stages."""
-
-    def __init__(self, report: Report) -> None:
-        self.report = report
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def time(self, stage: str) -> Iterator[None]:
-        start = time.process_time()
-        yield
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.process_time() - start
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +126,13 @@ class _Plan:
         """The reason why nothing is learnt from held-out presses but a threshold; empty where it is."""
         few = f"of fewer than {MIN_PRESSES} presses nothing can be held out to choose by"
         return self.config.why_plain or (few if len(self.presses) < MIN_PRESSES else "")
+
+    @property
+    def why_unrendered(self) -> str:
+        """The reason why no damage is rendered into held-out presses; empty where it is."""
+        if not self.why_plain and 4 * int(np.prod(self.presses.frames.shape[:3])) > MEMORY_BYTES:
+            return f"the score maps of {len(self.presses)} presses take more memory than a choice may use"
+        return self.why_plain
 
     def augment(self, is_registered: bool = False) -> Augmentation:
         """Decide on copies of the presses. Errors: FitError where they are asked for in vain."""
@@ -184,34 +176,41 @@ class _Features:
 
     def render_damage(self) -> tuple[DamagedPresses | None, ShownPresses | None, str]:
         """Render damage by which a limit is chosen, as the gateway shows it; None, and why, for the plain limit."""
-        why = self.plan.why_plain
-        if not why and 4 * int(np.prod(self.presses.frames.shape[:3])) > MEMORY_BYTES:
-            why = f"the score maps of {len(self.presses)} presses take more memory than a choice may use"
-        if why or self.plan.folds is None:
-            return None, None, why
-        rng = np.random.default_rng(self.learner.seed)
-        damage = render_damage(self.plan.presses, *self.plan.config.view, rng)
+        plan, rng = self.plan, np.random.default_rng(self.learner.seed)
+        if plan.why_unrendered or plan.folds is None:
+            return None, None, plan.why_unrendered
+        damage = render_damage(plan.presses, *plan.config.view, rng)
         if damage is None:
             return None, None, "no contact is seen; give a picture of the free gel with --no-contact"
         return *self.pose.show_damage(damage, self.take), ""
 
+    def prove_pose(self, held_out: HeldOut | None, damage: DamagedPresses | None) -> "_Features":
+        """Prove registration by held-out presses, or by comparison. Errors: FitError where it finds no more."""
+        if not self.pose.is_open:
+            return self
+        presses, config = self.plan.presses, self.plan.config
+        pose = None if held_out is None or damage is None else self.pose.prove(held_out, damage)
+        pose = pose or compare_poses(self.pose, presses, self.learner, self.take, config.view)
+        if pose.learnt is None:
+            scatter_warnings(presses, config.profile, config.detector, why_unregistered=pose.why)
+        return replace(self, pose=pose)
+
     def gather_evidence(self, covered: Covered, damage: DamagedPresses) -> Evidence:
         """Gather what a limit is chosen by."""
-        assert covered.held_out is not None
-        assert covered.known is not None
+        held_out, known = covered.held_out, covered.known
+        assert held_out is not None
+        assert known is not None
         plan, black, seen = self.plan, np.zeros_like(self.presses.frames[:1]), None
         if not refuses(plan.colours, black[0]):
             seen = self.learner.score(covered.bank, self.take(black), [0])
-        pieces, mm = plan.presses.specimens, self.learner.grid.pixels_per_mm
-        return Evidence(
-            covered.held_out, covered.known, seen, damage, plan.folds or [], pieces, plan.config.alpha, mm
-        )
+        folds, pieces, mm = plan.folds or [], plan.presses.specimens, self.learner.grid.pixels_per_mm
+        return Evidence(held_out, known, seen, damage, folds, pieces, plan.config.alpha, mm)
 
     def choose_relief(self, head: bytes) -> ReliefChoice:
-        plan, config = self.plan, self.plan.config
+        plan, view = self.plan, self.plan.config.view
         if plan.folds is None or plan.why_plain:
             return ReliefChoice(plan.why_plain)
-        return try_relief(self.presses, config.view, self.nominal, self.take, plan.folds, self.learner, head)
+        return try_relief(self.presses, view, self.nominal, self.take, plan.folds, self.learner, head)
 
     @property
     def skipped_tiles(self) -> tuple[int, ...]:
@@ -229,7 +228,8 @@ def _take_features(plan: _Plan, progress: Progress) -> _Features:
     name = f"trunk '{config.trunk.id}'"
     reader = TapReader(config.trunk.graph, taps, frame, config.profile.pixels_per_mm, config.threads, name)
     learner, take = reader.learner(config.detector, plan.parameters, config.seed), reader.take
-    pose = choose_pose(config.register, presses, learner, take, config.view)
+    is_held_out = not (plan.folds is None or plan.why_unrendered or config.is_scattered)
+    pose = choose_pose(config.register, presses, learner, take, config.view, is_held_out)
     said: list[str] = []
     if pose.learnt is None:  # a method that compares places needs the presses at one place
         said = scatter_warnings(presses, config.profile, config.detector, config.is_scattered, pose.why)
@@ -273,13 +273,12 @@ class _Learnt:
         return limit_promise(threshold, plan.presses.specimens, plan.folds or [])
 
 
-def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
+def _learn_bank(features: _Features, watch: StageTimes) -> _Learnt:
     """Learn the bank, and find the limit that it is to have. Errors: FitError."""
     plan, learner, nominal = features.plan, features.learner, features.nominal
     with watch.time("threshold"):
         shown = features.pose.show(nominal, features.take)
         damage, damaged, why_plain = features.render_damage()
-        unrendered = "" if plan.config.why_plain else why_plain
         edited = None if damage is None or damaged is None else (damaged, damage.press)
 
     def learn(roomy: Nominal) -> tuple[Bank, HeldOut | None]:
@@ -293,6 +292,8 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
         return bank, held_out
 
     covered = covering_bank(learner, nominal, learn, lambda found: plan.find_threshold(found).value, shown)
+    with watch.time("features"):
+        features = features.prove_pose(covered.held_out, damage)
     bank, scores = covered.bank, covered.scores
     head, choice, found, again = learner.head(bank), Choice(PLAIN, why_plain), None, {}
     remedies: Callable[[], Sequence[str]] = tuple
@@ -315,6 +316,7 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
         relief = features.choose_relief(head)
     head, bank = relief.append_to(head, bank, unit)
     apart = self_check.apart_warnings(scores, plan.presses.names)
+    unrendered = "" if plan.config.why_plain else why_plain
     said = [
         *self_check.unproven_warnings(features.pose.separated, found, remedies, unrendered),
         *features.warnings,
@@ -327,13 +329,11 @@ def _learn_bank(features: _Features, watch: _Watch) -> _Learnt:
     return _Learnt(features, part, bank, head, choice, scores, decided, apart, said)
 
 
-def _measure(learnt: _Learnt, created: str, watch: _Watch) -> Fitted:
+def _measure(learnt: _Learnt, created: str, watch: StageTimes) -> Fitted:
     """Score with the bundle as it will be loaded, then record the measurements. Errors: FitError."""
     watch.report("golden", 0.0)
-    features, plan = learnt.features, learnt.features.plan
-    threads = plan.config.threads
-    trunks = TrunkSessions(threads)
-    facts = _facts(learnt, created)
+    features, plan, threads = learnt.features, learnt.features.plan, learnt.features.plan.config.threads
+    trunks, facts = TrunkSessions(threads), _facts(learnt, created)
     provisional = _pack(learnt, facts, ())
     scorer = Scorer(provisional.bundle(), threads, trunks)
     golden = golden_frames(scorer, features.presses.frames)
@@ -342,9 +342,9 @@ def _measure(learnt: _Learnt, created: str, watch: _Watch) -> Fitted:
     threshold = learnt.find_threshold(tolerance, scorer)
     black = np.zeros_like(plan.presses.frames[0])
     black_score, is_refused = scorer.score_in_pose(black).anomaly_score, refuses(plan.colours, black)
-    said = [*learnt.warnings, *self_check.black_warnings(black_score, threshold, is_refused, learnt.apart)]
-    measured = {"threshold": threshold, "tolerance": tolerance, "cost": cost}
-    measured["provenance"] = facts.provenance.model_copy(update={"warnings": tuple(said)})
+    said = *learnt.warnings, *self_check.black_warnings(black_score, threshold, is_refused, learnt.apart)
+    proven = facts.provenance.model_copy(update={"warnings": said})
+    measured = {"threshold": threshold, "tolerance": tolerance, "cost": cost, "provenance": proven}
     fitted = _pack(learnt, facts.model_copy(update=measured), golden)
     Scorer(fitted.bundle(trunks), threads, trunks).check_golden()
     watch.report("golden", 1.0)

@@ -52,9 +52,13 @@ class DamagedPresses:
 
 
 def render_damage(
-    presses: NominalPresses, profile: SensorProfile, region: Region, rng: np.random.Generator
+    presses: NominalPresses,
+    profile: SensorProfile,
+    region: Region,
+    rng: np.random.Generator,
+    shares: Sequence[float] = SIZE_SHARES,
 ) -> DamagedPresses | None:
-    """Render damage in every size of SIZE_SHARES at some spots; the masks hold it and its surroundings.
+    """Render damage in every size, as shares of the largest, at some spots; the masks hold it and its surroundings.
 
     None without a picture of the free gel, or a contact to damage.
     """
@@ -66,7 +70,7 @@ def render_damage(
     spots = max(_FEWEST_SPOTS, min(SPOTS, _SPOTS_PX // (region.width * region.height)))
     for number, k in enumerate(islice(turns, spots)):
         spot, kind = _draw_spot(shown[k], rng), list(KINDS)[number % len(KINDS)]
-        for share in SIZE_SHARES:
+        for share in shares:
             damage = Damage(kind, share * KINDS[kind].largest_mm, spot)
             frames.append(shown[k].render(damage))
             press.append(k)

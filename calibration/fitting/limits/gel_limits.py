@@ -41,21 +41,28 @@ _RIM_MM, _SHOWN_AT_RIM, _AT_RIM = 1.0, 0.85, 1.4
 _PRESSES_EACH = 40
 
 
-def learn_gel_limits(maps: F32, pixels_per_mm: float, presses: int) -> F32:
+def find_near(maps: F32, pixels_per_mm: float) -> F32:
+    """Find the highest value near each place, of each of these maps."""
+    reach = 2 * round(_NEAR_MM * pixels_per_mm) + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
+    return np.stack([cv2.dilate(one, kernel) for one in maps])
+
+
+def learn_gel_limits(maps: F32, pixels_per_mm: float, presses: int, near: F32 | None = None) -> F32:
     """Learn the limits, float32 (h, w), from raw maps of nominal presses as they lie, (n, h, w), 0 where unseen.
 
-    presses: how many the fit has. Without some of them as many are passed over as with all, else these limits would be
-    higher than the bundle's, and a press judged by them would look more usual than the next one will.
+    near: of the same by `find_near`, where it is known. presses: how many the fit has. Without some of them as many are
+    passed over as with all, else these limits would be higher than the bundle's, and a press judged by them would look
+    more usual than the next one will.
     """
     usual = _USUAL * float(np.quantile(maps.max(axis=(1, 2)), _QUARTILE))
     passed_over = 1 + presses // _PRESSES_EACH
     limits = np.ones(maps.shape[1:], np.float32)
     if not usual > 0 or len(maps) <= passed_over:
         return limits
-    reach = 2 * round(_NEAR_MM * pixels_per_mm) + 1
-    near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
-    ordered = np.sort(np.stack([cv2.dilate(one, near) for one in maps]), axis=0)
-    highest, second = ordered[-passed_over], ordered[-1 - passed_over]
+    near = find_near(maps, pixels_per_mm) if near is None else near
+    first = len(near) - 1 - passed_over
+    second, highest = np.partition(near, (first, first + 1), axis=0)[first : first + 2]
     high = np.minimum(highest, _BEYOND_SECOND * second)
     np.copyto(limits, _ABOVE * high / usual, where=(second > _SHOWN * usual) & (highest > usual))
     rim, margin = np.ones(limits.shape, np.bool_), round(_RIM_MM * pixels_per_mm)
@@ -115,10 +122,11 @@ def choose_limits(
             for one, found in zip(shown.registered, evidence.held_out.sound.maps, strict=True)
         ]
     )
-    limits = learn_gel_limits(lying, evidence.pixels_per_mm, len(lying))
+    near = find_near(lying, evidence.pixels_per_mm)
+    limits = learn_gel_limits(lying, evidence.pixels_per_mm, len(lying), near)
     if not (limits > 1).any():
         return usual
-    weighed = _weigh_all(evidence, lying, limits, shown.registered, damaged.registered)
+    weighed = _weigh_all(evidence, lying, near, limits, shown.registered, damaged.registered)
     chosen = LimitsChosen(choose_limit(weighed), weighed, limits)
     if chosen.share_found < usual.share_found + WORTH:
         return usual
@@ -131,17 +139,25 @@ def choose_limits(
 
 
 def _weigh_all(
-    evidence: Evidence, lying: F32, limits: F32, poses: Sequence[Registered], damaged: Sequence[Registered]
+    evidence: Evidence,
+    lying: F32,
+    near: F32,
+    limits: F32,
+    poses: Sequence[Registered],
+    damaged: Sequence[Registered],
 ) -> Evidence:
     """Weigh each press by what the other folds show of the gel; by all where the bank knows it too.
 
-    lying: as `learn_gel_limits` takes them.
+    lying, near: as `learn_gel_limits` takes them.
     """
     fold_of = np.zeros(len(lying), np.int64)
     for number, held in enumerate(evidence.folds):
         fold_of[held] = number
     mm = evidence.pixels_per_mm
-    apart = [learn_gel_limits(np.delete(lying, held, axis=0), mm, len(lying)) for held in evidence.folds]
+    apart = [
+        learn_gel_limits(np.delete(lying, held, 0), mm, len(lying), np.delete(near, held, 0))
+        for held in evidence.folds
+    ]
     sound, edited = evidence.held_out.sound, evidence.held_out.edited
     held_out = HeldOut(
         _weigh(sound, [apart[k] for k in fold_of], poses),

@@ -1,7 +1,8 @@
 """Whether presses are registered: only where they lie apart, and where it finds more of the damage find_relief in them.
 
 The proof is made on the part's own presses: a third is held out, small damage is rendered into those, and banks of the
-others judge them, registered and as they lie.
+others judge them, registered and as they lie. Where presses lie so far apart that they are not compared as they lie,
+what the fit sees of its damage anyway is enough, if it sees much.
 """
 
 from collections.abc import Sequence
@@ -12,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.damage.damaged_presses import SIZE_SHARES, DamagedPresses, render_damage
-from calibration.fitting.limits.held_out import Learner, ShownPresses
+from calibration.fitting.limits.held_out import HeldOut, Learner, ShownPresses
 from calibration.fitting.pose.registration import LearntPose, completed, learn_pose
 from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.presses.scatter import may_compare
 from calibration.fitting.presses.strangers import list_names
 from calibration.metrics import auroc
 from edge.core.detector import Nominal
@@ -27,7 +29,7 @@ from edge.core.registration.pose import warp
 from edge.core.registration.registrar import Registrar, find_relief
 from edge.model.tile_runner import most_typical
 
-__all__ = ["PoseChoice", "Register", "choose_pose", "pose_spread_mm"]
+__all__ = ["PoseChoice", "Register", "choose_pose", "compare_poses", "pose_spread_mm"]
 
 U8 = NDArray[np.uint8]
 
@@ -44,7 +46,10 @@ LEAST_PRESSES = 6
 _HELD_OUT = 3
 
 # The sizes of damage by which it is proven, the largest last.
-_PROOF_SIZES = range(1, len(SIZE_SHARES))
+_PROOF_SIZES = SIZE_SHARES[1:]
+
+# As they lie balls that lie anywhere have an image AUROC of 0.5 to 0.7. With more, registered ones need no comparison.
+_BETTER = 0.75
 
 View = tuple[SensorProfile, Region]
 
@@ -59,6 +64,23 @@ class PoseChoice:
     """A sentence for the operator, empty for nothing to say."""
     separated: float | None = None
     """Image AUROC of the largest rendered damage, as the presses are scored; None where it was not measured."""
+    is_open: bool = False
+    """Whether registration is to be proven by the presses that the fit holds out."""
+
+    def prove(self, held_out: HeldOut, damage: DamagedPresses) -> "PoseChoice | None":
+        """Return the choice with its proof, by banks without the press; None where these show too little."""
+        kinds = [name.split()[0] for name in damage.names]
+        smallest = [damage.names[kinds.index(kind)] for kind in dict.fromkeys(kinds)]
+        largest = list(dict(zip(kinds, damage.names, strict=True)).values())
+        large = [k for k, name in enumerate(damage.names) if name in largest]
+        some = [k for k, name in enumerate(damage.names) if name not in smallest]
+        found, found_large = (
+            _separate(held_out.sound.scores, held_out.edited.scores[rows]) for rows in (some, large)
+        )
+        if found < _BETTER:
+            return None
+        why = f"presses are registered: {self.why}; {_words(found)} (image AUROC, out of fold)"
+        return replace(self, why=why, separated=found_large, is_open=False)
 
     @property
     def facts(self) -> dict[str, str]:
@@ -114,10 +136,16 @@ class PoseChoice:
 
 
 def choose_pose(
-    register: Register, presses: NominalPresses, learner: Learner, take: Take, view: View
+    register: Register,
+    presses: NominalPresses,
+    learner: Learner,
+    take: Take,
+    view: View,
+    is_held_out: bool = False,
 ) -> PoseChoice:
     """Decide whether presses are registered. take: the features of frames.
 
+    is_held_out: whether presses that are not compared as they lie may be proven by those that the fit holds out.
     Errors: FitError where registration is asked for and cannot be had.
     """
     if register == "never":
@@ -137,17 +165,30 @@ def choose_pose(
     if not (learnt.part.is_turning or learner.detector.compares_places):
         why = f"presses are compared as they lie: {apart}, and {learner.detector.name} compares no places"
         return PoseChoice(None, why)
-    found = _proof(presses, learnt, learner, take, view)
-    if found is None:
+    if is_held_out and not may_compare(presses, view[0], learner.detector):
+        return PoseChoice(learnt, f"{apart}, too far to be compared as they lie", is_open=True)
+    return compare_poses(PoseChoice(learnt, apart), presses, learner, take, view)
+
+
+def compare_poses(
+    choice: PoseChoice, presses: NominalPresses, learner: Learner, take: Take, view: View
+) -> PoseChoice:
+    """Register presses only where that separates more of the damage. choice: what is compared, and how far they lie."""
+    learnt, apart = choice.learnt, choice.why
+    proof = None if learnt is None else _Proof.of(presses, learnt, learner, take, view)
+    if proof is None:
         return PoseChoice(None, f"presses are compared as they lie: {apart}, but no damage could be rendered")
-    (registered, large), (still, large_still) = found
-    proof = (
-        f"of rendered damage {registered:.3f} is separated from sound presses with it, {still:.3f} without"
-    )
+    (registered, large), (still, large_still) = proof.judge_registered(), proof.judge_still()
+    both = f"{_words(registered)}, {still:.3f} without"
     if registered > still:
-        why = f"presses are registered: {apart}; {proof} (image AUROC, out of fold)"
-        return PoseChoice(learnt, why, large)
-    return PoseChoice(None, f"presses are compared as they lie: {apart}, but {proof}", large_still)
+        return PoseChoice(
+            learnt, f"presses are registered: {apart}; {both} (image AUROC, out of fold)", large
+        )
+    return PoseChoice(None, f"presses are compared as they lie: {apart}, but {both}", large_still)
+
+
+def _words(separated: float) -> str:
+    return f"of rendered damage {separated:.3f} is separated from sound presses with it"
 
 
 def _doubt(symmetry: int) -> str:
@@ -184,32 +225,51 @@ def pose_spread_mm(learnt: LearntPose, pixels_per_mm: float) -> float:
     return float(np.median(away)) / pixels_per_mm
 
 
-def _proof(
-    presses: NominalPresses, learnt: LearntPose, learner: Learner, take: Take, view: View
-) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Image AUROC of rendered damage with and without registration, by banks of the presses that are not held out.
+@dataclass(frozen=True, eq=False)
+class _Proof:
+    """Presses that are held out, and the same with damage, to be judged by banks of the others."""
 
-    Each of the damage of all sizes but the smallest, which few banks find, and of the largest: alone it is found with
-    and without, and decides nothing. None where no damage can be rendered.
-    """
-    held = list(range(0, len(presses), _HELD_OUT))
-    kept = [k for k in range(len(presses)) if k not in held]
-    sound = presses.frames[held]
-    only = NominalPresses(sound, tuple(presses.names[k] for k in held), no_contact=presses.no_contact)
-    edited = render_damage(only, *view, np.random.default_rng(learner.seed))
-    if edited is None:
-        return None
-    damaged = np.concatenate([edited.frames[size :: len(SIZE_SHARES)] for size in _PROOF_SIZES])
-    registrar = Registrar(learnt.part)
+    presses: NominalPresses
+    learnt: LearntPose
+    learner: Learner
+    take: Take
+    held: Sequence[int]
+    damaged: U8
+    """Of all sizes but the smallest, which few banks find, each after the next smaller one, uint8 (m, h, w, 3). The
+    largest alone would be found with and without registration, and decide nothing."""
 
-    def register_all(frames: U8) -> U8:
-        return np.stack([registrar.register(rgb).rgb for rgb in frames])
+    @classmethod
+    def of(
+        cls, presses: NominalPresses, learnt: LearntPose, learner: Learner, take: Take, view: View
+    ) -> "_Proof | None":
+        """Hold a third out; None where no damage can be rendered."""
+        held = list(range(0, len(presses), _HELD_OUT))
+        only = NominalPresses(
+            presses.frames[held], tuple(presses.names[k] for k in held), no_contact=presses.no_contact
+        )
+        edited = render_damage(only, *view, np.random.default_rng(learner.seed), _PROOF_SIZES)
+        if edited is None:
+            return None
+        sizes = range(len(_PROOF_SIZES))
+        damaged = np.concatenate([edited.frames[size :: len(sizes)] for size in sizes])
+        return cls(presses, learnt, learner, take, held, damaged)
 
-    posed = completed([learnt.registered[k] for k in kept])
-    return (
-        _auroc(learner, take, posed, register_all(sound), register_all(damaged)),
-        _auroc(learner, take, presses.frames[kept], sound, damaged),
-    )
+    @property
+    def kept(self) -> list[int]:
+        """The presses that banks are learnt from."""
+        return [k for k in range(len(self.presses)) if k not in self.held]
+
+    def judge_registered(self) -> tuple[float, float]:
+        """Measure the image AUROC of the damage in registered presses: of all, and of the largest."""
+        registered, registrar = self.learnt.registered, Registrar(self.learnt.part)
+        sound = np.stack([registered[k].rgb for k in self.held])
+        damaged = np.stack([registrar.register(rgb).rgb for rgb in self.damaged])
+        return _auroc(self.learner, self.take, completed([registered[k] for k in self.kept]), sound, damaged)
+
+    def judge_still(self) -> tuple[float, float]:
+        """Measure the same as they lie."""
+        frames = self.presses.frames
+        return _auroc(self.learner, self.take, frames[self.kept], frames[self.held], self.damaged)
 
 
 def _auroc(learner: Learner, take: Take, nominal: U8, sound: U8, damaged: U8) -> tuple[float, float]:
@@ -219,8 +279,10 @@ def _auroc(learner: Learner, take: Take, nominal: U8, sound: U8, damaged: U8) ->
     bank = learner.bank(Nominal({tap: maps[:first] for tap, maps in features.items()}))
     scores = learner.score(bank, features, range(first, first + len(sound) + len(damaged))).scores
     largest = len(damaged) // len(_PROOF_SIZES)
-    every, large = (
-        auroc(np.concatenate([scores[: len(sound)], some]), np.arange(len(sound) + len(some)) >= len(sound))
-        for some in (scores[len(sound) :], scores[-largest:])
-    )
-    return every or 0.0, large or 0.0
+    sound_scores, damaged_scores = np.split(scores, [len(sound)])
+    return _separate(sound_scores, damaged_scores), _separate(sound_scores, damaged_scores[-largest:])
+
+
+def _separate(sound: NDArray[np.float64], damaged: NDArray[np.float64]) -> float:
+    """Measure the AUROC of scores; 0 where there are none."""
+    return auroc(np.concatenate([sound, damaged]), np.arange(len(sound) + len(damaged)) >= len(sound)) or 0.0

@@ -8,12 +8,18 @@ from edge.core.errors import FitError
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.manifest_facts import UNPROVEN
 
-__all__ = ["scatter_mm", "scatter_warnings"]
+__all__ = ["may_compare", "scatter_mm", "scatter_warnings"]
 
 
 def scatter_mm(presses: NominalPresses, profile: SensorProfile) -> float | None:
     """Measure how far half of the contacts lie from their common middle; None where no touch is known."""
     return spread_mm(presses.touches, profile) if presses.touches else None
+
+
+def may_compare(presses: NominalPresses, profile: SensorProfile, detector: Detector) -> bool:
+    """Tell whether a method is fitted to presses as they lie: not one that compares places, to scattered contacts."""
+    scatter = scatter_mm(presses, profile)
+    return not detector.compares_places or scatter is None or scatter <= SCATTERED_MM
 
 
 def scatter_warnings(

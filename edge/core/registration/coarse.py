@@ -22,6 +22,8 @@ _ROOM = 11 / 7
 
 # Candidates at one turn differ by more than two rows or columns.
 _NEAR = np.arange(-2, 3)
+# One back and one on along each axis.
+_STEPS = np.concatenate([-np.eye(3, dtype=np.int64), np.eye(3, dtype=np.int64)])
 # A coarse match within this share of the best may become the best when it is refined.
 _NEARLY = 0.8
 
@@ -57,8 +59,7 @@ class CoarseSearch:
             if best and match < _NEARLY * best[0][1]:
                 break
             at = k, *divmod(int(place[k]), self._grid)
-            # Between the turns and the cells, by a parabola along each axis.
-            turn, row, column = (index + _vertex(matches, at, axis) for axis, index in enumerate(at))
+            turn, row, column = _vertex(matches, at)
             pose = Pose(self._to_shift(column), self._to_shift(row), turn * self._step_rad)
             best.append((pose, match))
             rows, columns = ((index + _NEAR) % self._grid for index in at[1:])
@@ -90,11 +91,12 @@ class CoarseSearch:
         return np.asarray(np.fft.rfft2(planes, (self._grid, self._grid)), np.complex64)
 
 
-def _vertex(matches: F32, at: tuple[int, ...], axis: int) -> float:
-    """Find the top of the parabola through a peak and its neighbours along an axis, within half a step of the peak."""
-    n = matches.shape[axis]
-    before, peak, after = (
-        float(matches[(*at[:axis], (at[axis] + step) % n, *at[axis + 1 :])]) for step in (-1, 0, 1)
-    )
-    bend = 2 * peak - before - after
-    return 0.0 if bend <= 0 else max(-0.5, min(0.5, (after - before) / (2 * bend)))
+def _vertex(matches: F32, at: tuple[int, int, int]) -> list[float]:
+    """Find the top between turns and cells, within half a step of a peak, by a parabola along each axis."""
+    peak, top = float(matches[at]), list[float]()
+    around = np.add(at, _STEPS) % matches.shape
+    sides = matches[around[:, 0], around[:, 1], around[:, 2]].tolist()
+    for index, before, after in zip(at, sides[:3], sides[3:], strict=True):
+        bend = 2 * peak - before - after
+        top.append(index if bend <= 0 else index + max(-0.5, min(0.5, (after - before) / (2 * bend))))
+    return top

@@ -171,7 +171,7 @@ class Registrar:
         moved -= self._template
         x, y, turn = np.sqrt(np.maximum(np.diag(alignment.covariance), 0)).tolist()
         return Registered(
-            self.light.apply_change(self._ground, moved, fade(away)),
+            self.light.apply_change(self._ground, moved, fade(away, away.shape)),
             away >= self._least_depth,
             pose,
             PoseUncertainty(self._factor * x, self._factor * y, turn if self.part.is_turning else None),
@@ -222,12 +222,12 @@ def depth_of(shows: Mask) -> F32:
     return np.asarray(cv2.distanceTransform(framed, cv2.DIST_L2, 3)[1:-1, 1:-1], np.float32)
 
 
-def fade(away: F32) -> F32:
+def fade(away: F32, frame: tuple[int, ...]) -> F32:
     """Weigh how much each place shows of a press, 0 to 1: it fades into what fills it, for a seam would score.
 
-    away: from the end of what the press shows, as `depth_of`.
+    away: from the end of what the press shows, as `depth_of`. frame: the shape of a complete press.
     """
-    return np.asarray(np.clip(away * np.float32(1 / _fade_px(away.shape)), 0, 1))
+    return np.asarray(np.clip(away * np.float32(1 / _fade_px(frame)), 0, 1))
 
 
 def _fade_px(shape: tuple[int, ...]) -> int:

@@ -20,12 +20,13 @@ __all__ = ["RELATIVE_CUT", "Spectrum", "covariance_spectrum", "mahalanobis_squar
 # Eigenvalues below this part of the largest are rounding noise of float64 sums (centring makes one of them zero). Noise
 # stays below 2e-15; a channel that deviates a million times more than the others leaves these at 1e-12.
 RELATIVE_CUT = 1e-14
-# Beyond this size a few leading eigenpairs come from subspace iteration (Halko, Martinsson, Tropp 2011): 152 presses
+# From this size on a few leading eigenpairs come from subspace iteration (Halko, Martinsson, Tropp 2011): 152 presses
 # in 3136 locations took 4.0 s by full decomposition and 1.2 s this way, on two cores. The error is a small rotation
-# within nearly equal eigenvalues; the off-span term is exact for the span that was found.
-DIRECT_SIZE = 64
+# within nearly equal eigenvalues; the off-span term is exact for the span that was found. With one iteration less the
+# scores of 40 real presses, 16 of 64 directions, changed by 0.03 % in the median, by 0.16 % at most.
+DIRECT_SIZE = 48
 OVERSAMPLING = 8
-ITERATIONS = 2
+ITERATIONS = 3
 
 
 class Spectrum(NamedTuple):

@@ -11,9 +11,11 @@ import turned_parts as parts
 from registered_bundle import fitted, nominal, registered
 
 from calibration.fitting.damage.damaged_presses import DamagedPresses
+from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
 from calibration.fitting.pose.pose_decision import PoseChoice
 from calibration.fitting.pose.registration import in_pose_of, learn_pose
 from calibration.fitting.presses.nominal_presses import NominalPresses
+from edge.core.contact.mask import Touch
 from edge.core.detector import Bank, Features, Nominal
 from edge.core.errors import BundleCorrupt, FitError, PoseNotFound
 from edge.core.registration.pose import Pose, warp
@@ -35,6 +37,42 @@ def test_parts_anywhere_are_registered_and_the_bundle_says_why() -> None:
     why = registered().manifest.facts["registration"]
     assert "presses are registered: in the median presses lie" in why
     assert "of rendered damage" in why
+
+
+def test_parts_too_far_apart_to_lie_as_they_are_need_no_second_bank() -> None:
+    """Where a method that compares places is refused as presses lie, the damage in held-out presses proves it: none of
+    it below every sound press, and the sizes that few banks find left out. Where they show little both are compared."""
+    touches = (Touch(0.1, 0.05, 0.5), Touch(0.1, 0.95, 0.5)) * 10
+    presses = nominal(parts.anywhere(parts.BLOCK, 20)[1], touches=touches)
+    why = fitted(presses, "auto").manifest.facts["registration"]
+    assert "too far to be compared as they lie; of rendered damage" in why
+    assert "without (image" not in why
+
+    names = ("dent of 0.1 mm", "dent of 0.2 mm", "dent of 0.4 mm") * 4
+    damage = DamagedPresses(
+        np.zeros((12, 1, 1, 3), np.uint8), np.arange(12), np.ones((12, 1, 1), bool), names
+    )
+    open_choice = PoseChoice(learn_pose(presses.frames, parts.free_gel()), "far apart", is_open=True)
+
+    def prove(*sizes: float) -> PoseChoice | None:
+        sound, edited = np.ones(20), np.tile(sizes, 4)
+        maps = [ScoredPresses(np.zeros((len(one), 1, 1), np.float32), one) for one in (sound, edited)]
+        return open_choice.prove(HeldOut(*maps), damage)
+
+    assert prove(3.0, 0.5, 2.0) is None
+    proven = prove(0.5, 2.0, 3.0)
+    assert proven is not None
+    assert (proven.separated, proven.is_open) == (1.0, False)
+
+
+def test_many_presses_are_found_by_the_mean_of_some() -> None:
+    """Every press has its own turn, also those that were not chosen to find the common pose."""
+    poses, presses = parts.anywhere(parts.BLOCK, 40)
+    learnt = learn_pose(presses, parts.free_gel())
+    turns = np.array(
+        [one.turn_rad - other.pose.turn_rad for one, other in zip(poses, learnt.registered, strict=True)]
+    )
+    assert np.abs(np.angle(np.exp(1j * (turns - turns[0])))).max() < np.radians(2)
 
 
 def test_parts_in_a_fixture_are_compared_as_they_lie() -> None:
