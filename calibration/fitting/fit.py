@@ -156,7 +156,7 @@ def _plan_fit(presses: NominalPresses, config: FitConfig) -> _Plan:
     if config.threshold is None and not (augmentation.each and len(presses) == 1):
         require_enough(len(presses), config.alpha, fewest, augmentation.why)
         rng = np.random.default_rng(config.seed)
-        folds, few_pieces = divide_presses(presses.specimens, config.folds, rng, fewest)
+        folds, few_pieces = divide_presses(presses.specimens, config.folds, rng, fewest, presses.film)
     said += [*(few_pieces or rate_warnings(presses.specimens, promised)), *colour_warnings(colours)]
     return replace(plan, folds=folds, fewest=fewest, warnings=said)
 
@@ -302,16 +302,16 @@ def _learn_bank(features: _Features, watch: StageTimes) -> _Learnt:
     with watch.time("threshold"):
         if damage is not None and damaged is not None and scores is not None:
             chosen = choose_limits(features.gather_evidence(covered, damage), shown, damaged, head)
-            choice, part, scores = chosen.choice, chosen.extend(part), chosen.scores
+            choice, evidence, scores = chosen.choice, chosen.evidence, chosen.scores
+            part = chosen.extend(part)
             if choice.other is not None:
                 head, bank = append(head, bank, choice.other.limit)
             unit = 1.0 if choice.other else plan.find_threshold(scores).value
-            found = chosen.evidence.count_found(choice)
-            again = chosen.evidence.press_again_facts(choice, scores)
-            roomy = replace(nominal, room=covered.room)
-            score_apart = partial(score_held_out, learner, roomy, edited=edited, shown=shown)
-            view = plan.presses, plan.config.profile
-            remedies = partial(self_check.find_remedies, chosen.evidence, choice, *view, score_apart)
+            found, again = evidence.count_found(choice), evidence.press_again_facts(choice, scores)
+            roomy = learner, replace(nominal, room=covered.room)
+            more = partial(self_check.find_remedies, evidence, choice, plan.presses, plan.config.profile)
+            remedies = partial(more, partial(score_held_out, *roomy, edited=edited, shown=shown))
+            again |= self_check.damage_facts(found, more)
             unit *= chosen.highest_limit
         relief = features.choose_relief(head)
     head, bank = relief.append_to(head, bank, unit)

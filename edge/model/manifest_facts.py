@@ -12,6 +12,7 @@ from edge.model.manifest import Manifest, RatePromise, ThresholdEntry
 
 __all__ = [
     "AUGMENTATION",
+    "DAMAGE_FOUND",
     "GEL",
     "GIVEN",
     "LICENCE",
@@ -45,6 +46,10 @@ USUAL_CONTACT = "relief_expected"
 """The array of the bank with the mean contact of nominal presses, where missing relief is checked."""
 
 
+DAMAGE_FOUND: Final = "damage_found"
+"""The entry of a manifest's `facts` with how many pieces of rendered damage of each size are found."""
+
+
 def choice_sentence(facts: Mapping[str, Any], name: str) -> str:
     """Say what the fit chose in this entry, and why; empty for a bundle without it."""
     entry = facts.get(name)
@@ -52,7 +57,8 @@ def choice_sentence(facts: Mapping[str, Any], name: str) -> str:
     if not isinstance(entry, Mapping) or not {choice, "why"} <= entry.keys():
         return ""
     if name == LIMIT:
-        return f"{entry[choice]}: {entry['why']}"
+        found = facts.get(DAMAGE_FOUND)
+        return "; ".join(filter(None, (f"{entry[choice]}: {entry['why']}", found and str(found))))
     if name == MISSING:
         return f"{'checked' if entry[choice] else 'not checked'}: {entry['why']}"
     return str(entry["why"])

@@ -1,5 +1,7 @@
 """The checks of a fit's result: what is not proven, and outliers among the presses."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -10,7 +12,13 @@ from calibration.fitting.damage.damaged_presses import DamagedPresses
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
 from calibration.fitting.limits.limit_choice import DamageFound, Evidence, choose_limit
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.self_check import apart_warnings, find_remedies, standing_apart, unproven_warnings
+from calibration.fitting.self_check import (
+    apart_warnings,
+    damage_facts,
+    find_remedies,
+    standing_apart,
+    unproven_warnings,
+)
 from edge.core.contact.mask import Touch
 from edge.core.imaging import known_profiles
 
@@ -101,6 +109,21 @@ def test_evidence_that_shows_nothing_is_said(
     for sentence, words in zip(warned, said, strict=True):
         assert sentence.startswith("not proven: ")
         assert words in sentence
+
+
+def test_what_is_found_is_said_by_size_and_where_it_is_little_what_finds_more() -> None:
+    """Nothing is looked for where half is found, nor where so little is that the bundle is not proven."""
+    for found, more in ((24, False), (23, True), (8, True), (7, False)):
+        said = damage_facts(DamageFound(found, 48, sizes="dent of 0.1 mm 5 of 6"), lambda: ["press more"])
+        assert said == {"damage_found": "found by size: dent of 0.1 mm 5 of 6" + "; press more" * more}
+    assert damage_facts(None, lambda: ["press more"]) == {}
+
+    named = evidence(spots={})
+    names = tuple(("dent of 0.05 mm", "dent of 0.1 mm", "bump of 0.05 mm")[k % 3] for k in range(24))
+    sized = replace(named, damage=replace(named.damage, names=names))
+    assert sized.count_found(choose_limit(sized)).sizes == (
+        "bump of 0.05 mm 8 of 8, dent of 0.1 mm 8 of 8, dent of 0.05 mm 8 of 8"
+    )
 
 
 def test_a_remedy_is_said_with_what_it_finds_and_no_other_is() -> None:

@@ -10,6 +10,7 @@ import pytest
 from marker_gel import dotted, lattice
 from numpy.typing import NDArray
 
+from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.presses.strangers import find_repeated, small_view
@@ -132,6 +133,25 @@ def test_a_press_without_a_name_is_of_the_piece_that_it_is_the_same_as(again: Pr
     pieces = [None, None, "1", "1"]
     _, found = find_repeated(list("abcd"), [again(1), again(2), again(3), small_view(press(2))], pieces)
     assert found == ["1"] * 4
+
+
+def test_frames_of_one_film_are_one_piece_and_are_held_out_in_stretches(tmp_path: Path) -> None:
+    """A ball that rolls over the gel, its frames numbered without zeros; one that is left out changes nothing."""
+    for k in range(20):
+        x, y = (COLUMNS - 120 - 4 * k) / 40, (ROWS - 120) / 40
+        save(tmp_path / "film" / f"{k}.png", gel(k, (80 * x * np.exp(-(x**2) - y**2))[..., None]))
+    film, less = (
+        read_presses([tmp_path / "film"], PROFILE, Region.full(SIZE), leave_out=names)
+        for names in ([], ["film/3.png"])
+    )
+    assert any("frames of one film: from 'film/0.png' on" in fault for fault in film.faults)
+    assert set(film.specimens) == {"film/0.png"}
+    assert [film.names[k] for k in film.film] == [f"film/{k}.png" for k in range(20)]
+    assert [less.names[k] for k in less.film] == [f"film/{k}.png" for k in range(20) if k != 3]
+    folds, said = divide_presses(film.specimens, 5, np.random.default_rng(0), film=film.film)
+    assert [len(held) for held in folds] == [7, 7, 6]
+    assert {film.names[k] for k in folds[0]} == {f"film/{k}.png" for k in range(7)}
+    assert "are of 1 piece" in said[0]
 
 
 def test_of_three_presses_the_one_that_does_not_belong_is_named(tmp_path: Path) -> None:

@@ -82,6 +82,8 @@ class DamageFound:
     count: int
     why: str = ""
     """How many of the largest size of each kind."""
+    sizes: str = ""
+    """How many of every size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +135,17 @@ class Evidence:
         sizes = [
             f"{name}: {is_found[names == name].sum()} of {(names == name).sum()}" for name in kinds.values()
         ]
-        return DamageFound(int(is_found.sum()), len(self.damage), ", ".join(sizes))
+        every = [
+            f"{name} {is_found[names == name].sum()} of {(names == name).sum()}"
+            for name in self._largest_first
+        ]
+        return DamageFound(int(is_found.sum()), len(self.damage), ", ".join(sizes), ", ".join(every))
+
+    @property
+    def _largest_first(self) -> list[str]:
+        """Kinds and sizes of the damage, kind by kind, which has them in rising order."""
+        names = list(dict.fromkeys(self.damage.names))[::-1]
+        return sorted(names, key=lambda name: name.split()[0])
 
     def keep(self, presses: NDArray[np.int64]) -> "Evidence":
         """Keep these presses, in rising order, and the damage in them; the folds are gone."""

@@ -38,9 +38,9 @@ U8 = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
 _MOST_ROUNDS = 8
-# So many presses find the common pose, evenly spread over all. Of 12 sets of 42 to 51 real and simulated presses six
-# have other turns with all of them, in none more of them right, for two to three times the processor time.
-_MOST_PRESSES = 24
+# So many presses find the common pose, evenly spread over all: rounds take most of the time of a fit, and of six real
+# and nine simulated parts, 20 to 51 presses each that lie anywhere, more presses settled no better.
+_MOST_PRESSES = 36
 # After this many the wrong one of two ways to read the colours is given up.
 _TRIED_ROUNDS = 2
 # Whether a part is round is asked after this many too: the turns of a ball settle by chance if they are given time, as

@@ -21,7 +21,7 @@ from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
 from calibration.fitting.presses.sources import check_present
 from calibration.fitting.presses.strangers import (
     find_empty,
-    find_repeated,
+    find_pieces,
     find_saturated,
     find_strangers,
     small_view,
@@ -60,7 +60,6 @@ TOUCHED_MARGIN_MM = 1.0
 
 _Mask = NDArray[np.bool_] | None
 """Where a press touches in the view, bool (120, 160); None where the free gel is not known."""
-
 # The fields with one entry per press.
 _EACH = ("names", "specimens", "touches", "guessed")
 
@@ -90,6 +89,8 @@ class NominalPresses:
     """Parts of the sources that could not be read or found, and doubts about the free gel, a sentence each."""
     estimated: str = ""
     """How the free gel was estimated from the presses; empty where it was seen."""
+    film: tuple[int, ...] = ()
+    """The presses in their order, where they are frames of one film."""
     dots: MarkerDots | None = None
     """The dots of a marker gel, filled in the pictures; None where they are none, or are not filled."""
 
@@ -118,7 +119,7 @@ class NominalPresses:
     def choose(self, rows: Sequence[int]) -> "NominalPresses":
         """Return these presses alone."""
         kept = {name: tuple(getattr(self, name)[k] for k in rows if getattr(self, name)) for name in _EACH}
-        return replace(self, frames=self.frames[list(rows)], **kept)  # type: ignore[arg-type]
+        return replace(self, frames=self.frames[list(rows)], film=(), **kept)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +150,7 @@ class _Gathered:
     faults: list[str] = field(default_factory=list)
     estimated: str = ""
     is_doubtful: bool = False
+    film: tuple[int, ...] = ()
 
     def choose_gel(
         self, pictures: Sequence[NDArray[np.uint8]], given: Mapping[str, NDArray[np.uint8]]
@@ -168,8 +170,8 @@ class _Gathered:
 
     def find_odd(self) -> list[str]:
         """Name the presses that do not belong to the others, touch nothing, or are too bright."""
-        names, views = [press.name for press in self.presses], [press.view for press in self.presses]
-        empty = [] if self.is_doubtful else find_empty(names, [press.mask for press in self.presses])
+        names, views, masks = zip(*((one.name, one.view, one.mask) for one in self.presses), strict=True)
+        empty = [] if self.is_doubtful else find_empty(names, masks)
         return [*find_strangers(names, views), *empty, *find_saturated(names, views)]
 
     def finish(self) -> NominalPresses:
@@ -177,16 +179,14 @@ class _Gathered:
         presses, free = self.presses, self.free[:MAX_NO_CONTACT]
         masks = [press.mask for press in presses if press.mask is not None]
         touches = tuple(touched(mask) for mask in masks) if len(masks) == len(presses) else ()
-        views = [view_of(picture) for picture in free]
+        views, is_seen = [view_of(picture) for picture in free], bool(touches) and not self.estimated
         return NominalPresses(
             frames=np.stack([press.rgb for press in presses]),
             names=tuple(press.name for press in presses),
             specimens=tuple(press.specimen for press in presses),
             touches=() if self.is_doubtful else touches,
             guessed=touches if self.is_doubtful else (),
-            touched=touched_union(masks, self.profile, self.region)
-            if touches and not self.estimated
-            else None,
+            touched=touched_union(masks, self.profile, self.region) if is_seen else None,
             no_contact=np.stack([self.region.crop(picture) for picture in free])
             if free and not self.is_doubtful
             else None,
@@ -196,6 +196,7 @@ class _Gathered:
             else None,
             faults=(*self.find_odd(), *self.faults),
             estimated=self.estimated,
+            film=self.film,
         )
 
 
@@ -238,7 +239,8 @@ def read_presses(
     gathered.choose_gel([pictures[k][1] for k in kept], given)
     # Presses of a recording were made one by one, and a robot may repeat them well.
     pieces = [specimens.get(path) or specimen_of(path) for path, _ in pictures]
-    same, pieces = find_repeated(names, [small_view(picture) for _, picture in pictures], pieces)
+    same, pieces, film = find_pieces(names, [small_view(picture) for _, picture in pictures], pieces)
+    gathered.film = () if gathered.presses else tuple(kept.index(k) for k in film if k in kept)
     gathered.faults += same
     contact = _contacts(gathered.free)
     for name, piece, (_, picture) in zip(names, pieces, pictures, strict=True):
