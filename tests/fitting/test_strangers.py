@@ -69,6 +69,12 @@ BAD: dict[str, tuple[Presses, Presses, U8 | None, str]] = {
     "free gel": (press, gel, gel(99), f"no contact is seen in {TWO}"),
     "one press again": (press, same, None, f"{TWO} are the same as another"),
     "too bright": (press, bright, None, f"too bright a light in {TWO}"),
+    "another exposure": (
+        press,
+        lambda k: (0.6 * press(k)).astype(np.uint8),
+        None,
+        f"another exposure in {TWO}",
+    ),
     "markers": (press, marked, gel(99), f"the dots of a marker gel in {TWO}"),
     "no markers": (marked, press, dotted(gel(99), DOTS), f"no dots of a marker gel in {TWO}"),
     "markers on all": (marked, marked, gel(99), "of another gel"),

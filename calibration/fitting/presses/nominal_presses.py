@@ -21,8 +21,8 @@ from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
 from calibration.fitting.presses.sources import check_present
 from calibration.fitting.presses.strangers import (
     find_empty,
+    find_misexposed,
     find_pieces,
-    find_saturated,
     find_strangers,
     small_view,
 )
@@ -172,7 +172,7 @@ class _Gathered:
         """Name the presses that do not belong to the others, touch nothing, or are too bright."""
         names, views, masks = zip(*((one.name, one.view, one.mask) for one in self.presses), strict=True)
         empty = [] if self.is_doubtful else find_empty(names, masks)
-        return [*find_strangers(names, views), *empty, *find_saturated(names, views)]
+        return [*find_strangers(names, views), *empty, *find_misexposed(names, views)]
 
     def finish(self) -> NominalPresses:
         """Return all presses; their contacts count where every one is known, by a free gel without doubt."""
