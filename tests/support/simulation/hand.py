@@ -18,6 +18,8 @@ Phase = tuple[float, str]
 """Depth, 0 to 1, and what is on the gel: `sound`, `dented` or `glaring`."""
 FREE: Phase = (0.0, "sound")
 NOT_SETTLED = {"rejected"}
+PATIENCE = 0.9
+"""The share of people who wait half a second more for a station that is not ready."""
 
 
 @dataclass
@@ -84,12 +86,15 @@ class Hand:
         """The gel is free, and not for long."""
         return len(self._phases) < 8
 
-    def move(self, now_ns: int) -> Phase:
-        """Go on by one frame."""
+    def move(self, now_ns: int, is_ready: bool) -> Phase:
+        """Go on by one frame. is_ready: the station says so; otherwise most people wait for it."""
         if not self._phases:
             if len(self.presses) >= self.most_presses:
                 return FREE
-            self._begin(now_ns)
+            if not is_ready and self._rng.random() < PATIENCE:
+                self.wait(0.5)
+            else:
+                self._begin(now_ns)
         phase = self._phases.popleft()
         press = self.press
         if press and phase == FREE:

@@ -347,8 +347,8 @@ class Station:
         """Note what was seen of a press, also by a dead process that has written before."""
         press, now_ns = report.press, self.world.clock.now_ns
         judged_ns = self.world.clock.running_ns(press.time_ns)
-        frame_ns = press.judged_ns or now_ns
-        if not frame_ns <= judged_ns <= now_ns or self.world.clock.set_ns > frame_ns:
+        frame_ns, set_ns = press.judged_ns or now_ns, self.world.clock.set_ns
+        if not (press.judged_ns or 0) <= judged_ns <= now_ns or set_ns > min(frame_ns, judged_ns):
             judged_ns = frame_ns  # the wall clock was set since
         gaps = (
             later - then > GAP_NS

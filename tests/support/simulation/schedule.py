@@ -203,10 +203,9 @@ class Simulation:
 
     def _camera(self) -> float:
         sensor, hand = self.world.sensor, self.world.hand
-        before = hand.press
-        sensor.make()
+        before, state = hand.press, self.station.loop.parts.status.view().state
+        sensor.make(state == "ready")
         press = hand.press
-        state = self.station.loop.parts.status.view().state
         if state != "ready":
             self.station.halted_ns.append(self.world.clock.now_ns)
             if press:

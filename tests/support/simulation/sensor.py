@@ -63,11 +63,11 @@ class Sensor:
         fps = round(S / self.period_ns, 2)
         return DeviceIdentity("GelSight Mini R0B SIM0-0001", self.serial, SIZE, fps)
 
-    def make(self) -> None:
-        """The camera makes a frame of what is on the gel now."""
+    def make(self, is_ready: bool) -> None:
+        """The camera makes a frame of what is on the gel now. is_ready: what the person sees of the station."""
         made_ns = self.next_ns
         self.next_ns += round(self.period_ns * (1 + self.jitter_share * self._rng.uniform(-1, 1)))
-        phase = self.hand.move(self._clock.now_ns)
+        phase = self.hand.move(self._clock.now_ns, is_ready)
         if press := self.hand.press:
             press.why |= self.troubles
             if press.begin_ns < self.dim_until_ns:
