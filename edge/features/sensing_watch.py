@@ -57,7 +57,7 @@ class SensingWatch(PressStage):
         sight, timestamp_ns = look.sight, look.timestamp_ns
         if look.interruption_s and self._is_pressed:
             self._is_pressed = False
-            log.warning("no frame came for %.1f s; %s", look.interruption_s, _MERGED)
+            log.warning("nothing was seen for %.1f s; %s", look.interruption_s, _MERGED)
             self._note(look.interruption_s, _MERGED)
         if sight.since_ns == timestamp_ns and sight.lost is None:
             self._note_unseen(timestamp_ns)

@@ -79,7 +79,7 @@ class Look:
     level: View | None
     """Its view at the level of the free gel, float32 (h, w, 3); None for a frame that was not decoded, or is blind."""
     interruption_s: float = 0.0
-    """How long no frame came before it, where that was an interruption."""
+    """How long nothing was seen before it, where that was an interruption."""
 
 
 @final
@@ -104,6 +104,7 @@ class PressDetector:
         self._profile = profile
         self._freshness = Freshness()
         self._last_ns: int | None = None
+        self._shown_ns: int | None = None
         self.newest: CameraFrame | None = None
         self._kept: dict[int, CameraFrame] = {}
         self._held = HeldPress()
@@ -133,6 +134,7 @@ class PressDetector:
         events = self._interrupted_before(frame)
         is_held = self._held.is_as_before(len(frame.payload))
         if not self.tracker.is_due(frame.timestamp_ns, is_held=is_held):
+            self._shown_ns = frame.timestamp_ns  # as far as it is known
             return events, None
         try:
             view = decode_view(frame, self._profile)
@@ -142,6 +144,7 @@ class PressDetector:
         if not self.sight.see(view, frame.timestamp_ns):
             self._count(f"frame {frame.sequence} does not show the gel")
             return events, None
+        events += self._unseen_before(frame)
         self.newest = self._kept[frame.sequence] = frame
         events += self.tracker.feed(view, frame.timestamp_ns, frame.sequence)
         is_settled = any(isinstance(event, PressSettled) for event in events)
@@ -168,7 +171,16 @@ class PressDetector:
         if last_ns is None or frame.timestamp_ns - last_ns <= GAP_S * 1e9:
             return []
         self._interruption_s = (frame.timestamp_ns - last_ns) / 1e9
+        self._shown_ns = frame.timestamp_ns
         self.sight.resume(frame.timestamp_ns)
+        return self.tracker.gap()
+
+    def _unseen_before(self, frame: CameraFrame) -> list[Event]:
+        """Take frames that showed nothing for an interruption too: what pressed before them may be another part now."""
+        shown_ns, self._shown_ns = self._shown_ns, frame.timestamp_ns
+        if shown_ns is None or frame.timestamp_ns - shown_ns <= GAP_S * 1e9:
+            return []
+        self._interruption_s = (frame.timestamp_ns - shown_ns) / 1e9
         return self.tracker.gap()
 
     def _count_corrupt(self, fault: str, frame: CameraFrame) -> None:

@@ -29,4 +29,16 @@ FAILED = (
         ),
         says="broker# retains the gel SIM## with # presses, which is not so",
     ),
+    # A press was hidden by a covered sensor, and its peak of seconds ago passed when another part was lifted.
+    Failure(
+        seed=2013,
+        presses=8,
+        chosen=Chosen(brokers=1, has_archive=False, rates={}, sloth_s=0.0, fps=18.75),
+        schedule=(
+            Fault(at_s=4.21717, name="kill", seed=145657507),
+            Fault(at_s=6.946007, name="damage", seed=112791548),
+            Fault(at_s=10.243912, name="blind", seed=187489564),
+        ),
+        says="press # is glaring and passed #",
+    ),
 )
