@@ -64,7 +64,7 @@ class ConfirmedPresses:
     left_out: list[str] = field(default_factory=list)
     """Presses that could have been used, with the reason why they are not."""
     others: list[ArchivedPress] = field(default_factory=list)
-    """The newest archived presses of which nobody spoke."""
+    """Archived presses of which nobody can tell, or that show the gel, and the newest ones of which nobody spoke."""
 
     def add(self, one: ConfirmedPress) -> None:
         """Sort it in."""
@@ -92,13 +92,12 @@ def read_confirmed(database: Path, part: PartPosition) -> ConfirmedPresses:
         ).fetchall()
     for press_id, evidence in reversed(rows):
         verdict = settle(said.get(press_id, ()))
-        if verdict is None:
+        if verdict is not None:
+            found.words[verdict.saying] += 1
+        if verdict is None or verdict.saying not in ("good", "damaged"):
             with suppress(ArchiveError):  # the archive keeps the newest ones
-                if evidence is not None and len(found.others) < MOST_OTHERS:
+                if evidence is not None and (verdict is not None or len(found.others) < MOST_OTHERS):
                     found.others.append(archive.press(press_id, evidence))
-            continue
-        found.words[verdict.saying] += 1
-        if verdict.saying not in ("good", "damaged"):
             continue
         try:
             press = archive.press(press_id, evidence)
@@ -141,7 +140,7 @@ class Comparison:
         )
 
     def changes(self) -> str:
-        """Say which of the presses of which nobody spoke get another verdict."""
+        """Say which of the other presses get another verdict."""
         others = [one.press_id for one in self.presses.others]
         known = self.before.keys() & self.after.keys()
         both = [(key, self.before[key].word, self.after[key].word) for key in others if key in known]
@@ -156,12 +155,12 @@ class Comparison:
         lost = [
             one.describe()
             for one in self.presses.damaged
-            if self.before[one.press.press_id].word != "pass"
+            if (self.before[one.press.press_id].word != "pass" or one.press.verdict == "fail")
             and self.after[one.press.press_id].word == "pass"
         ]
         if lost:
             raise FitError(
-                f"the new bundle passes what the old one finds, and is not written: {'; '.join(lost)}. Look at these "
+                f"the new bundle passes what was found before, and is not written: {'; '.join(lost)}. Look at these "
                 "presses: what was called good may be damaged too, or the other way round"
             )
         good = self.presses.good

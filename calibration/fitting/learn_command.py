@@ -1,12 +1,13 @@
 """`gelgate bundle learn`: a bundle, its nominal presses and what people said at the station in, a new bundle out."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calibration.fitting.options import Alpha, GelId, NoContact, Output, Overwrite, Threads
+from calibration.fitting.options import GelId, NoContact, Output, Overwrite, Threads
 from edge.cli.arguments import flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
 
@@ -28,7 +29,12 @@ class LearnArguments:
     output: Output
     config: ConfigOption = CONFIG
     database: DatabaseOption = None
-    alpha: Alpha = 0.05
+    alpha: Annotated[
+        float | None,
+        typer.Option(
+            help="False-alarm rate of the threshold; default: that of the bundle.", show_default=False
+        ),
+    ] = None
     no_contact: NoContact = None
     gel: GelId = None
     threads: Threads = 2
@@ -40,8 +46,8 @@ def learn(given: LearnArguments) -> None:
     """Learn from what people said at the station.
 
     Presses that people call good are learnt beside the nominal ones, with the detector and the backbone of the bundle.
-    The new bundle is not written where it passes a press that people call damaged and the old one finds, or fails more
-    good ones. Copy it in the place of the old one, keep that, and reload.
+    The new bundle is not written where it passes a press that people call damaged and that was found before, or fails
+    more good ones. Copy it in the place of the old one, keep that, and reload.
     """
     import tempfile
 
@@ -49,17 +55,19 @@ def learn(given: LearnArguments) -> None:
     from calibration.fitting.fit import Fitted, fit_files
     from calibration.fitting.learn import compare, read_confirmed, write_pictures
     from calibration.fitting.presses.nominal_presses import read_presses
+    from calibration.fitting.presses.sources import check_present, find_sources
     from edge.cli.options import database_path
     from edge.core.errors import FitError
     from edge.core.part_position import PartPosition
     from edge.model.bundle import Bundle
 
     refuse_existing(given.output, given.overwrite)
+    check_present(given.sources)
     old = Bundle.load(given.bundle)
     manifest, database = old.manifest, database_path(given.config, given.database)
     confirmed = read_confirmed(database, PartPosition(manifest.part, manifest.position))
     for sentence in confirmed.left_out:
-        typer.echo(f"warning: not learnt: {sentence}", err=True)
+        typer.echo(f"warning: left out: {sentence}", err=True)
     words = ", ".join(f"{number} {word}" for word, number in sorted(confirmed.words.items())) or "nothing"
     typer.echo(f"people said of {manifest.part}/{manifest.position}: {words}")
     if not confirmed.good:
@@ -68,11 +76,19 @@ def learn(given: LearnArguments) -> None:
             "were, on the page or with `confirm_press`"
         )
     config = _configure_again(old, given)
+    sources = find_sources(given.sources, manifest.part, manifest.position, old.profile.size)
+    if left_out := _left_out_before(sources.paths, manifest.provenance.left_out):
+        typer.echo(f"left out as before: {', '.join(left_out)}")
     with tempfile.TemporaryDirectory() as folder:
         pictures = Path(folder) / "confirmed"
         write_pictures(confirmed.good, pictures)
         presses = read_presses(
-            [*given.sources, pictures], old.profile, old.region, no_contact=given.no_contact
+            [*sources.paths, pictures],
+            old.profile,
+            old.region,
+            no_contact=given.no_contact,
+            specimens=sources.specimens,
+            leave_out=left_out,
         )
     typer.echo(f"{count_presses(len(presses))}, {len(confirmed.good)} of them from the station")
 
@@ -84,6 +100,16 @@ def learn(given: LearnArguments) -> None:
         return fitted
 
     make(fit_and_check, given.output, given.overwrite)
+
+
+def _left_out_before(sources: Sequence[Path], names: Sequence[str]) -> list[str]:
+    """Choose the presses that are still among the sources, of those that the old bundle left out."""
+    from calibration.fitting.presses.nominal_presses import is_recording, list_pictures
+
+    recordings = {source.name for source in sources if is_recording(source)}
+    pictures = list_pictures([source for source in sources if not is_recording(source)])
+    there = {f"{path.parent.name}/{path.name}" for path in pictures}
+    return [name for name in names if name in there or name.rpartition("#")[0] in recordings]
 
 
 def _configure_again(old: "Bundle", given: LearnArguments) -> "FitConfig":
@@ -114,7 +140,7 @@ def _configure_again(old: "Bundle", given: LearnArguments) -> "FitConfig":
         ),
         mode=manifest.mode,
         overrides=overrides,
-        alpha=given.alpha,
+        alpha=manifest.threshold.alpha if given.alpha is None else given.alpha,
         threads=given.threads,
         register="auto",
         augment="auto",
