@@ -192,7 +192,7 @@ class SinkWorker:
         self._has_said = False  # whether the log has a line on this sink
         self._sent_version = 0  # version of the retained state that this sink has
         self._unsaid: set[str] = set()  # topics of the retained state that this sink has refused
-        self._unsaid_ns = 0  # when it refused the last of them
+        self._unsaid_ns = 0  # when they were said again, or the first of them was refused
         self._clock = clock
         self._passed = 0  # every row up to this one is settled with this sink
         self._accepted: int | None = (
@@ -235,6 +235,8 @@ class SinkWorker:
     def _say(self) -> None:
         """Say what has changed, and again what was refused: else the receiver retains what is not so any more."""
         now_ns = self._clock.monotonic_ns()
+        if not self._unsaid:
+            self._unsaid_ns = now_ns
         again = set(self._unsaid) if now_ns - self._unsaid_ns >= OFFER_REFUSED_S * 1e9 else set()
         for version, message in self._retained_state.since(-1 if again else self._sent_version):
             if version <= self._sent_version and message.topic not in again:
@@ -244,9 +246,10 @@ class SinkWorker:
                 self._unsaid.discard(message.topic)
             except SinkRejected as error:
                 self._unsaid.add(message.topic)
-                self._unsaid_ns = now_ns
                 self._note_refused(message, str(error))
             self._sent_version = max(version, self._sent_version)
+        if again:
+            self._unsaid_ns = now_ns
 
     def _send(self, row: OutboxRow) -> None:
         is_late = row.row_id <= self._late_up_to

@@ -15,7 +15,7 @@ from edge.core.errors import StoreError
 from edge.core.ports import Message
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.sink_worker import IDLE_S, OFFER_REFUSED_S, RetainedState
-from edge.messaging.status_payloads import StatePayload
+from edge.messaging.status_payloads import QuestionsPayload, StatePayload
 from edge.store.outbox import Outbox
 from edge.store.press_store import Store
 
@@ -263,6 +263,24 @@ def test_a_refused_announcement_is_said_again_when_it_is_still_so(outbox: Outbox
 
     states = [json.loads(m.payload)["state"] for m in sink.taken if m.topic == "state"]
     assert states == ["ready", "halted"]
+
+
+def test_a_topic_that_is_always_refused_keeps_no_other_from_being_said_again(
+    outbox: Outbox, sink: ScriptedSink
+) -> None:
+    """As where a broker's rules lack `questions`, which change with every press."""
+    retained_state, clock = RetainedState(), ManualClock()
+    one = worker(outbox, sink, retained_state=retained_state, clock=clock)
+    sink.refuses = {"state", "questions"}
+    retained_state.announce(StatePayload(time_ns=2, state="halted", reason="full").message())
+    drain(one)
+    sink.refuses = {"questions"}
+    for second in range(0, round(2 * OFFER_REFUSED_S), 5):
+        retained_state.announce(QuestionsPayload(time_ns=second, per_day=10).message())
+        drain(one)
+        clock.sleep(5)
+
+    assert [m.topic for m in sink.taken if m.topic == "state"] == ["state"]
 
 
 def test_a_refused_announcement_does_not_block_the_rows(
