@@ -92,7 +92,8 @@ class DriftChart:
 
     @property
     def shift(self) -> int:
-        """Tell whether the values lie higher (1) or lower (-1) than before; 0 where no shift is shown."""
+        """Tell whether the values lie higher (1) or lower (-1) than before; 0 where no shift is shown. It does not end:
+        begin another chart."""
         if self.count < LEARNT or max(self.above, self.below) <= H:
             return 0
         return 1 if self.above >= self.below else -1
@@ -109,7 +110,9 @@ class DriftChart:
         far = self._standardise(value, measure)
         count, step = self.count + 1, value - self.mean
         mean = self.mean + step / count
-        above, below = max(0.0, self.above + far - K), max(0.0, self.below - far - K)
+        above, below = self.above, self.below
+        if not self.shift:  # it stays one when its own values are most of the mean
+            above, below = max(0.0, above + far - K), max(0.0, below - far - K)
         return replace(
             self,
             count=count,

@@ -67,16 +67,20 @@ class DriftWatch(PressStage):
                     charts[measure.name] = charts.get(measure.name, DriftChart()).add(value, measure)
             self._bundles[self._bundle] = charts  # the last one is the newest in use
             self._unsaved += 1
-            if self._unsaved >= _KEPT_EVERY:
-                self._save()
             self._say()
         return press
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        """Keep the charts where they are due: a result does not wait for a file."""
+        if self._unsaved >= _KEPT_EVERY:
+            self._save()
 
     def acknowledge(self, alarm: str) -> None:
         """Begin the charts that have shifted again: what they show now is right from now on."""
         if alarm == "drift":
             charts = self._bundles.get(self._bundle, {})
             self._bundles[self._bundle] = {name: chart for name, chart in charts.items() if not chart.shift}
+            self._unsaved += 1
             self._save()
 
     def _say(self) -> None:

@@ -75,6 +75,18 @@ def test_a_fall_is_said_as_one() -> None:
     assert "is lower" in chart.describe(PLAIN)
 
 
+def test_a_shift_stays_when_its_values_become_usual() -> None:
+    """All values before it, and in the end those of the shift themselves, are in the mean."""
+    rng = np.random.default_rng(4)
+    _, chart = run(np.concatenate([rng.normal(100, 5, 100), rng.normal(107, 5, 100)]))
+    since = chart.since
+
+    for value in rng.normal(107, 5, 1000).tolist():
+        chart = chart.add(value, PLAIN)
+
+    assert (chart.shift, chart.since) == (1, since + 1000)
+
+
 def test_nothing_is_said_before_enough_is_learnt() -> None:
     early = replace(DriftChart(), count=LEARNT - 1, above=H + 1)
 

@@ -31,7 +31,7 @@ def test_a_shift_is_an_alarm_until_somebody_acknowledges_it(
     tmp_path: Path, presses: Path, bundle: Path
 ) -> None:
     """Of 24 presses, 23 pass and are charted; then every place lies 3 mm away. The alarm comes again after a restart;
-    acknowledged, this chart begins again, and the others go on."""
+    acknowledged, this chart begins again, also after one more restart, and the others go on."""
     config = station_config(tmp_path, presses, bundle)
     with SteppedStation(config) as station:
         station.play_presses(24)
@@ -46,7 +46,11 @@ def test_a_shift_is_an_alarm_until_somebody_acknowledges_it(
         watch = again.find(DriftWatch)
         left = watch._bundles[watch._bundle]
         assert again.alarm("drift") is None
-        again.ask("replace_gel")
+    with SteppedStation(config) as last:
+        last.play_until(lambda: last.loop.session is not None)
+        watch = last.find(DriftWatch)
+        assert (last.alarm("drift"), watch._bundles[watch._bundle]) == (None, left)
+        last.ask("replace_gel")
         assert watch._bundles == {}
 
     assert quiet is None
