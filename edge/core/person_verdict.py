@@ -39,7 +39,7 @@ def settle(verdicts: Sequence[PersonVerdict]) -> PersonVerdict | None:
     said = {verdict.saying for verdict in newest.values()} - {"cannot_tell"}
     if len(said) > 1:
         return PersonVerdict(last.press_id, last.time_ns, ", ".join(sorted(newest)), "cannot_tell")
-    return next((one for one in reversed(list(newest.values())) if one.saying in said), last)
+    return next((one for one in reversed(verdicts) if one.saying in said and newest[one.person] is one), last)
 
 
 @dataclass

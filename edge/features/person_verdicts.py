@@ -81,7 +81,8 @@ class PersonVerdicts(PressStage):
             self._ask(today)
 
     def _ask(self, today: date) -> None:
-        said = self._store.read("reading what people said", read_verdicts)
+        since_ns = self._clock.time_ns() - DAY_NS
+        said = self._store.read("reading what people said", partial(read_verdicts, since_ns=since_ns))
         answered = sum(any(_day_of(one.time_ns) == today for one in verdicts) for verdicts in said.values())
         questions = choose_questions(self._presses, said, max(0, self._per_day - answered))
         if (answered, questions) != self._shown:
@@ -119,7 +120,8 @@ class PersonVerdicts(PressStage):
             raise ValueError(
                 f"press {press_id} is of a master piece or of a study: what it is, is known; confirm presses of parts"
             )
-        earlier = self._store.read("reading what people said", read_verdicts).get(press_id, [])
+        said = self._store.read("reading what people said", partial(read_verdicts, press_id=press_id))
+        earlier = said.get(press_id, [])
         self._next_look_ns, self._answered_ns = 0, self._clock.monotonic_ns()
         return {
             "press_id": press_id,

@@ -6,7 +6,7 @@ Functions that take a connection run inside the caller's transaction.
 import json
 import sqlite3
 from collections import defaultdict
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from edge.core.person_verdict import Asked, PersonVerdict
 from edge.store.acts import CONFIRM
@@ -14,20 +14,34 @@ from edge.store.acts import CONFIRM
 __all__ = ["Found", "find_table", "read_askable", "read_verdicts"]
 
 
-def read_verdicts(connection: sqlite3.Connection) -> dict[str, list[PersonVerdict]]:
-    """Read what was said of each press by its id, oldest first."""
+# What `Commands` adds to a name, which itself may have commas.
+_WAYS: Final = (", over MQTT, signed", ", over MQTT, unsigned", ", at the page")
+
+
+def read_verdicts(
+    connection: sqlite3.Connection, since_ns: int | None = None, press_id: str = ""
+) -> dict[str, list[PersonVerdict]]:
+    """Read what was said of each press by its id, oldest first. since_ns: wall clock; only what was said since then, in
+    a time that does not grow with what was said before. press_id: only of this press."""
     said: dict[str, list[PersonVerdict]] = defaultdict(list)
+    before = "SELECT act_id FROM acts WHERE time_ns < ? ORDER BY act_id DESC LIMIT 1"
     rows = connection.execute(
-        "SELECT time_ns, who, arguments FROM acts WHERE verb = ? AND outcome = 'done' ORDER BY act_id",
-        (CONFIRM,),
+        f"SELECT time_ns, who, arguments FROM acts NOT INDEXED WHERE act_id > coalesce(({before}), 0) "
+        "AND verb = ? AND outcome = 'done' AND instr(arguments, ?) ORDER BY act_id",
+        (since_ns, CONFIRM, press_id),
     )
     for time_ns, who, arguments in rows:
         given = json.loads(arguments)
-        verdict = PersonVerdict(
-            given["press_id"], time_ns, who.partition(", ")[0], given["verdict"], given.get("kind")
-        )
+        verdict = PersonVerdict(given["press_id"], time_ns, _name(who), given["verdict"], given.get("kind"))
         said[verdict.press_id].append(verdict)
     return dict(said)
+
+
+def _name(who: str) -> str:
+    for way in _WAYS:
+        if who.endswith(way):
+            return who.removesuffix(way)
+    return who
 
 
 class Found(NamedTuple):

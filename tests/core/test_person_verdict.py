@@ -40,6 +40,16 @@ def test_the_kind_is_that_of_the_word_that_holds() -> None:
     assert (settled.kind, settled.person) == ("burr", "kim")
 
 
+def test_of_two_people_who_agree_the_newest_kind_holds() -> None:
+    """Whoever spoke first of all may have spoken last too."""
+    settled = settle(
+        [said("kim", "damaged", "burr"), said("lee", "damaged", "crack"), said("kim", "damaged", "dent")]
+    )
+
+    assert settled is not None
+    assert (settled.kind, settled.person) == ("dent", "kim")
+
+
 def test_false_alarms_and_escapes_are_of_the_presses_that_people_judged() -> None:
     """Ten presses by hand: yield 6 of 10, one of two judged fails was good, one of three judged passes was damaged.
 

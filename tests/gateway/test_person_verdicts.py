@@ -1,6 +1,8 @@
 """A person says what a press was: the ledger keeps it beside the verdict, and the station asks for doubtful ones."""
 
 import json
+import sqlite3
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -11,8 +13,10 @@ from stepped_station import SteppedStation
 
 from edge.features.outputs.stage import Outputs
 from edge.gateway.commands import Change, CommandPolicy, Commands
+from edge.store.acts import CONFIRM, Act
 from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import check_database
+from edge.store.person_verdicts import read_verdicts
 from edge.store.ulid import new_ulid
 
 
@@ -136,6 +140,39 @@ def test_two_people_who_contradict_each_other_are_asked_about_no_more(played: St
     (row, *_) = read_history(played.parts.store.path, HistoryQuery())
 
     assert (row.person_verdict, row.person, row.verdict) == ("cannot_tell", "kim, lee", "pass")
+
+
+def test_names_with_a_comma_are_two_people(played: SteppedStation) -> None:
+    press_id = played.results[0].press_id
+    say(played, "Meier, Kim")(press_id=press_id, verdict="damaged")
+    say(played, "Meier, Lee")(press_id=press_id, verdict="good")
+
+    (row, *_) = read_history(played.parts.store.path, HistoryQuery())
+
+    assert (row.person_verdict, row.person) == ("cannot_tell", "Meier, Kim, Meier, Lee")
+
+
+def test_what_was_said_long_ago_takes_the_loop_no_time(played: SteppedStation) -> None:
+    """The steps of SQLite for what was said on the last day, by 30 words of long ago and by 3,000."""
+    store, press_id, steps = played.parts.store, played.results[0].press_id, []
+    for words in (30, 2970):
+        given = {"press_id": press_id, "verdict": "good"}
+        for time_ns in range(words):
+            store.begin_act(Act(time_ns, "pedal", CONFIRM, None, given, outcome="done"), 0)
+        steps.append(store.read("counting", count_steps))
+
+    assert steps[0] == steps[1]
+
+
+def count_steps(connection: sqlite3.Connection) -> int:
+    """Count them in tens, without what the statement itself takes."""
+    counted: list[None] = []
+    connection.set_progress_handler(lambda: counted.append(None), 10)
+    try:
+        assert read_verdicts(connection, since_ns=time.time_ns()) == {}
+    finally:
+        connection.set_progress_handler(None, 0)
+    return len(counted)
 
 
 def test_at_most_the_configured_number_is_asked_on_a_day(tmp_path: Path, presses: Path, bundle: Path) -> None:
