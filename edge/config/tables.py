@@ -284,7 +284,7 @@ class ConfirmTable(Table):
     questions_per_day: int = Field(
         default=10,
         ge=0,
-        le=1000,
+        le=100,
         description="presses that a person is asked about on one day, at most; 0: none",
     )
 

@@ -4,6 +4,7 @@ import json
 import sqlite3
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,12 @@ from command_line import gelgate
 from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
+from edge.config.tables import ConfirmTable
+from edge.core.press import ReferenceLabel
 from edge.features.outputs.stage import Outputs
 from edge.gateway.commands import Change, CommandPolicy, Commands
+from edge.messaging.status_payloads import Question, QuestionsPayload
+from edge.page.shown import readable
 from edge.store.acts import CONFIRM, Act
 from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import check_database
@@ -142,6 +147,29 @@ def test_two_people_who_contradict_each_other_are_asked_about_no_more(played: St
     assert (row.person_verdict, row.person, row.verdict) == ("cannot_tell", "kim, lee", "pass")
 
 
+def test_the_most_questions_that_can_be_configured_fit_on_the_page() -> None:
+    """With long names of parts; a page refuses a payload that is too long."""
+    (most,) = (
+        one.le for one in ConfirmTable.model_fields["questions_per_day"].metadata if hasattr(one, "le")
+    )
+    name, time_ns = "\N{GREEK SMALL LETTER PI}" * 64, 1_790_000_000_000_000_000
+    questions = tuple(
+        Question(
+            press_id=new_ulid(time_ns + number),
+            time_ns=time_ns,
+            time_ms=time_ns // 1_000_000,
+            verdict="unsure",
+            score_ratio=0.9876543210987654,
+            part=name,
+            position=name,
+        )
+        for number in range(most)
+    )
+    payload = QuestionsPayload(time_ns=time_ns, per_day=most, presses=questions)
+
+    assert len(readable("questions", payload.message().payload)["presses"]) == most
+
+
 def test_names_with_a_comma_are_two_people(played: SteppedStation) -> None:
     press_id = played.results[0].press_id
     say(played, "Meier, Kim")(press_id=press_id, verdict="damaged")
@@ -215,17 +243,25 @@ def test_nothing_is_asked_that_nobody_could_answer(
 
 
 def test_a_pedal_says_what_the_last_press_was(tmp_path: Path, presses: Path, bundle: Path) -> None:
-    """Before the first press there is nothing to say it of."""
+    """Nothing is kept of no press, of a master piece, nor while the press that a light shows already waits for the
+    database: the one before it is another part."""
     with SteppedStation(station_config(tmp_path, presses, bundle)) as station:
-        outputs = Outputs(lambda alarm, text: None, station.clock)
-        outputs.confirm_last("good", station.parts.store)
-        station.play_presses(1)
-        outputs.record(station.reports[0].press, station.reports[0].gel)
-        outputs.confirm_last("damaged", station.parts.store)
+        outputs, store = Outputs(lambda alarm, text: None, station.clock), station.parts.store
+        outputs.confirm_last("good", store)
+        station.play_presses(2)
+        (one, other), inspector = station.reports, station.parts.selection.inspector
+        outputs.judge(one.press, None, inspector)
+        outputs.record(one.press, one.gel)
+        outputs.confirm_last("damaged", store)
+        outputs.judge(other.press, None, inspector)
+        outputs.confirm_last("good", store)
+        master = replace(other.press, label=ReferenceLabel("m1", "fail", 10))
+        outputs.record(master, other.gel)
+        outputs.confirm_last("good", store)
 
-        (row,) = read_history(station.parts.store.path, HistoryQuery())
+        rows = list(read_history(store.path, HistoryQuery()))
 
-    assert (row.person_verdict, row.person, row.verdict) == ("damaged", "pedal", "pass")
+    assert [(row.person_verdict, row.person) for row in rows] == [("damaged", "pedal"), (None, None)]
 
 
 def test_presses_have_shifts_only_where_they_are_configured(played: SteppedStation, tmp_path: Path) -> None:

@@ -49,7 +49,8 @@ class Outputs(PressStage):
         self._verdict: str | None = None
         self._awaited_ns: int | None = None
         self._seen_ns: int | None = None
-        self._last_id: str | None = None
+        self._judged_id: str | None = None
+        self._recorded_id: str | None = None
         self._faults: dict[str, dict[str, str]] = {"trigger_device": {}, "actuator": {}}
         self._lock = threading.Lock()  # of the faults and the late pulses, which each owner's thread reports
         self._late: Counter[str] = Counter()
@@ -152,6 +153,7 @@ class Outputs(PressStage):
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         """Show the verdict before it is recorded; a pass has to wait for that."""
+        self._judged_id = press.press_id
         if press.label is None and press.word == "pass":
             self._awaited_ns = press.judged_ns
         elif press.label is None:
@@ -161,8 +163,7 @@ class Outputs(PressStage):
 
     def record(self, press: Press, gel: GelRecord) -> None:
         """A pass is one now. It is shown unless another press has begun since."""
-        if press.label is None:
-            self._last_id = press.press_id
+        self._recorded_id = press.press_id if press.label is None else None
         if press.label is None and press.word == "pass":
             if press.judged_ns == self._awaited_ns:
                 self._verdict = press.word
@@ -181,16 +182,14 @@ class Outputs(PressStage):
 
     def confirm_last(self, saying: Saying, store: Store) -> None:
         """A person says at a pedal what the last press was. No one waits for an answer, so what fails is in the log."""
-        if self._last_id is None:
-            log.warning(
-                "a pedal says '%s', and no press was recorded since the start; nothing is kept", saying
-            )
+        if self._recorded_id is None or self._recorded_id != self._judged_id:
+            log.warning("a pedal says '%s', and the last press is none of a part that is recorded", saying)
             return
-        given = {"press_id": self._last_id, "verdict": saying}
+        given = {"press_id": self._recorded_id, "verdict": saying}
         try:
             store.begin_act(Act(self._clock.time_ns(), "pedal", CONFIRM, None, given, outcome="done"), 0)
         except StoreError as error:
-            log.error("what a pedal says of press %s is not kept: %s", self._last_id, error)
+            log.error("what a pedal says of press %s is not kept: %s", self._recorded_id, error)
 
     def _pulse(self, press: Press) -> None:
         """Deadlines count from the judged frame, or from now where there is none."""
