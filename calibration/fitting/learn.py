@@ -140,10 +140,11 @@ class Comparison:
         )
 
     def changes(self) -> str:
-        """Say which of the other presses get another verdict."""
+        """Say which of the other presses get another verdict, first those that pass now."""
         others = [one.press_id for one in self.presses.others]
         known = self.before.keys() & self.after.keys()
         both = [(key, self.before[key].word, self.after[key].word) for key in others if key in known]
+        both.sort(key=lambda one: one[2] != "pass")
         changed = [f"{key} {before} to {after}" for key, before, after in both if before != after]
         named = "; ".join(changed[:MOST_NAMED]) + (" and others" if len(changed) > MOST_NAMED else "")
         return f"{len(changed)} of {len(both)} other archived presses change" + (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calibration.fitting.options import GelId, NoContact, Output, Overwrite, Threads
+from calibration.fitting.options import GelId, LeaveOut, NoContact, Output, Overwrite, Threads
 from edge.cli.arguments import flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
 
@@ -36,6 +36,7 @@ class LearnArguments:
         ),
     ] = None
     no_contact: NoContact = None
+    leave_out: LeaveOut = None
     gel: GelId = None
     threads: Threads = 2
     overwrite: Overwrite = False
@@ -88,9 +89,10 @@ def learn(given: LearnArguments) -> None:
             old.region,
             no_contact=given.no_contact,
             specimens=sources.specimens,
-            leave_out=left_out,
+            leave_out=[*left_out, *(given.leave_out or ())],
         )
-    typer.echo(f"{count_presses(len(presses))}, {len(confirmed.good)} of them from the station")
+    learnt = sum(name.startswith(f"{pictures.name}/") for name in presses.names)
+    typer.echo(f"{count_presses(len(presses))}, {learnt} of them from the station")
 
     def fit_and_check(**how: object) -> Fitted:
         fitted = fit_files(presses, config, **how)  # type: ignore[arg-type]

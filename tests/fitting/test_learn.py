@@ -11,11 +11,15 @@ from command_line import Outcome, gelgate
 from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
+from calibration.fitting.learn import Comparison, ConfirmedPresses
 from calibration.fitting.presses.nominal_presses import read_presses
 from edge import registry
 from edge.core.imaging.region import Region
+from edge.core.press import Press
+from edge.core.verdict import decide
 from edge.model.bundle import Bundle
 from edge.store.acts import CONFIRM, Act
+from edge.store.press_archive import ArchivedPress
 from edge.store.press_store import Store
 
 
@@ -166,6 +170,18 @@ def test_presses_that_get_another_verdict_are_named(
     assert f"1 of 5 other archived presses change: {ids[4]} fail to pass\n" in done.out
 
 
+def test_of_many_presses_that_change_those_that_pass_now_are_named() -> None:
+    """Few are named, and a damage that is lost matters most."""
+    others = [ArchivedPress.model_construct(press_id=str(number)) for number in range(12)]
+    passed, failed = Press(decide(1.0, 2.0)), Press(decide(3.0, 2.0))
+    before = {str(number): failed if number == 11 else passed for number in range(12)}
+    after = {key: passed if one is failed else failed for key, one in before.items()}
+
+    said = Comparison(ConfirmedPresses(others=others), before, after).changes()
+
+    assert said.startswith("12 of 12 other archived presses change: 11 fail to pass; 0 pass to fail; ")
+
+
 def test_a_bundle_that_loses_a_known_damage_is_not_written(
     inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
 ) -> None:
@@ -226,9 +242,16 @@ def test_what_was_left_out_stays_so_and_the_requested_rate_too(
     manifest = Bundle.load(folder / "new").manifest
     assert manifest.provenance.left_out == (names[3],)
     assert manifest.threshold.alpha == 0.2
-    asked = learn(inspected, folder, "--alpha", "0.3", "--overwrite", bundle=folder / "other")
+    say(folder, {ids[1]: "good"})
+    one = f"confirmed/{ids[1]}.jpg"
+    asked = learn(
+        inspected, folder, "--alpha", "0.3", "--leave-out", one, "--overwrite", bundle=folder / "other"
+    )
     assert asked.code == 0, asked.err
-    assert Bundle.load(folder / "new").manifest.threshold.alpha == 0.3
+    assert "8 nominal presses, 1 of them from the station\n" in asked.out
+    manifest = Bundle.load(folder / "new").manifest
+    assert manifest.provenance.left_out == (names[3], one)
+    assert manifest.threshold.alpha == 0.3
 
 
 def test_of_a_dataset_the_good_presses_are_learnt(
