@@ -11,7 +11,7 @@ from edge.core.errors import StoreError
 from edge.core.gel_life import DEFAULT_WARN_FRACTION, GelState, state_of
 from edge.store import ledger_chain
 
-__all__ = ["GelRecord", "count_press", "find_mounted", "history", "mount"]
+__all__ = ["GelRecord", "add_presses", "count_press", "find_mounted", "history", "mount"]
 
 _COLUMNS = (
     "serial, gel_id, presses, limit_presses, installed_ns, first_use_ns, last_use_ns, removed_ns, wear_index, "
@@ -113,18 +113,18 @@ def mount(
     ledger_chain.append_gels(connection, serial)
 
 
-def count_press(
+def add_presses(
     connection: sqlite3.Connection,
     serial: str,
     time_ns: int,
-    presses: int = 1,
+    presses: int,
     wear_index: float | None = None,
     warn_fraction: float = DEFAULT_WARN_FRACTION,
 ) -> GelRecord | None:
-    """Count more presses on the mounted gel, and return it; None for an unknown sensor.
+    """Add presses to the mounted gel, and return it; None for an unknown sensor.
 
     wear_index: its optical wear, None where it was not measured. The last use never becomes earlier, also when the
-    clock is set back. Errors: StoreError for an impossible count.
+    clock is set back.
     """
     row = connection.execute(
         "UPDATE gels SET presses = presses + :presses, first_use_ns = coalesce(first_use_ns, :t), "
@@ -132,10 +132,16 @@ def count_press(
         f"WHERE serial = :serial AND removed_ns IS NULL RETURNING {_COLUMNS}",
         {"t": time_ns, "serial": serial, "presses": presses, "wear": wear_index},
     ).fetchone()
-    if row is None:
-        return None
-    gel = _record(row, warn_fraction)
-    _refuse_impossible(replace(gel, presses=gel.presses - presses))
+    return None if row is None else _record(row, warn_fraction)
+
+
+def count_press(
+    connection: sqlite3.Connection, serial: str, time_ns: int, wear_index: float | None, warn_fraction: float
+) -> GelRecord | None:
+    """Add one press, as `add_presses` does. Errors: StoreError for an impossible count."""
+    gel = add_presses(connection, serial, time_ns, 1, wear_index, warn_fraction)
+    if gel is not None:
+        _refuse_impossible(replace(gel, presses=gel.presses - 1))
     return gel
 
 

@@ -143,7 +143,7 @@ def recover(connection: sqlite3.Connection, known: Count | None, serial: str, ti
             "file; unsent results in it are lost"
         )
     if known.uncounted:
-        gel_ledger.count_press(connection, serial, time_ns, known.uncounted)
+        gel_ledger.add_presses(connection, serial, time_ns, known.uncounted)
         sentences.append(
             f"{known.uncounted} presses of sensor {serial} were made while it refused writes; they are counted on the "
             "gel now, and their results are lost"

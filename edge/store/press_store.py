@@ -287,7 +287,7 @@ class Store:
     def count_presses(self, serial: str, presses: int, time_ns: int) -> GelRecord:
         """Count presses of which nothing else is known: they wear the gel."""
         with self._database.writing(f"counting presses of sensor {serial}") as connection:
-            ledger.count_press(connection, serial, time_ns, presses)
+            ledger.add_presses(connection, serial, time_ns, presses)
             gel, self._newest = self._require_mounted(connection, serial), _newest_number(connection)
         self.keep_count(gel)
         return gel
@@ -377,7 +377,7 @@ class Store:
 
     def _count(self, connection: sqlite3.Connection, press: PressRecord) -> GelRecord:
         """Count a press on the mounted gel, the first one of an unknown sensor, and return it."""
-        one = (press.serial, press.time_ns, 1, press.wear_index, self._warn_fraction)
+        one = (press.serial, press.time_ns, press.wear_index, self._warn_fraction)
         if (gel := ledger.count_press(connection, *one)) is not None:
             return gel
         self._mount_first(connection, press.serial, press.time_ns)

@@ -2,13 +2,16 @@
 
 import os
 import shutil
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from recorded_presses import count, make_press
 
+from edge.core.errors import StoreError
 from edge.store.press_counts import COPY_BYTES, Count, PressCounts
 from edge.store.press_store import Store
 
@@ -137,6 +140,25 @@ def test_presses_that_a_database_refused_are_counted_at_the_next_start(path: Pat
     with Store(path) as store:
         assert store.gel(SERIAL, 7).presses == 21
         assert store.findings == []
+
+
+def test_uncounted_presses_do_not_stop_a_new_gel_from_taking_the_place_of_an_impossible_one(
+    path: Path,
+) -> None:
+    """It is what the refusal of such a gel tells to do."""
+    with Store(path) as store:
+        count(store, make_press(1))
+        store.note_uncounted(SERIAL, 20)
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("UPDATE gels SET presses = -30, limit_presses = 0")
+        connection.commit()
+
+    with Store(path) as store:
+        with pytest.raises(StoreError, match="gelgate gel replace"):
+            store.gel(SERIAL, 7)
+        gel = store.replace_gel(SERIAL, 8)
+
+    assert (gel.gel_id, gel.presses) == (f"{SERIAL}-2", 0)
 
 
 def test_the_sensors_used_last_are_remembered(path: Path) -> None:

@@ -36,7 +36,7 @@ BUGS = (
         '        with self._database.writing("counting") as connection:\n'
         "            self._count(connection, press)\n"
         '        with self._database.writing(f"recording press {press.press_id}") as connection:\n'
-        "            ledger.count_press(connection, press.serial, press.time_ns, -1)\n",
+        "            ledger.add_presses(connection, press.serial, press.time_ns, -1)\n",
         "presses, and",
     ),
     Bug(
