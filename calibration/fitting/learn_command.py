@@ -13,6 +13,7 @@ from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
 
 if TYPE_CHECKING:
     from calibration.fitting.fit_config import FitConfig
+    from calibration.fitting.presses.nominal_presses import NominalPresses
     from edge.model.bundle import Bundle
 
 __all__ = ["LearnArguments", "learn"]
@@ -91,6 +92,7 @@ def learn(given: LearnArguments) -> None:
             specimens=sources.specimens,
             leave_out=[*left_out, *(given.leave_out or ())],
         )
+    _warn_without_gel(old, presses)
     learnt = sum(name.startswith(f"{pictures.name}/") for name in presses.names)
     typer.echo(f"{count_presses(len(presses))}, {learnt} of them from the station")
 
@@ -102,6 +104,16 @@ def learn(given: LearnArguments) -> None:
         return fitted
 
     make(fit_and_check, given.output, given.overwrite)
+
+
+def _warn_without_gel(old: "Bundle", presses: "NominalPresses") -> None:
+    """Warn where the old bundle knew the free gel, and the new one will not."""
+    if old.free_view is not None and presses.free_view is None:
+        typer.echo(
+            "warning: the old bundle knew the free gel, and these sources do not show it: less damage may be found; "
+            "give pictures of it with --no-contact",
+            err=True,
+        )
 
 
 def _left_out_before(sources: Sequence[Path], names: Sequence[str]) -> list[str]:

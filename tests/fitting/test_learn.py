@@ -280,6 +280,10 @@ def test_of_a_dataset_the_good_presses_are_learnt(
 
     assert done.code == 0, done.err
     assert "8 nominal presses, 1 of them from the station\n" in done.out
+    assert "the old bundle knew the free gel" not in done.err  # it was made of these pictures too
+    again = learn(inspected, folder, "--overwrite", sources=data)
+    assert again.code == 0, again.err
+    assert "warning: the old bundle knew the free gel, and these sources do not show it" in again.err
 
 
 def test_a_press_that_is_gone_from_the_archive_is_named(
