@@ -183,8 +183,8 @@ BUGS = (
     Bug(
         "a new gel is not chained",
         "edge/store/gel_ledger.py",
-        "    ledger_chain.append_gels(connection, serial)\n\n\ndef count_press",
-        "\n\ndef count_press",
+        "    ledger_chain.append_gels(connection, serial)\n\n\ndef add_presses",
+        "\n\ndef add_presses",
         "has no link",
     ),
 )
