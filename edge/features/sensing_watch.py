@@ -1,6 +1,7 @@
 """Says when the station does not sense: the sensor shows nothing, or something holds its contact open."""
 
 import logging
+from collections import deque
 from datetime import datetime
 from typing import Final, Self, final
 
@@ -21,6 +22,9 @@ _MERGED: Final = (
     "one press"
 )
 
+# Times without sight that wait while the database refuses writes; the newest are kept.
+_MOST_WAITING: Final = 256
+
 
 @final
 class SensingWatch(PressStage):
@@ -38,7 +42,7 @@ class SensingWatch(PressStage):
         self._contact = LongContact()
         self._blind: str | None = None
         self._seen_ns: int | None = None
-        self._unseen: Act | None = None
+        self._unseen: deque[Act] = deque(maxlen=_MOST_WAITING)
         self._is_pressed = False  # and the press has not been interrupted
 
     @classmethod
@@ -55,12 +59,13 @@ class SensingWatch(PressStage):
 
     def look(self, look: Look) -> None:
         sight, timestamp_ns = look.sight, look.timestamp_ns
-        if look.interruption_s and self._is_pressed:
+        if is_merged := look.interruption_s > 0 and self._is_pressed:
             self._is_pressed = False
             log.warning("nothing was seen for %.1f s; %s", look.interruption_s, _MERGED)
             self._note(look.interruption_s, _MERGED)
         if sight.since_ns == timestamp_ns and sight.lost is None:
-            self._note_unseen(timestamp_ns)
+            if not is_merged:
+                self._note_unseen(timestamp_ns)
             self._seen_ns = timestamp_ns
         if sight.lost is None:
             self._alarms.contact(*self._contact.look(timestamp_ns))
@@ -70,21 +75,20 @@ class SensingWatch(PressStage):
             self._alarms.set_blind(self._blind)
 
     def turn(self, mounted: Mounted | None) -> None:
-        """Record the newest time in which nothing was seen. Errors: StoreError."""
-        if self._unseen is not None:
-            self._store.begin_act(self._unseen, within_s=0)
-            self._unseen = None
+        """Record the times in which nothing was seen. Errors: StoreError; they go on waiting."""
+        while self._unseen:
+            self._store.begin_act(self._unseen[0], within_s=0)
+            self._unseen.popleft()
 
     def _note_unseen(self, timestamp_ns: int) -> None:
         seconds = 0.0 if self._seen_ns is None else (timestamp_ns - self._seen_ns) / 1e9
-        if seconds > BLIND_AFTER_S and self._unseen is None:
+        if seconds > BLIND_AFTER_S:
             self._note(seconds, self._blind or "no frames came")
 
     def _note(self, seconds: float, why: str) -> None:
         arguments = {"seconds": round(seconds, 1), "why": why}
-        self._unseen = Act(
-            self._clock.time_ns(), "the gateway", "not_seen", arguments=arguments, outcome="done"
-        )
+        act = Act(self._clock.time_ns(), "the gateway", "not_seen", arguments=arguments, outcome="done")
+        self._unseen.append(act)
 
     def _sentence(self, sight: Sight, timestamp_ns: int) -> str:
         ago_ns = timestamp_ns - (sight.since_ns if sight.since_ns is not None else timestamp_ns)

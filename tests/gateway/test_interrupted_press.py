@@ -63,3 +63,19 @@ def test_an_interrupted_press_is_an_act(
     assert sorted(act.arguments["seconds"] for act in acts) == pytest.approx(said, abs=1.5 / FPS)
     assert ("both are one press" in caplog.text) == bool(said)
     assert any("both are one press" in act.arguments["why"] for act in acts) == bool(said)
+
+
+def test_each_time_without_sight_is_kept_while_the_database_refuses(tmp_path: Path) -> None:
+    """The act of a short one does not take the place of a long one that waits, nor the other way round."""
+    detector = PressDetector(PROFILE)
+    with Store(tmp_path / "gelgate.db") as store:
+        watch = SensingWatch(Mock(), store, ManualClock())
+        for frame in frames([*FREE, *LONG, *FREE, *PRESSED, *SHORT, *PRESSED, *FREE, *LONG, *FREE]):
+            look = detector.feed(frame)
+            for event in look.events:
+                watch.see(event)
+            watch.look(look)
+        watch.turn(None)
+        acts = [act for act in reversed(store.acts()) if act.verb == "not_seen"]
+
+    assert [act.arguments["seconds"] for act in acts] == pytest.approx([2.4, 0.5, 2.4], abs=0.2)
