@@ -6,7 +6,7 @@ values of independent normal ones, whatever their mean and deviation. Two sums c
 Ref: Hawkins, Journal of Quality Technology 19 (1987): the self-starting CUSUM. Wallace, Annals of Mathematical
 Statistics 30 (1959): the normal value of a value of Student's distribution, here to 0.02. Siegmund, Sequential
 Analysis (1985): a two-sided chart with K = 0.5 and H = 10 has one false alarm in 70,000 values. Measured after 100
-values: a shift by one standard deviation is found after 23 values in the median, by two after 8.
+values: a shift by one standard deviation is found after 24 values in the median, by two after 8.
 """
 
 import math

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import read_presses
-from calibration.fitting.presses.strangers import find_repeated, small_view
+from calibration.fitting.presses.strangers import find_misexposed, find_repeated, small_view
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
@@ -139,6 +139,15 @@ def test_a_press_without_a_name_is_of_the_piece_that_it_is_the_same_as(again: Pr
     pieces = [None, None, "1", "1"]
     _, found = find_repeated(list("abcd"), [again(1), again(2), again(3), small_view(press(2))], pieces)
     assert found == ["1"] * 4
+
+
+def test_of_presses_that_are_darker_and_brighter_no_false_level_is_said() -> None:
+    """The level is that of the one that is named with it."""
+    views = [np.full((120, 160, 3), level, np.uint8) for level in (99, 99, 59, 99, 179, 99)]
+    (said,) = find_misexposed(list("abcdef"), views)
+    assert said.startswith(
+        "another exposure in 2 of 6 presses ('c', 'e'): the level of 'c' is 0.60 times that of the others; "
+    )
 
 
 def test_frames_of_one_film_are_one_piece_and_are_held_out_in_stretches(tmp_path: Path) -> None:

@@ -102,9 +102,9 @@ def find_misexposed(names: Sequence[str], views: Sequence[U8]) -> list[str]:
     odd = np.flatnonzero(np.maximum(times, 1 / times) > _EXPOSED_TIMES).tolist()
     if odd and len(views) >= _FEWEST:
         said.append(
-            f"another exposure in {list_names([names[k] for k in odd], len(names))}: their level is "
-            f"{times[odd[0]]:.2f} times that of the others; fix the exposure and press again, or leave them out "
-            f"(--leave-out '{names[odd[0]]}')"
+            f"another exposure in {list_names([names[k] for k in odd], len(names))}: the level of "
+            f"'{names[odd[0]]}' is {times[odd[0]]:.2f} times that of the others; fix the exposure and press again, or "
+            f"leave them out (--leave-out '{names[odd[0]]}')"
         )
     return said
 
