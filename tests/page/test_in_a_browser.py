@@ -99,6 +99,29 @@ def test_the_reason_of_a_verdict_is_shown(
     assert tab.locator("#picture").is_hidden()
 
 
+def test_no_press_is_asked_about_with_the_picture_of_another(tab: Any, sink: PageSink) -> None:
+    """While a slow network brings its own, none is shown."""
+    for number in (1, 2, 3):
+        for message in press(number, picture=PICTURE):
+            sink.send(message)
+    wait_until(tab, "document.querySelectorAll('#presses a').length === 3")
+    tab.evaluate("askWhat(shown.presses[2], true)")
+    tab.wait_for_selector("#what-picture", state="visible")
+    tab.click("#what-cancel")
+    held: list[Any] = []
+    tab.route("**/pictures/*", lambda route: held.append(route))
+
+    with tab.expect_request("**/pictures/*"):
+        tab.evaluate("askWhat(shown.presses[1], true)")
+    is_shown_early = tab.locator("#what-picture").is_visible()
+    for route in held:
+        route.continue_()
+    tab.unroute("**/pictures/*")
+
+    tab.wait_for_selector("#what-picture", state="visible")
+    assert not is_shown_early
+
+
 def test_a_fail_never_reads_as_its_threshold(tab: Any, sink: PageSink) -> None:
     """In the list, and in the line below the verdict."""
     ratios = {1.19: "1.19", 1.0: "1.00", 1.0021: "1.002", 0.99999: "0.99999"}

@@ -137,9 +137,12 @@ function showRow(press) {
 function askWhat(press, hasPicture) {
   at("what-form").reset();
   put("what-press", [word(press), ratio(press) && `${ratio(press)} × threshold`, named(press), clock(press)].filter(Boolean).join(" · "));
-  at("what-picture").hidden = !hasPicture;
-  put("no-picture", hasPicture ? "" : "Its picture is not here any more.");
-  if (hasPicture) { at("what-picture").src = `pictures/${press.press_id}`; } else { at("what-picture").removeAttribute("src"); }
+  const picture = at("what-picture"), gone = "Its picture is not here any more.";
+  picture.hidden = true; // until it is here: the browser goes on showing that of another press
+  picture.onload = () => { picture.hidden = false; put("no-picture", ""); };
+  picture.onerror = () => put("no-picture", gone);
+  put("no-picture", hasPicture ? "Its picture is on its way." : gone);
+  if (hasPicture) { picture.src = `pictures/${press.press_id}`; } else { picture.removeAttribute("src"); }
   at("what").dataset.press = press.press_id;
   at("what").showModal();
   at("what-cancel").focus();
