@@ -103,7 +103,9 @@ def read_confirmed(database: Path, part: PartPosition) -> ConfirmedPresses:
             press = archive.press(press_id, evidence)
             frame = archive.read(press.frame, f"the judged frame of press {press_id}")
         except ArchiveError as error:
-            found.left_out.append(str(error))
+            is_damaged = verdict.saying == "damaged"
+            unknown = "; whether the new bundle finds this damage is not known" if is_damaged else ""
+            found.left_out.append(f"{error}{unknown}")
             continue
         found.add(ConfirmedPress(press, verdict, frame))
     return found
