@@ -14,7 +14,7 @@ from edge.messaging.payload_base import PressId
 from edge.messaging.status_payloads import Question, QuestionsPayload
 from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
 from edge.store.acts import CONFIRM
-from edge.store.person_verdicts import find_table, read_askable, read_verdicts
+from edge.store.person_verdicts import find_table, newest_act, read_askable, read_verdicts
 from edge.store.press_store import Store
 
 __all__ = ["PersonVerdicts"]
@@ -52,7 +52,7 @@ class PersonVerdicts(PressStage):
         self, per_day: int, store: Store, announce: Callable[[Message], object], clock: Clock
     ) -> None:
         self._per_day, self._store, self._announce, self._clock = per_day, store, announce, clock
-        self._after = 0
+        self._after = self._newest_act = 0
         self._presses: list[Asked] = []
         self._shown: tuple[object, ...] | None = None
         self._day: date | None = None
@@ -97,7 +97,8 @@ class PersonVerdicts(PressStage):
         self._announce(payload.message())
 
     def _read(self) -> bool:
-        """Read the presses since the last look, and forget those of yesterday. Return whether anything has changed."""
+        """Read the presses since the last look, and forget those of yesterday. Return whether there are others, or a
+        new act: a pedal's word too is one."""
         query = partial(read_askable, after=self._after, most=MOST_REMEMBERED)
         new = self._store.read("reading the newest presses", query)
         self._after = max([self._after, *(number for number, _ in new)])
@@ -106,7 +107,8 @@ class PersonVerdicts(PressStage):
             one for one in (*before, *(press for _, press in new)) if 0 <= now_ns - one.time_ns < DAY_NS
         ]
         self._presses = sorted(recent, key=lambda one: one.time_ns)[-MOST_REMEMBERED:]
-        return self._presses != before
+        act, self._newest_act = self._newest_act, self._store.read("reading the newest act", newest_act)
+        return self._presses != before or self._newest_act != act
 
     def _confirm(self, arguments: ConfirmPressArguments) -> Data:
         """Say what is known of the press; the request itself is the record. Errors: ValueError, StoreError."""

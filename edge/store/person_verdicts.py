@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from edge.core.person_verdict import Asked, PersonVerdict
 from edge.store.acts import CONFIRM
 
-__all__ = ["Found", "find_table", "read_askable", "read_verdicts"]
+__all__ = ["Found", "find_table", "newest_act", "read_askable", "read_verdicts"]
 
 
 # What `Commands` adds to a name, which itself may have commas.
@@ -74,3 +74,9 @@ def read_askable(connection: sqlite3.Connection, after: int, most: int) -> list[
         (after, most),
     )
     return [(number, Asked(*row)) for number, *row in rows]
+
+
+def newest_act(connection: sqlite3.Connection) -> int:
+    """Find the number of the newest act, 0 for none."""
+    (number,) = connection.execute("SELECT coalesce(max(act_id), 0) FROM acts").fetchone()
+    return int(number)

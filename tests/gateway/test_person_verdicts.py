@@ -264,6 +264,21 @@ def test_a_pedal_says_what_the_last_press_was(tmp_path: Path, presses: Path, bun
     assert [(row.person_verdict, row.person) for row in rows] == [("damaged", "pedal"), (None, None)]
 
 
+def test_a_press_of_which_a_pedal_spoke_is_not_asked_about(played: SteppedStation) -> None:
+    """No press comes after it, and no request."""
+    asked = played.said("questions")["presses"][0]["press_id"]
+    given = {"press_id": asked, "verdict": "good"}
+    played.clock.sleep(60)
+    played.turn()
+
+    played.parts.store.begin_act(
+        Act(played.clock.time_ns(), "pedal", CONFIRM, None, given, outcome="done"), 0
+    )
+    settle(played)
+
+    assert asked not in [one["press_id"] for one in played.said("questions")["presses"]]
+
+
 def test_presses_have_shifts_only_where_they_are_configured(played: SteppedStation, tmp_path: Path) -> None:
     config = tmp_path / "gelgate.toml"
 
