@@ -66,6 +66,8 @@ def history(
     sensor, gel, part, position, verdict, score, threshold, cause: part or gel, and what a person said of it."""
     if by is not None and by not in _GROUPS:
         raise ConfigError(f"presses have no '{by}'; {suggestion(by, _GROUPS)}")
+    if by is not None and (as_json or output is not None):
+        raise ConfigError("--by prints lines for people; leave out --json and --output, or --by")
     if output is not None and output.suffix.lower() == ".parquet":
         needs("parquet", f"writing {output}")
     now_ns = time.time_ns()

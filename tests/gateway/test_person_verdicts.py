@@ -289,3 +289,5 @@ def test_presses_have_shifts_only_where_they_are_configured(played: SteppedStati
     assert "has no shifts" in without
     assert found.count("presses, yield") == 1
     assert "presses have no 'moon'" in gelgate("history", "--by", "moon", "-c", config).sentence()
+    both = gelgate("history", "--by", "day", "--json", "-c", config).sentence()
+    assert "--by prints lines for people" in both

@@ -226,6 +226,7 @@ async function ask(verb, given, wanted) {
 }
 
 async function change(button, verb, wanted, done) {
+  if (key === null) { say("Not done: this page has locked itself; unlock it and say it again.", "error"); return; }
   button.disabled = true;
   say("asked…", "");
   try {
