@@ -45,6 +45,7 @@ VERBS: list[tuple[str, int, str]] = [
     ("evaluate pz0 dataset --part * --position * --bootstrap 20 --sheet sheet.png", 0, "image_auroc"),
     ("check --config gelgate.toml", 0, "ok"),
     ("run --config gelgate.toml", 0, "12 presses"),
+    ("bundle learn pz0 nominal -o learnt --config gelgate.toml", 3, "say what presses were"),
     ("station overview --config gelgate.toml", 3, "has no [overview]"),
     ("station replay --all --config gelgate.toml", 0, "12 equal"),
     ("station reference press --config gelgate.toml", 3, "names no master piece"),
