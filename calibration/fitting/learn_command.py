@@ -13,7 +13,9 @@ from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
 
 if TYPE_CHECKING:
     from calibration.fitting.fit_config import FitConfig
+    from calibration.fitting.learn import ConfirmedPresses
     from calibration.fitting.presses.nominal_presses import NominalPresses
+    from edge.core.part_position import PartPosition
     from edge.model.bundle import Bundle
 
 __all__ = ["LearnArguments", "learn"]
@@ -55,11 +57,10 @@ def learn(given: LearnArguments) -> None:
 
     from calibration.fitting.command import count_presses, make, refuse_existing
     from calibration.fitting.fit import Fitted, fit_files
-    from calibration.fitting.learn import compare, read_confirmed, write_pictures
+    from calibration.fitting.learn import compare, write_pictures
     from calibration.fitting.presses.nominal_presses import read_presses
     from calibration.fitting.presses.sources import check_present, find_sources
     from edge.cli.options import database_path
-    from edge.core.errors import FitError
     from edge.core.part_position import PartPosition
     from edge.model.bundle import Bundle
 
@@ -67,16 +68,7 @@ def learn(given: LearnArguments) -> None:
     check_present(given.sources)
     old = Bundle.load(given.bundle)
     manifest, database = old.manifest, database_path(given.config, given.database)
-    confirmed = read_confirmed(database, PartPosition(manifest.part, manifest.position))
-    for sentence in confirmed.left_out:
-        typer.echo(f"warning: left out: {sentence}", err=True)
-    words = ", ".join(f"{number} {word}" for word, number in sorted(confirmed.words.items())) or "nothing"
-    typer.echo(f"people said of {manifest.part}/{manifest.position}: {words}")
-    if not confirmed.good:
-        raise FitError(
-            f"no press of {manifest.part}/{manifest.position} that people call good can be learnt; say what presses "
-            "were, on the page or with `confirm_press`"
-        )
+    confirmed = _read_words(database, PartPosition(manifest.part, manifest.position))
     config = _configure_again(old, given)
     sources = find_sources(given.sources, manifest.part, manifest.position, old.profile.size)
     if left_out := _left_out_before(sources.paths, manifest.provenance.left_out):
@@ -104,6 +96,24 @@ def learn(given: LearnArguments) -> None:
         return fitted
 
     make(fit_and_check, given.output, given.overwrite)
+
+
+def _read_words(database: Path, part: "PartPosition") -> "ConfirmedPresses":
+    """Read what people said of a part, and say what of it is left out. Errors: FitError where nothing can be learnt."""
+    from calibration.fitting.learn import read_confirmed
+    from edge.core.errors import FitError
+
+    confirmed = read_confirmed(database, part)
+    for sentence in confirmed.left_out:
+        typer.echo(f"warning: left out: {sentence}", err=True)
+    words = ", ".join(f"{number} {word}" for word, number in sorted(confirmed.words.items())) or "nothing"
+    typer.echo(f"people said of {part}: {words}")
+    if not confirmed.good:
+        raise FitError(
+            f"no press of {part} that people call good can be learnt; say what presses were, on the page or with "
+            "`confirm_press`"
+        )
+    return confirmed
 
 
 def _warn_without_gel(old: "Bundle", presses: "NominalPresses") -> None:

@@ -18,6 +18,7 @@ from edge.config import load_config
 from edge.core.errors import ConfigError
 from edge.core.person_verdict import Agreement
 from edge.core.printable import printable, score_texts
+from edge.core.reference_press.charts import newest_begin
 from edge.core.suggest import suggestion
 from edge.extras import needs
 from edge.store.history import HistoryQuery, HistoryRow, read_history, write_history
@@ -116,15 +117,13 @@ def _shifts(config: Path) -> Sequence[datetime.time]:
         raise ConfigError(
             f'{config} has no shifts; give their local times under [reference], as shifts = ["06:00"]'
         )
-    return sorted(shifts)
+    return shifts
 
 
 def _shift_of(row: HistoryRow, shifts: Sequence[datetime.time]) -> str:
-    """Name the shift by its day and begin; before the first one of a day it is the last of the day before."""
-    moment = datetime.datetime.fromtimestamp(row.time_ns / 1e9)
-    begun = [shift for shift in shifts if shift <= moment.time()]
-    day = moment.date() if begun else moment.date() - datetime.timedelta(days=1)
-    return f"{day} {begun[-1] if begun else shifts[-1]:%H:%M}"
+    """Name the shift by its day and begin."""
+    moment = datetime.datetime.fromtimestamp(row.time_ns / 1e9).astimezone()
+    return f"{newest_begin(moment, shifts, None):%Y-%m-%d %H:%M}"
 
 
 _GROUPS: Final[Mapping[str, Callable[[HistoryRow, Sequence[datetime.time]], str]]] = {

@@ -13,7 +13,9 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import Final, Self
 
-__all__ = ["LEARNT", "MEASURES", "DriftChart", "Measure"]
+from edge.core.reference_press.outcome import Measure
+
+__all__ = ["LEARNT", "MEASURES", "DriftChart"]
 
 # Half of the shift in standard deviations that is found soonest.
 K: Final = 0.5
@@ -26,35 +28,30 @@ LEARNT: Final = 20
 """Values before a shift can be said."""
 
 
-@dataclass(frozen=True)
-class Measure:
-    """What is charted of each passing press."""
-
-    name: str
-    title: str
-    unit: str
-    floor: float
-    """The least standard deviation, so that a shift without meaning is none."""
-    relative_floor: float
-    """The same as a share of the mean."""
-    what_to_do: str
-
-
 MEASURES: Final = (
     Measure(
         "score_ratio",
         "score / threshold",
         "",
+        "bundle",
         0.02,
         0.05,
         "wipe the gel and look at the newest pictures; if the parts have changed, fit again with some of them",
     ),
-    Measure("strength_levels", "strength", " levels", 0.01, 0.02, "check the force, the stop and the gel"),
-    Measure("x_mm", "place x", " mm", 0.05, 0.0, "check the fixture and the sensor's mount"),
-    Measure("y_mm", "place y", " mm", 0.05, 0.0, "check the fixture and the sensor's mount"),
-    Measure("noise_levels", "noise", " levels", 0.05, 0.1, "check light, exposure and cable"),
     Measure(
-        "light_levels", "light of the free gel", " levels", 0.5, 0.02, "check the lamp; clean the gel's edge"
+        "strength_levels", "strength", "levels", "bundle", 0.01, 0.02, "check the force, the stop and the gel"
+    ),
+    Measure("x_mm", "place x", "mm", "bundle", 0.05, 0.0, "check the fixture and the sensor's mount"),
+    Measure("y_mm", "place y", "mm", "bundle", 0.05, 0.0, "check the fixture and the sensor's mount"),
+    Measure("noise_levels", "noise", "levels", "bundle", 0.05, 0.1, "check light, exposure and cable"),
+    Measure(
+        "light_levels",
+        "light of the free gel",
+        "levels",
+        "bundle",
+        0.5,
+        0.02,
+        "check the lamp; clean the gel's edge",
     ),
 )
 """In the order in which they are said."""
@@ -138,8 +135,9 @@ class DriftChart:
 
     def describe(self, measure: Measure) -> str:
         """Say what has shifted, since when, and what to do."""
+        unit = f" {measure.unit}" if measure.unit else ""
         way = "higher" if self.shift > 0 else "lower"
         return (
-            f"{measure.title} is {way} since about {self.since} passing presses: {self.newest:.3g}{measure.unit}, "
+            f"{measure.title} is {way} since about {self.since} passing presses: {self.newest:.3g}{unit}, "
             f"and {self.mean:.3g} in the mean of {self.count}; {measure.what_to_do}"
         )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from edge.core.contact.events import PressSettled
 from edge.core.drift import MEASURES, DriftChart
 from edge.core.press import Press
+from edge.core.reference_press.outcome import Imprint
 from edge.core.verdict import Kind
 from edge.model.inspector import Inspector
 from edge.press_stage import Alarms, PressStage, StageParts
@@ -107,15 +108,11 @@ class DriftWatch(PressStage):
 
 
 def _measure(press: Press, settled: PressSettled, inspector: Inspector) -> Mapping[str, float | None]:
-    verdict, profile, findings = press.verdict, inspector.bundle.profile, settled.findings
-    (x_mm, y_mm), (width, height) = profile.mm_per_pixel, profile.size
+    verdict, findings = press.verdict, settled.findings
     score, threshold = (None, None) if verdict is None else (verdict.score, verdict.threshold)
     return {
+        **vars(Imprint.of(settled, inspector.bundle.profile)),
         "score_ratio": score / threshold if score is not None and threshold else None,
-        "strength_levels": settled.strength,
-        "x_mm": settled.touch.x * width * x_mm,
-        "y_mm": settled.touch.y * height * y_mm,
-        "noise_levels": None if findings is None else findings.noise_levels,
         "light_levels": None if findings is None else float(findings.free.mean()),
     }
 

@@ -1,7 +1,6 @@
 """Reference presses of a running station: who asked for one, when the next is due, and whether parts may be judged."""
 
 import logging
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -143,7 +142,8 @@ class ReferenceGuard(PressStage):
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         if settled is None or not isinstance(press.label, ReferenceLabel):
             return press
-        return replace(press, imprint=_measure(press, settled, inspector))
+        turn_rad = None if press.registered is None else press.registered.turn_rad
+        return replace(press, imprint=Imprint.of(settled, inspector.bundle.profile, turn_rad))
 
     def table(self, press: Press, row: PressRecord) -> OwnTable | None:
         if not isinstance(press.label, ReferenceLabel):
@@ -305,19 +305,6 @@ class _PublishedTable(PieceTable):
         label = self._label
         payload = describe_reference_press(result, sequence, label.piece, label.expected, judgement)
         return [payload.message()], judgement.sentences
-
-
-def _measure(press: Press, settled: PressSettled, inspector: Inspector) -> Imprint:
-    profile, touch, found = inspector.bundle.profile, settled.touch, press.registered
-    (x_mm, y_mm), (width, height) = profile.mm_per_pixel, profile.size
-    turn = None if found is None else found.turn_rad
-    return Imprint(
-        strength_levels=settled.strength,
-        x_mm=touch.x * width * x_mm,
-        y_mm=touch.y * height * y_mm,
-        turn_deg=None if turn is None else math.degrees(turn),
-        noise_levels=None if settled.findings is None else settled.findings.noise_levels,
-    )
 
 
 def _is_same(mounted: Mounted, before: Mounted | None) -> bool:

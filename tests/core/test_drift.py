@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from edge.core.drift import LEARNT, MEASURES, DriftChart, H, Measure
+from edge.core.drift import LEARNT, MEASURES, DriftChart, H
+from edge.core.reference_press.outcome import Measure
 
-PLAIN = Measure("x", "place x", " mm", 1e-9, 0.0, "check the fixture")
+PLAIN = Measure("x", "place x", "mm", "bundle", 1e-9, 0.0, "check the fixture")
 
 
 def run(values: np.ndarray, measure: Measure = PLAIN) -> tuple[int | None, DriftChart]:

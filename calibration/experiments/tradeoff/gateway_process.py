@@ -98,7 +98,7 @@ def watch_gateway(config: Path, seconds: float, broker: LocalBroker, fps: float)
                     settings.warm_up_s + settings.baseline_frames / fps,
                     presses,
                     1e3 * cpu_s / presses if presses else None,
-                    _mapped(running.pid),
+                    _read_mapped(running.pid),
                 )
             finally:
                 running.terminate()
@@ -136,7 +136,7 @@ def time_help() -> float:
 def measure_packages(mapped_bytes: Mapping[str, float]) -> dict[str, Package]:
     """Return what gelgate needs, the largest first: what each package takes of the disk, and of a gateway's memory."""
     packages = {}
-    for name in _needed("gelgate"):
+    for name in _list_needed("gelgate"):
         files = [Path(str(file.locate())) for file in distribution(name).files or ()]
         folders = {file.parts[0] for file in distribution(name).files or ()}
         size = sum(file.stat().st_size for file in files if file.is_file())
@@ -144,18 +144,18 @@ def measure_packages(mapped_bytes: Mapping[str, float]) -> dict[str, Package]:
     return dict(sorted(packages.items(), key=lambda one: -one[1].installed))
 
 
-def _needed(name: str, known: frozenset[str] = frozenset()) -> set[str]:
+def _list_needed(name: str, known: frozenset[str] = frozenset()) -> set[str]:
     """The distributions that this one needs without its extras, and those that they need; not itself."""
     found: set[str] = set()
     for requirement in Distribution.from_name(name).requires or ():
         needed = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
         if ";" in requirement or needed in known | found:
             continue
-        found |= {needed} | _needed(needed, known | found)
+        found |= {needed} | _list_needed(needed, known | found)
     return found
 
 
-def _mapped(pid: int) -> dict[str, float]:
+def _read_mapped(pid: int) -> dict[str, float]:
     """Bytes in memory of the files that are mapped from installed packages, by the folder of the package."""
     found, folder = Counter[str](), ""
     for line in Path(f"/proc/{pid}/smaps").read_text().splitlines():

@@ -10,10 +10,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from edge.core.reference_press.control_chart import MEASURES, Limits, Measure, signals
-from edge.core.reference_press.outcome import Imprint, Outcome, Signal
+from edge.core.reference_press.control_chart import MEASURES, Limits, signals
+from edge.core.reference_press.outcome import Imprint, Measure, Outcome, Signal
 
-__all__ = ["Chart", "Judgement", "ReferencePress", "charts", "judge", "why_due"]
+__all__ = ["Chart", "Judgement", "ReferencePress", "charts", "judge", "newest_begin", "why_due"]
 
 # Verdicts with a score.
 _SCORED: Final = ("pass", "fail", "unsure")
@@ -224,13 +224,13 @@ def why_due(
         return "the last one is in the future, so the clock was set back"
     if now_ns - last_ns >= every_h * 3.6e12:
         return f"the last one is more than {every_h:g} h old"
-    begun = _newest_begin(datetime.datetime.fromtimestamp(now_ns / 1e9, zone).astimezone(zone), shifts, zone)
+    begun = newest_begin(datetime.datetime.fromtimestamp(now_ns / 1e9, zone).astimezone(zone), shifts, zone)
     if begun is not None and last_ns < begun.timestamp() * 1e9:
         return f"the shift of {begun:%H:%M} has begun since the last one"
     return None
 
 
-def _newest_begin(
+def newest_begin(
     now: datetime.datetime, shifts: Sequence[datetime.time], zone: datetime.tzinfo | None
 ) -> datetime.datetime | None:
     """The newest moment at which a shift began, today or yesterday."""

@@ -14,31 +14,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, Literal, Self
+from typing import Final, Self
 
-from edge.core.reference_press.outcome import Signal
+from edge.core.reference_press.outcome import Measure, Signal
 
-__all__ = ["MEASURES", "Limits", "Measure", "signals"]
-
-Scope = Literal["bundle", "gel", "place"]
-
-
-@dataclass(frozen=True)
-class Measure:
-    """One chart."""
-
-    name: str
-    title: str
-    unit: str
-    scope: Scope
-    """The chart begins again with another bundle, another gel, or neither: a place depends on the fixture."""
-    floor: float
-    """The least sigma, so that exact repetition makes no false alarm."""
-    relative_floor: float
-    """The least sigma as a share of the centre."""
-    what_to_do: str
-    """The end of a sentence for the person at the station."""
-
+__all__ = ["MEASURES", "Limits", "signals"]
 
 MEASURES: Final[tuple[Measure, ...]] = (
     # 1 % of the master piece's own score: int8 and fp32 trunks, or two processors, differ by less.

@@ -1,9 +1,34 @@
-"""What is measured of a reference press, and the words for what it says: they are in the press and in its message."""
+"""What is measured of a press, and the words for what a reference press says, as in the press and its message."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Literal, Self
 
-__all__ = ["Imprint", "Outcome", "Signal"]
+from edge.core.contact.events import PressSettled
+from edge.core.imaging.sensor_profile import SensorProfile
+
+__all__ = ["Imprint", "Measure", "Outcome", "Signal"]
+
+
+Scope = Literal["bundle", "gel", "place"]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What one chart is of."""
+
+    name: str
+    title: str
+    unit: str
+    scope: Scope
+    """The chart begins again with another bundle, another gel, or neither: a place depends on the fixture."""
+    floor: float
+    """The least sigma, so that exact repetition makes no false alarm."""
+    relative_floor: float
+    """The least sigma as a share of the centre."""
+    what_to_do: str
+    """The end of a sentence for the person at the station."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +46,18 @@ class Imprint:
     """The turn of the part, where it is registered."""
     noise_levels: float | None = None
     """The temporal noise of the free gel just before, of one pixel of the small view."""
+
+    @classmethod
+    def of(cls, settled: PressSettled, profile: SensorProfile, turn_rad: float | None = None) -> Self:
+        """Measure a press that has settled. turn_rad: of the part, where it is registered."""
+        (x_mm, y_mm), (width, height) = profile.mm_per_pixel, profile.size
+        return cls(
+            strength_levels=settled.strength,
+            x_mm=settled.touch.x * width * x_mm,
+            y_mm=settled.touch.y * height * y_mm,
+            turn_deg=None if turn_rad is None else math.degrees(turn_rad),
+            noise_levels=None if settled.findings is None else settled.findings.noise_levels,
+        )
 
 
 class Signal(StrEnum):
