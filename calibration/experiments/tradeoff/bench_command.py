@@ -143,7 +143,7 @@ def _whole(measured: Measured) -> Iterator[list[str]]:
         yield ["memory at its peak, with presses", f"{pressing.memory_bytes / 1e6:.0f} MB"]
         start = f"{pressing.start_s:.2f} s, at least {pressing.warm_up_s:.2f} of them frames of the free gel"
         yield ["start to `ready`", start]
-    yield ["`gelgate --help`", f"{measured.help_s:.2f} s"]
+    yield ["the help, from start to end", f"{measured.help_s:.2f} s"]
     sizes = list(measured.packages.items())
     total = sum(package.installed for _, package in sizes)
     yield ["packages that it needs, installed", f"{total / 1e6:.0f} MB"]
