@@ -62,6 +62,26 @@ class Selection(Protocol):
     def part(self) -> PartPosition:
         """The part and position inspected now."""
 
+    @property
+    def inspector(self) -> Inspector:
+        """The bundle that judges presses now."""
+
+    @property
+    def shadow(self) -> Inspector | None:
+        """The bundle that is scored beside the one in use, and decides nothing."""
+
+    @property
+    def shadow_faults(self) -> tuple[str, ...]:
+        """Why configured shadows are not scored, a sentence each."""
+
+    @property
+    def instead_of(self) -> str | None:
+        """The id of the configured bundle whose place the one in use has taken; None for none."""
+
+    def exchange(self, why: Act) -> None:
+        """Inspect with the shadow from now on, and have the other for a shadow. Only while nothing is pressed. Errors:
+        StoreError; then nothing has changed."""
+
     def find_all(self, name: str) -> Set[PartPosition]:
         """Return all positions that this name, such as the code on a part, may mean."""
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
 from edge.model.bundle import Bundle
-from edge.model.scorer import FRAMES, Scorer
+from edge.model.pipe import FRAMES
+from edge.model.scorer import Scorer
 from export.onnx_values import first_conv_input, run_values
 from export.parity import Kind, ParityReport, Stage, compare, order_stage, score_frames, show_frames
 

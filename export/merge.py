@@ -15,7 +15,8 @@ from edge.core.imaging.tiles import TILES_KEY, Tiles
 from edge.model.bundle import Bundle, GoldenFrame, Graphs
 from edge.model.bundle_writer import bundle_files, facts_of, write_bundle, write_file
 from edge.model.manifest import Manifest
-from edge.model.scorer import SCORE, SCORE_MAP, Scorer, map_peaks
+from edge.model.pipe import SCORE, SCORE_MAP
+from edge.model.scorer import Scorer, map_peaks
 from export.onnx_values import join, rename
 from plugins.backbones.tiled import plain_trunk, read_model, tap_shapes
 from plugins.onnx_builder import Graph

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.errors import ConfigError
-from edge.model.scorer import FRAMES, SCORE, SCORE_MAP
+from edge.model.pipe import FRAMES, SCORE, SCORE_MAP
 from export.normalised_scores import SUFFIX, Normalisation, constants, raw_scores
 from export.onnx_values import PIXELS, PictureInput, append, load_model, picture_input, read_frames, run_each
 from export.parity import ParityReport, Stage, compare, order_stage

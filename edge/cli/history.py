@@ -19,6 +19,7 @@ from edge.core.errors import ConfigError
 from edge.core.person_verdict import Agreement
 from edge.core.printable import printable, score_texts
 from edge.core.reference_press.charts import newest_begin
+from edge.core.shadow import JudgedTwice, ShadowVerdict, Weighing
 from edge.core.suggest import suggestion
 from edge.extras import needs
 from edge.store.history import HistoryQuery, HistoryRow, read_history, write_history
@@ -56,7 +57,8 @@ def history(
     by: Annotated[
         str | None,
         typer.Option(
-            help="Print yield, false alarms and escapes for each: day, shift, part or gel; all that fit."
+            help="Print yield, false alarms and escapes for each: day, shift, part or gel; all that fit. shadow: of "
+            "each shadow, and of the bundle beside it, with the presses that differ."
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object per line.")] = False,
@@ -65,8 +67,8 @@ def history(
 
     Oldest first, with a line of totals. The gateway may run meanwhile. Each press is one row: number, id, time,
     sensor, gel, part, position, verdict, score, threshold, cause: part or gel, and what a person said of it."""
-    if by is not None and by not in _GROUPS:
-        raise ConfigError(f"presses have no '{by}'; {suggestion(by, _GROUPS)}")
+    if by is not None and by not in (*_GROUPS, "shadow"):
+        raise ConfigError(f"presses have no '{by}'; {suggestion(by, (*_GROUPS, 'shadow'))}")
     if by is not None and (as_json or output is not None):
         raise ConfigError("--by prints lines for people; leave out --json and --output, or --by")
     if output is not None and output.suffix.lower() == ".parquet":
@@ -83,6 +85,9 @@ def history(
         count if output or count or by else PRINTED,
     )
     rows = read_history(database_path(config, database), query)
+    if by == "shadow":
+        _print_shadows(rows)
+        return
     if by is not None:
         _print_agreement(rows, _GROUPS[by], _shifts(config) if by == "shift" else ())
         return
@@ -148,6 +153,23 @@ def _print_agreement(
         typer.echo("no press fits")
 
 
+def _print_shadows(rows: Iterable[HistoryRow]) -> None:
+    pairs: dict[tuple[str, str], list[JudgedTwice]] = defaultdict(list)
+    for row in rows:
+        if row.shadow is not None:
+            said = ShadowVerdict.decode(row.shadow)
+            one = JudgedTwice(row.press_id, row.verdict, said.verdict, row.person_verdict)
+            pairs[said.bundle_id, said.beside].append(one)
+    for (shadow, beside), presses in pairs.items():
+        weighing = Weighing(presses)
+        typer.echo(f"shadow {shadow[:12]} beside {beside[:12]}: {weighing.describe()}")
+        for one in weighing.differing[-PRINTED:]:
+            said_of_it = f"  ({one.saying})" if one.saying else ""
+            typer.echo(f"  {one.press_id}  {one.verdict}, shadow {one.other}{said_of_it}")
+    if not pairs:
+        typer.echo("no press that fits was judged by a shadow")
+
+
 def _print(rows: Iterable[HistoryRow], *, as_json: bool) -> None:
     totals: Counter[str] = Counter()
     for row in rows:
@@ -164,7 +186,8 @@ def _line(row: HistoryRow) -> str:
         score = "  " + " / ".join(score_texts(row.score, row.threshold))
     cause = f" ({row.cause})" if row.cause else ""
     said = " ".join(filter(None, (row.person_verdict, row.damage_kind)))
+    shadow = f"  shadow {ShadowVerdict.decode(row.shadow).verdict}" if row.shadow else ""
     return printable(
         f"{row.number}  {local_time(row.time_ns)}  {row.part}/{row.position or '-'}  {row.verdict}{cause}{score}"
-        f"  gel {row.gel_id}{f'  {row.person}: {said}' if said else ''}"
+        f"  gel {row.gel_id}{f'  {row.person}: {said}' if said else ''}{shadow}"
     )

@@ -88,6 +88,11 @@ class InspectionTable(Table):
     bundle_folder: Path | None = Field(
         default=None, description="several bundles: every folder with a manifest.json and every .zip in it"
     )
+    shadows: tuple[Path, ...] = Field(
+        default=(),
+        description="bundles that are scored beside the one in use of the same part and position, and decide nothing; "
+        "see operations.md",
+    )
     part: PlainText | None = Field(
         default=None,
         description="name of the part that a new station starts with, the first one by default; later it starts with "
@@ -370,6 +375,7 @@ class Config(Table):
             "reference_press": bool(self.reference.pieces) or "reference_press" in served,
             "gel_proof": True,
             "overview": self.overview is not None,
+            "shadow": True,
             "scars": True,
             "press_again": self.inspection.press_again != "never",
             "drift": True,

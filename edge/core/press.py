@@ -13,6 +13,7 @@ from edge.core.imaging.quality import Rejection
 from edge.core.overview.view import OverviewView
 from edge.core.reference_press.outcome import Imprint
 from edge.core.registration.pose import Registered
+from edge.core.shadow import ShadowVerdict
 from edge.core.verdict import Blame, Kind, Verdict
 
 __all__ = ["Again", "JudgedFrame", "Press", "PressLabel", "ReferenceLabel", "ScarFindings", "StudyLabel"]
@@ -119,6 +120,8 @@ class Press:
     """What it has to do with another press of the same piece."""
     scars: ScarFindings | None = None
     """What is known of the gel's scars; None where nothing was scored."""
+    shadow: ShadowVerdict | None = None
+    """What a bundle that decides nothing says of it; None without one."""
     press_id: str = ""
     """Its ULID, given when it is judged."""
     time_ns: int = 0

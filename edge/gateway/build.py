@@ -35,6 +35,7 @@ from edge.messaging.sink_worker import RetainedState
 from edge.messaging.status_payloads import StatePayload, availability_message
 from edge.press_stage import PressStage, StageParts
 from edge.store.backup import migrate
+from edge.store.bundles_in_use import read_selected, read_takeover
 from edge.store.database import SCHEMA_VERSION
 from edge.store.outbox import Bounds
 from edge.store.press_store import Store
@@ -82,7 +83,7 @@ def _build(
     closing.callback(lock.close)
     store = closing.enter_context(_open_store(config, clock))
     opener, bundles = _open_bundles(config, clock, store, checked)
-    part = first_part(config.inspection, bundles, store.read_selected())
+    part = first_part(config.inspection, bundles, store.read("reading the selected part", read_selected))
     handlers = station_handlers(calls, station_commands(config))
     commands = Commands(handlers, policy_of(config), store, clock, config.commands.requests_per_minute)
     sinks = _open_sinks(config, _sink_context(config, clock, retained_state, commands), closing)
@@ -129,7 +130,7 @@ def _build(
 
 def _open_pictures(config: Config, store: Store, bundles: BundleSet, wake: Callable[[], None]) -> Pictures:
     def draw_again(press_id: str) -> PressFiles:
-        opened = [one.bundle for one in bundles.bundles.values()]
+        opened = [one.bundle for one in (*bundles.bundles.values(), *bundles.shadows.values())]
         return draw_archived(press_id, store, opened, config.station.heatmap)
 
     return Pictures(store, wake, draw_again, keeps_last=config.keeps_heatmap)
@@ -164,6 +165,7 @@ def _open_bundles(
     is_open = checked is not None and bool(checked.bundles.bundles)
     opener = checked.opener if checked and is_open else BundleOpener(None, config.inspection.threads, clock)
     opener.newest = store.newest_revision
+    opener.taken = lambda part: store.read("reading takeovers", partial(read_takeover, part=part))
     if checked and is_open:
         return opener, checked.bundles
     opened = opener.open(config.inspection)

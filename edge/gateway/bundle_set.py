@@ -1,8 +1,13 @@
-"""The bundles of a station, open and ready to score, by position of a part. Those with one backbone share its trunk."""
+"""The bundles of a station, open and ready to score, by position of a part. Those with one backbone share its trunk.
 
+A shadow is scored beside the bundle of its position, and decides nothing.
+"""
+
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
 
 from edge.core.errors import BundleMismatch, ConfigError
 from edge.core.part_position import PartPosition, find_named, find_part
@@ -10,6 +15,9 @@ from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 
 __all__ = ["BundleSet", "OpenBundle", "part_of"]
+
+# A score is the highest value of its map within this share: some heads compute the two apart.
+_SAME: Final = 1e-4
 
 
 def part_of(bundle: Bundle) -> PartPosition:
@@ -28,6 +36,8 @@ class OpenBundle:
     inspector: Inspector
     golden_difference: float
     """The largest of its golden scores when it was opened."""
+    instead_of: str | None = None
+    """The id of the configured bundle whose place it has taken."""
 
     @property
     def bundle(self) -> Bundle:
@@ -43,6 +53,9 @@ class BundleSet:
     """The bundles of a station, in the order of the configuration."""
 
     bundles: Mapping[PartPosition, OpenBundle] = field(default_factory=dict)
+    shadows: Mapping[PartPosition, OpenBundle] = field(default_factory=dict)
+    shadow_faults: tuple[str, ...] = ()
+    """Why configured shadows are not scored, a sentence each."""
 
     def __getitem__(self, part: PartPosition) -> OpenBundle:
         return self.bundles[part]
@@ -52,7 +65,8 @@ class BundleSet:
 
     def at(self, path: Path) -> OpenBundle | None:
         """The bundle that was opened from there."""
-        return next((one for one in self.bundles.values() if one.path == path), None)
+        every = (*self.bundles.values(), *self.shadows.values())
+        return next((one for one in every if one.path == path), None)
 
     def find(self, part: str, position: str | None = None) -> PartPosition:
         """Return the position of this part. Errors: ValueError, which names those known."""
@@ -78,7 +92,41 @@ class BundleSet:
             )
         for other in self.bundles.values():
             _check_same_reading(other.bundle, new.bundle)
-        return BundleSet({**self.bundles, new.part: new})
+        return replace(self, bundles={**self.bundles, new.part: new})
+
+    def with_shadow(self, new: OpenBundle) -> "BundleSet":
+        """Return this set with one more shadow. Errors: ConfigError, BundleMismatch for one that cannot be compared
+        with the bundle of its position."""
+        used, where = self.bundles.get(new.part), f"shadow {new.path}"
+        if used is None:
+            raise ConfigError(f"{where} is for {new.part}, of which this station has no bundle")
+        if used.bundle.digest == new.bundle.digest:
+            raise ConfigError(f"{where} is the bundle of {new.part} itself; name another one")
+        if (other := self.shadows.get(new.part)) is not None:
+            raise ConfigError(f"{where} is for {new.part}, as {other.path} is; name one of them")
+        for name in ("profile", "region"):
+            one, two = getattr(used.bundle.manifest, name), getattr(new.bundle.manifest, name)
+            if one != two:
+                raise BundleMismatch(
+                    f"{where} has another {name} than {used.path}: {two}, not {one}; fit both with one {name}"
+                )
+        for golden in new.bundle.golden:
+            highest = max(map(max, golden.map_peaks))
+            if not math.isclose(highest, golden.score, rel_tol=_SAME):
+                raise BundleMismatch(
+                    f"{where} has a score that is not the highest value of its map ({golden.score:.4g} and "
+                    f"{highest:.4g} of a golden frame), so places under scars cannot be left out of it; use it as a "
+                    "bundle, without a shadow"
+                )
+        return replace(self, shadows={**self.shadows, new.part: new})
+
+    def exchange(self, part: PartPosition) -> "BundleSet":
+        """Return this set with the shadow of a position in the place of its bundle, and the other way round."""
+        used, shadow = self.bundles[part], self.shadows[part]
+        instead_of = None if used.instead_of else used.bundle.digest
+        inspects = replace(shadow, names=used.names, instead_of=instead_of)
+        beside = replace(used, names=(), instead_of=None)
+        return replace(self, bundles={**self.bundles, part: inspects}, shadows={**self.shadows, part: beside})
 
 
 def _check_same_reading(first: Bundle, other: Bundle) -> None:

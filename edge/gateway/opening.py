@@ -3,7 +3,7 @@
 import contextlib
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
@@ -53,12 +53,14 @@ class BundleOpener:
     """Opens bundles: tried in a child process, verified, loaded, run once, golden frames scored.
 
     tried: the list of bundles that were tried; None runs none in a child process. keeps_trials: add to that list.
-    newest: revision of the newest bundle in use for a position. One thread uses it at a time.
+    newest: revision of the newest bundle in use for a position. taken: the ids of the configured bundle of a position
+    and of the shadow that has taken its place; None where none has. One thread uses it at a time.
     """
 
     def __init__(self, tried: Path | None, threads: int, clock: Clock, *, keeps_trials: bool = True) -> None:
         self.trunks = TrunkSessions(threads)
         self.newest: NewestRevision = lambda part: None
+        self.taken: Callable[[PartPosition], tuple[str, str] | None] = lambda part: None
         self._tried = tried
         self._keeps_trials = keeps_trials
         self._clock = clock
@@ -79,12 +81,51 @@ class BundleOpener:
                 faults[one.path] = error
                 with contextlib.suppress(GelgateError):
                     found = found if earlier is None else found.with_one(earlier)
-        used = [one.bundle.trunk_sha256 for each in (before, found) for one in each.bundles.values()]
+        found = self._open_shadows(table, trust, before, found)
+        used = [
+            one.bundle.trunk_sha256
+            for each in (before, found)
+            for one in (*each.bundles.values(), *each.shadows.values())
+        ]
         self.trunks.keep_only(used)
         return Opened(found, faults)
 
+    def _open_shadows(
+        self, table: InspectionTable, trust: Trust, before: BundleSet, found: BundleSet
+    ) -> BundleSet:
+        """Open the shadows beside these bundles, each of which inspects whatever becomes of its shadow; one that has
+        taken over goes on in its place."""
+        faults: list[str] = []
+        for path in table.shadows:
+            earlier = before.at(path)
+            try:
+                shadow = self._open_one(BundleTable(path=path), table, trust, earlier, is_shadow=True)
+                found = found.with_shadow(shadow)
+            except GelgateError as error:
+                faults.append(str(error))
+                with contextlib.suppress(GelgateError):
+                    found = found if earlier is None else found.with_shadow(replace(earlier, instead_of=None))
+        for part, one in found.bundles.items():
+            configured, shadow_id = self.taken(part) or ("", "")
+            if one.bundle.digest != configured:
+                continue
+            if part in found.shadows and found.shadows[part].bundle.digest == shadow_id:
+                found = found.exchange(part)
+            else:
+                faults.append(
+                    f"bundle {shadow_id[:12]}, which had taken the place of {one.path}, is not among the shadows that "
+                    f"can be used, so the configured one inspects {part} again"
+                )
+        return replace(found, shadow_faults=tuple(faults))
+
     def _open_one(
-        self, one: BundleTable, table: InspectionTable, trust: Trust, earlier: OpenBundle | None
+        self,
+        one: BundleTable,
+        table: InspectionTable,
+        trust: Trust,
+        earlier: OpenBundle | None,
+        *,
+        is_shadow: bool = False,
     ) -> OpenBundle:
         """Open one bundle, or take the one that is open and has not changed. Errors: BundleError."""
         is_sound = earlier is not None and earlier.inspector.fault is None
@@ -96,7 +137,9 @@ class BundleOpener:
         if self._tried is not None:
             try_once(one.path, trust, table.threads, self._tried, keep=self._keeps_trials)
         bundle = Bundle.load(one.path, loaded=self.trunks, trust=trust)
-        if table.older == "refused":
+        configured, _ = self.taken(part_of(bundle)) or ("", "")
+        # A shadow is newer than the bundle that it took the place of, which is the way back.
+        if table.older == "refused" and not is_shadow and bundle.digest != configured:
             check_revision(bundle.manifest, self.newest(part_of(bundle)), bundle.where)
         scorer = Scorer(bundle, table.threads, self.trunks)
         return OpenBundle(one.path, one.names, Inspector(scorer, self._clock), scorer.check_golden())

@@ -73,6 +73,34 @@ class PartSelection:
         """True while another bundle is selected and waits for the end of a press."""
         return self.bundles[self._wanted].inspector is not self.inspector
 
+    @property
+    def shadow(self) -> Inspector | None:
+        """The bundle that is scored beside the one in use, and decides nothing."""
+        shadow = self.bundles.shadows.get(self.part)
+        return None if shadow is None or self.is_waiting else shadow.inspector
+
+    @property
+    def shadow_faults(self) -> tuple[str, ...]:
+        """Why configured shadows are not scored."""
+        return self.bundles.shadow_faults
+
+    @property
+    def instead_of(self) -> str | None:
+        """The id of the configured bundle whose place the one in use has taken."""
+        return self._in_use.instead_of
+
+    def exchange(self, why: Act) -> None:
+        """Inspect with the shadow of the one in use from now on, which is its shadow then. Only while nothing is
+        pressed. Errors: StoreError; then nothing has changed."""
+        before = self.bundles
+        self.bundles, self._why = before.exchange(self.part), why
+        try:
+            self._change()
+        except StoreError:
+            self.bundles, self._why = before, None
+            raise
+        self.on_change()
+
     def find_all(self, name: str) -> frozenset[PartPosition]:
         """Return all positions that this name may mean."""
         return self.bundles.find_all(name)
@@ -139,7 +167,7 @@ class PartSelection:
         chosen = self.bundles[self._wanted]
         bundle = chosen.bundle
         revision, now_ns = bundle.manifest.revision, self._clock.time_ns()
-        self._store.use_bundle(chosen.part, revision, bundle.digest, now_ns, self._why)
+        self._store.use_bundle(chosen.part, revision, bundle.digest, now_ns, self._why, chosen.instead_of)
         self._is_recorded, self._why = True, None
         before, self._in_use = self.inspector, chosen
         if chosen.inspector is not before:

@@ -112,6 +112,14 @@ class Preflight:
         self.findings += [
             Finding("bundle", _describe_bundles(one)) for one in opened.bundles.bundles.values()
         ]
+        self.findings += [
+            Finding("shadow", f"{_describe_bundles(one)}; it decides nothing")
+            for one in opened.bundles.shadows.values()
+        ]
+        self.findings += [
+            Finding("shadow", f"{fault}; presses are inspected without it")
+            for fault in opened.bundles.shadow_faults
+        ]
         self.findings += [Finding("bundle", str(error), error) for error in opened.faults.values()]
 
     def open_sensor(self, config: Config, clock: Clock) -> str:
@@ -139,6 +147,7 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     tried = config.store.path.with_name(config.store.path.name + ".tried")
     opener = BundleOpener(tried, config.inspection.threads, clock, keeps_trials=is_start)
     opener.newest = lambda part: _describe_store(config, partial(bundles_in_use.revision, part=part))
+    opener.taken = lambda part: _describe_store(config, partial(bundles_in_use.read_takeover, part=part))
     found = Preflight(opener)
     found.open_bundles(config)
     if config.inspection.part is not None and all(finding.error is None for finding in found.findings):

@@ -118,6 +118,7 @@ class Recorder:
             second_of=(press.again.second_of or None) if press.again else None,
             cause=press.blame.cause.value if press.blame else None,
             evidence=press.evidence,
+            shadow=press.shadow.encode() if press.shadow else None,
         )
         tables = (stage.table(press, row) for stage in self._stages)
         table = next((table for table in tables if table is not None), None)

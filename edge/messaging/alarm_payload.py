@@ -84,6 +84,17 @@ ALARMS: Final[Mapping[str, Alarm]] = {
         "the text names the file and its fault: make the bundle again or copy it again, then `systemctl "
         "reload gelgate`",
     ),
+    "shadow": Alarm(
+        "a bundle that is to be scored beside the one in use cannot be, or gave no score; presses are inspected "
+        "without it",
+        "the text names the file and its fault: make the bundle again or copy it again, then `systemctl reload "
+        "gelgate`",
+    ),
+    "takeover": Alarm(
+        "another bundle inspects than before: a shadow has taken over, or was taken back; the text says why",
+        "read why, then acknowledge it; `restore_bundle` brings the configured bundle back",
+        stays=True,
+    ),
     "golden": Alarm(
         "the golden frames of the bundle in use score otherwise than at its fit; no press has a verdict",
         "`gelgate bundle verify` on the bundle; exchange it, or the computer; look for a changed version "

@@ -28,6 +28,7 @@ __all__ = [
     "PressFiles",
     "ReferencePayload",
     "ResultPayload",
+    "ShadowPart",
     "empty_last_heatmap",
     "picture_messages",
     "press_messages",
@@ -119,6 +120,16 @@ class PressAgainPart(_Part):
     second_of: PressId | None = Field(default=None, description="`press_id` of the first press of this piece")
     first_score: float | None = Field(default=None, description="its score; the lower of the two is decided")
     reason: str = Field(description="one sentence")
+
+
+class ShadowPart(_Part):
+    """What another bundle says of this press; it decides nothing."""
+
+    bundle_id: str
+    beside: str = Field(description="the bundle that decided")
+    verdict: str = Field(description="pass, fail, unsure, or error for a press that it could not score")
+    score: float | None = None
+    threshold: float
 
 
 class ResultPayload(Payload):
@@ -218,6 +229,9 @@ class ResultPayload(Payload):
     pose: PosePlace | None = Field(default=None, description="where the part lay; null where none is sought")
     press_again: PressAgainPart | None = Field(
         default=None, description="one more press of the same piece: asked for, or this one; null for neither"
+    )
+    shadow: ShadowPart | None = Field(
+        default=None, description="what the shadow bundle says; null without one"
     )
     ledger_head: str | None = Field(
         default=None,

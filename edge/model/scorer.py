@@ -5,7 +5,7 @@ method. `edge.model.tile_runner` runs a tiled trunk and skips tiles that show on
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from edge.core.errors import BundleCorrupt, NotScorable, PoseNotFound
 from edge.core.registration.pose import Registered
 from edge.model.bundle import Bundle
+from edge.model.pipe import FRAMES, SCORE, SCORE_MAP, Pipe, Ran
 from edge.model.session import RUNTIME_ERRORS, TrunkSessions, open_session
 
 if TYPE_CHECKING:
-    from edge.model.tile_runner import FreeGel, TiledMaps, TileRunner
+    from edge.model.tile_runner import FreeGel, TileRunner
 
 __all__ = ["Scored", "Scorer", "map_peaks"]
-
-FRAMES, SCORE_MAP, SCORE = "frames", "score_map", "score"
 
 MAP_BLOCKS = 8
 """A golden score map is stored as the maxima of this many blocks along each side."""
@@ -72,14 +71,13 @@ class Scorer:
         self.bundle = bundle
         self.frame = bundle.manifest.frame
         self._where = bundle.where
+        self._trunks = trunks or TrunkSessions(threads)
         self._trunk: ort.InferenceSession | None = None
         sha256 = bundle.trunk_sha256
         if sha256 is None:
             graph = bundle.graphs.detector or b""
         else:
-            self._trunk = (trunks or TrunkSessions(threads)).get(
-                sha256, bundle.graphs.trunk, f"bundle {self._where}: trunk.onnx"
-            )
+            self._trunk = self._trunks.get(sha256, bundle.graphs.trunk, f"bundle {self._where}: trunk.onnx")
             graph = bundle.graphs.head or b""
         self._head_name = "detector.onnx" if self._trunk is None else "head.onnx"
         self._head = open_session(graph, threads, f"bundle {self._where}: {self._head_name}")
@@ -94,6 +92,16 @@ class Scorer:
         self._pipe = self._open_pipe()
         self._dots = None if bundle.manifest.dots is None else bundle.manifest.dots.open()
         self._registrar = None if bundle.registration is None else bundle.registration.open()
+        self._beside: tuple[Mapping[str, ort.OrtValue], Pipe] | None = None
+        manifest, free = bundle.manifest, bundle.manifest.free_gel
+        # Bundles with equal ones compute the same features of a press.
+        self._trunk_facts = (
+            sha256,
+            manifest.grid,
+            manifest.dots,
+            manifest.registration,
+            free and free.sha256,
+        )
 
     @property
     def tiles_run(self) -> int:
@@ -123,13 +131,33 @@ class Scorer:
         if registered.refusal is not None:
             raise PoseNotFound(registered.refusal)
         scored = self.score_in_pose(registered.rgb)
-        return replace(
-            scored,
-            score_map=registered.in_press(scored.score_map),
-            anomaly_score=registered.score(scored.score_map),
-            registered=registered,
-            registration_ms=registration_ms,
-        )
+        return replace(_bring_back(scored, registered), registration_ms=registration_ms)
+
+    def score_beside(self, other: "Scorer", rgb: NDArray[np.uint8], registered: Registered | None) -> Scored:
+        """Score a press that `other` has just scored: by its pose and its features, where this bundle would find the
+        same. rgb, registered: the press as the camera shows it, and as `other` has registered it. Errors as
+        `score_filled`."""
+        if self._trunk is None or self._trunk_facts != other._trunk_facts:
+            return self.score(rgb)
+        in_pose = self.fill_dots(rgb) if registered is None else registered.rgb
+        features = other._pipe.find_features(in_pose)
+        if features is None or not self._taps.keys() <= features.keys():
+            scored = self.score_in_pose(in_pose)
+        else:
+            scored = self._score_features(features)
+        return scored if registered is None else _bring_back(scored, registered)
+
+    def _score_features(self, features: Mapping[str, ort.OrtValue]) -> Scored:
+        """Score the features of one frame. Errors: NotScorable."""
+        if self._beside is None or self._beside[0] is not features:
+            shape = (1, *self.frame, 3)
+            pipe = Pipe(self._trunk, self._head, self._taps, self._bank, shape, features=features)
+            self._beside = features, pipe
+        return self._check_scores(self._beside[1].run_head)[0]
+
+    def copy(self) -> "Scorer":
+        """Make another, which another thread may use; they share the trunk."""
+        return Scorer(self.bundle, self._trunks.threads, self._trunks)
 
     def score_in_pose(self, rgb: NDArray[np.uint8]) -> Scored:
         """Score one frame that lies as the bank's presses do, without registration. Errors as `score_batch`."""
@@ -148,15 +176,19 @@ class Scorer:
             )
         if len(frames) != self._pipe.size:
             self._pipe = self._new_pipe(len(frames))
+        return self._check_scores(lambda: self._pipe.run(frames))
+
+    def _check_scores(self, run: Callable[[], Ran]) -> list[Scored]:
+        """Run, and return what was scored. Errors: NotScorable where it fails, or is not finite."""
         try:
-            score_maps, scores, trunk_ms, head_ms = self._pipe.run(frames)
+            score_maps, scores, trunk_ms, head_ms = run()
         except RUNTIME_ERRORS as error:
             raise NotScorable(f"bundle {self._where} gave no score: {error!s:.300}") from error
         if not (np.isfinite(score_maps).all() and np.isfinite(scores).all()):
             raise NotScorable(
                 f"bundle {self._where} gave a score that is not finite; the press counts as an error"
             )
-        share = 1 / len(frames)
+        share = 1 / len(scores)
         return [
             Scored(score_map, float(score), trunk_ms * share, head_ms * share)
             for score_map, score in zip(score_maps, scores, strict=True)
@@ -272,7 +304,7 @@ class Scorer:
                 f"bundle {self._where}: trunk.onnx does not run on tiles of {grid.tiles.size}: {error!s:.300}"
             ) from error
 
-    def _open_pipe(self) -> "_Pipe":
+    def _open_pipe(self) -> Pipe:
         """Bind buffers for one frame and try a grey frame, so a wrong shape is found before the first press."""
         pipe = self._new_pipe(1)
         try:
@@ -296,62 +328,19 @@ class Scorer:
             )
         return pipe
 
-    def _new_pipe(self, size: int) -> "_Pipe":
+    def _new_pipe(self, size: int) -> Pipe:
         mosaics = None if self._runner is None else self._runner.mosaics(size, self._free)
-        return _Pipe(self._trunk, self._head, self._taps, self._bank, (size, *self.frame, 3), mosaics)
+        return Pipe(self._trunk, self._head, self._taps, self._bank, (size, *self.frame, 3), mosaics)
 
 
-class _Pipe:
-    """The two graphs joined by buffers for a fixed number of frames. mosaics: set for a tiled trunk."""
-
-    def __init__(
-        self,
-        trunk: ort.InferenceSession | None,
-        head: ort.InferenceSession,
-        taps: Mapping[str, tuple[int, int, int]],
-        bank: Mapping[str, ort.OrtValue],
-        shape: tuple[int, ...],
-        mosaics: "TiledMaps | None" = None,
-    ) -> None:
-        self.size = shape[0]
-        self._mosaics = mosaics
-        # onnxruntime reads this array in place: so a frame that is written into it is bound.
-        self._frames = np.zeros(shape, np.uint8)
-        frames = ort.OrtValue.ortvalue_from_numpy(self._frames)
-        self._trunk, self._head = trunk, head
-        self._head_io = head.io_binding()
-        if trunk is None:
-            self._head_io.bind_ortvalue_input(FRAMES, frames)
-        elif mosaics is not None:
-            for name, array in mosaics.arrays.items():
-                self._head_io.bind_ortvalue_input(name, ort.OrtValue.ortvalue_from_numpy(array))
-        else:
-            self._trunk_io = trunk.io_binding()
-            self._trunk_io.bind_ortvalue_input(FRAMES, frames)
-            for name, tap in taps.items():
-                buffer = ort.OrtValue.ortvalue_from_shape_and_type((self.size, *tap), np.float32, "cpu")
-                self._trunk_io.bind_ortvalue_output(name, buffer)
-                self._head_io.bind_ortvalue_input(name, buffer)
-        for name, array in bank.items():
-            self._head_io.bind_ortvalue_input(name, array)
-        self._head_io.bind_output(SCORE_MAP, "cpu")
-        self._head_io.bind_output(SCORE, "cpu")
-
-    def run(self, frames: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32], float, float]:
-        """score_map (n, h, w), score (n,), and the milliseconds in trunk and head."""
-        start = time.perf_counter()
-        if self._mosaics is not None:
-            self._mosaics.show(frames)
-        else:
-            self._frames[...] = frames
-        if self._trunk is not None and self._mosaics is None:
-            self._trunk.run_with_iobinding(self._trunk_io)
-        middle = time.perf_counter()
-        self._head.run_with_iobinding(self._head_io)
-        end = time.perf_counter()
-        # The runtime writes the next result into the same memory, so a copy is returned.
-        score_map, score = (value.numpy().copy() for value in self._head_io.get_outputs())
-        return score_map, score, (middle - start) * 1e3, (end - middle) * 1e3
+def _bring_back(scored: Scored, registered: Registered) -> Scored:
+    """Bring what was scored in the bank's pose back to the press."""
+    return replace(
+        scored,
+        score_map=registered.in_press(scored.score_map),
+        anomaly_score=registered.score(scored.score_map),
+        registered=registered,
+    )
 
 
 def _fits(shape: tuple[int, ...], wanted: list[Any]) -> bool:

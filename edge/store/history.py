@@ -45,12 +45,14 @@ class HistoryRow:
     damage_kind: str | None = None
     """The kind of damage that a person named."""
     person: str | None = None
+    shadow: str | None = None
+    """What the shadow bundle says, JSON (`edge.core.shadow.ShadowVerdict`); None without one."""
 
 
 COLUMNS: Final = tuple(field.name for field in fields(HistoryRow))
 
 # Those of the table of presses; the others come from the acts.
-_STORED: Final = COLUMNS[: COLUMNS.index("person_verdict")]
+_STORED: Final = ("shadow", *COLUMNS[: COLUMNS.index("person_verdict")])
 
 
 @dataclass(frozen=True)
@@ -94,10 +96,10 @@ def read_history(path: Path, query: HistoryQuery) -> Iterator[HistoryRow]:
             "ORDER BY number DESC LIMIT ?) ORDER BY number",
             (*values, limit),
         )
-        for row in rows:
+        for shadow, *row in rows:
             settled = settle(said.get(row[1], ()))
-            people = (settled.saying, settled.kind, settled.person) if settled else ()
-            yield HistoryRow(*row, *people)
+            people = (settled.saying, settled.kind, settled.person) if settled else (None, None, None)
+            yield HistoryRow(*(*row, *people, shadow))
 
 
 # Rows of one row group of a Parquet file; all of them are in memory at once.

@@ -63,6 +63,8 @@ class PressRecord:
     """SHA-256 of its record in the archive; None where it has none."""
     second_of: str | None = None
     """Id of the first press of the same piece, where this one was asked for."""
+    shadow: str | None = None
+    """What the shadow says of it (`ShadowVerdict.encode`); None without one."""
 
     def __post_init__(self) -> None:
         if not is_ulid(self.press_id):
@@ -336,11 +338,6 @@ class Store:
         with self._database.reading(f"reading the revision of {part}") as connection:
             return bundles_in_use.revision(connection, part)
 
-    def read_selected(self) -> PartPosition | None:
-        """Read the position that was selected last; None in a new database."""
-        with self._database.reading("reading the selected part") as connection:
-            return bundles_in_use.read_selected(connection)
-
     def use_bundle(
         self,
         part: PartPosition,
@@ -348,11 +345,12 @@ class Store:
         bundle_id: str,
         time_ns: int,
         act: act_table.Act | None = None,
+        instead_of: str | None = None,
     ) -> None:
         """Record that this bundle is in use from now on, and that its position is selected. act: recorded with it, both
-        or neither."""
+        or neither. instead_of: the configured bundle whose place it has taken."""
         with self._database.writing(f"selecting {part}") as connection:
-            bundles_in_use.use(connection, part, revision, bundle_id, time_ns)
+            bundles_in_use.use(connection, part, revision, bundle_id, time_ns, instead_of)
             if act is not None:
                 act_table.begin(connection, act, self._running.store(connection))
 

@@ -17,6 +17,7 @@ from edge.core.part_position import PartPosition
 from edge.gateway.opening import BundleOpener, Opened
 from edge.model.archive import open_archive
 from edge.model.session import TrunkSessions
+from edge.store.bundles_in_use import read_selected
 from edge.store.press_store import Store
 
 PZ0, PZ1 = PartPosition("PZ0", "pos1"), PartPosition("PZ1", "pos1")
@@ -363,4 +364,4 @@ def test_a_selection_that_cannot_be_recorded_is_not_made(config: Path) -> None:
 
         assert station.parts.selection.part == PZ0
     with Store(config.parent / "gelgate.db") as store:
-        assert store.read_selected() == PZ0
+        assert store.read("reading the selected part", read_selected) == PZ0

@@ -45,6 +45,7 @@ def test_what_is_not_configured_is_not_loaded(config: Path, monkeypatch: pytest.
     assert list(load_features(few)) == [
         "sensing_watch",
         "gel_proof",
+        "shadow",
         "scars",
         "drift",
         "black_box",
@@ -52,7 +53,7 @@ def test_what_is_not_configured_is_not_loaded(config: Path, monkeypatch: pytest.
     ]
     more = few.model_copy(update={"triggers": [TriggerTable(plugin="virtual_hid")]})
     assert load_with(monkeypatch, more, "edge.press_stage:PressStage") == [
-        "sensing_watch", "gel_proof", "scars", "drift", "lamp", "outputs", "black_box", "person_verdicts"
+        "sensing_watch", "gel_proof", "shadow", "scars", "drift", "lamp", "outputs", "black_box", "person_verdicts"
     ]  # fmt: skip
     with pytest.raises(ConfigError, match=r"'lamp' of gelgate.features is no class of PressStage"):
         load_with(monkeypatch, few, "math:pi")

@@ -103,6 +103,17 @@ def test_a_skipped_tile_costs_nothing(bundle: Bundle) -> None:
     assert whole.tiles_run - before == 8
 
 
+def test_beside_a_bundle_with_the_same_tiles_none_is_run(bundle: Bundle) -> None:
+    """Its mosaics serve both; another free gel would paste other features."""
+    frame, other, scorer = presses(1, 8)[0], Scorer(bundle), Scorer(bundle)
+    expected, before = other.score(frame), scorer.tiles_run
+
+    found = scorer.score_beside(other, frame, None)
+
+    assert scorer.tiles_run == before
+    np.testing.assert_array_equal(found.score_map, expected.score_map)
+
+
 def test_kept_tiles_score_the_same(bundle: Bundle) -> None:
     """Outside the blur's reach of skipped tiles the map is the same to the bit."""
     frame = presses(1, 7)[0]

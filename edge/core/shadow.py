@@ -1,0 +1,118 @@
+"""A shadow: a bundle that scores presses beside the one in use and decides nothing; whether it may take over."""
+
+import json
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass
+from typing import Final, Self
+
+__all__ = ["LEAST_COMPARED", "JudgedTwice", "ShadowVerdict", "Weighing"]
+
+LEAST_COMPARED: Final = 100
+"""Presses that both bundles have judged before one may take the other's place. Where none of 100 sound presses
+fails, at most 3 % of all do, 95 % sure (Hanley and Lippman-Hand 1983)."""
+
+# Presses that are named in a sentence of many.
+_MOST_NAMED: Final = 8
+
+
+@dataclass(frozen=True)
+class ShadowVerdict:
+    """What a shadow says of one press."""
+
+    bundle_id: str
+    beside: str
+    """The bundle that decided."""
+    verdict: str
+    """Pass, fail, unsure, rejected, or error for a press that it could not score."""
+    score: float | None
+    threshold: float
+
+    def encode(self) -> str:
+        """Write it as the row of the press has it."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def decode(cls, text: str) -> Self:
+        """Read what `encode` wrote."""
+        return cls(**json.loads(text))
+
+
+@dataclass(frozen=True)
+class JudgedTwice:
+    """A press that two bundles have judged."""
+
+    press_id: str
+    verdict: str
+    """Of the bundle in use."""
+    other: str
+    """Of the shadow."""
+    saying: str | None = None
+    """What people say of it; None where nobody spoke."""
+    was_damaged: bool = False
+    """Whether anybody ever called it damaged, whatever was said later."""
+
+    @property
+    def is_lost(self) -> bool:
+        """Say whether it is a damage that was found and would pass."""
+        return self.saying == "damaged" and self.verdict != "pass" and self.other == "pass"
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """Two bundles, by the presses that both have judged."""
+
+    presses: Sequence[JudgedTwice]
+    unknown: Sequence[str] = ()
+    """A sentence for each known damage of which it is not known whether the shadow finds it."""
+
+    @property
+    def differing(self) -> list[JudgedTwice]:
+        """The presses that one of them passes and the other does not."""
+        return [one for one in self.presses if (one.verdict == "pass") != (one.other == "pass")]
+
+    def describe(self) -> str:
+        """Give false alarms and misses of both in one sentence."""
+        damaged = [one for one in self.presses if one.saying == "damaged"]
+        good = [one for one in self.presses if one.saying in ("good", "gel")]
+        stricter = sum(one.verdict == "pass" for one in self.differing)
+        return (
+            f"{len(self.presses)} presses judged by both: {stricter} pass the bundle in use alone, "
+            f"{len(self.differing) - stricter} the shadow alone; of {len(good)} that people call good "
+            f"{_count(good, 'verdict', passes=False)} and {_count(good, 'other', passes=False)} do not pass, of "
+            f"{len(damaged)} that they call damaged {_count(damaged, 'verdict', passes=True)} and "
+            f"{_count(damaged, 'other', passes=True)} pass"
+        )
+
+    def doubts(self) -> list[str]:
+        """Name the presses that anybody ever called damaged and the shadow passes, and say which are unknown."""
+        passing = [one.press_id for one in self.presses if one.was_damaged and one.other == "pass"]
+        named = [f"the shadow passes {', '.join(passing)}, which somebody called damaged"] if passing else []
+        return [*named, *self.unknown]
+
+    def refusals(self, *, has_promise: bool) -> list[str]:
+        """Say why the shadow may not take over; nothing where it may."""
+        found: list[str] = []
+        if not has_promise:
+            found.append(
+                "it promises no rate of false alarms: fit it from presses, without a given threshold"
+            )
+        if len(self.presses) < LEAST_COMPARED:
+            found.append(
+                f"both have judged {len(self.presses)} presses, at least {LEAST_COMPARED} are needed"
+            )
+        if lost := [one.press_id for one in self.presses if one.is_lost]:
+            found.append(f"it passes damage that was found: {', '.join(lost)}")
+        good = [one for one in self.presses if one.saying in ("good", "gel")]
+        now, then = _count(good, "other", passes=False), _count(good, "verdict", passes=False)
+        if now > then:
+            alarms = [one.press_id for one in good if one.other != "pass" and one.verdict == "pass"]
+            found.append(
+                f"{now} instead of {then} of the {len(good)} presses that people call good do not pass it: "
+                f"{', '.join(alarms[:_MOST_NAMED])}"
+            )
+        return found
+
+
+def _count(presses: Collection[JudgedTwice], whose: str, *, passes: bool) -> int:
+    """Count those that pass, or do not, by `verdict` or `other`."""
+    return sum((getattr(one, whose) == "pass") == passes for one in presses)

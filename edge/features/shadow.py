@@ -1,0 +1,209 @@
+"""A shadow bundle: scored beside the one in use, never deciding, and taking its place only where it proves no worse."""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Self
+
+from edge.core.contact.events import PressSettled
+from edge.core.errors import ArchiveError, NotScorable, PoseNotFound
+from edge.core.part_position import PartPosition
+from edge.core.press import Press
+from edge.core.shadow import JudgedTwice, ShadowVerdict, Weighing
+from edge.features.scars import mask_scars
+from edge.messaging.command_payloads import NoArguments
+from edge.messaging.result_payload import ShadowPart
+from edge.model.inspector import Inspector
+from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
+from edge.store.acts import Act
+from edge.store.database import open_read_only
+from edge.store.press_archive import ArchiveFolder
+from edge.store.shadow_verdicts import UnjudgedDamage, read_judged_twice
+
+__all__ = ["Shadow"]
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Exchange:
+    """A takeover, or the way back, that waits for a free gel."""
+
+    part: PartPosition
+    before: str
+    after: str
+    why: str
+
+
+class Shadow(PressStage):
+    """Scores each press of a part with the shadow of its position, too, and exchanges the two on request."""
+
+    def __init__(self, parts: StageParts) -> None:
+        self._selection, self._store, self._alarms = parts.selection, parts.store, parts.alarms
+        self._clock, self._post = parts.clock, parts.post
+        self._scored: tuple[Inspector, Press] | None = None
+        self._exchange: _Exchange | None = None
+        self._fault: str | None = None
+        self._said: str | None = None
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self:
+        return cls(parts)
+
+    def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
+        """Score it with the shadow, beside the score that is there; the verdict stays as it is."""
+        shadow, self._scored = self._selection.shadow, None
+        if shadow is None or press.label is not None or press.rgb is None or press.score is None:
+            return press
+        started_ns = self._clock.monotonic_ns()
+        try:
+            self._scored = shadow, _score(press, shadow, inspector)
+            self._fault = self._scored[1].error
+        except Exception as error:  # nothing of a bundle that decides nothing may stop an inspection
+            log.exception("the shadow failed")
+            self._scored, self._fault = (shadow, Press(error=repr(error))), f"{error!r:.200}"
+        took_ms = (self._clock.monotonic_ns() - started_ns) / 1e6
+        return replace(press, latency_ms={**press.latency_ms, "shadow": took_ms})
+
+    def keep(self, press: Press, inspector: Inspector) -> Press:
+        """Return it with what the shadow says, without the places that were not judged."""
+        if self._scored is None:
+            return press
+        (shadow, scored), self._scored = self._scored, None
+        if press.scars is not None and scored.score_map is not None:
+            scored = mask_scars(scored, press.scars, shadow.bundle)
+        limit = shadow.bundle.manifest.threshold.value
+        ids = shadow.bundle.digest, press.bundle_id
+        return replace(press, shadow=ShadowVerdict(*ids, scored.word, scored.score, limit))
+
+    def fields(self, press: Press) -> Mapping[str, Any]:
+        return {} if press.shadow is None else {"shadow": ShadowPart(**vars(press.shadow))}
+
+    def turn(self, mounted: Mounted | None) -> None:
+        """Exchange the bundles where that was asked for, while nothing is pressed. Errors: StoreError."""
+        faults = [*self._selection.shadow_faults]
+        if self._fault is not None:
+            faults.append(f"the shadow of {self._selection.part} gave no score: {self._fault}")
+        if self._said != (said := "; ".join(faults) or None):
+            self._said = said
+            self._alarms.say("shadow", said and f"{said}; presses are inspected without it", "warning")
+        wish = self._exchange
+        if wish is None or (mounted is not None and mounted.has_contact):
+            return
+        if self._ids() == (wish.part, wish.before, wish.after):
+            why = Act(
+                self._clock.time_ns(),
+                "the gateway",
+                "take_over",
+                arguments=wish.part._asdict(),
+                outcome="done",
+                before={"bundle_id": wish.before},
+                after={"bundle_id": wish.after, "why": wish.why},
+            )
+            self._selection.exchange(why)
+            self._fault = None
+            text = f"bundle {wish.after[:12]} inspects {wish.part} instead of {wish.before[:12]}: {wish.why}"
+        else:
+            text = f"bundle {wish.after[:12]} has not taken over: another part or bundle is in use; ask again"
+        self._exchange = None
+        log.warning("%s", text)
+        self._alarms.say("takeover", text, "warning")
+
+    def _ids(self) -> tuple[PartPosition, str, str] | None:
+        """Give the part inspected now, its bundle and the shadow; None without one."""
+        shadow = self._selection.shadow
+        in_use = self._selection.inspector.bundle.digest
+        return None if shadow is None else (self._selection.part, in_use, shadow.bundle.digest)
+
+    def _need_shadow(self) -> tuple[PartPosition, str, str]:
+        """As `_ids`. Errors: ValueError."""
+        if (ids := self._ids()) is None:
+            why = "; ".join(self._selection.shadow_faults) or "name one under inspection.shadows, and reload"
+            raise ValueError(f"there is no shadow of {self._selection.part}: {why}")
+        return ids
+
+    def _adopt(self, arguments: NoArguments) -> Any:
+        ids = self._need_shadow()
+        if self._selection.instead_of is not None:
+            raise ValueError(
+                f"the shadow of {ids[0]} has taken over already; restore_bundle brings the configured bundle back"
+            )
+        shadow = self._selection.shadow
+        assert shadow is not None
+        return partial(self._adopt_if_no_worse, *ids, shadow)
+
+    def _adopt_if_no_worse(self, part: PartPosition, in_use: str, other: str, shadow: Inspector) -> Data:
+        """Weigh the two, while the loop goes on. Errors: ValueError where the shadow may not take over; StoreError."""
+        with open_read_only(self._store.path, "weighing a shadow") as connection:
+            both, missing = read_judged_twice(connection, part, other, in_use)
+        more, unknown = self._judge_damage(missing, shadow) if missing else ([], [])
+        weighing = Weighing([*both, *more], unknown)
+        doubts = "; ".join(weighing.doubts())
+        refusals = weighing.refusals(has_promise=shadow.bundle.manifest.threshold.n > 0)
+        if refusals:
+            raise ValueError(
+                "; ".join([f"bundle {other[:12]} does not take over", *refusals, *filter(None, [doubts])])
+            )
+        why = "; ".join(filter(None, (weighing.describe(), doubts)))
+        self._post(partial(self._wish_for, _Exchange(part, in_use, other, why)))
+        return {"bundle_id": other, "instead_of": in_use, "why": why, "is_waiting": True}
+
+    def _wish_for(self, exchange: _Exchange) -> None:
+        self._exchange = exchange
+
+    def _judge_damage(
+        self, missing: list[UnjudgedDamage], shadow: Inspector
+    ) -> tuple[list[JudgedTwice], list[str]]:
+        """Judge known damage of before the shadow from the archive; return what is gone as sentences."""
+        from edge.features.black_box.replay import judge_again  # few stations have such damage
+
+        archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
+        inspector = Inspector(shadow.scorer.copy(), self._clock)  # the loop scores with the other one
+        judged, unknown = list[JudgedTwice](), list[str]()
+        for one in missing:
+            try:
+                now = judge_again(archive.press(one.press_id, one.evidence), archive, inspector).now
+                judged.append(JudgedTwice(one.press_id, one.verdict, now.word, one.saying, was_damaged=True))
+            except ArchiveError as error:
+                unknown.append(f"whether the shadow finds the damage of {one.press_id} is not known: {error}")
+        return judged, unknown
+
+    def _restore(self, arguments: NoArguments) -> Data:
+        ids = self._ids()
+        if ids is None or self._selection.instead_of is None:
+            raise ValueError(
+                f"no shadow has taken the place of the configured bundle of {self._selection.part}"
+            )
+        self._wish_for(_Exchange(*ids, "restore_bundle was asked for"))
+        return {"bundle_id": ids[2], "instead_of": ids[1], "is_waiting": True}
+
+    commands = (
+        Command(
+            "adopt_shadow",
+            NoArguments,
+            _adopt,
+            "let the shadow of the part inspected now take the place of its bundle, once the gel is free. Refused "
+            "where it promises no rate of false alarms, passes damage that was found, fails more of what people call "
+            "good, or too few presses were judged by both",
+            "the bundle that inspects",
+        ),
+        Command(
+            "restore_bundle",
+            NoArguments,
+            _restore,
+            "bring the configured bundle back, whose place a shadow has taken, once the gel is free",
+            "the bundle that inspects",
+        ),
+    )
+
+
+def _score(press: Press, shadow: Inspector, inspector: Inspector) -> Press:
+    """Score the region of a press with a shadow, by what the bundle in use has computed where that is the same."""
+    assert press.rgb is not None
+    try:
+        scored = shadow.scorer.score_beside(inspector.scorer, press.rgb, press.registered)
+        verdict = shadow.bundle.manifest.decide(scored.anomaly_score)
+        return Press(verdict, score_map=scored.score_map)
+    except (PoseNotFound, NotScorable) as error:
+        return Press(error=str(error))

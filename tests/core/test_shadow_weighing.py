@@ -1,0 +1,85 @@
+"""When a shadow may take over, and what is said of it."""
+
+from collections.abc import Sequence
+
+import pytest
+
+from edge.core.shadow import LEAST_COMPARED, JudgedTwice, ShadowVerdict, Weighing
+
+
+def press(number: int, verdict: str, other: str, saying: str | None = None) -> JudgedTwice:
+    return JudgedTwice(f"P{number}", verdict, other, saying, was_damaged=saying == "damaged")
+
+
+ENOUGH = [press(1000 + number, "pass", "pass") for number in range(LEAST_COMPARED)]
+
+
+def test_what_a_shadow_says_is_written_and_read_again() -> None:
+    said = ShadowVerdict("a" * 64, "b" * 64, "error", None, 0.1)
+
+    assert ShadowVerdict.decode(said.encode()) == said
+
+
+@pytest.mark.parametrize(
+    ("presses", "sentence"),
+    [
+        (ENOUGH, ""),
+        (ENOUGH[1:], f"both have judged {LEAST_COMPARED - 1} presses, at least {LEAST_COMPARED} are needed"),
+        ([*ENOUGH, press(1, "fail", "pass", "damaged")], "it passes damage that was found: P1"),
+        ([*ENOUGH, press(1, "unsure", "pass", "damaged")], "it passes damage that was found: P1"),
+        ([*ENOUGH, press(1, "error", "pass", "damaged")], "it passes damage that was found: P1"),
+        ([*ENOUGH, press(1, "pass", "pass", "damaged")], ""),
+        ([*ENOUGH, press(1, "fail", "unsure", "damaged")], ""),
+        ([*ENOUGH, press(1, "fail", "pass", "cannot_tell")], ""),
+        (
+            [*ENOUGH, press(1, "pass", "fail", "good"), press(2, "fail", "fail", "gel")],
+            "2 instead of 1 of the 2 presses that people call good do not pass it: P1",
+        ),
+        (
+            [*ENOUGH, press(1, "pass", "error", "good")],
+            "1 instead of 0 of the 1 presses that people call good",
+        ),
+        ([*ENOUGH, press(1, "pass", "fail", "good"), press(2, "fail", "pass", "good")], ""),
+    ],
+)
+def test_a_shadow_takes_over_only_where_it_is_no_worse(presses: Sequence[JudgedTwice], sentence: str) -> None:
+    refusals = Weighing(presses).refusals(has_promise=True)
+
+    assert len(refusals) == bool(sentence)
+    assert sentence in "".join(refusals)
+
+
+def test_without_a_promise_it_does_not() -> None:
+    (refusal,) = Weighing(ENOUGH).refusals(has_promise=False)
+
+    assert "it promises no rate of false alarms" in refusal
+
+
+def test_damage_that_passes_is_named_whatever_was_said_of_it_later() -> None:
+    """Contradicted, or missed by both, or gone from the archive: it refuses nothing, and nobody overlooks it."""
+    doubted = JudgedTwice("P1", "fail", "pass", "cannot_tell", was_damaged=True)
+    weighing = Weighing(
+        [*ENOUGH, doubted, press(2, "pass", "pass", "damaged"), press(3, "fail", "fail", "damaged")],
+        ["P4 is gone"],
+    )
+
+    assert weighing.refusals(has_promise=True) == []
+    assert weighing.doubts() == ["the shadow passes P1, P2, which somebody called damaged", "P4 is gone"]
+
+
+def test_both_are_counted_in_one_sentence() -> None:
+    weighing = Weighing(
+        [
+            press(1, "pass", "fail", "good"),
+            press(2, "fail", "pass", "good"),
+            press(3, "fail", "pass", "gel"),
+            press(4, "fail", "fail", "damaged"),
+            press(5, "pass", "fail", "damaged"),
+            press(6, "unsure", "fail"),
+        ]
+    )
+
+    assert weighing.describe() == (
+        "6 presses judged by both: 2 pass the bundle in use alone, 2 the shadow alone; of 3 that people call good 2 "
+        "and 1 do not pass, of 2 that they call damaged 1 and 0 pass"
+    )

@@ -1,0 +1,353 @@
+"""A shadow is scored beside the bundle in use and decides nothing, until it takes over on request."""
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
+
+import pytest
+from command_line import gelgate
+from station import Motion, press_recording, station_config, variant
+from stepped_station import SteppedStation
+
+from edge.core.shadow import ShadowVerdict
+from edge.features.shadow import Shadow
+from edge.model.bundle import Bundle
+from edge.store.acts import CONFIRM, Act
+from edge.store.history import HistoryQuery, read_history
+from edge.store.integrity import check_database
+
+FIVE = {
+    "alpha": 0.2,
+    "alpha_floor": 0.2,
+    "nominal_scores": [0.01, 0.02, 0.03, 0.04, 0.05],
+    "method": "held out",
+}
+
+
+@pytest.fixture(scope="module")
+def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight short presses, the third and sixth one dented."""
+    folder = tmp_path_factory.mktemp("shadow") / "presses"
+    return press_recording(folder, 8, dented=[2, 5], motion=Motion(hold=8, idle=24), seed=5)
+
+
+def limit(bundle: Path, **changes: Any) -> dict[str, Any]:
+    """The bundle's threshold with these changes."""
+    threshold: dict[str, Any] = json.loads((bundle / "manifest.json").read_text())["threshold"]
+    return threshold | changes
+
+
+@pytest.fixture
+def shadow(tmp_path: Path, bundle: Path) -> Path:
+    """The same bundle with a stated promise and another revision."""
+    return variant(bundle, tmp_path / "new", revision=2, threshold=limit(bundle, **FIVE))
+
+
+def configure(folder: Path, presses: Path, bundle: Path, *shadows: Path) -> Path:
+    named = ", ".join(f'"{path}"' for path in shadows)
+    return station_config(folder, presses, f'bundle = "{bundle}"\nshadows = [{named}]')
+
+
+def say(station: SteppedStation, words: Mapping[int, str], person: str = "kim") -> None:
+    for number, word in words.items():
+        given = {"press_id": station.results[number].press_id, "verdict": word}
+        act = Act(1, f"{person}, at the page", CONFIRM, None, given, outcome="done")
+        station.parts.store.begin_act(act, 0)
+
+
+def adopt(station: SteppedStation) -> Any:
+    """Ask as a requester's thread does, and let the loop take a turn."""
+    data = station.ask("adopt_shadow")()
+    station.turn()
+    return data
+
+
+def test_a_shadow_says_what_it_would_decide_and_decides_nothing(
+    tmp_path: Path, presses: Path, bundle: Path
+) -> None:
+    """One that passes everything: verdicts are as without it, and both are in the result, the row and the history."""
+    lenient = variant(bundle, tmp_path / "lenient", threshold=limit(bundle, value=1e6))
+    with SteppedStation(station_config(tmp_path / "alone", presses, bundle)) as alone:
+        alone.play_presses(8)
+    with SteppedStation(configure(tmp_path / "both", presses, bundle, lenient)) as station:
+        station.play_presses(8)
+        database = station.parts.store.path
+        ids = station.parts.selection.inspector.bundle.digest, station.parts.selection.shadow.bundle.digest
+
+    assert station.verdicts == alone.verdicts
+    assert station.verdicts.count("fail") == 2
+    assert [one.score for one in station.results] == [one.score for one in alone.results]
+    said = [one.shadow for one in station.results]
+    assert {(one.bundle_id, one.beside, one.verdict, one.threshold) for one in said} == {
+        (ids[1], ids[0], "pass", 1e6)
+    }
+    assert [one.score for one in said] == [
+        one.score for one in station.results
+    ]  # the same graphs, bit for bit
+    assert all("shadow" in one.latency_ms for one in station.results)
+    assert {one.shadow for one in alone.results} == {None}
+    rows = list(read_history(database, HistoryQuery()))
+    assert [ShadowVerdict.decode(row.shadow).score for row in rows] == [one.score for one in said]
+    printed = gelgate("history", "--database", database, "--by", "shadow").out.splitlines()
+    assert printed[0] == (
+        f"shadow {ids[1][:12]} beside {ids[0][:12]}: 8 presses judged by both: 0 pass the bundle in use alone, 2 the "
+        "shadow alone; of 0 that people call good 0 and 0 do not pass, of 0 that they call damaged 0 and 0 pass"
+    )
+    assert printed[1:] == [f"  {station.results[number].press_id}  fail, shadow pass" for number in (2, 5)]
+    assert gelgate("history", "--database", database).out.count("  shadow pass") == 8
+    assert [one.text for one in check_database(database) if one.is_fault] == []
+
+
+def test_a_press_with_a_shadow_takes_one_head_more_and_no_trunk(
+    tmp_path: Path, presses: Path, bundle: Path, shadow: Path
+) -> None:
+    """The features of the bundle in use serve both; counted in runs of the graphs."""
+    with SteppedStation(configure(tmp_path, presses, bundle, shadow)) as station:
+        station.play_presses(1)  # now all memory is there
+        scorers = station.parts.selection.inspector.scorer, station.parts.selection.shadow.scorer
+        assert scorers[0]._trunk is scorers[1]._trunk
+        trunks, heads = [], []
+        for scorer in scorers:
+            pipe = scorer._pipe
+            pipe._trunk = Mock(wraps=pipe._trunk)
+            trunks.append(pipe._trunk.run_with_iobinding)
+        for pipe in (scorers[0]._pipe, scorers[1]._pipe, scorers[1]._beside[1]):
+            pipe._head = Mock(wraps=pipe._head)
+            heads.append(pipe._head.run_with_iobinding)
+        station.play_presses(8)
+
+    assert trunks[1].call_count == heads[1].call_count == 0
+    assert heads[2].call_count == 7
+    assert trunks[0].call_count >= 7
+
+
+def test_a_shadow_takes_over_stays_and_is_taken_back(
+    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By two requests; what it replaced is its shadow then, also after a restart, and counts as no older bundle."""
+    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 3)
+    first = variant(bundle, tmp_path / "first", revision=1)
+    old, new = Bundle.load(first).digest, Bundle.load(shadow).digest
+    config = configure(tmp_path / "station", presses, first, shadow)
+    with SteppedStation(config) as station:
+        station.play_presses(3)
+        say(station, {0: "good", 2: "damaged"})
+        data = adopt(station)
+        assert station.loop.session.inspector.bundle.digest == new
+        station.play_presses(4)
+        text = station.alarm("takeover")
+        (act,) = [act for act in station.parts.store.acts() if act.verb == "take_over"]
+    with SteppedStation(config) as again:
+        again.play_presses(2)
+        with pytest.raises(ValueError, match="has taken over already; restore_bundle brings"):
+            again.ask("adopt_shadow")
+        again.ask("restore_bundle")
+        again.turn()
+        again.play_presses(3)
+        with pytest.raises(ValueError, match="no shadow has taken the place"):
+            again.ask("restore_bundle")
+    with SteppedStation(config) as last:
+        last.play_presses(1)
+        found = check_database(last.parts.store.path)
+
+    assert (data["bundle_id"], data["instead_of"]) == (new, old)
+    assert [one.bundle_id for one in station.results] == [old, old, old, new]
+    assert (station.results[3].shadow.bundle_id, station.results[3].shadow.beside) == (old, new)
+    assert text.startswith(
+        f"bundle {new[:12]} inspects PZ0/pos1 instead of {old[:12]}: 3 presses judged by both"
+    )
+    assert (act.before, act.after["bundle_id"], act.after["why"]) == ({"bundle_id": old}, new, data["why"])
+    assert [one.bundle_id for one in again.results] == [new, new, old]
+    assert last.results[0].bundle_id == old
+    assert [one.text for one in found if one.is_fault] == []
+
+
+def test_the_takeover_waits_for_the_end_of_a_press(
+    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 1)
+    with SteppedStation(configure(tmp_path, presses, bundle, shadow)) as station:
+        station.play_presses(1)
+        station.play_until(lambda: station.loop.session.has_contact)
+        adopt(station)
+        assert station.alarm("takeover") is None
+        station.play_presses(3)
+
+    old, new = Bundle.load(bundle).digest, Bundle.load(shadow).digest
+    assert [one.bundle_id for one in station.results] == [old, old, new]
+
+
+@pytest.mark.parametrize(
+    ("words", "value", "sentences"),
+    [
+        ({0: "good", 2: "damaged"}, 0.1, ["both have judged 3 presses, at least 100 are needed"]),
+        (
+            {2: "damaged"},
+            1e6,
+            ["at least 100", "it passes damage that was found: {2}", "passes {2}, which somebody"],
+        ),
+        ({0: "good"}, 1e-9, ["at least 100", "1 instead of 0 of the 1 presses that people call good"]),
+    ],
+)
+def test_a_shadow_that_is_worse_is_refused_with_the_presses(
+    tmp_path: Path, presses: Path, bundle: Path, words: Mapping[int, str], value: float, sentences: list[str]
+) -> None:
+    other = variant(bundle, tmp_path / "other", revision=3, threshold=limit(bundle, **FIVE, value=value))
+    with SteppedStation(configure(tmp_path, presses, bundle, other)) as station:
+        station.play_presses(3)
+        say(station, words)
+        with pytest.raises(ValueError, match="does not take over") as refused:
+            adopt(station)
+        station.turn()
+        assert station.parts.selection.instead_of is None
+
+    ids = [one.press_id for one in station.results]
+    for sentence in sentences:
+        assert sentence.format(*ids) in str(refused.value)
+
+
+def test_known_damage_of_before_the_shadow_is_judged_from_the_archive(
+    tmp_path: Path, presses: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And what is gone from there is named: nobody knows whether it is found."""
+    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 1)
+    lenient = variant(bundle, tmp_path / "lenient", threshold=limit(bundle, **FIVE, value=1e6))
+    with SteppedStation(station_config(tmp_path / "station", presses, bundle)) as station:
+        station.play_presses(8)
+        say(station, {2: "damaged", 5: "damaged"})
+        ids = [one.press_id for one in station.results]
+    (tmp_path / "station" / "gelgate.archive" / "presses" / f"{ids[5]}.json").unlink()
+    with SteppedStation(configure(tmp_path / "station", presses, bundle, lenient)) as later:
+        later.play_presses(1)
+        with pytest.raises(ValueError, match="does not take over") as refused:
+            adopt(later)
+
+    assert f"it passes damage that was found: {ids[2]};" in str(refused.value)
+    assert f"whether the shadow finds the damage of {ids[5]} is not known: press {ids[5]} is gone" in str(
+        refused.value
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"part": "PZ1"}, "is for PZ1/pos1, of which this station has no bundle"),
+        ({"region": {"x": 40, "y": 8, "width": 224, "height": 224}}, "has another region than"),
+        ({}, "is the bundle of PZ0/pos1 itself"),
+        ({"golden": None}, "has a score that is not the highest value of its map"),
+        (None, "neither a folder nor a zip file"),
+    ],
+)
+def test_a_shadow_that_cannot_be_compared_is_a_sentence_and_the_station_inspects(
+    tmp_path: Path, presses: Path, bundle: Path, changes: dict[str, Any] | None, sentence: str
+) -> None:
+    """At `check` and as an alarm."""
+    other = tmp_path / "other"
+    if changes is not None:
+        manifest = json.loads((bundle / "manifest.json").read_text())
+        if "golden" in changes:
+            golden = [{**one, "score": one["score"] * 2} for one in manifest["golden"]]
+            changes = {"golden": golden, "tolerance": {**manifest["tolerance"], "score": 1e3}}
+        variant(bundle, other, **changes)
+        if not changes:
+            shutil.rmtree(other)
+            shutil.copytree(bundle, other)
+    config = configure(tmp_path / "station", presses, bundle, other)
+
+    checked = gelgate("check", "-c", config)
+    with SteppedStation(config) as station:
+        station.play_presses(1)
+        assert sentence in station.alarm("shadow")
+        with pytest.raises(ValueError, match="there is no shadow of PZ0/pos1"):
+            station.ask("adopt_shadow")
+
+    assert station.verdicts == ["pass"]
+    assert sentence in checked.out
+    assert "presses are inspected without it" in checked.out
+
+
+def test_a_shadow_that_fails_while_it_scores_disturbs_no_verdict(
+    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is said once, and over with the next score."""
+    with SteppedStation(configure(tmp_path, presses, bundle, shadow)) as station:
+        station.play_presses(1)
+        scorer = station.parts.selection.shadow.scorer
+        with monkeypatch.context() as patch:
+            patch.setattr(scorer, "score_beside", Mock(side_effect=MemoryError("no room")))
+            station.play_presses(3)
+            said = station.alarm("shadow")
+        station.play_presses(4)
+        after = station.alarm("shadow")
+
+    assert station.verdicts == ["pass", "pass", "fail", "pass"]
+    assert [one.shadow.verdict for one in station.results] == ["pass", "error", "error", "pass"]
+    assert "gave no score: MemoryError('no room')" in said
+    assert after is None
+
+
+def test_a_shadow_that_took_over_and_is_gone_leaves_the_configured_bundle(
+    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The station inspects, and says so; the older revision is the way back and no older bundle."""
+    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 1)
+    first = variant(bundle, tmp_path / "first", revision=1)
+    config = configure(tmp_path / "station", presses, first, shadow)
+    with SteppedStation(config) as station:
+        station.play_presses(1)
+        adopt(station)
+    (new, old) = Bundle.load(shadow).digest, Bundle.load(first).digest
+    shutil.rmtree(shadow)
+    with SteppedStation(config) as again:
+        again.play_presses(1)
+        text = again.alarm("shadow")
+
+    assert again.results[0].bundle_id == old
+    assert f"bundle {new[:12]}, which had taken the place of {first}, is not among the shadows" in text
+    assert "the configured one inspects PZ0/pos1 again" in text
+
+
+def test_a_reload_opens_a_shadow_and_keeps_a_takeover(
+    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 1)
+    from edge.config import load_config
+
+    config = configure(tmp_path / "station", presses, bundle)
+    with SteppedStation(config, lambda: load_config(config)) as station:
+        station.play_presses(1)
+        configure(tmp_path / "station", presses, bundle, shadow)
+
+        def reload() -> None:
+            station.parts.selection.reload()
+            station.parts.selection.worker.step()
+            station.turn()
+
+        reload()
+        station.play_presses(2)
+        adopt(station)
+        reload()
+        station.play_presses(3)
+
+    new = Bundle.load(shadow).digest
+    assert [one.shadow is not None for one in station.results] == [False, True, True]
+    assert station.results[2].bundle_id == new
+
+
+def test_a_takeover_that_cannot_be_recorded_is_made_when_it_can(
+    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 1)
+    with SteppedStation(configure(tmp_path, presses, bundle, shadow)) as station:
+        station.play_presses(1)
+        with station.refusing("acts"):
+            adopt(station)
+            assert station.loop.is_halted
+            assert station.parts.selection.inspector.bundle.digest == Bundle.load(bundle).digest
+        station.turn(2)
+        assert not station.loop.is_halted
+        assert station.parts.selection.inspector.bundle.digest == Bundle.load(shadow).digest
+        assert station.find(Shadow)._exchange is None

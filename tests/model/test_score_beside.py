@@ -1,0 +1,108 @@
+"""A press that another bundle has just scored, scored by that one's pose and features: as it would be alone."""
+
+import dataclasses
+from collections.abc import Callable
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+import tiny
+import turned_parts as parts
+from numpy.typing import NDArray
+from registered_bundle import fitted, nominal, registered
+
+from edge.core.errors import NotScorable
+from edge.core.registration.pose import Registered
+from edge.model.bundle import Bundle
+from edge.model.scorer import Scored, Scorer
+
+Rgb = NDArray[np.uint8]
+
+
+def plain(value: float = 0.5) -> Bundle:
+    return Bundle.in_memory(*tiny.tiny_files(bank=tiny.tiny_bank(value)))
+
+
+def alone(scorer: Scorer, rgb: Rgb) -> Scored:
+    return Scorer(scorer.bundle).score(rgb)
+
+
+def trunk_runs(scorer: Scorer) -> Callable[[], int]:
+    """Count the runs of its trunk from now on."""
+    scorer._pipe._trunk = Mock(wraps=scorer._pipe._trunk)
+    return lambda: scorer._pipe._trunk.run_with_iobinding.call_count
+
+
+def test_the_features_of_the_other_are_taken() -> None:
+    """Bit for bit as alone, and its own trunk does not run."""
+    rgb = tiny.presses(1)[0]
+    other, scorer = Scorer(plain()), Scorer(plain(0.4))
+    runs = trunk_runs(scorer)
+    for _ in range(2):
+        registered_by = other.score(rgb).registered
+        found = scorer.score_beside(other, rgb, registered_by)
+        np.testing.assert_array_equal(found.score_map, alone(scorer, rgb).score_map)
+        assert found.anomaly_score == alone(scorer, rgb).anomaly_score != other.score(rgb).anomaly_score
+    assert runs() == 0
+
+
+@pytest.mark.parametrize("between", ["another frame", "a batch", "nothing at all", "a fault"])
+def test_features_of_another_frame_are_not_taken(between: str) -> None:
+    """As after a golden frame, and where the trunk has failed."""
+    rgb, another = tiny.presses(2)
+    other, scorer = Scorer(plain()), Scorer(plain(0.4))
+    if between != "nothing at all":
+        other.score(rgb)
+    if between == "another frame":
+        other.score(another)
+    elif between == "a batch":
+        other.score_batch(np.stack([rgb, another]))
+    elif between == "a fault":
+        other._pipe._trunk = Mock()
+        other._pipe._trunk.run_with_iobinding.side_effect = RuntimeError("no room")
+        with pytest.raises(NotScorable):
+            other.score(rgb)
+
+    found = scorer.score_beside(other, rgb, None)
+
+    assert found.anomaly_score == alone(scorer, rgb).anomaly_score
+
+
+def test_where_the_two_would_compute_others_it_is_scored_alone() -> None:
+    """Here the other one has registration."""
+    press = parts.anywhere(parts.BLOCK, 20)[1][3]
+    other, scorer = (
+        Scorer(registered().bundle()),
+        Scorer(fitted(nominal(parts.anywhere(parts.BLOCK, 20)[1])).bundle()),
+    )
+    found = scorer.score_beside(other, press, other.score(press).registered)
+
+    assert found.anomaly_score == alone(scorer, press).anomaly_score
+    assert found.registered is None
+
+
+def test_the_pose_of_the_other_is_taken_where_it_is_sought_alike() -> None:
+    press = parts.anywhere(parts.BLOCK, 20)[1][3]
+    other, scorer = Scorer(registered().bundle()), Scorer(registered().bundle())
+    scorer._registrar = Mock()
+    runs, pose = trunk_runs(scorer), other.score(press).registered
+    assert isinstance(pose, Registered)
+
+    found = scorer.score_beside(other, press, pose)
+
+    expected = other.score(press)
+    assert (found.anomaly_score, found.registered) == (expected.anomaly_score, pose)
+    np.testing.assert_array_equal(found.score_map, expected.score_map)
+    assert runs() == 0
+    assert not scorer._registrar.register.called
+
+
+def test_a_copy_scores_as_its_original_and_shares_the_trunk() -> None:
+    rgb = tiny.presses(1)[0]
+    scorer = Scorer(plain())
+    copy = scorer.copy()
+    slim = dataclasses.replace(scorer.bundle, graphs=dataclasses.replace(scorer.bundle.graphs, trunk=None))
+
+    assert copy.score(rgb).anomaly_score == scorer.score(rgb).anomaly_score
+    assert copy._trunk is scorer._trunk
+    assert Scorer(slim, 1, scorer._trunks).copy()._trunk is scorer._trunk
