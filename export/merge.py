@@ -143,12 +143,14 @@ def _metadata(bundle: Bundle) -> dict[str, str]:
 
 def single_graph_bundle(bundle: Bundle, graph: bytes) -> tuple[Manifest, dict[str, bytes]]:
     """The manifest and files of a bundle with one graph in place of trunk, head and bank; the rest is kept."""
-    golden = bundle.golden
+    golden, pictures = bundle.golden, bundle.nominal_pictures
     if bundle.free_gel is not None:
         # The single graph runs every tile, so it is compared with the pair running every tile.
         scorer = Scorer(bundle, is_skipping=False)
         golden = tuple(score_again(frame, scorer) for frame in golden)
-    return bundle_files(facts_of(bundle.manifest), Graphs(detector=graph), golden=golden)
+    return bundle_files(
+        facts_of(bundle.manifest), Graphs(detector=graph), golden=golden, nominal_pictures=pictures
+    )
 
 
 def score_again(frame: GoldenFrame, scorer: Scorer) -> GoldenFrame:

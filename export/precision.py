@@ -308,4 +308,5 @@ def _bundle_files(
         free_gel=bundle.free_gel,
         free_view=bundle.free_view,
         registration=bundle.registration,
+        nominal_pictures=bundle.nominal_pictures,
     )

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from calibration.fitting.limits.threshold import count_needed, pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from calibration.fitting.presses.strangers import find_copies
+from edge.core.detector import Detector, KeepsMean
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.quality import NominalContact
 from edge.model.bundle import GoldenFrame
 from edge.model.manifest import CostCard, Provenance, ThresholdEntry, ToleranceEntry
 from edge.model.manifest_facts import GIVEN
 from edge.model.scorer import Scorer, map_peaks
+from edge.pictures.nominal_pictures import NominalPictures
 
 __all__ = [
     "check_given",
@@ -26,6 +28,7 @@ __all__ = [
     "cost_card",
     "golden_frames",
     "measure_tolerance",
+    "picture_presses",
     "placeholders",
     "provenance",
     "rate_warnings",
@@ -176,6 +179,12 @@ def rate_warnings(specimens: Sequence[str | None], alpha: float | None) -> list[
         f"{counted} promise a false-alarm rate of 1/{pieces + 1} at best; {count_needed(alpha)} {what} are "
         f"needed for {alpha:g}"
     ]
+
+
+def picture_presses(presses: NominalPresses, detector: Detector) -> NominalPictures:
+    """Make the small pictures that people are shown beside a press."""
+    is_mean = isinstance(detector, KeepsMean) and detector.keeps_mean
+    return NominalPictures.of(presses.frames, presses.names, is_mean=is_mean)
 
 
 def check_given(threshold: float | None) -> None:

@@ -235,4 +235,5 @@ def _files(
         free_gel=most_typical(free) if bundle.free_gel is not None and free is not None else None,
         free_view=presses.free_view,
         registration=bundle.registration,
+        nominal_pictures=bundle.nominal_pictures,
     )

@@ -18,6 +18,7 @@ from calibration.fitting.bundle_measurements import (
     cost_card,
     golden_frames,
     measure_tolerance,
+    picture_presses,
     placeholders,
     provenance,
     rate_warnings,
@@ -334,8 +335,7 @@ def _measure(learnt: _Learnt, created: str, watch: StageTimes) -> Fitted:
     watch.report("golden", 0.0)
     features, plan, threads = learnt.features, learnt.features.plan, learnt.features.plan.config.threads
     trunks, facts = TrunkSessions(threads), _facts(learnt, created)
-    provisional = _pack(learnt, facts, ())
-    scorer = Scorer(provisional.bundle(), threads, trunks)
+    scorer = Scorer(_pack(learnt, facts, ()).bundle(), threads, trunks)
     golden = golden_frames(scorer, features.presses.frames)
     tolerance = measure_tolerance(scorer, golden, threads)
     cost = cost_card(scorer, features.presses.frames, threads, watch.seconds)
@@ -355,18 +355,17 @@ def _pack(learnt: _Learnt, facts: Facts, golden: Sequence[GoldenFrame]) -> Fitte
     """Make the bundle. golden: none for one that is only measured."""
     features, config = learnt.features, learnt.features.plan.config
     presses, free = features.plan.presses, features.plan.presses.no_contact
-    manifest, files = bundle_files(
-        facts,
-        Graphs(trunk=config.trunk.graph, head=learnt.head),
-        learnt.bank,
-        golden,
+    parts = facts, Graphs(config.trunk.graph, learnt.head), learnt.bank, golden
+    files = bundle_files(
+        *parts,
         backbone=config.trunk.id,
         with_trunk=config.with_trunk or not golden,
         free_gel=most_typical(free) if free is not None and features.skipped_tiles else None,
         free_view=presses.free_view,
         registration=learnt.part,
+        nominal_pictures=picture_presses(features.presses, config.detector),
     )
-    return Fitted(manifest, files)
+    return Fitted(*files)
 
 
 def _facts(learnt: _Learnt, created: str) -> Facts:

@@ -86,6 +86,7 @@ def _rows(manifest: Manifest) -> Iterator[tuple[str, str]]:
     absolute = f"score {tolerance.score:.2g}, map {tolerance.score_map:.2g}"
     yield "tolerance", f"{absolute}, relative {tolerance.relative:.2g}"
     golden = ", ".join(f"{frame.what} {frame.score:.4g}" for frame in manifest.golden)
+    yield "shown beside", _shown_beside(manifest)
     yield "golden frames", f"{len(manifest.golden)}: {golden}"
     yield from _cards(manifest)
 
@@ -132,6 +133,14 @@ def _cards(manifest: Manifest) -> Iterator[tuple[str, str]]:
     versions = ", ".join(f"{k} {v}" for k, v in origin.versions.items())
     yield "made", f"{origin.created}, {len(origin.presses)} presses, seed {origin.seed}, {versions}"
     yield from (("left out", name) for name in origin.left_out)
+
+
+def _shown_beside(manifest: Manifest) -> str:
+    pictures = manifest.nominal_pictures
+    if pictures is None:
+        return "nothing: a press that fails is shown without what it was compared with; fit again"
+    count, first = len(pictures.names), pictures.names[0]
+    return f"{_mb(pictures.file.size_bytes)}: {first if count == 1 else f'the most alike of {count} nominal presses'}"
 
 
 def _colours(colours: ColourEntry | None) -> str:

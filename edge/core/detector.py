@@ -25,6 +25,7 @@ __all__ = [
     "Features",
     "Grid",
     "HasReference",
+    "KeepsMean",
     "Mode",
     "Nominal",
     "Packing",
@@ -117,7 +118,7 @@ class ScoreMaps:
 
 @runtime_checkable
 class Detector(Protocol):
-    """The object behind an entry point in `gelgate.detectors`. Optional: `HasReference`.
+    """The object behind an entry point in `gelgate.detectors`. Optional: `HasReference`, `KeepsMean`.
 
     Parameters are one frozen value, a dataclass or a pydantic model, with `vars` that JSON can hold. The same ones go
     to `fit` and `head`, and into the manifest.
@@ -148,6 +149,16 @@ class Detector(Protocol):
 
     def head(self, grid: Grid, bank: Bank, parameters: Any) -> bytes:
         """The serialised ONNX graph for this grid. Imports onnx at use."""
+
+
+@runtime_checkable
+class KeepsMean(Protocol):
+    """A detector whose bank holds what nominal presses are in the mean, and no press. People are then shown the mean
+    beside a press, and otherwise the nominal press that looks most like it."""
+
+    @property
+    def keeps_mean(self) -> bool:
+        """Say so: true."""
 
 
 @runtime_checkable

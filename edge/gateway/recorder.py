@@ -28,6 +28,7 @@ from edge.messaging.result_payload import (
 )
 from edge.messaging.status_payloads import GelPayload
 from edge.model.bundle import Bundle
+from edge.model.comparison import compare_press
 from edge.model.inspector import Inspector
 from edge.pictures.image_file import PictureForm
 from edge.pictures.press_picture import PressCaption, encode_press
@@ -190,7 +191,13 @@ def press_drawing(
         time=iso_time(press.time_ns),
     )
     sheet = partial(encode_press, _dim_unjudged(rgb, press), score_map, caption, heatmap)
-    return lambda: PressFiles(sheet(), encode_scores(score_map, caption))
+
+    def draw() -> PressFiles:
+        is_asked = press.word != Kind.PASS.value  # why a press passes nobody asks
+        compared = compare_press(bundle, rgb, score_map, press.registered) if is_asked else None
+        return PressFiles(sheet(compared), encode_scores(score_map, caption))
+
+    return draw
 
 
 def draw_archived(press_id: str, store: Store, bundles: Iterable[Bundle], heatmap: PictureForm) -> PressFiles:

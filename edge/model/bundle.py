@@ -36,10 +36,11 @@ from edge.model.manifest import (
     FileEntry,
     Manifest,
 )
-from edge.model.manifest_files import RegistrationEntry
+from edge.model.manifest_files import PicturesEntry, RegistrationEntry
 from edge.model.onnx_validation import GraphRefused
 from edge.model.packing import Packed, unpack
 from edge.model.signature import UNSIGNED, Trust
+from edge.pictures.nominal_pictures import NominalPictures
 
 if TYPE_CHECKING:
     from edge.core.registration.registrar import PartInPose
@@ -59,15 +60,17 @@ def read_verified(archive: Archive, entry: FileEntry) -> bytes:
     return data
 
 
-def read_picture(archive: Archive, entry: FileEntry, frame: tuple[int, int]) -> NDArray[np.uint8]:
+def read_picture(
+    archive: Archive, entry: FileEntry, frame: tuple[int, int], form: str = "png"
+) -> NDArray[np.uint8]:
     """A picture of the region, uint8 (h, w, 3) RGB. A small file can hold a gigantic one: its size is read first."""
     data = read_verified(archive, entry)
-    w, h = (kind(data) == "png" and picture_size(data)) or (0, 0)
+    w, h = (kind(data) == form and picture_size(data)) or (0, 0)
     bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if (h, w) == frame else None
     if bgr is None or bgr.dtype != np.uint8 or bgr.shape != (*frame, 3):
         raise BundleCorrupt(
-            f"bundle {archive.where}: the picture {entry.file} is {h}x{w}, expected a PNG of {frame[0]}x{frame[1]} (h, "
-            "w) in colour; export the bundle again"
+            f"bundle {archive.where}: the picture {entry.file} is {h}x{w}, expected a {form.upper()} of "
+            f"{frame[0]}x{frame[1]} (h, w) in colour; export the bundle again"
         )
     return np.ascontiguousarray(bgr[..., ::-1], dtype=np.uint8)
 
@@ -161,6 +164,8 @@ class Bundle:
     """Who made it, as far as that was checked, in words."""
     registration: "PartInPose | None" = None
     """The part in the bank's pose; None for a bundle that scores presses without registration."""
+    nominal_pictures: NominalPictures | None = None
+    """What people are shown beside a press; None for an old bundle and a wrapped one."""
 
     @classmethod
     def load(
@@ -224,6 +229,7 @@ class Bundle:
             if manifest.free_view
             else None,
             registration=_read_registration(archive, manifest.registration, manifest.frame),
+            nominal_pictures=_read_nominal_pictures(archive, manifest.nominal_pictures),
         )
 
     @property
@@ -345,6 +351,15 @@ def _read_registration(
         )
     except ValueError as error:
         raise BundleCorrupt(f"bundle {archive.where}: registration: {error}; fit again") from error
+
+
+def _read_nominal_pictures(archive: Archive, entry: PicturesEntry | None) -> NominalPictures | None:
+    """Read them as the file that they are; it is looked into once, so that it can be drawn. Errors: BundleCorrupt."""
+    if entry is None:
+        return None
+    w, h = entry.size
+    read_picture(archive, entry.file, (h * len(entry.names), w), "jpg")
+    return NominalPictures(read_verified(archive, entry.file), entry.size, entry.names)
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,9 @@ from edge.core.registration.registrar import PartInPose
 from edge.model.archive import MANIFEST, ZipArchive, open_archive
 from edge.model.bundle import DETECTOR, FREE_GEL, FREE_VIEW, HEAD, TRUNK, GoldenFrame, Graphs
 from edge.model.manifest import ArrayEntry, BackboneEntry, Facts, FileEntry, GoldenEntry, Manifest
-from edge.model.manifest_files import RegistrationEntry
+from edge.model.manifest_files import PicturesEntry, RegistrationEntry
 from edge.model.packing import pack
+from edge.pictures.nominal_pictures import NominalPictures
 
 __all__ = ["add_file", "bundle_files", "facts_of", "manifest_bytes", "write_bundle", "write_file"]
 
@@ -47,6 +48,7 @@ def bundle_files(
     free_gel: NDArray[np.uint8] | None = None,
     free_view: NDArray[np.uint8] | None = None,
     registration: PartInPose | None = None,
+    nominal_pictures: NominalPictures | None = None,
 ) -> tuple[Manifest, dict[str, bytes]]:
     """The manifest and the files of a new bundle, the manifest among them; equal inputs give equal bytes.
 
@@ -84,6 +86,9 @@ def bundle_files(
         parts["free_view"] = keep(FREE_VIEW, png_bytes(free_view))
     if registration is not None:
         parts["registration"] = _registration_entry(registration, keep)
+    if (pictures := nominal_pictures) is not None:
+        file = keep("nominal/pictures.jpg", pictures.jpeg)
+        parts["nominal_pictures"] = PicturesEntry(file=file, size=pictures.size, names=pictures.names)
     manifest = Manifest(**{name: getattr(facts, name) for name in Facts.model_fields}, **parts)
     files[MANIFEST] = manifest_bytes(manifest)
     return manifest, files
@@ -91,7 +96,8 @@ def bundle_files(
 
 def manifest_bytes(manifest: Manifest) -> bytes:
     """The manifest's file; its SHA-256 is the bundle's identity. Older programs read it where nothing newer is set."""
-    unset = {name for name in ("revision", "registration", "dots") if getattr(manifest, name) is None}
+    newer = ("revision", "registration", "dots", "nominal_pictures")
+    unset = {name for name in newer if getattr(manifest, name) is None}
     return (
         json.dumps(manifest.model_dump(mode="json", exclude=unset), indent=1, ensure_ascii=False) + "\n"
     ).encode()

@@ -25,6 +25,7 @@ from edge.model.manifest_files import (
     Entry,
     FileEntry,
     Name,
+    PicturesEntry,
     RegistrationEntry,
     Side,
 )
@@ -278,6 +279,7 @@ class Manifest(Facts):
     Either `backbone`, `head` and `bank` (a trunk, a small graph and arrays), or only `detector`: a single graph from
     frames to score map, such as a third party's. free_gel: the region without contact, where tiles may be skipped.
     free_view: the whole gel as contact detection sees it, by which a start on a pressed gel is noticed.
+    nominal_pictures: what people are shown beside a press; None in old bundles.
     """
 
     backbone: BackboneEntry | None = None
@@ -288,6 +290,7 @@ class Manifest(Facts):
     free_gel: FileEntry | None = None
     free_view: FileEntry | None = None
     registration: RegistrationEntry | None = None
+    nominal_pictures: PicturesEntry | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> "Manifest":
@@ -327,4 +330,5 @@ class Manifest(Facts):
         arrays = [f for a in self.bank.values() for f in (a.data, a.scale) if f]
         gel = [picture for picture in (self.free_gel, self.free_view) if picture]
         registered = self.registration.files if self.registration else ()
-        return (*trunk, *graphs, *arrays, *(g.image for g in self.golden), *gel, *registered)
+        pictures = [self.nominal_pictures.file] if self.nominal_pictures else []
+        return (*trunk, *graphs, *arrays, *(g.image for g in self.golden), *gel, *registered, *pictures)

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_vali
 from edge.core.detector import Packing
 from edge.core.imaging.sensor_profile import LONGEST_SIDE
 from edge.model.archive import MAX_FILE_BYTES
+from edge.pictures.nominal_pictures import MOST_PICTURES
 
 if TYPE_CHECKING:
     from edge.core.imaging.marker_dots import MarkerDots
@@ -25,6 +26,7 @@ __all__ = [
     "Entry",
     "FileEntry",
     "Name",
+    "PicturesEntry",
     "RegistrationEntry",
     "Side",
 ]
@@ -117,6 +119,14 @@ class RegistrationEntry(Entry):
     def files(self) -> tuple[FileEntry, ...]:
         pictures = self.free, self.template, self.learnt
         return pictures if self.gel_limits is None else (*pictures, self.gel_limits)
+
+
+class PicturesEntry(Entry):
+    """`NominalPictures`: one file with a picture for each name, of this size, one below the other."""
+
+    file: FileEntry
+    size: tuple[Annotated[int, Field(ge=1, le=512)], Annotated[int, Field(ge=1, le=512)]]
+    names: tuple[Name, ...] = Field(min_length=1, max_length=MOST_PICTURES)
 
 
 Pixels = Annotated[float, Field(ge=-LONGEST_SIDE, le=2 * LONGEST_SIDE)]

@@ -1,8 +1,8 @@
 """The picture of one press for people: the press on the left, its scores in colour on the right.
 
-The press is not covered: only the contour of the threshold is drawn on it, around a defect. Verdict, score, scale in mm
-and the names of the press are written around the panels. Texts in the file hold the same facts, so that a saved picture
-is complete.
+The press is not covered: only the contour of the threshold is drawn on it, around a defect. Below stand what it was
+compared with, and the difference, where that is given. Verdict, score, scale in mm and the names of the press are
+written around the panels. Texts in the file hold the same facts, so that a saved picture is complete.
 """
 
 from typing import Final, NamedTuple
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from edge.core.printable import score_texts
 from edge.pictures.heatmap import FULL_SCALE, draw_contour, paint_scores, relative_scores, score_at
 from edge.pictures.image_file import PictureForm, encode, encode_jpeg
+from edge.pictures.nominal_pictures import Compared
 
 __all__ = ["LARGEST_BYTES", "TEXT_KEYWORDS", "PressCaption", "draw_press", "encode_press"]
 
@@ -28,11 +29,16 @@ _HEADER: Final = 40
 _FOOTER: Final = 28
 _GAP: Final = 8
 _LEGEND: Final = 112
+_LINE: Final = 24  # of words below panels
 _BAR: Final = 18
 
 _PAPER: Final = 250  # of each colour; one number is filled in a hundredth of the time of three
 _INK: Final = (25, 25, 25)
 _VERDICT_COLOURS: Final = {"pass": (20, 120, 50), "fail": (185, 25, 30), "unsure": (175, 105, 0)}
+
+# Levels of difference are drawn so many times as strong, about grey.
+_TIMES: Final = 2
+_GREY: Final = 128
 
 # Possible lengths of a scale bar; the longest that fits into a third of the panel is drawn.
 _BAR_LENGTHS_MM: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
@@ -69,22 +75,30 @@ TEXT_KEYWORDS: Final = PressCaption._fields
 
 
 def encode_press(
-    rgb: U8, score_map: NDArray[np.floating], caption: PressCaption, form: PictureForm = "jpeg"
+    rgb: U8,
+    score_map: NDArray[np.floating],
+    caption: PressCaption,
+    form: PictureForm = "jpeg",
+    compared: Compared | None = None,
 ) -> bytes:
     """`draw_press` as a file of at most LARGEST_BYTES whose texts are the caption."""
     write, largest_panel = encode if form == "png" else encode_jpeg, _LARGEST_PANEL
     while True:
-        picture = write(draw_press(rgb, score_map, caption, largest_panel), caption.texts())
+        picture = write(draw_press(rgb, score_map, caption, largest_panel, compared), caption.texts())
         if len(picture) <= LARGEST_BYTES:
             return picture
         largest_panel //= 2
 
 
 def draw_press(
-    rgb: U8, score_map: NDArray[np.floating], caption: PressCaption, largest_panel: int = _LARGEST_PANEL
+    rgb: U8,
+    score_map: NDArray[np.floating],
+    caption: PressCaption,
+    largest_panel: int = _LARGEST_PANEL,
+    compared: Compared | None = None,
 ) -> U8:
     """uint8 (height, width, 3) RGB. rgb: uint8 (h, w, 3), the inspected region. score_map: raw, (h, w) of the same.
-    largest_panel: the longest side of one panel in pixels.
+    largest_panel: the longest side of one panel in pixels. compared: what is drawn below, of the same region.
 
     Both panels have the same scale in x and y, also when the profile compresses one axis. Errors: ValueError for
     other shapes, a map that is not finite, a threshold that is not.
@@ -98,9 +112,12 @@ def draw_press(
     for panel in (press, heat):
         draw_contour(panel, relative)
     _draw_scale_bar(press, caption.mm_per_pixel[0] * rgb.shape[1] / width)
-    sheet = np.full((_HEADER + height + _FOOTER, 2 * width + _GAP + _LEGEND, 3), _PAPER, np.uint8)
+    more = 0 if compared is None else height + _LINE
+    sheet = np.full((_HEADER + height + more + _FOOTER, 2 * width + _GAP + _LEGEND, 3), _PAPER, np.uint8)
     sheet[_HEADER : _HEADER + height, :width] = press
     sheet[_HEADER : _HEADER + height, width + _GAP : 2 * width + _GAP] = heat
+    if compared is not None:
+        _draw_compared(sheet[_HEADER + height : _HEADER + height + more], compared, relative)
     _draw_legend(sheet[_HEADER : _HEADER + height, 2 * width + 2 * _GAP :], caption.threshold)
     _draw_header(sheet, caption)
     foot = f"{caption.part}   {caption.station}   {caption.time}   {caption.press_id}"
@@ -162,6 +179,19 @@ def _draw_legend(area: U8, threshold: float) -> None:
 
 def _at(value: float, top: int, bottom: int) -> int:
     return round(bottom - 1 - (bottom - 1 - top) * value / FULL_SCALE)
+
+
+def _draw_compared(area: U8, compared: Compared, relative: NDArray[np.float32]) -> None:
+    """Draw two panels, with the contour of the press, below a line that says what they are."""
+    height, width = relative.shape
+    nominal, difference = compared.nominal, _GREY + _TIMES * compared.difference
+    for picture, x in ((nominal, 0), (difference, width + _GAP)):
+        levels = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+        panel = np.asarray(cv2.resize(levels, (width, height), interpolation=_how(levels, width)), np.uint8)
+        draw_contour(panel, relative)
+        area[_LINE:, x : x + width] = panel
+    _write(area, compared.name, 6, _LINE - 8, 0.45)
+    _write(area, f"the press minus it, {_TIMES} times; grey: the same", width + _GAP + 6, _LINE - 8, 0.45)
 
 
 def _draw_scale_bar(panel: U8, mm_per_pixel: float) -> None:

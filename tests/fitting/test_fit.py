@@ -15,8 +15,9 @@ from calibration.fitting.fit import fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.scatter import scatter_warnings
 from calibration.fitting.trunks import Trunk
+from edge import registry
 from edge.core.contact.mask import Touch
-from edge.core.detector import Bank, Grid, Nominal, Progress
+from edge.core.detector import Bank, Grid, KeepsMean, Nominal, Progress
 from edge.core.errors import BundleCorrupt, FitError
 from edge.model.bundle import Bundle
 from edge.model.manifest_facts import promise
@@ -49,6 +50,28 @@ def test_the_bank_is_the_mean_of_the_presses() -> None:
     bank = fit_files(nominal, config(), created="2026-01-01").bundle().bank["mean"]
     cells = nominal.frames.reshape(6, 4, 8, 4, 8, 3).astype(np.float64).mean(axis=(0, 2, 4)) / 255
     np.testing.assert_allclose(bank, cells.transpose(2, 0, 1), rtol=1e-6)
+
+
+def test_people_are_shown_what_the_bank_holds() -> None:
+    """The nominal presses by their names, or their mean where the method holds a mean and says so."""
+
+    class MeanDetector(tiny.TinyDetector):
+        keeps_mean = True
+
+    nominal = presses(6)
+    shown = [
+        fit_files(nominal, config(detector=detector), created="").bundle().nominal_pictures
+        for detector in (tiny.TINY, MeanDetector())
+    ]
+
+    assert [one and one.names for one in shown] == [
+        tuple(f"nominal press {name}" for name in nominal.names),
+        ("the mean of 6 nominal presses",),
+    ]
+    assert all(isinstance(registry.detector(name), KeepsMean) for name in ("padim", "fapm", "subspace"))
+    assert not any(
+        isinstance(registry.detector(name), KeepsMean) for name in ("spade", "patchcore", "inreach")
+    )
 
 
 def test_a_marked_press_fails_and_a_new_nominal_one_passes() -> None:

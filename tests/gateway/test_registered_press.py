@@ -18,11 +18,12 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.press import JudgedFrame, Press, ScarFindings
 from edge.core.registration.pose import Pose
 from edge.core.sink_context import Place
-from edge.core.verdict import Blame, Cause
+from edge.core.verdict import Blame, Cause, Kind
 from edge.features.black_box.stage import BlackBox
 from edge.features.scars import mask_scars
 from edge.gateway.pictures import PressDrawing
 from edge.gateway.recorder import PressReport, Recorder, draw_archived, press_drawing
+from edge.model.comparison import compare_press
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
 from edge.store.press_archive import PressArchive
@@ -118,6 +119,53 @@ def test_the_share_of_the_part_that_left_the_field_is_published_and_dark(
 
     assert (shares[0] or 0) < 0.05 < (shares[1] or 0)
     assert float(np.mean(dark)) < float(np.mean(bright)) - 1
+
+
+def relief(rgb: NDArray[np.generic]) -> NDArray[np.float64]:
+    """How far each pixel is from the free gel: where the part is, whichever way the light falls on it."""
+    return np.asarray(np.abs(rgb.astype(np.float64) - parts.free_gel()).sum(axis=2))
+
+
+def test_a_press_stands_above_its_nominal_press_where_it_lies(inspector: Inspector) -> None:
+    """The nominal press is shifted and turned as the press was; and of the part alone nothing differs much, where a
+    bump that no nominal press has is clearly brighter or darker."""
+    pose = Pose(8.0, 1.0, 1.25)
+    bump = (4.0, -32.0, 3.5, 4.0)
+    press = inspect(inspector, parts.press((*parts.BLOCK, bump), pose, seed=9))
+    assert press.rgb is not None
+    assert press.score_map is not None
+    assert press.registered is not None
+    found = compare_press(inspector.bundle, press.rgb, press.score_map, press.registered)
+    assert found is not None
+    seen = np.abs(found.difference).max(axis=2)
+    row, column = np.unravel_index(int(press.score_map.argmax()), seen.shape)
+
+    inside = np.ptp(found.nominal, axis=2) > 0  # beyond the pose of the bank it is paper
+
+    assert inside.mean() > 0.5
+    assert np.corrcoef(relief(press.rgb)[inside], relief(found.nominal)[inside])[0, 1] > 0.7
+    assert found.name.startswith("nominal press press ")
+    assert seen[max(0, row - 5) : row + 6, max(0, column - 5) : column + 6].max() > 4 * np.median(seen)
+
+
+def test_only_a_press_that_does_not_pass_is_compared(inspector: Inspector) -> None:
+    """Its picture has a second row; that of a pass, and of any press with an old bundle, has one."""
+    old = replace(inspector.bundle, nominal_pictures=None)
+    passed = inspect(inspector, parts.press(parts.BLOCK, Pose(8.0, 1.0, 1.25), seed=9))
+    assert passed.verdict is not None
+    failed = replace(passed, verdict=replace(passed.verdict, kind=Kind.FAIL))
+    drawings = [
+        press_drawing(press, bundle, "", "png")
+        for press, bundle in ((passed, inspector.bundle), (failed, inspector.bundle), (failed, old))
+    ]
+    heights = [
+        cv2.imdecode(np.frombuffer(draw().sheet, np.uint8), cv2.IMREAD_COLOR).shape[0]
+        for draw in drawings
+        if draw
+    ]
+
+    assert heights[0] == heights[2]
+    assert heights[1] > 1.8 * heights[0]
 
 
 def test_its_picture_is_drawn_again_as_it_was(tmp_path: Path, inspector: Inspector) -> None:

@@ -7,6 +7,7 @@ import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from edge.model.bundle import Bundle, GoldenFrame
 from edge.model.bundle_writer import bundle_files, write_bundle
 from edge.model.manifest import SCHEMA_VERSION
 from edge.model.scorer import Scorer
+from edge.pictures.nominal_pictures import NominalPictures
 
 GOLDEN = GoldenFrame(tiny.presses(1)[0], "a press", 0.5, ((0.5,),))
 
@@ -199,3 +201,31 @@ def test_a_picture_that_is_not_square_comes_back() -> None:
 
     assert found is not None
     assert np.array_equal(found, view)
+
+
+def pictured(**changes: Any) -> Bundle:
+    """A bundle with two pictures of nominal presses, and with changes of what its manifest says of them."""
+    pictures = NominalPictures.of(tiny.presses(2), ("a", "b"), is_mean=False)
+    parts = (tiny.tiny_facts(), tiny.tiny_graphs(), tiny.tiny_bank())
+    manifest, files = bundle_files(*parts, backbone="tiny", nominal_pictures=pictures)
+    entry = manifest.nominal_pictures
+    assert entry is not None
+    manifest = manifest.model_copy(update={"nominal_pictures": entry.model_copy(update=changes)})
+    return Bundle.in_memory(manifest, files)
+
+
+def test_pictures_of_nominal_presses_come_back_and_change_no_score() -> None:
+    """What people are shown: the same bytes, sizes and names; the score is that of a bundle without, bit for bit."""
+    found, plain = pictured(), Bundle.in_memory(*tiny.tiny_files())
+
+    assert found.nominal_pictures == NominalPictures.of(tiny.presses(2), ("a", "b"), is_mean=False)
+    assert plain.nominal_pictures is None
+    maps = [Scorer(bundle).score(GOLDEN.rgb).score_map for bundle in (found, plain)]
+    assert maps[0].tobytes() == maps[1].tobytes()
+
+
+@pytest.mark.parametrize("changes", [{"names": ("a", "b", "c")}, {"size": (16, 16)}])
+def test_pictures_of_another_size_than_stated_are_refused(changes: dict[str, Any]) -> None:
+    """A strip of two small pictures that is said to be another: never a comparison with half of two presses."""
+    with pytest.raises(BundleCorrupt, match=r"pictures\.jpg"):
+        pictured(**changes)

@@ -63,6 +63,7 @@ class Subspace:
     name = "subspace"
     compares_places = False
     is_baseline = True
+    keeps_mean = True
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> SubspaceParameters:
         """See SubspaceParameters. Errors: FitError."""

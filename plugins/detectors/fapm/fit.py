@@ -55,6 +55,7 @@ class Fapm:
     name = "fapm"
     compares_places = True
     is_baseline = False
+    keeps_mean = True
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> FapmParameters:
         """The mode's parameters with overrides. Errors: FitError."""

@@ -45,6 +45,7 @@ class Padim:
     name = "padim"
     compares_places = True
     is_baseline = False
+    keeps_mean = True
 
     def parameters(self, mode: Mode = "corrected", **overrides: object) -> PadimParameters:
         """See PadimParameters. Errors: FitError."""

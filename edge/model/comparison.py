@@ -1,0 +1,35 @@
+"""A press beside the nominal press that it was compared with, as people see it."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.registration.pose import Registered, warp
+from edge.model.bundle import Bundle
+from edge.pictures.nominal_pictures import Compared
+
+__all__ = ["compare_press"]
+
+# Where no press of the bank's pose reaches, in the picture of the nominal press.
+_NOTHING = 235.0
+
+
+def compare_press(
+    bundle: Bundle, rgb: NDArray[np.uint8], score_map: NDArray[np.floating], registered: Registered | None
+) -> Compared | None:
+    """Compare a press at its highest score; as it lies. None for a bundle without pictures of nominal presses.
+
+    rgb, score_map: (h, w, 3) and (h, w) of the region.
+    """
+    pictures, scale = bundle.nominal_pictures, bundle.profile.mm_per_pixel
+    if pictures is None:
+        return None
+    row, column = divmod(int(score_map.argmax()), score_map.shape[1])
+    if registered is None:
+        dots = bundle.manifest.dots
+        return pictures.compare(rgb if dots is None else dots.open().fill(rgb), (column, row), scale)
+    back, (h, w) = registered.pose.inverse(), score_map.shape
+    x, y = back.matrix((w, h)) @ np.array([column, row, 1.0])
+    found = pictures.compare(registered.rgb, (float(x), float(y)), scale)
+    reached = warp(np.ones((h, w), np.float32), back)[..., None] > 0.5
+    nominal = np.where(reached, warp(found.nominal, back), np.float32(_NOTHING))
+    return Compared(nominal, warp(found.difference, back), found.name)
