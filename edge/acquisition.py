@@ -23,8 +23,8 @@ __all__ = ["Acquisition", "AcquisitionState", "AcquisitionStatus"]
 
 # Frames over which the delivered rate is taken: two seconds at 18.75 fps.
 _RATE_FRAMES = 38
-# This many bad frames in sequence are a fault of the stream: two seconds of frames.
-_CORRUPT_IN_A_ROW = 38
+# Bad frames in sequence for `stall_after_s` are a fault of the stream; after a pause of this computer it takes so many.
+_CORRUPT_IN_A_ROW = 4
 _LONGEST_WAIT_NS = 250_000_000
 # Pauses between two attempts to open the sensor.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 10.0
@@ -218,7 +218,7 @@ class Acquisition:
             self._sequence += 1
             self._set(corrupt=self._status.corrupt + 1)
             self._count_stale()
-            if self._corrupt_in_a_row >= _CORRUPT_IN_A_ROW:
+            if self._corrupt_in_a_row >= _CORRUPT_IN_A_ROW and self._clock.monotonic_ns() >= stalled_ns:
                 raise
             return
         except DeviceStalled:

@@ -63,7 +63,7 @@ class SensingWatch(PressStage):
             self._is_pressed = False
             log.warning("nothing was seen for %.1f s; %s", look.interruption_s, _MERGED)
             self._note(look.interruption_s, _MERGED)
-        if sight.since_ns == timestamp_ns and sight.lost is None:
+        if sight.seen_ns == timestamp_ns:
             if not is_merged:
                 self._note_unseen(timestamp_ns)
             self._seen_ns = timestamp_ns

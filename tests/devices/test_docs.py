@@ -1,5 +1,6 @@
 """The manual names every fault that a virtual sensor simulates, and the limit after which a sensor is opened again."""
 
+import inspect
 from pathlib import Path
 from typing import get_args
 
@@ -17,6 +18,6 @@ def test_every_fault_is_named() -> None:
 
 def test_numbers_are_the_programs() -> None:
     """docs/operations.md has the limit that is in the code."""
-    assert f"after {acquisition._CORRUPT_IN_A_ROW} in a row" in (DOCS / "operations.md").read_text(
-        encoding="utf-8"
-    )
+    stalled_s = inspect.signature(acquisition.Acquisition).parameters["stall_after_s"].default
+    page = (DOCS / "operations.md").read_text(encoding="utf-8")
+    assert f"after {stalled_s:g} s of nothing else the sensor is opened again" in page

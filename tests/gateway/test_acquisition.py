@@ -142,6 +142,30 @@ def test_a_lagging_consumer_gets_the_newest(frames: int, depth: int, kept: list[
     assert reader.status.fps == pytest.approx(20.0)
 
 
+@pytest.mark.parametrize("fps", [7, 25])
+def test_two_seconds_of_broken_frames_are_a_fault_at_every_rate(fps: int) -> None:
+    """A slow camera needs no 38 of them. After a pause of this computer the first broken frame is none yet."""
+    clock = ManualClock()
+    script = [jpeg(0), *[FrameCorrupt("half a frame")] * (2 * fps + 2)]
+    reader = Reader(clock, [ScriptedDevice(clock, *script)])
+    reader.step()
+    reader.step()
+    faults = []
+    for _ in range(2 * fps + 2):
+        clock.sleep(1 / fps)
+        faults.append(reader.step() > 0)
+        if faults[-1]:
+            break
+    assert faults == [*[False] * (len(faults) - 1), True]
+    assert 2.0 <= len(faults) / fps < 2.0 + 2 / fps
+
+    paused = Reader(clock, [ScriptedDevice(clock, jpeg(1), FrameCorrupt("half a frame"), jpeg(2))])
+    paused.step()
+    paused.step()
+    clock.sleep(5)
+    assert [paused.step(), paused.step()] == [0.0, 0.0]
+
+
 def test_the_reader_steps_without_a_thread_and_without_time() -> None:
     """No sensor twice, a frame, a broken one, unplugged, opened again, a frame, and the end: in the order of the steps.
     Frames before and after a loss are not consecutive; each device is closed once; changes are said once."""

@@ -104,6 +104,7 @@ class PressDetector:
         self._profile = profile
         self._freshness = Freshness()
         self._last_ns: int | None = None
+        self._came_ns: int | None = None
         self._shown_ns: int | None = None
         self.newest: CameraFrame | None = None
         self._kept: dict[int, CameraFrame] = {}
@@ -114,6 +115,7 @@ class PressDetector:
         """Take one frame. One that cannot be read, or is blind, is counted in `corrupt` and changes nothing."""
         self._interruption_s = 0.0
         events, level = self._take(frame)
+        self._came_ns = frame.timestamp_ns
         found = tuple(
             replace(event, frame=self._kept.get(event.sequence)) if isinstance(event, PressSettled) else event
             for event in events
@@ -172,7 +174,10 @@ class PressDetector:
             return []
         self._interruption_s = (frame.timestamp_ns - last_ns) / 1e9
         self._shown_ns = frame.timestamp_ns
-        self.sight.resume(frame.timestamp_ns)
+        if (
+            self._came_ns is None or frame.timestamp_ns - self._came_ns > GAP_S * 1e9
+        ):  # broken frames are no pause
+            self.sight.resume(frame.timestamp_ns)
         return self.tracker.gap()
 
     def _unseen_before(self, frame: CameraFrame) -> list[Event]:

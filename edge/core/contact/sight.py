@@ -31,13 +31,15 @@ _BUFFERS: Final = 8
 class Sight:
     """Follows the frames of one sensor, by their own times.
 
-    `lost` says why the gel has not been seen for `BLIND_AFTER_S`, and is None while it is seen. `since_ns` is the time
-    of the last frame that showed it, or of the first frame where none did.
+    `lost` says why the gel has not been seen for `BLIND_AFTER_S`, and is None while it is seen. `seen_ns` is the time
+    of the last frame that showed it. `since_ns` is the same, but of the first frame where none did, or of the first
+    one after a pause of the stream.
     """
 
     def __init__(self) -> None:
         self.lost: str | None = None
         self.since_ns: int | None = None
+        self.seen_ns: int | None = None
         self._recent: deque[int] = deque(maxlen=_BUFFERS)
 
     def see(self, view: View, timestamp_ns: int) -> bool:
@@ -47,7 +49,7 @@ class Sight:
         is_frozen = digest in self._recent
         self._recent.append(digest)
         if fault is None and not is_frozen:
-            self.lost, self.since_ns = None, timestamp_ns
+            self.lost, self.since_ns, self.seen_ns = None, timestamp_ns, timestamp_ns
         else:
             self.miss(fault or "its picture has not changed", timestamp_ns)
         return fault is None

@@ -148,7 +148,7 @@ class Outputs(PressStage):
             self._verdict, self._awaited_ns = None, None
 
     def look(self, look: Look) -> None:
-        if look.sight.lost is None and look.sight.since_ns == look.timestamp_ns:
+        if look.sight.seen_ns == look.timestamp_ns:
             self._seen_ns = self._clock.monotonic_ns()
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:

@@ -41,3 +41,17 @@ def test_a_press_is_not_judged_by_what_was_seen_before_it_was_hidden(
     assert sum(isinstance(event, PressBegan) for event in events) == 1
     verdicts = [event for event in events if isinstance(event, PressSettled | PressNotSettled)]
     assert [isinstance(event, PressSettled) for event in verdicts] == [settled]
+
+
+def test_broken_frames_do_not_hide_that_the_sensor_is_blind() -> None:
+    """A slow camera shows black, and every third of its frames is cut: two seconds after the last picture it is lost, and
+    no black frame counts as one that shows the gel. A pause of the stream is not blindness, so it begins after that."""
+    detector = PressDetector(PROFILE)
+    for number in range(1, 20):
+        detector.feed(CameraFrame(jpeg(gel(RNG, 0.0)), number * 143_000_000, number))
+    seen_ns = detector.sight.seen_ns
+    for number in range(20, 36):
+        picture = unseen(number, "black")[: -2 if number % 3 == 0 else None]
+        detector.feed(CameraFrame(picture, number * 143_000_000, number))
+    assert "black" in str(detector.sight.lost)
+    assert detector.sight.seen_ns == seen_ns
