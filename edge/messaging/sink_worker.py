@@ -54,10 +54,13 @@ class RefusedRows:
         self._accepts_again.clear()
         now_ns = self._clock.monotonic_ns()
         if self._offered_ns is None or now_ns - self._offered_ns >= OFFER_REFUSED_S * 1e9:
-            again = self._outbox.offer_refused(self._sink, OFFERED_ROWS, after=self._offered_up_to)
-            self._offered_up_to = again[-1] if len(again) == OFFERED_ROWS else 0
+            # One of each kind first: many of one kind that is refused for ever do not keep back the others.
+            firsts = self._outbox.offer_first_of_kinds(self._sink)
+            more = max(1, OFFERED_ROWS - len(firsts))
+            again = self._outbox.offer_refused(self._sink, more, after=self._offered_up_to)
+            self._offered_up_to = again[-1] if len(again) == more else 0
             self._offered_ns = now_ns
-            rows += self._note(again)
+            rows += self._note([*firsts, *again])
         return min(rows, default=None)
 
     def set_aside(self, row: OutboxRow, why: str) -> None:

@@ -249,10 +249,17 @@ class Outbox:
                 "AND row_id > ? AND (? IS NULL OR topic = ? OR topic LIKE ? || '/%') ORDER BY row_id LIMIT ?",
                 (sink, after, kind, kind, kind, -1 if limit is None else limit),
             ).fetchall()
-            connection.executemany(
-                "DELETE FROM settled WHERE row_id = ? AND sink = ?", [(row_id, sink) for (row_id,) in rows]
-            )
-        return [row_id for (row_id,) in rows]
+            return self._queue_again(connection, sink, rows)
+
+    def offer_first_of_kinds(self, sink: str) -> list[int]:
+        """Queue again the oldest row of each kind that this sink refused; returns their ids."""
+        with self._database.writing("offering refused rows again") as connection:
+            rows = connection.execute(
+                "SELECT min(row_id) FROM settled JOIN outbox USING (row_id) WHERE sink = ? AND refusal IS NOT NULL "
+                "GROUP BY substr(topic, 1, instr(topic || '/', '/') - 1) ORDER BY 1",
+                (sink,),
+            ).fetchall()
+            return self._queue_again(connection, sink, rows)
 
     def newest(self) -> int:
         """The id of the newest row that was ever added, 0 before the first."""
@@ -278,6 +285,14 @@ class Outbox:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @staticmethod
+    def _queue_again(connection: sqlite3.Connection, sink: str, rows: Sequence[tuple[int]]) -> list[int]:
+        found = [row_id for (row_id,) in rows]
+        connection.executemany(
+            "DELETE FROM settled WHERE row_id = ? AND sink = ?", [(row_id, sink) for row_id in found]
+        )
+        return found
 
     @staticmethod
     def _settle(connection: sqlite3.Connection, row_id: int, sink: str, refusal: str | None) -> None:

@@ -51,6 +51,21 @@ def test_many_refused_rows_are_offered_in_turn_and_all_at_once_when_one_is_accep
     assert sorted(int(m.payload) for m in sink.taken if m.topic == "result") == list(range(3 * OFFERED_ROWS))
 
 
+def test_many_refused_rows_of_one_kind_do_not_keep_back_another_kind(path: Path) -> None:
+    """Each kind has its turn in every offer: `last/press` arrives although more pictures than that are too large."""
+    sink, clock = ScriptedSink(), ManualClock()
+    sink.refuses = {"heatmap", "last/press"}
+    put(path, *(Message("heatmap", b"%d" % n) for n in range(3 * OFFERED_ROWS)), Message("last/press", b"{}"))
+    with Outbox(path) as outbox:
+        outbox.register(["mqtt"])
+        one = worker(outbox, sink, clock=clock)
+        drain(one)
+        sink.refuses = {"heatmap"}
+        clock.sleep(OFFER_REFUSED_S)
+        drain(one)
+        assert outbox.status().refused == outbox.status().rows == 3 * OFFERED_ROWS
+
+
 def test_the_refusals_of_one_kind_are_one_log_line(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Until one of that kind is accepted; the sentence stays in the counters."""
     sink = ScriptedSink()
