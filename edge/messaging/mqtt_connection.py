@@ -107,7 +107,8 @@ class Connection:
     @classmethod
     def speaks_5(cls, broker: Broker) -> bool:
         """Tell whether the broker answers at level 5; a refused login is an answer too. Another client id tries it."""
-        trial = replace(broker, client_id=f"{broker.client_id}-level", timeout_s=_LEVEL_TRIAL_S)
+        limit_s = min(broker.timeout_s, _LEVEL_TRIAL_S)
+        trial = replace(broker, client_id=f"{broker.client_id}-level", timeout_s=limit_s)
         try:
             cls(trial, "5", None, None, lambda: None).close()
         except LoginRefused:

@@ -16,16 +16,16 @@ import json
 import logging
 import random
 import threading
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Final, Self
 
+from edge.clock import SystemClock
 from edge.core.backoff import Backoff
 from edge.core.errors import SinkError, SinkRejected, SinkUnavailable
 from edge.core.plugins import SinkPlugin
-from edge.core.ports import Message
+from edge.core.ports import Clock, Message
 from edge.core.sink_context import Station
 from edge.messaging.descriptions.dashboards import discovery, discovery_topic
 from edge.messaging.descriptions.station import DescribedStation
@@ -40,9 +40,10 @@ __all__ = ["Mqtt", "MqttSink", "plugin"]
 
 log = logging.getLogger(__name__)
 
-# A sink that speaks 3.1.1 tries level 5 after this time, then after twice as long, up to the second.
-LEVEL_AGAIN_FIRST_S: Final = 10.0
-LEVEL_AGAIN_LAST_S: Final = 600.0
+# What a connection lacks, level 5 or the second connection, is tried after this time, then after twice as long, up to
+# the second.
+AGAIN_FIRST_S: Final = 10.0
+AGAIN_LAST_S: Final = 600.0
 
 # A connection that the broker closes sooner is a short one; that many in a row are no chance.
 SHORT_S: Final = 5.0
@@ -60,8 +61,10 @@ class MqttSink:
         *,
         has_availability: bool = True,
         announcements: Sequence[Message] = (),
+        clock: Clock | None = None,
     ) -> None:
         self._broker = broker
+        self._clock = clock or SystemClock()
         self._station = station
         self._backoff = backoff
         self._closing = threading.Event()
@@ -72,15 +75,15 @@ class MqttSink:
         self._why_down = f"not yet connected to broker {broker}"
         self._strikes = Strikes()
         self._faults: dict[str, str] = {}
-        self._connected_at = 0.0
+        self._connected_ns = 0
         self._short_ones = 0
-        self._level_again_s = LEVEL_AGAIN_FIRST_S
+        self.look_again_s = AGAIN_FIRST_S
         # What the birth of this connection published on each topic: the publisher holds the same, and once is enough.
         self._born: dict[str, Message] = {}
         self._requests = Requests(station)
         offline = None if station.offline is None else self._full(station.offline)
         self._announcements = announcements  # on topics of their own, after every birth
-        self._availability = Availability(broker, offline, is_wanted=has_availability)
+        self._availability = Availability(broker, offline, self._clock, is_wanted=has_availability)
         self._lost = threading.Event()  # of the connection in use, or of the last attempt
         self._threads = [
             threading.Thread(target=self._keep_connected, name="mqtt-connect", daemon=True),
@@ -159,23 +162,33 @@ class MqttSink:
             return self._backoff.failed()
         self._backoff.succeeded()
         self._connection = connection
-        self._connected_at = time.monotonic()
+        self._connected_ns = self._clock.monotonic_ns()
         log.info("connected to broker %s, MQTT %s", self._broker, connection.level)
         self._tried.set()
         if self._closing.is_set():
             connection.close()
         return None
 
+    def look_again(self) -> None:
+        """Do what is due when a connection has lasted for `look_again_s`: soon, and more seldom what is in vain."""
+        self._faults.pop("client id", None)
+        is_in_vain = self._is_at_lower_level or self._availability.is_missing
+        self.look_again_s = min(2 * self.look_again_s, AGAIN_LAST_S) if is_in_vain else AGAIN_FIRST_S
+        self.find_level()
+        self.find_availability()
+
+    @property
+    def _is_at_lower_level(self) -> bool:
+        """True where level 5 was not chosen, and may be had later."""
+        return self.level == "3.1.1" and self._broker.level is None
+
     def find_level(self) -> None:
         """Ask again for level 5 where the broker chose 3.1.1, and connect again if it answers."""
         connection = self._connection
-        self._level_again_s = min(2 * self._level_again_s, LEVEL_AGAIN_LAST_S)
-        if connection is None or connection.level == "5" or self._broker.level is not None:
-            return
-        if Connection.speaks_5(self._broker):
+        if connection is not None and self._is_at_lower_level and Connection.speaks_5(self._broker):
             log.info("broker %s speaks MQTT 5 now; connecting again", self._broker)
             self._worked = None
-            self._level_again_s = LEVEL_AGAIN_FIRST_S
+            self.look_again_s = AGAIN_FIRST_S
             connection.close()
 
     def find_availability(self) -> None:
@@ -195,12 +208,8 @@ class MqttSink:
             pause_s = self.step()
             if pause_s is not None:
                 self._closing.wait(pause_s)
-            elif self._lost.wait(self._level_again_s):
-                self._see_loss()
-            else:
-                self._faults.pop("client id", None)
-                self.find_level()
-                self.find_availability()
+            elif not self._lost.wait(self.look_again_s):
+                self.look_again()
 
     def _serve(self) -> None:
         while (request := self._requests.next()) is not None:
@@ -232,7 +241,8 @@ class MqttSink:
         self._down(f"the connection to broker {self._broker} is lost ({why or 'it was closed'})")
 
     def _suspect_client_id(self, connection: Connection) -> None:
-        is_short = time.monotonic() - self._connected_at < SHORT_S and not connection.was_given_up
+        lasted_ns = self._clock.monotonic_ns() - self._connected_ns
+        is_short = lasted_ns < SHORT_S * 1e9 and not connection.was_given_up
         self._short_ones = self._short_ones + 1 if is_short else 0
         if connection.was_taken_over or (self._short_ones >= SHORT_ONES and not self._strikes.is_suspecting):
             self._faults["client id"] = (
@@ -329,7 +339,11 @@ class Mqtt(SinkPlugin[MqttOptions]):
     Options = MqttOptions
 
     def open(self, options: MqttOptions, station: Station) -> MqttSink:
-        """A sink that starts to connect. Errors: ConfigError for a password or TLS file that cannot be used."""
+        """Start to connect. Errors: ConfigError for a password or TLS file that cannot be used."""
+        return self.make(options, station, SystemClock()).start()
+
+    def make(self, options: MqttOptions, station: Station, clock: Clock) -> MqttSink:
+        """Make a sink that has not started. Errors: those of `open`."""
         backoff = Backoff(random.Random(station.client_id), first_s=0.2, ceiling_s=options.retry_s)
         broker = options.broker(station.client_id)
         return MqttSink(
@@ -338,7 +352,8 @@ class Mqtt(SinkPlugin[MqttOptions]):
             backoff,
             has_availability=options.availability,
             announcements=_announcements(options, station),
-        ).start()
+            clock=clock,
+        )
 
 
 def _announcements(options: MqttOptions, station: Station) -> list[Message]:

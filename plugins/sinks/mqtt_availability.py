@@ -5,13 +5,12 @@ sends nothing. Where a broker does not allow it, the topic is emptied: `online` 
 """
 
 import logging
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
 from edge.core.errors import SinkError
-from edge.core.ports import Message
+from edge.core.ports import Clock, Message
 from edge.messaging.mqtt_broker import Broker, Level
 from edge.messaging.mqtt_connection import Connection
 
@@ -27,12 +26,14 @@ SHORT_ONES: Final = 3
 class Availability:
     """offline: the will, with its full topic; None where the station has none. is_wanted: by the options."""
 
-    def __init__(self, broker: Broker, offline: Message | None, *, is_wanted: bool = True) -> None:
+    def __init__(
+        self, broker: Broker, offline: Message | None, clock: Clock, *, is_wanted: bool = True
+    ) -> None:
         self._broker = replace(broker, client_id=f"{broker.client_id}-availability")
-        self._offline = offline
+        self._offline, self._clock = offline, clock
         self._is_wanted = is_wanted
         self._connection: Connection | None = None
-        self._opened_at = -SHORT_S
+        self._opened_ns: int | None = None
         self._short_ones = 0
         self.fault: str | None = None
 
@@ -55,7 +56,8 @@ class Availability:
 
     def renew(self, level: Level, on_lost: Callable[[], None]) -> None:
         """Open it again at once after a loss, but not for ever."""
-        is_short = time.monotonic() - self._opened_at < SHORT_S
+        now_ns = self._clock.monotonic_ns()
+        is_short = self._opened_ns is not None and now_ns - self._opened_ns < SHORT_S * 1e9
         self._short_ones = self._short_ones + 1 if is_short else 0
         if self._short_ones < SHORT_ONES:
             self._open(level, on_lost)
@@ -81,7 +83,7 @@ class Availability:
             connection.abandon("the station's connection is lost")
 
     def _open(self, level: Level, on_lost: Callable[[], None]) -> None:
-        self._opened_at = time.monotonic()
+        self._opened_ns = self._clock.monotonic_ns()
         try:
             self._connection = Connection.open(
                 replace(self._broker, level=level), will=self._offline, on_lost=on_lost
