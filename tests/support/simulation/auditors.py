@@ -52,7 +52,9 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     yield from audit_lamp(world, station)
     yield from audit_alarms(world, station)
     now_ns = world.clock.now_ns
-    since_ns = station.so_since("a request waits", bool(station.asking) and not station.is_frozen)
+    since_ns = station.so_since(
+        "a request waits", bool(station.loop.parts.calls._waiting) and not station.is_frozen
+    )
     if since_ns is not None and now_ns - since_ns > ANSWERED_S * S:
         yield f"a request has no answer after {ANSWERED_S} s"
     if now_ns // (5 * S) != (now_ns - world.sensor.period_ns) // (5 * S):

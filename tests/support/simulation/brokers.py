@@ -1,50 +1,94 @@
-"""Brokers, each with a subscriber that keeps everything, and the plugin with which the station talks to them.
+"""MQTT brokers, each with a subscriber that keeps everything.
 
 mood: `up`; `away`; `silent` (it takes nothing and says nothing); `forgets answers` (it takes a message, and its
-acknowledgement is lost); `refuses` (one kind of message); `kicks` (another client has the same id); `is narrow` (it
-takes small packets alone); `doubles` and `delays` what its subscriber gets.
+acknowledgement is lost); `answers late`; `answers another` (it acknowledges another message); `ignores` or `refuses`
+one kind of message; `denies` every connection, or but one (`lets one in`); `kicks` (another client has the same id);
+`is narrow` (it takes small packets alone); `doubles` and `delays` what its subscriber gets.
 """
 
 import json
 import random
-from collections import Counter
-from collections.abc import Callable
+import socket
+from collections import Counter, deque
 from contextlib import suppress
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from edge.core.errors import SinkRejected, SinkUnavailable
 from edge.core.ports import Message
-from edge.core.sink_context import Station
-from simulation.options import BrokerOptions
+from simulation.packets import (
+    CONNACK,
+    CONNECT,
+    DISCONNECT,
+    NOT_AUTHORIZED,
+    OTHER_LEVEL,
+    PINGREQ,
+    PINGRESP,
+    PUBLISH,
+    SUBSCRIBE,
+    TAKEN_OVER,
+    TOO_LARGE,
+    Publish,
+    connack,
+    packet,
+    puback,
+    publish,
+    read_connect,
+    read_publish,
+    suback,
+    take_packets,
+)
 
 if TYPE_CHECKING:
     from simulation.surroundings import SimulatedClock
 
-NARROW_BYTES = 600
+S = 10**9
+NARROW_BYTES = 900
 """Less than a picture has, and more than a state."""
+TAKES_NOTHING = ("away", "silent", "kicks", "denies")
+CUTS = ("away", "kicks", "denies", "is narrow", "lets one in")
+"""Moods that begin with the end of every connection."""
+
+
+@dataclass
+class Link:
+    """A connection of the station, at the broker's end."""
+
+    sock: socket.socket
+    level: str = "5"
+    client_id: str = ""
+    will: Message | None = None
+    is_subscribed: bool = False
+    data: bytearray = field(default_factory=bytearray)
+    answers: deque[tuple[int, bytes]] = field(default_factory=deque)
+    """When each is sent."""
+    is_over: bool = False
+
+    @property
+    def is_second(self) -> bool:
+        """It only holds the will of `availability`."""
+        return self.client_id.endswith("-availability")
 
 
 class Broker:
-    """A broker with one subscriber that keeps everything: what came, in the order in which it came."""
+    """A broker with one subscriber that keeps everything: what came, in the order in which it came.
 
-    all: ClassVar[dict[str, "Broker"]] = {}
-    """Those of the run that is on, by name."""
-    is_dead: ClassVar[Callable[[], bool]] = staticmethod(lambda: False)
-    """The process at the other end was killed."""
+    level: the one that it speaks best. `silent at 5` knows 3.1.1 alone, and does not say so.
+    """
 
-    def __init__(self, name: str, rng: random.Random, clock: "SimulatedClock") -> None:
-        self.name, self._rng, self._clock = name, rng, clock
+    def __init__(self, name: str, rng: random.Random, clock: "SimulatedClock", level: str) -> None:
+        self.name, self._rng, self._clock, self.level = name, rng, clock, level
         self.mood = "up"
-        self.refuses = ""
+        self.root = ""
+        self.chosen_kind = ""
+        """What it refuses or ignores."""
         self.has_refused_results = False
         self.retained: dict[str, bytes] = {}
         self.results: dict[str, list[dict[str, object]]] = {}
         self.order: list[str] = []
         self.pictures: Counter[str] = Counter()
-        self.connections = 0
         self.said: Counter[str] = Counter()
         """What went wrong, and how often."""
-        self.sessions: list[Session] = []
+        self.links: list[Link] = []
         self._delayed: list[Message] = []
         self.taken_ns: dict[str, int] = {}
         """When each result was taken at first."""
@@ -57,23 +101,25 @@ class Broker:
         self._seen: dict[str, int] = {}
         self.misnamed: list[str] = []
         """Pictures that name another press than their topic."""
+        self.connects: list[tuple[str, bool, bool]] = []
+        """Each CONNECT of the first connection: its level, whether it has a will, whether it was accepted."""
+        self.responses: list[tuple[str, dict[str, object]]] = []
+        """Answers to requests, with their verbs."""
 
     def go(self, mood: str) -> None:
         """Take this mood."""
         self.mood = mood
         self.said[mood] += 1
-        if mood in ("away", "silent", "kicks"):
-            self.lose_all()
+        self.has_refused_results |= mood == "is narrow"  # a station at level 5 knows the limit, and sends none
+        if mood in CUTS:
+            self._cut()
+        if mood in TAKES_NOTHING:
             self.away_since_ns = self._clock.now_ns
-
-    def lose_all(self) -> None:
-        """The process at the other end is dead."""
-        for session in self.sessions:
-            session.lose()
-        self.sessions.clear()
 
     def mend(self) -> None:
         """It is up again, and its subscriber gets what was delayed."""
+        if self.mood == "is narrow":
+            self._cut()
         self.mood = "up"
         if self.away_since_ns is not None:
             self.outages.append((self.away_since_ns, self._clock.now_ns))
@@ -81,6 +127,129 @@ class Broker:
         for message in self._delayed:
             self._hand_over(message)
         self._delayed.clear()
+
+    def close(self) -> None:
+        """The run is over."""
+        for link in self.links:
+            link.sock.close()
+
+    def accept(self, sock: socket.socket) -> None:
+        """Take a connection."""
+        sock.setblocking(False)
+        self.links.append(Link(sock))
+
+    def ask(self, verb: str, payload: bytes, response_topic: str | None = None) -> bool:
+        """Send a request to the station; returns whether it listens."""
+        links = [link for link in self.links if link.is_subscribed and not link.is_over]
+        for link in links[-1:]:
+            link.answers.append(
+                (
+                    self._clock.now_ns,
+                    publish(link.level, f"{self.root}/cmd/{verb}", payload, response_topic),
+                )
+            )
+        return bool(links)
+
+    @property
+    def next_ns(self) -> int:
+        """When it sends something."""
+        dues = (link.answers[0][0] for link in self.links if link.answers)
+        return min(dues, default=1 << 62) if self.mood != "silent" else 1 << 62
+
+    def work(self) -> None:
+        """Do what has come, and send what is due."""
+        if self.mood == "silent":
+            return
+        for link in list(self.links):
+            self._read(link)
+            while not link.is_over and link.answers and link.answers[0][0] <= self._clock.now_ns:
+                self._send(link, link.answers.popleft()[1])
+        self.links = [link for link in self.links if not link.is_over]
+
+    def _read(self, link: Link) -> None:
+        while not link.is_over:
+            try:
+                data = link.sock.recv(1 << 16)
+            except BlockingIOError:
+                return
+            except OSError:
+                data = b""
+            link.data += data
+            for first, body in take_packets(link.data):
+                self._take_packet(link, first, body)
+                if link.is_over:
+                    return
+            if not data:
+                self._lose(link)
+
+    def _take_packet(self, link: Link, first: int, body: bytes) -> None:
+        kind = first >> 4
+        if kind == CONNECT:
+            self._connect(link, body)
+        elif kind == PUBLISH:
+            self._answer(link, read_publish(first, body, link.level), len(body))
+        elif kind == SUBSCRIBE:
+            link.is_subscribed = True
+            self._send(link, suback(link.level, body))
+        elif kind == PINGREQ:
+            self._send(link, packet(PINGRESP))
+        elif kind == DISCONNECT:
+            link.will = None
+            self._lose(link)
+
+    def _connect(self, link: Link, body: bytes) -> None:
+        said = read_connect(body)
+        link.level, link.client_id = said.level, said.client_id
+        is_denied = self.mood == "denies" or (self.mood == "lets one in" and link.is_second)
+        is_wrong = said.level == "5" and self.level != "5"
+        if not (link.is_second or link.client_id.endswith("-level")):
+            self.connects.append((said.level, said.will is not None, not (is_denied or is_wrong)))
+        if is_wrong and self.level == "silent at 5":
+            return
+        if is_wrong or is_denied:
+            code = OTHER_LEVEL if is_wrong else NOT_AUTHORIZED
+            self.said["a connection refused"] += 1
+            self._send(link, packet(CONNACK, b"\0\1") if is_wrong else connack(link.level, code))
+            self._lose(link)
+            return
+        for other in self.links:
+            if other is not link and other.client_id == link.client_id:
+                self._kick(other)
+        link.will = said.will
+        self._send(link, connack(link.level, 0, NARROW_BYTES if self.mood == "is narrow" else None))
+        if self.mood == "kicks" and not link.is_second:
+            self._kick(link)
+
+    def _answer(self, link: Link, sent: Publish, size: int) -> None:
+        """Take a message, or not, as the mood is."""
+        topic = sent.message.topic.removeprefix(f"{self.root}/")
+        kind, is_kind = topic.partition("/")[0], topic.partition("/")[0] == self.chosen_kind
+        is_large = self.mood == "is narrow" and size > NARROW_BYTES
+        if (self.mood == "refuses" and is_kind) or is_large:
+            self.said["a message refused"] += 1
+            self.has_refused_results |= kind == "result"
+            if link.level == "5" and not is_large:
+                self._send(link, puback("5", sent.number, NOT_AUTHORIZED))
+                return
+            if link.level == "5":
+                self._send(link, packet(DISCONNECT, bytes([TOO_LARGE])))
+            self._lose(link)
+            return
+        if self.mood == "ignores" and is_kind:
+            self.said["a message ignored"] += 1
+            return
+        self.take(Message(topic, sent.message.payload, sent.message.qos, sent.message.retain))
+        if not sent.message.qos:
+            return
+        if self.mood == "forgets answers" and self._rng.random() < 0.4:
+            self.said["an answer forgotten"] += 1
+            return
+        number = sent.number
+        if self.mood == "answers another" and self._rng.random() < 0.4:
+            self.said["another message acknowledged"] += 1
+            number = sent.number % 65_000 + 1
+        late_s = self._rng.choice((0.05, 0.4, 2.0, 11.0)) if self.mood == "answers late" else 0.0
+        link.answers.append((self._clock.now_ns + round(late_s * S), puback(link.level, number)))
 
     def take(self, message: Message) -> None:
         """Take a message as a broker does, and hand it to the subscriber."""
@@ -96,21 +265,30 @@ class Broker:
         if self.mood == "doubles":
             self._hand_over(message)
 
-    def answer(self, message: Message) -> None:
-        """Take it, or not, as the mood is. Errors: SinkUnavailable, SinkRejected."""
-        kind = message.topic.partition("/")[0]
-        if self.mood in ("away", "silent", "kicks"):
-            self.said[self.mood] += 1
-            raise SinkUnavailable(f"{self.name}: {self.mood}")
-        is_refused = self.mood == "refuses" and kind == self.refuses
-        if is_refused or (self.mood == "is narrow" and len(message.payload) > NARROW_BYTES):
-            self.said["a message refused"] += 1
-            self.has_refused_results |= message.topic == "result"
-            raise SinkRejected(f"{self.name} refuses {kind}, {len(message.payload)} bytes")
-        self.take(message)
-        if self.mood == "forgets answers" and self._rng.random() < 0.4:
-            self.said["an answer forgotten"] += 1
-            raise SinkUnavailable(f"{self.name} did not acknowledge")
+    def _kick(self, link: Link) -> None:
+        if link.level == "5":
+            self._send(link, packet(DISCONNECT, bytes([TAKEN_OVER])))
+        self._lose(link)
+
+    def _cut(self) -> None:
+        """Every connection ends, with what is not read yet."""
+        for link in self.links:
+            self._lose(link)
+        self.links.clear()
+
+    def _lose(self, link: Link) -> None:
+        """A connection ends: where it did not say so, its will is published."""
+        if link.is_over:
+            return
+        link.is_over = True
+        link.sock.close()
+        if link.will is not None:
+            will = link.will
+            self.take(Message(will.topic.removeprefix(f"{self.root}/"), will.payload, will.qos, will.retain))
+
+    def _send(self, link: Link, data: bytes) -> None:
+        with suppress(OSError):  # nobody is there any more, which is read in a moment
+            link.sock.send(data)
 
     def _compare(self, message: Message) -> None:
         """The retained press and the count of a gel never go back (docs/mqtt.md)."""
@@ -138,55 +316,5 @@ class Broker:
             self.pictures[press_id] += 1
             if message.payload and press_id.encode() not in message.payload:
                 self.misnamed.append(press_id)
-
-
-class Session:
-    """A connection of the station to a broker, made again when it was lost. A dead process sends nothing."""
-
-    def __init__(self, broker: Broker, context: Station) -> None:
-        self._broker, self.context = broker, context
-        self._is_up = False
-        broker.sessions.append(self)
-
-    def send(self, message: Message) -> None:
-        if Broker.is_dead():
-            raise SinkUnavailable("killed")
-        try:
-            if not self._is_up:
-                self._connect()
-            self._broker.answer(message)
-        except SinkUnavailable:
-            self.lose()
-            raise
-
-    def close(self) -> None:
-        """The station ends in order: its last messages are out, so there is no will."""
-        self._is_up = False
-
-    def lose(self) -> None:
-        """The connection is lost: the broker publishes the will."""
-        if self._is_up and self.context.will is not None:
-            self._broker.take(self.context.will)
-        self._is_up = False
-
-    def _connect(self) -> None:
-        if self._broker.mood in ("away", "silent"):
-            self._broker.said[self._broker.mood] += 1
-            raise SinkUnavailable(f"{self._broker.name}: {self._broker.mood}")
-        self._broker.connections += 1
-        self._is_up = True
-        for message in self.context.birth():
-            with suppress(SinkRejected):  # the others of the birth are said all the same
-                self._broker.answer(message)
-
-
-class BrokerPlugin:
-    """A broker of the run."""
-
-    Options = BrokerOptions
-
-    def open(self, options: BrokerOptions, context: Station) -> Session:
-        return Session(Broker.all[options.name], context)
-
-
-broker_plugin = BrokerPlugin()
+        elif kind == "cmd":
+            self.responses.append((press_id, json.loads(message.payload)))

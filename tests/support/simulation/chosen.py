@@ -24,6 +24,8 @@ class Chosen:
     sloth_s: float = 0.0
     """The longest wait of a ready actor for its turn."""
     fps: float = 18.75
+    level: str = "5"
+    """Of MQTT, that the brokers speak: `5`, `3.1.1`, or `silent at 5`."""
 
     @classmethod
     def of(cls, rng: random.Random, names: Sequence[str]) -> "Chosen":
@@ -36,4 +38,5 @@ class Chosen:
             rates,
             rng.choice((0.0, 0.01, 0.03)),
             rng.choice((18.75, 9.0, 9.0, 7.0)),
+            rng.choice(("5", "5", "5", "3.1.1", "silent at 5")),
         )

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from simulation.brokers import Broker
+from simulation.faults import MOODS
 from simulation.lives import Station
 from simulation.outputs import GATE, LAMP, REJECT
 from simulation.surroundings import World
@@ -20,8 +21,7 @@ SOMETIMES = (
     ),
     *(f"relay {mood}" for mood in ("unplugged", "slow", "stuck")),
     *(f"pedal {mood}" for mood in ("unplugged", "stuck", "trodden")),
-    *(f"a broker {mood}" for mood in ("away", "silent", "forgets answers", "refuses", "kicks", "is narrow")),
-    *(f"a broker {mood}" for mood in ("doubles", "delays", "restarts without memory")),
+    *(f"a broker {mood}" for mood in sorted(set(MOODS))),
     *(f"the disk failed to {what}" for what in ("read", "write", "sync")),
     *(f"a {kind} request" for kind in ("signed", "forged", "unsigned", "repeated")),
     "the alarm pulse was acknowledged",

@@ -11,7 +11,7 @@ FAILED = (
         chosen=Chosen(brokers=1, has_archive=True, rates={}, sloth_s=0.01, fps=9.0),
         schedule=(
             Fault(at_s=4.0, name="unplug", seed=3407308503),
-            Fault(at_s=5.168347, name="hang up", seed=1665571149),
+            Fault(at_s=5.168347, name="hang up", seed=70),
         ),
         says="broker# retains the alarms #, and raised are #",
     ),
@@ -23,7 +23,7 @@ FAILED = (
         schedule=(
             Fault(at_s=20.341307, name="shake", seed=1797386489),
             Fault(at_s=26.464291, name="shake", seed=1061029362),
-            Fault(at_s=37.262464, name="hang up", seed=2059440986),
+            Fault(at_s=37.262464, name="hang up", seed=852),
             Fault(at_s=59.481344, name="unplug", seed=854591979),
             Fault(at_s=65.865461, name="replace gel", seed=569618042),
         ),
@@ -40,5 +40,28 @@ FAILED = (
             Fault(at_s=10.243912, name="blind", seed=187489564),
         ),
         says="press # is glaring and passed #",
+    ),
+    # At 7 frames a second it took 38 broken ones, five seconds, until the sensor was opened again.
+    Failure(
+        seed=2021,
+        presses=12,
+        chosen=Chosen(brokers=1, has_archive=False, rates={}, sloth_s=0.0, fps=7.0),
+        schedule=(
+            Fault(at_s=4.0, name="damage", seed=383951828),
+            Fault(at_s=4.535, name="blind", seed=3231683878),
+            Fault(at_s=6.4, name="damage", seed=2019097813),
+        ),
+        says="the alarm device is not raised # s after its reason came",
+    ),
+    # Among the pictures of a covered sensor each broken one began the two seconds of blindness anew.
+    Failure(
+        seed=118,
+        presses=7,
+        chosen=Chosen(brokers=2, has_archive=False, rates={}, sloth_s=0.0, fps=7.0),
+        schedule=(
+            Fault(at_s=4.0, name="damage", seed=1394579487),
+            Fault(at_s=6.486873, name="blind", seed=3881109521),
+        ),
+        says="the alarm device is not raised # s after its reason came",
     ),
 )

@@ -96,13 +96,26 @@ def hold_back(run: "Simulation", rng: random.Random) -> float:
 
 # Brokers
 
+MOODS = (
+    *(
+        "away",
+        "away",
+        "silent",
+        "forgets answers",
+        "refuses",
+        "restarts without memory",
+        "kicks",
+        "is narrow",
+    ),
+    *("doubles", "delays", "answers late", "answers another", "ignores", "denies", "lets one in"),
+)
+
 
 def hang_up(run: "Simulation", rng: random.Random) -> float:
     """A broker is away, or has another of its moods."""
     broker = rng.choice(list(run.world.brokers.values()))
-    moods = ("away", "away", "silent", "forgets answers", "refuses", "restarts without memory", "kicks")
-    mood = rng.choice((*moods, "is narrow", "doubles", "delays"))
-    broker.refuses = rng.choice(("result", "heatmap", "gel", "alarm", "info"))
+    mood = rng.choice(MOODS)
+    broker.chosen_kind = rng.choice(("result", "heatmap", "gel", "alarm", "info"))
     run.reach(f"a broker {mood}")
     broker.go("away" if mood == "restarts without memory" else mood)
     if mood == "restarts without memory":

@@ -1,21 +1,16 @@
 """The lives of one station: opened, stepped, killed at a chosen write, and opened again from what the disk then holds.
 
-The interpreter's audit events give every connection to SQLite and every file operation, so each statement and each file
-is a point at which the process can be killed; nothing of the program is replaced. At that point its folder is copied.
-From then on the process is dead: what it still does reaches no broker, and its folder is thrown away.
+From the point on at which it is killed the process is dead: what it still does reaches no broker, and its folder is
+thrown away.
 """
 
 import json
-import os
 import shutil
-import sqlite3
-import sys
 import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -31,14 +26,15 @@ from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
 from edge.messaging.command_payloads import signature_of, signed_text
 from edge.model.session import TrunkSessions
+from edge.press_stage import PressStage
+from simulation.connections import Connections
+from simulation.disk import Disk, hear_audits
 from simulation.options import SECRET
-from simulation.power import Unsynced
 from simulation.sensor import S
 from simulation.surroundings import World
 
 GAP_NS = 270_000_000
 """Frames further apart are an interruption (docs/contact.md)."""
-WRITES = {"os.rename", "os.remove", "os.mkdir", "os.link", "os.truncate"}
 
 
 @dataclass(frozen=True)
@@ -54,116 +50,6 @@ class Seen:
     """By the wall clock of now: wrong where it was set since."""
     is_over_gap: bool
     """Frames are missing between the judged frame and the verdict."""
-
-
-class Disk:
-    """The folder of a station, and the writes to it. `kill_in` counts down; at 0 the folder is copied."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.points = 0
-        self.kill_in: int | None = None
-        self.unsynced: Unsynced | None = None
-        self.lost: Callable[[Unsynced, Path], None] | None = None
-        """Takes from the copy what a loss of power takes; None where only the process is killed."""
-        self.is_full = False
-        self.copy: Path | None = None
-        self.killed_at = ""
-        self._connections: list[sqlite3.Connection] = []
-        self._new: list[sqlite3.Connection] = []
-        self._is_copying = False
-
-    @property
-    def is_dead(self) -> bool:
-        """True from the point on at which the process was killed."""
-        return self.copy is not None
-
-    def hear(self, event: str, arguments: tuple[Any, ...]) -> None:
-        """Take an audit event of the interpreter."""
-        if self._is_copying or event.startswith("ctypes"):  # SQLite is in the middle of a call
-            return
-        self.attach()
-        if event == "sqlite3.connect/handle":
-            self._new.append(arguments[0])
-        elif event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR):
-            self._write_file(arguments[0], "open")
-        elif event in WRITES:
-            self._write_file(arguments[0], event)
-
-    def fill(self, is_full: bool) -> None:
-        """Leave no room, or room again: SQLite may not grow, and no file is made."""
-        self.is_full = is_full
-        for connection in self._connections:
-            self._limit(connection)
-
-    def forget(self) -> None:
-        """A new process has no connection."""
-        self._connections.clear()
-        self._new.clear()
-        self.copy, self.kill_in, self.killed_at, self.lost = None, None, "", None
-
-    def attach(self) -> None:
-        """Listen to the connections that were made; the event comes before one is ready."""
-        for connection in list(self._new):
-            try:
-                connection.set_trace_callback(self._statement)
-            except sqlite3.Error:
-                continue
-            self._new.remove(connection)
-            self._connections.append(connection)
-            self._limit(connection)
-
-    def _limit(self, connection: sqlite3.Connection) -> None:
-        try:
-            pages = connection.execute("PRAGMA page_count").fetchone()[0] if self.is_full else 1 << 30
-            connection.execute(f"PRAGMA max_page_count = {max(1, pages)}")
-        except sqlite3.Error:
-            self._connections.remove(connection)  # it is closed
-
-    def _statement(self, statement: str) -> None:
-        if not statement.startswith(("SELECT", "PRAGMA", "--")):
-            self._point(statement.partition(" ")[0])
-
-    def _write_file(self, path: object, event: str) -> None:
-        if not isinstance(path, str | Path) or not str(path).startswith(str(self.folder)):
-            return
-        self._point(f"{event} {Path(path).suffix}")
-        if self.is_full and event == "open" and not os.path.exists(path):
-            raise OSError(28, "No space left on device", str(path))
-
-    def _point(self, name: str) -> None:
-        self.points += 1
-        if self.kill_in is None or self.is_dead:
-            return
-        self.kill_in -= 1
-        if self.kill_in <= 0:
-            self._is_copying = True
-            copy = self.folder.with_name(f"{self.folder.name}-after")
-            shutil.copytree(self.folder, copy)
-            if self.lost is not None and self.unsynced is not None:
-                self.lost(self.unsynced, copy)
-            self.copy, self.killed_at, self._is_copying = copy, name, False
-
-
-_heard: Disk | None = None
-
-
-def hear_audits(disk: Disk | None) -> None:
-    """Let this disk hear the interpreter's audit events from now on; None: no disk."""
-    global _heard
-    _heard = disk
-    _add_hook()
-
-
-@cache
-def _add_hook() -> None:
-    """Once in a process, for the interpreter never forgets a hook."""
-
-    def hear(event: str, arguments: tuple[Any, ...]) -> None:
-        if _heard is not None:
-            _heard.hear(event, arguments)
-
-    sys.addaudithook(hear)
 
 
 class Station:
@@ -196,6 +82,7 @@ class Station:
         self._closing = ExitStack()
         self.loop: StationLoop
         world.is_dead = lambda: self.disk.is_dead
+        world.connections.answer = self.answer
         hear_audits(self.disk)
 
     def open(self) -> None:
@@ -213,7 +100,8 @@ class Station:
             self._trunks
         )  # the same file in each life: opening it again would find nothing
         checked.open_bundles(self.config)
-        opened = open_station(self.config, clock, self._note, checked)
+        draining = Draining(self.world.connections)
+        opened = open_station(self.config, clock, self._note, checked, stages={"draining": draining})
         self.loop = self._closing.enter_context(opened)
         self.loop.parts.pictures.recall()
 
@@ -265,6 +153,7 @@ class Station:
             self.world.said.append(str(error))
         self.hear_answers()
         self._closing.close()
+        self.world.connections.end_turns()
         self.disk.forget()
 
     def _note_end(self) -> None:
@@ -276,8 +165,7 @@ class Station:
         copy = self.disk.copy
         assert copy is not None
         self._note_end()
-        for broker in self.world.brokers.values():
-            broker.lose_all()
+        self.world.connections.end_turns()
         self.loop.parts.calls.close(self.loop)
         self.hear_answers()
         self._closing.close()
@@ -291,6 +179,7 @@ class Station:
 
     def close(self) -> None:
         """End the run."""
+        self.world.connections.end_turns()
         if hasattr(self, "loop"):
             self.loop.parts.calls.close(self.loop)
             self.hear_answers()
@@ -303,12 +192,15 @@ class Station:
         return command.do(self.loop, command.arguments.of(arguments))
 
     def send_request(
-        self, verb: str, arguments: dict[str, Any], secret: str | None, transaction: str | None = None
+        self,
+        verb: str,
+        arguments: dict[str, Any],
+        secret: str | None,
+        transaction: str | None = None,
+        *,
+        elsewhere: bool = False,
     ) -> str:
-        """Send a request over MQTT, on a thread as the sink does; the loop answers with its next turn.
-
-        Only one of the two threads runs at a time. Returns the transaction.
-        """
+        """Send a request over MQTT. elsewhere: it wants its answer where none may go. Returns the transaction."""
         self._asked += 1
         transaction, time_ns = transaction or f"request {self._asked}", self.world.clock.time_ns()
         content: dict[str, Any] = {"transaction": transaction, "arguments": arguments, "by": "a person"}
@@ -318,27 +210,38 @@ class Station:
             content |= {"time_ns": time_ns, "signature": signature_of(secret.encode(), text)}
         if secret == SECRET:
             self.signed.add(transaction)
-        (session, *_) = next(iter(self.world.brokers.values())).sessions[-1:] or [None]
-        answer = session and session.context.on_command
-        if answer is None:
-            return transaction
-        payload, calls = json.dumps(content).encode(), self.loop.parts.calls
-        thread = threading.Thread(
-            target=lambda: self.answers.append({**json.loads(answer(verb, payload)), "lives": self.lives})
-        )
+        broker = next(iter(self.world.brokers.values()))
+        broker.ask(verb, json.dumps(content).encode(), f"{broker.root}/state" if elsewhere else None)
+        return transaction
+
+    def answer(self, do: Callable[[str, bytes], bytes], verb: str, payload: bytes) -> bytes:
+        """Do a request that a sink has received, on a thread of its own; the loop answers with its next turn.
+
+        Only one of the two threads runs at a time.
+        """
+        calls, found = self.loop.parts.calls, list[bytes]()
+        waiting = len(calls._waiting)
+
+        def answer() -> None:
+            found.append(do(verb, payload))
+            self.answers.append(json.loads(found[0]))
+
+        thread = threading.Thread(target=answer)
         thread.start()
-        while thread.is_alive() and not calls._waiting:
+        while thread.is_alive() and len(calls._waiting) == waiting:
             time.sleep(0)
         self.asking.append(thread)
-        return transaction
+        self.world.connections.wait(lambda: bool(found), 3600, poll_s=0.05)
+        return found[0] if found else b"{}"
 
     def allows(self, answer: dict[str, Any]) -> bool:
         """Tell whether this request may be done: it was signed with the station's secret, or everyone may ask it."""
         return answer["transaction"] in self.signed or answer["verb"] in self.config.commands.unsigned
 
     def hear_answers(self) -> None:
-        """Wait for the threads whose requests the loop has done."""
-        if not self.loop.parts.calls._waiting:
+        """Wait for the threads whose requests the loop has done, with the golden frames that one may have asked for."""
+        golden = self.loop.parts.selection._golden._asked
+        if not self.loop.parts.calls._waiting and all(asked.done() for asked in golden):
             for thread in self.asking:
                 thread.join()
             self.asking.clear()
@@ -356,6 +259,16 @@ class Station:
             if later >= frame_ns and then <= judged_ns
         )
         self.seen.append(Seen(press.press_id, now_ns, press.judged_ns, press.word, judged_ns, any(gaps)))
+
+
+class Draining(PressStage):
+    """Closes when the station has said its last word, and lets it out, as its threads would."""
+
+    def __init__(self, connections: Connections) -> None:
+        self._connections = connections
+
+    def close(self) -> None:
+        self._connections.drain()
 
 
 STAYS = {

@@ -13,12 +13,3 @@ MEMORY = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
 
 class NoOptions(BaseModel):
     """Nothing is asked."""
-
-
-class BrokerOptions(BaseModel):
-    """Which broker of the world."""
-
-    name: str = ""
-
-    def identity(self) -> str:
-        return self.name

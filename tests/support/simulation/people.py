@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from edge.core.errors import GelgateError
+from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
 from simulation.bundles import PARTS
 from simulation.options import SECRET
 
@@ -61,15 +62,17 @@ def reload(run: "Simulation", rng: random.Random) -> float:
 
 def request(run: "Simulation", rng: random.Random) -> float:
     """A request comes over MQTT: signed, forged, repeated, or of nobody."""
-    kind = rng.choice(("signed", "forged", "unsigned", "repeated"))
+    kind = rng.choice(("signed", "forged", "unsigned", "repeated", "too large", "elsewhere"))
     verb = rng.choice(("self_test", "reload", "acknowledge_alarm", "trigger"))
     arguments = {"alarm": "pulse"} if verb == "acknowledge_alarm" else {}
     secret = {"signed": SECRET, "forged": "another secret of nobody here, and long", "repeated": SECRET}.get(
         kind
     )
-    transaction = run.station.send_request(verb, arguments, secret)
+    if kind == "too large":
+        arguments |= {"more": "x" * LARGEST_REQUEST_BYTES}
+    transaction = run.station.send_request(verb, arguments, secret, elsewhere=kind == "elsewhere")
     if kind == "repeated":
-        run.station.send_request(verb, arguments, secret, transaction)
+        run.later(rng.uniform(0, 50), lambda: run.station.send_request(verb, arguments, secret, transaction))
     run.reach(f"a {kind} request")
     run.note(f"a {kind} request, {verb}")
     return 0.0

@@ -18,6 +18,7 @@ from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.auditors_retained import audit_retained
 from simulation.chosen import Chosen, Fault
 from simulation.conditions import reached_at_end
+from simulation.connections import AT_ONCE_S, connecting
 from simulation.faults import FAULTS, NEEDS_ANSWER, NEEDS_DISK
 from simulation.lives import Station
 from simulation.options import SECRET
@@ -25,6 +26,7 @@ from simulation.outputs import TABLES
 from simulation.power import listening
 from simulation.sensor import S
 from simulation.surroundings import World
+from simulation.threads import Actor, Threads
 
 CONFIG = """
 version = 1
@@ -44,16 +46,7 @@ secret_file = "{secret}"
 """
 RECORDED_S = 3
 """So long after its end the last press is recorded."""
-SINK = '[[sinks]]\nplugin = "simulated"\noptions = {{ name = "{name}" }}\n'
-
-
-@dataclass
-class Actor:
-    """A turn of the station or of its surroundings. act: returns the seconds until it is due again."""
-
-    name: str
-    act: Callable[[], float]
-    due_ns: int = 0
+SINK = '[[sinks]]\nplugin = "simulated"\noptions = {{ host = "{name}", acknowledge_s = {at_once_s} }}\n'
 
 
 @dataclass
@@ -102,16 +95,16 @@ class Simulation:
         self._calm_ns: int | None = None
         self._asked_ns = 0
         self.ending: dict[str, Callable[[], None]] = {}
-        self._camera_actor = Actor("camera", self._camera)
+        self._threads = Threads(self)
         faults = self._drawn_faults(seed) if schedule is None else self._given_faults(schedule)
-        self._actors = [self._camera_actor, *self._threads(), *faults]
+        self._actors = [*self._threads.all, *faults]
         names = {fault.name for fault in schedule} if schedule is not None else set(self.chosen.rates)
         self._needs_disk = bool(names & NEEDS_DISK)
 
     def play(self) -> Run:
         """Play until all presses are made and all is calm; stops at the first thing that must not be."""
         disk = listening(self._disk) if self._needs_disk else nullcontext()
-        with _drawn_from(self.rng), disk as self.station.disk.unsynced:
+        with _drawn_from(self.rng), connecting(self.world.connections), disk as self.station.disk.unsynced:
             try:
                 self.station.open()
                 while not self.run.faults and not self._is_over():
@@ -126,6 +119,10 @@ class Simulation:
             finally:
                 self.station.close()
         return self.run
+
+    def freeze(self, seconds: float) -> None:
+        """Let no thread of the station take a turn for so long."""
+        self._threads.freeze(seconds)
 
     def note(self, event: str) -> None:
         """Note an event with its time."""
@@ -146,7 +143,7 @@ class Simulation:
 
     def _turn(self) -> None:
         """Let one of the actors that are due take its turn; where none is, time goes on to the next."""
-        clock, camera = self.world.clock, self._camera_actor
+        clock, camera = self.world.clock, self._threads.camera
         first = min([actor.due_ns for actor in self._actors])
         clock.now_ns = max(clock.now_ns, first)
         now_ns = clock.now_ns
@@ -180,105 +177,6 @@ class Simulation:
         is_calm = is_recorded and self.station.is_calm
         return is_late or (is_calm and not any(audit_retained(self.world, self.station)))
 
-    # The threads of the station
-
-    def _threads(self) -> list[Actor]:
-        self._reader, self._looper = Actor("reader", self._read), Actor("loop", self._loop)
-        self._relay = Actor("relay", self._switch)
-        threads = [self._reader, self._looper, Actor("pictures", self._draw)]
-        threads += [
-            Actor("bundles", self._open_bundles),
-            Actor("pedal", self._tread),
-            self._relay,
-        ]
-        threads += [Actor(name, partial(self._publish, name)) for name in self.world.brokers]
-        self._own = list(threads)
-        return threads
-
-    def freeze(self, seconds: float) -> None:
-        """Let no thread of the station take a turn for so long."""
-        self.station.is_frozen = seconds > 0
-        for actor in self._own:
-            actor.due_ns = self.world.clock.now_ns + round(seconds * S)
-
-    def _camera(self) -> float:
-        sensor, hand = self.world.sensor, self.world.hand
-        before, state = hand.press, self.station.loop.parts.status.view().state
-        sensor.make(state == "ready")
-        press = hand.press
-        if state != "ready":
-            self.station.halted_ns.append(self.world.clock.now_ns)
-            if press:
-                press.why.add(f"the station said '{state}'")
-        if press is not before and press is not None:
-            self.note(f"press {press.number} begins, {press.what}, {press.way}")
-        self._wake(self._reader)
-        return (sensor.next_ns - self.world.clock.now_ns) / S
-
-    def _read(self) -> float:
-        acquisition = self.station.loop.parts.acquisition
-        frames = acquisition.status.frames
-        pause_s = acquisition.step()
-        if acquisition.status.frames != frames:
-            self._wake(self._looper)
-        return pause_s or (self._lag(0.002) if self.world.sensor.has_frame else 0.25)
-
-    def _wake(self, actor: Actor) -> None:
-        """A thread that waits for this has something to do, unless it pauses or does not run."""
-        if "process frozen" not in self.ending and actor.due_ns - self.world.clock.now_ns <= S // 4:
-            actor.due_ns = min(actor.due_ns, self.world.clock.now_ns + round(self._lag(0.001) * S))
-
-    def _obey(self) -> None:
-        """The person at the station reads the alarm, and leaves the gel free for a while."""
-        hand = self.world.hand
-        said = self.station.loop.parts.status.view().alarms
-        if "contact" in said and not hand.press and hand.is_pressing_soon:
-            self.reach("the hand lifted because the station asked for it")
-            hand.wait(3)
-
-    def _loop(self) -> float:
-        loop = self.station.loop
-        self._obey()
-        frame = loop.parts.acquisition.next(0)
-        if frame is not None:
-            self.station.fed_ns.append(frame.timestamp_ns)
-        was_halted = loop.is_halted
-        loop.step(frame)
-        self.station.hear_answers()
-        if loop.is_halted != was_halted:
-            self.reach("the store refused a press" if loop.is_halted else "the store took what had waited")
-            self.note("the store refuses" if loop.is_halted else "the store accepts again")
-        (driver,) = self.station.outputs.drivers
-        if driver._has_news:
-            driver._has_news = False
-            self._wake(self._relay)
-        return self._lag(0.001) if frame is not None else 0.2
-
-    def _draw(self) -> float:
-        self.station.loop.parts.pictures.step()
-        return 0.2 + self._lag(0.2)
-
-    def _open_bundles(self) -> float:
-        self.station.loop.parts.selection.worker.step()
-        return 0.2 + self._lag(0.2)
-
-    def _switch(self) -> float:
-        (driver,) = self.station.outputs.drivers
-        return driver.step() + self._lag(0)
-
-    def _tread(self) -> float:
-        (reader,) = self.station.outputs.readers
-        return (reader.step() or 0.1) + self._lag(0)
-
-    def _publish(self, name: str) -> float:
-        workers = self.station.loop.parts.publisher.workers
-        worker = list(workers.values())[self.order.index(name)]
-        pause_s = worker.step()
-        return min(pause_s, 5.0) if not worker.counters.is_up else min(pause_s, 0.2 + self._lag(0.2))
-
-    def _lag(self, least_s: float) -> float:
-        return least_s + self.rng.random() * self.chosen.sloth_s
-
     # The faults
 
     def _drawn_faults(self, seed: int) -> Iterator[Actor]:
@@ -305,6 +203,17 @@ class Simulation:
         self.run.schedule.append(Fault(round(self.world.clock.now_ns / S, 6), name, seed))
         self.run.counted[name] += 1
         return FAULTS[name](self, random.Random(seed))
+
+    def later(self, seconds: float, do: Callable[[], object]) -> None:
+        """Let something happen once."""
+
+        def once() -> float:
+            do()
+            self._actors = [one for one in self._actors if one is not actor]
+            return 0.0
+
+        actor = Actor("fault later", once, self.world.clock.now_ns + round(seconds * S))
+        self._actors.append(actor)
 
     def for_a_while(
         self, name: str, lasts_s: float, end: Callable[[], None], *, is_sensors: bool = False
@@ -365,7 +274,7 @@ class Simulation:
             if "disk errs" in self.ending:
                 self.ending.pop("disk errs")()
             self.station.open()
-        for actor in self._own:
+        for actor in self._threads.own:
             actor.due_ns = self.world.clock.now_ns
 
     def _read_config(self) -> Config:
@@ -377,7 +286,7 @@ class Simulation:
         archive = "" if self.chosen.has_archive else "[archive]\npresses = 0\n"
         paths = "".join(f'[[inspection.bundles]]\npath = "{path}"\n' for path in self._bundles)
         text = CONFIG.format(bundles=paths, folder=self._disk, archive=archive, secret=self._secret)
-        text += TABLES + "".join(SINK.format(name=name) for name in self.order)
+        text += TABLES + "".join(SINK.format(name=name, at_once_s=AT_ONCE_S) for name in self.order)
         self._config.write_text(text)
         return load_config(self._config)
 

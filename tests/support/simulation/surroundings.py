@@ -12,6 +12,7 @@ from edge import registry
 from simulation.brokers import Broker
 from simulation.bundles import PARTS
 from simulation.chosen import Chosen
+from simulation.connections import Connections
 from simulation.hand import MadePress
 from simulation.outputs import Pedal, Relay
 from simulation.sensor import SERIAL, S, Sensor
@@ -73,9 +74,11 @@ class World:
         self.sensor = Sensor.now = Sensor(random.Random(f"{seed} sensor"), self.clock, chosen.fps)
         self.hand = self.sensor.hand
         names = [f"broker{number}" for number in range(chosen.brokers)]
-        self.brokers = {name: Broker(name, random.Random(f"{seed} {name}"), self.clock) for name in names}
-        Broker.all, Broker.is_dead = self.brokers, lambda: self.is_dead()
+        self.brokers = {
+            name: Broker(name, random.Random(f"{seed} {name}"), self.clock, chosen.level) for name in names
+        }
         self.is_dead = lambda: False
+        self.connections = Connections(self.clock, self.brokers, lambda: self.is_dead())
         self.noticed_s = 0.15 + 2.5 / chosen.fps + chosen.sloth_s
         """A contact is a press so long after its begin at most: docs/contact.md has the times."""
         self.parts = Selected(PARTS[0], self.noticed_s)
@@ -93,7 +96,7 @@ def install_plugins(folder: Path) -> Iterator[None]:
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: simulated\nVersion: 1\n")
     places = {
         "devices": "simulation.sensor:sensor_plugin",
-        "sinks": "simulation.brokers:broker_plugin",
+        "sinks": "simulation.connections:mqtt_plugin",
         "triggers": "simulation.outputs:pedal_plugin",
         "actuators": "simulation.outputs:relay_plugin",
     }

@@ -1,0 +1,128 @@
+"""The disk of a station: each write to it is a point at which the process can be killed.
+
+The interpreter's audit events give every connection to SQLite and every file operation; nothing of the program is
+replaced. At the chosen point the folder is copied.
+"""
+
+import os
+import shutil
+import sqlite3
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from simulation.power import Unsynced
+
+WRITES = {"os.rename", "os.remove", "os.mkdir", "os.link", "os.truncate"}
+
+
+class Disk:
+    """The folder of a station, and the writes to it. `kill_in` counts down; at 0 the folder is copied."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.points = 0
+        self.kill_in: int | None = None
+        self.unsynced: Unsynced | None = None
+        self.lost: Callable[[Unsynced, Path], None] | None = None
+        """Takes from the copy what a loss of power takes; None where only the process is killed."""
+        self.is_full = False
+        self.copy: Path | None = None
+        self.killed_at = ""
+        self._connections: list[sqlite3.Connection] = []
+        self._new: list[sqlite3.Connection] = []
+        self._is_copying = False
+
+    @property
+    def is_dead(self) -> bool:
+        """True from the point on at which the process was killed."""
+        return self.copy is not None
+
+    def hear(self, event: str, arguments: tuple[Any, ...]) -> None:
+        """Take an audit event of the interpreter."""
+        if self._is_copying or event.startswith("ctypes"):  # SQLite is in the middle of a call
+            return
+        self.attach()
+        if event == "sqlite3.connect/handle":
+            self._new.append(arguments[0])
+        elif event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR):
+            self._write_file(arguments[0], "open")
+        elif event in WRITES:
+            self._write_file(arguments[0], event)
+
+    def fill(self, is_full: bool) -> None:
+        """Leave no room, or room again: SQLite may not grow, and no file is made."""
+        self.is_full = is_full
+        for connection in self._connections:
+            self._limit(connection)
+
+    def forget(self) -> None:
+        """A new process has no connection."""
+        self._connections.clear()
+        self._new.clear()
+        self.copy, self.kill_in, self.killed_at, self.lost = None, None, "", None
+
+    def attach(self) -> None:
+        """Listen to the connections that were made; the event comes before one is ready."""
+        for connection in list(self._new):
+            try:
+                connection.set_trace_callback(self._statement)
+            except sqlite3.Error:
+                continue
+            self._new.remove(connection)
+            self._connections.append(connection)
+            self._limit(connection)
+
+    def _limit(self, connection: sqlite3.Connection) -> None:
+        try:
+            pages = connection.execute("PRAGMA page_count").fetchone()[0] if self.is_full else 1 << 30
+            connection.execute(f"PRAGMA max_page_count = {max(1, pages)}")
+        except sqlite3.Error:
+            self._connections.remove(connection)  # it is closed
+
+    def _statement(self, statement: str) -> None:
+        if not statement.startswith(("SELECT", "PRAGMA", "--")):
+            self._point(statement.partition(" ")[0])
+
+    def _write_file(self, path: object, event: str) -> None:
+        if not isinstance(path, str | Path) or not str(path).startswith(str(self.folder)):
+            return
+        self._point(f"{event} {Path(path).suffix}")
+        if self.is_full and event == "open" and not os.path.exists(path):
+            raise OSError(28, "No space left on device", str(path))
+
+    def _point(self, name: str) -> None:
+        self.points += 1
+        if self.kill_in is None or self.is_dead:
+            return
+        self.kill_in -= 1
+        if self.kill_in <= 0:
+            self._is_copying = True
+            copy = self.folder.with_name(f"{self.folder.name}-after")
+            shutil.copytree(self.folder, copy)
+            if self.lost is not None and self.unsynced is not None:
+                self.lost(self.unsynced, copy)
+            self.copy, self.killed_at, self._is_copying = copy, name, False
+
+
+_heard: Disk | None = None
+
+
+def hear_audits(disk: Disk | None) -> None:
+    """Let this disk hear the interpreter's audit events from now on; None: no disk."""
+    global _heard
+    _heard = disk
+    _add_hook()
+
+
+@cache
+def _add_hook() -> None:
+    """Once in a process, for the interpreter never forgets a hook."""
+
+    def hear(event: str, arguments: tuple[Any, ...]) -> None:
+        if _heard is not None:
+            _heard.hear(event, arguments)
+
+    sys.addaudithook(hear)

@@ -1,0 +1,170 @@
+"""The threads of a station, each an actor that takes a turn when the schedule draws it, or when it would be woken."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+from simulation.connections import Turns
+from simulation.sensor import S
+
+if TYPE_CHECKING:
+    from simulation.schedule import Simulation
+
+
+@dataclass
+class Actor:
+    """A turn of the station or of its surroundings. act: returns the seconds until it is due again."""
+
+    name: str
+    act: Callable[[], float]
+    due_ns: int = 0
+
+
+class Threads:
+    """Those of the station, `own`, and what goes on outside of it: the camera, and the brokers."""
+
+    def __init__(self, run: "Simulation") -> None:
+        self._run = run
+        self._look_ns: dict[str, int] = {}
+        self.camera = Actor("camera", self._camera)
+        self._reader, self._looper = Actor("reader", self._read), Actor("loop", self._loop)
+        self._relay = Actor("relay", self._switch)
+        threads = [self._reader, self._looper, Actor("pictures", self._draw)]
+        threads += [
+            Actor("bundles", self._open_bundles),
+            Actor("pedal", self._tread),
+            self._relay,
+        ]
+        threads.append(Actor("network", self._pump))
+        connections = self._run.world.connections
+        for name in self._run.world.brokers:
+            work = {name: self._publish, f"{name} connect": self._connect, f"{name} commands": self._answer}
+            for thread, turn in work.items():
+                turns = connections.turns[thread] = Turns(partial(turn, name))
+                threads.append(Actor(thread, turns.act))
+        connections.on_news = self._wake_waiting
+        self.own = threads
+        self.all = [self.camera, *threads, Actor("brokers", self._work)]
+
+    def _wake_waiting(self) -> None:
+        """Something has come from a broker: those who wait for it look."""
+        for actor in self.own:
+            turns = self._run.world.connections.turns.get(actor.name)
+            if turns is not None and turns.is_waiting and "process frozen" not in self._run.ending:
+                actor.due_ns = min(actor.due_ns, self._run.world.clock.now_ns)
+
+    def freeze(self, seconds: float) -> None:
+        """Let no thread of the station take a turn for so long."""
+        self._run.station.is_frozen = seconds > 0
+        for actor in self.own:
+            actor.due_ns = self._run.world.clock.now_ns + round(seconds * S)
+
+    def _camera(self) -> float:
+        sensor, hand = self._run.world.sensor, self._run.world.hand
+        before, state = hand.press, self._run.station.loop.parts.status.view().state
+        sensor.make(state == "ready")
+        press = hand.press
+        if state != "ready":
+            self._run.station.halted_ns.append(self._run.world.clock.now_ns)
+            if press:
+                press.why.add(f"the station said '{state}'")
+        if press is not before and press is not None:
+            self._run.note(f"press {press.number} begins, {press.what}, {press.way}")
+        self._wake(self._reader)
+        return (sensor.next_ns - self._run.world.clock.now_ns) / S
+
+    def _read(self) -> float:
+        acquisition = self._run.station.loop.parts.acquisition
+        frames = acquisition.status.frames
+        pause_s = acquisition.step()
+        if acquisition.status.frames != frames:
+            self._wake(self._looper)
+        return pause_s or (self._lag(0.002) if self._run.world.sensor.has_frame else 0.25)
+
+    def _wake(self, actor: Actor) -> None:
+        """A thread that waits for this has something to do, unless it pauses or does not run."""
+        if "process frozen" not in self._run.ending and actor.due_ns - self._run.world.clock.now_ns <= S // 4:
+            actor.due_ns = min(actor.due_ns, self._run.world.clock.now_ns + round(self._lag(0.001) * S))
+
+    def _obey(self) -> None:
+        """The person at the station reads the alarm, and leaves the gel free for a while."""
+        hand = self._run.world.hand
+        said = self._run.station.loop.parts.status.view().alarms
+        if "contact" in said and not hand.press and hand.is_pressing_soon:
+            self._run.reach("the hand lifted because the station asked for it")
+            hand.wait(3)
+
+    def _loop(self) -> float:
+        loop = self._run.station.loop
+        self._obey()
+        frame = loop.parts.acquisition.next(0)
+        if frame is not None:
+            self._run.station.fed_ns.append(frame.timestamp_ns)
+        was_halted = loop.is_halted
+        loop.step(frame)
+        self._run.station.hear_answers()
+        if loop.is_halted != was_halted:
+            self._run.reach(
+                "the store refused a press" if loop.is_halted else "the store took what had waited"
+            )
+            self._run.note("the store refuses" if loop.is_halted else "the store accepts again")
+        (driver,) = self._run.station.outputs.drivers
+        if driver._has_news:
+            driver._has_news = False
+            self._wake(self._relay)
+        return self._lag(0.001) if frame is not None else 0.2
+
+    def _draw(self) -> float:
+        self._run.station.loop.parts.pictures.step()
+        return 0.2 + self._lag(0.2)
+
+    def _open_bundles(self) -> float:
+        self._run.station.loop.parts.selection.worker.step()
+        return 0.2 + self._lag(0.2)
+
+    def _switch(self) -> float:
+        (driver,) = self._run.station.outputs.drivers
+        return driver.step() + self._lag(0)
+
+    def _tread(self) -> float:
+        (reader,) = self._run.station.outputs.readers
+        return (reader.step() or 0.1) + self._lag(0)
+
+    def _publish(self, name: str) -> float:
+        workers = self._run.station.loop.parts.publisher.workers
+        worker = list(workers.values())[self._run.order.index(name)]
+        pause_s = worker.step()
+        return min(pause_s, 5.0) if not worker.counters.is_up else min(pause_s, 0.2 + self._lag(0.2))
+
+    def _connect(self, name: str) -> float:
+        sink, now_ns = self._run.world.connections.sinks[name], self._run.world.clock.now_ns
+        pause_s = sink.step()
+        if pause_s is not None or name not in self._look_ns:
+            self._look_ns[name] = now_ns + round(sink.look_again_s * S)
+        elif now_ns > self._look_ns.get(name, 0):
+            sink.look_again()
+            self._look_ns[name] = now_ns + round(sink.look_again_s * S)
+        return 0.25 if pause_s is None else pause_s
+
+    def _answer(self, name: str) -> float:
+        sink = self._run.world.connections.sinks[name]
+        if sink._requests._waiting.empty():
+            return 0.1 + self._lag(0.1)
+        request = sink._requests.next()
+        if request is not None:
+            sink.answer(request)
+        return 0.0
+
+    def _pump(self) -> float:
+        connections = self._run.world.connections
+        connections.pump()
+        return min(0.25, max(0.0, (connections.next_ns() - self._run.world.clock.now_ns) / S))
+
+    def _work(self) -> float:
+        for broker in self._run.world.brokers.values():
+            broker.work()
+        return 0.5
+
+    def _lag(self, least_s: float) -> float:
+        return least_s + self._run.rng.random() * self._run.chosen.sloth_s
