@@ -44,8 +44,8 @@ def test_a_press_is_not_judged_by_what_was_seen_before_it_was_hidden(
 
 
 def test_broken_frames_do_not_hide_that_the_sensor_is_blind() -> None:
-    """A slow camera shows black, and every third of its frames is cut: two seconds after the last picture it is lost, and
-    no black frame counts as one that shows the gel. A pause of the stream is not blindness, so it begins after that."""
+    """A slow camera shows black, and every third of its frames is cut: two seconds after the last picture it is lost.
+    No black frame counts as one that shows the gel."""
     detector = PressDetector(PROFILE)
     for number in range(1, 20):
         detector.feed(CameraFrame(jpeg(gel(RNG, 0.0)), number * 143_000_000, number))
