@@ -110,7 +110,8 @@ class Broker:
         """Take this mood."""
         self.mood = mood
         self.said[mood] += 1
-        self.has_refused_results |= mood == "is narrow"  # a station at level 5 knows the limit, and sends none
+        # A station at level 5 knows the limit, and sends no result at all.
+        self.has_refused_results |= mood == "is narrow"
         if mood in CUTS:
             self._cut()
         if mood in TAKES_NOTHING:
