@@ -55,6 +55,17 @@ def bright(number: int) -> U8:
     return np.clip(press(number).astype(int) * 2, 0, 255).astype(np.uint8)
 
 
+def blurred(number: int) -> U8:
+    return np.asarray(cv2.GaussianBlur(press(number), (0, 0), 2), np.uint8)
+
+
+def unfocused(number: int) -> U8:
+    """A lens blurs the part, and the camera's grain stays."""
+    noise = np.random.default_rng(number).normal(0, 1, (240, 320, 3))
+    sharp = press(number) - noise
+    return np.clip(np.rint(cv2.GaussianBlur(sharp, (0, 0), 4) + noise), 0, 255).astype(np.uint8)
+
+
 @cache
 def marked(number: int) -> U8:
     return dotted(press(number), DOTS)
@@ -75,6 +86,8 @@ BAD: dict[str, tuple[Presses, Presses, U8 | None, str]] = {
         None,
         f"another exposure in {TWO}",
     ),
+    "blurred": (press, blurred, None, f"another sharpness in {TWO}: the grain of 'good/a.png' is 0.2"),
+    "out of focus": (press, unfocused, gel(99), f"{TWO} are less sharp than the others"),
     "markers": (press, marked, gel(99), f"the dots of a marker gel in {TWO}"),
     "no markers": (marked, press, dotted(gel(99), DOTS), f"no dots of a marker gel in {TWO}"),
     "markers on all": (marked, marked, gel(99), "of another gel"),

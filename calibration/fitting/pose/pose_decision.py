@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from calibration.fitting.damage.damaged_presses import SIZE_SHARES, DamagedPresses, render_damage
 from calibration.fitting.limits.held_out import HeldOut, Learner, ShownPresses
 from calibration.fitting.pose.registration import LearntPose, completed, learn_pose
+from calibration.fitting.pose.two_parts import find_two_parts
 from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.scatter import may_compare
@@ -66,6 +67,8 @@ class PoseChoice:
     """Image AUROC of the largest rendered damage, as the presses are scored; None where it was not measured."""
     is_open: bool = False
     """Whether registration is to be proven by the presses that the fit holds out."""
+    faults: tuple[str, ...] = ()
+    """A sentence for presses of another part."""
 
     def prove(self, held_out: HeldOut, damage: DamagedPresses) -> "PoseChoice | None":
         """Return the choice with its proof, by banks without the press; None where these show too little."""
@@ -88,10 +91,10 @@ class PoseChoice:
         return {"registration": self.why} if self.why else {}
 
     def find_warnings(self, names: Sequence[str]) -> list[str]:
-        """Name presses that are not recognised, and say that turns by which presses are compared may be wrong."""
+        """Name presses of another part, and those not recognised, and say that turns that are compared may be wrong."""
+        found = [*self.faults]
         if self.learnt is None:
-            return []
-        found = []
+            return found
         if lost := [names[k] for k in self.learnt.unrecognised]:
             found.append(
                 f"the part is not recognised in {list_names(lost, len(names))}: a gateway rejects such presses; press "
@@ -157,17 +160,20 @@ def choose_pose(
             raise
         return PoseChoice(None, f"presses are compared as they lie: {error}")
     spread = pose_spread_mm(learnt, view[0].pixels_per_mm)
+    faults = tuple(find_two_parts(learnt, presses.names))
     apart = f"in the median presses lie {spread:.2f} mm from their common pose{_doubt(learnt.part.symmetry)}"
     if register == "always":
-        return PoseChoice(learnt, f"presses are registered, as asked for; {apart}")
+        return PoseChoice(learnt, f"presses are registered, as asked for; {apart}", faults=faults)
     if spread <= SPREAD_MM:
-        return PoseChoice(None, f"presses are compared as they lie: {apart}, {SPREAD_MM} mm are tolerated")
+        why = f"presses are compared as they lie: {apart}, {SPREAD_MM} mm are tolerated"
+        return PoseChoice(None, why, faults=faults)
     if not (learnt.part.is_turning or learner.detector.compares_places):
         why = f"presses are compared as they lie: {apart}, and {learner.detector.name} compares no places"
-        return PoseChoice(None, why)
+        return PoseChoice(None, why, faults=faults)
+    choice = PoseChoice(learnt, apart, faults=faults)
     if is_held_out and not may_compare(presses, view[0], learner.detector):
-        return PoseChoice(learnt, f"{apart}, too far to be compared as they lie", is_open=True)
-    return compare_poses(PoseChoice(learnt, apart), presses, learner, take, view)
+        return replace(choice, why=f"{apart}, too far to be compared as they lie", is_open=True)
+    return compare_poses(choice, presses, learner, take, view)
 
 
 def compare_poses(
@@ -177,14 +183,15 @@ def compare_poses(
     learnt, apart = choice.learnt, choice.why
     proof = None if learnt is None else _Proof.of(presses, learnt, learner, take, view)
     if proof is None:
-        return PoseChoice(None, f"presses are compared as they lie: {apart}, but no damage could be rendered")
+        why = f"presses are compared as they lie: {apart}, but no damage could be rendered"
+        return PoseChoice(None, why, faults=choice.faults)
     (registered, large), (still, large_still) = proof.judge_registered(), proof.judge_still()
     both = f"{_words(registered)}, {still:.3f} without"
     if registered > still:
-        return PoseChoice(
-            learnt, f"presses are registered: {apart}; {both} (image AUROC, out of fold)", large
-        )
-    return PoseChoice(None, f"presses are compared as they lie: {apart}, but {both}", large_still)
+        why = f"presses are registered: {apart}; {both} (image AUROC, out of fold)"
+        return replace(choice, why=why, separated=large, is_open=False)
+    why = f"presses are compared as they lie: {apart}, but {both}"
+    return PoseChoice(None, why, large_still, faults=choice.faults)
 
 
 def _words(separated: float) -> str:

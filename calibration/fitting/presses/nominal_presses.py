@@ -19,13 +19,7 @@ from calibration.fitting.presses.free_gel import view_of
 from calibration.fitting.presses.gel_choice import MIN_PRESSES, choose_free_gel, contact_finder
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
 from calibration.fitting.presses.sources import check_present
-from calibration.fitting.presses.strangers import (
-    find_empty,
-    find_misexposed,
-    find_pieces,
-    find_strangers,
-    small_view,
-)
+from calibration.fitting.presses.strangers import find_odd, find_pieces, small_view
 from edge.core.contact.mask import Touch, touched
 from edge.core.contact.press_detector import PressDetector
 from edge.core.errors import DatasetError, FitError
@@ -168,21 +162,17 @@ class _Gathered:
                 _Press(self.region.crop(picture).copy(), name, specimen, mask, small_view(picture))
             )
 
-    def find_odd(self) -> list[str]:
-        """Name the presses that do not belong to the others, touch nothing, or are too bright."""
-        names, views, masks = zip(*((one.name, one.view, one.mask) for one in self.presses), strict=True)
-        empty = [] if self.is_doubtful else find_empty(names, masks)
-        return [*find_strangers(names, views), *empty, *find_misexposed(names, views)]
-
     def finish(self) -> NominalPresses:
         """Return all presses; their contacts count where every one is known, by a free gel without doubt."""
         presses, free = self.presses, self.free[:MAX_NO_CONTACT]
+        known = [None if self.is_doubtful else press.mask for press in presses]
+        names, frames, views = zip(*((press.name, press.rgb, press.view) for press in presses), strict=True)
         masks = [press.mask for press in presses if press.mask is not None]
         touches = tuple(touched(mask) for mask in masks) if len(masks) == len(presses) else ()
-        views, is_seen = [view_of(picture) for picture in free], bool(touches) and not self.estimated
+        light, is_seen = [view_of(picture) for picture in free], bool(touches) and not self.estimated
         return NominalPresses(
-            frames=np.stack([press.rgb for press in presses]),
-            names=tuple(press.name for press in presses),
+            frames=np.stack(frames),
+            names=names,
             specimens=tuple(press.specimen for press in presses),
             touches=() if self.is_doubtful else touches,
             guessed=touches if self.is_doubtful else (),
@@ -191,10 +181,10 @@ class _Gathered:
             if free and not self.is_doubtful
             else None,
             left_out=tuple(self.left_out),
-            free_view=np.rint(np.mean(views, axis=0, dtype=np.float64)).astype(np.uint8)
+            free_view=np.rint(np.mean(light, axis=0, dtype=np.float64)).astype(np.uint8)
             if free and not self.estimated
             else None,
-            faults=(*self.find_odd(), *self.faults),
+            faults=(*find_odd(names, frames, views, known), *self.faults),
             estimated=self.estimated,
             film=self.film,
         )
