@@ -4,7 +4,7 @@
 as soon as it is measured, and is not measured again; another trunk, method or free gel is another row. Kinds are those
 for development, or with --judgement those for judgement: of the sensors that `sets.toml` keeps for it, and random parts
 of other seeds. A kind takes about a minute of one core. --pictures FOLDER draws ten presses of each, the misses first;
---gains fits again without each mechanism that a complete fit uses.
+--gains fits again without each mechanism that a complete fit uses, and with each alone.
 
 peak: the share of damaged presses whose map is highest within 6 pixels of the damage; reported: that fail; of peak:
 of the former, those that fail; alarms: sound held-out presses that fail; lost: presses without a pose, sound and
@@ -14,15 +14,15 @@ damaged, which are rejected. found: what `fit` says of its own rendered damage.
 import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from unittest.mock import patch
 
 import cv2
 import numpy as np
+from mechanisms import COMPLETE, Variant, fit_with, gains_tables, list_variants, name_parts
 from numpy.typing import NDArray
 
 from calibration.experiments.backbones.evaluation import is_on_damage
@@ -32,12 +32,11 @@ from calibration.experiments.backbones.sets import SENSORS
 from calibration.experiments.backbones.trial import PROFILE, REGION, Trial
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.rows import Rows
-from calibration.fitting import fit
 from calibration.fitting.damage.conditions import relight
-from calibration.fitting.fit import FitConfig, Fitted, fit_files
+from calibration.fitting.fit import Fitted
 from calibration.fitting.options import DEFAULT_METHOD
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
-from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
+from calibration.fitting.trunks import DEFAULT_BACKBONE
 from calibration.metrics import aupro, auroc
 from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.pose import HeightField, Jitter, Pose
@@ -45,7 +44,6 @@ from calibration.simulator.renderer import Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
 from calibration.simulator.shapes import FLOOR_MM, box, f32, plateau
 from calibration.simulator.streams import Streams
-from edge import registry
 from edge.core.errors import ConfigError, FitError, PoseNotFound
 from edge.model.scorer import Scorer
 from edge.pictures.press_picture import PressCaption, draw_press
@@ -159,42 +157,6 @@ JUDGEMENT: Mapping[str, Maker] = {
     },
 }
 """The kinds that are opened once, after every choice."""
-
-
-def fit_pictures(presses: NominalPresses, method: str, backbone: str, **changes: Any) -> Fitted:
-    """Fit as `gelgate fit` does. changes: of the configuration."""
-    detector = registry.detector(method)
-    trunk = open_trunk(backbone, detector.taps(detector.parameters()))
-    settings: dict[str, Any] = {"register": "auto", "augment": "auto", **changes}
-    config = FitConfig("part", "top", PROFILE, REGION, detector, trunk, **settings)
-    return fit_files(presses, config, created="2026-01-01")
-
-
-MECHANISMS: Mapping[str, Callable[[Mapping[str, Any]], bool]] = {
-    "free gel": lambda row: True,
-    "registration": lambda row: bool(row["is_registered"]),
-    "surroundings": lambda row: row["limit"] == "surroundings",
-    "dots filled": lambda row: bool(row["has_dots"]),
-    "tactile_lite0": lambda row: row["trunk"] == "tactile_lite0",
-}
-"""What a fit can be measured without, by name: whether the complete fit of a row uses it."""
-
-
-def fit_without(name: str, presses: NominalPresses, method: str, backbone: str) -> Fitted:
-    """Fit as `fit_pictures`, without this mechanism if one is named: presses may then lie anywhere."""
-    if name == "free gel":
-        unknown = {"touches": (), "guessed": (), "touched": None, "no_contact": None, "free_view": None}
-        return fit_pictures(replace(presses, **unknown), method, backbone, is_scattered=True)
-    if name == "dots filled":  # no setting of a fit
-        with patch.object(fit, "take_out_dots", lambda presses, *_: presses):
-            return fit_pictures(presses, method, backbone)
-    if name == "tactile_lite0":
-        backbone = "tactile_resnet18"
-    changes = {
-        "registration": {"register": "never", "is_scattered": True},
-        "surroundings": {"limit": "plain"},
-    }
-    return fit_pictures(presses, method, backbone, **changes.get(name, {}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,26 +285,6 @@ def _values(row: Mapping[str, Any]) -> list[str]:
     return [f"{row[name]:.3f}" for name in _MEANS]
 
 
-def gains_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Compare complete fits with those of the same kinds without each mechanism: means, and where it gains least."""
-    complete, lines = {row["kind"]: row for row in rows if not row.get("without")}, []
-    for name in MECHANISMS:
-        less = [row for row in rows if row.get("without") == name and "error" not in row]
-        if not less:
-            continue
-        whole = [complete[row["kind"]] for row in less]
-        means = [
-            " / ".join(f"{np.mean([row[of] for row in side]):.3f}" for side in (whole, less))
-            for of in ("auroc", "aupro", "reported")
-        ]
-        alarms = " / ".join(str(sum(row["alarms"] for row in side)) for side in (whole, less))
-        sound = sum(row["sound"] for row in whole)
-        gain, kind = min((a["aupro"] - b["aupro"], a["kind"]) for a, b in zip(whole, less, strict=True))
-        lines.append([name, str(len(less)), *means, f"{alarms} of {sound}", f"{gain:+.3f}, {kind}"])
-    head = ["with / without", "kinds", "AUROC", "AU-PRO", "reported", "alarms", "least gain of AU-PRO"]
-    return markdown_table(head, lines)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("rows", type=Path, help="the file of rows, made or continued")
@@ -359,38 +301,66 @@ def main() -> None:
         help="the judgement kinds: once, after every choice, in a file of their own",
     )
     parser.add_argument("--pictures", type=Path, help="the folder for ten presses of each kind, misses first")
-    parser.add_argument("--gains", action="store_true", help="also fit without each mechanism that is used")
+    parser.add_argument(
+        "--gains",
+        action="store_true",
+        help="also fit without each mechanism that is used, and with each alone",
+    )
     given = parser.parse_args()
     rows, how = Rows(given.rows), {"asked": [given.method, given.backbone], "gel": given.gel}
     for kind, make in (JUDGEMENT if given.judgement else DEVELOPMENT).items():
         if not any(word in kind for word in given.kinds or [""]):
             continue
-        complete = "/".join((kind, *how["asked"], given.gel))
-        for name in ("", *(MECHANISMS if given.gains else ())):
-            key = f"{complete}/without {name}" if name else complete
-            whole = next((row for row in rows.read() if row["key"] == complete), {})
-            if key in rows.done() or (name and ("error" in whole or not MECHANISMS[name](whole))):
-                continue
-            found = _fit_and_measure(given, kind, make, name)
-            rows.append({"key": key, "kind": kind, "without": name, **how, **found})
-            print(name, table([rows.read()[-1]]).splitlines()[2], flush=True)
+        _measure_kind(
+            given, rows, how, kind, cache(partial(make, given.tactile or Path("no-folder"), given.gel))
+        )
     own = [row for row in rows.read() if {name: row[name] for name in how} == how]
-    print(table([row for row in own if not row.get("without")]))
+    print(table([row for row in own if not row.get("without") and "alone" not in row]))
     if given.gains:
-        print(gains_table(own))
+        print(gains_tables(own))
 
 
-def _fit_and_measure(given: argparse.Namespace, kind: str, make: Maker, without: str) -> dict[str, Any]:
-    """Measure a fit of a kind, and draw it where that is asked for; the sentence of a fit that is refused."""
+def _measure_kind(
+    given: argparse.Namespace,
+    rows: Rows,
+    how: Mapping[str, Any],
+    kind: str,
+    make: Callable[[], tuple[NominalPresses, Trial]],
+) -> None:
+    """Measure the complete fit of a kind, and its variants where they are asked for, but for rows that are kept."""
+
+    def measure_variant(variant: Variant) -> dict[str, Any]:
+        key = "/".join(
+            (kind, *how["asked"], given.gel, *([] if variant == COMPLETE else [" ".join(variant)]))
+        )
+        if key not in rows.done():
+            found = _fit_and_measure(given, kind, make, variant)
+            rows.append({"key": key, "kind": kind, variant[0]: variant[1], **how, **found})
+            print(*variant, table([rows.read()[-1]]).splitlines()[2], flush=True)
+        return next(row for row in rows.read() if row["key"] == key)
+
+    whole = measure_variant(COMPLETE)
+    if given.gains and "error" not in whole:
+        for variant in list_variants(whole):
+            measure_variant(variant)
+
+
+def _fit_and_measure(
+    given: argparse.Namespace,
+    kind: str,
+    make: Callable[[], tuple[NominalPresses, Trial]],
+    variant: Variant,
+) -> dict[str, Any]:
+    """Measure a fit, and draw it where that is asked for; the sentence of a fit that is refused."""
     try:
-        presses, trial = make(given.tactile or Path("no-folder-given"), given.gel)
-        fitted = fit_without(without, presses, given.method, given.backbone)
+        presses, trial = make()
+        fitted = fit_with(name_parts(variant), presses, given.method, given.backbone)
     except (FitError, ConfigError) as error:
         return {"error": str(error)}
     frames, masks = trial.frames[trial.is_own], trial.masks[trial.is_own]
     seen = score_presses(fitted, frames, masks)
     if given.pictures:
-        name = "_".join((kind, given.method, given.backbone, given.gel, without)).replace(" ", "_")
+        name = "_".join((kind, given.method, given.backbone, given.gel, *variant)).replace(" ", "_")
         _save(given.pictures / f"{name}.png", draw_presses(fitted, frames, masks, seen))
     return measure(fitted, masks, seen)
 
