@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.rows import write_json
 from calibration.experiments.harness.study import require_known
-from calibration.experiments.scars.worn_gel import PLACINGS, SCARS, Line, Placing, Scar, as_view, random_scar
+from calibration.experiments.scars.worn_gel import PLACINGS, Line, Placing, as_view
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import gather_presses
 from calibration.fitting.trunks import open_trunk
@@ -26,6 +26,7 @@ from calibration.simulator.defects import DEFECTS, Defect
 from calibration.simulator.field_of_view import F32, LR, grids
 from calibration.simulator.plan import place_damage
 from calibration.simulator.renderer import MASK_DEPTH_MM
+from calibration.simulator.scars import SCARS, Scar, random_scar
 from edge import registry
 from edge.core.binomial import rate_limits
 from edge.core.contact.mask import touched_mask

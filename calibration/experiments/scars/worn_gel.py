@@ -1,142 +1,27 @@
-"""Scars of a gel as relief and lost light: scratches, dents, hairs and worn coat, each growing from nothing to full.
+"""Placings of parts on a worn gel: how a part lies, the pictures of its presses, and of the free gel between them."""
 
-Sizes are assumed, from what shows on public pictures of used gels; heights are of the coat, in mm towards the camera.
-"""
-
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.simulator import reproducible_math
 from calibration.simulator.defects import Damaged, Defect
 from calibration.simulator.effects import DEFAULT_EFFECTS
-from calibration.simulator.field_of_view import F32, LR, Field, grids
+from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.parts import PARTS, specimen
 from calibration.simulator.plan import PRESS_CYCLE_S
 from calibration.simulator.pose import HeightField, Jitter, Pose, sample
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import Exposure, Renderer
+from calibration.simulator.scars import Scar, mark_gel
 from calibration.simulator.streams import Streams
 from edge.core.contact.reference import View
 from edge.core.imaging.decode import VIEW_SIZE
 
-__all__ = ["PLACINGS", "SCARS", "Line", "Placing", "Scar", "random_scar"]
-
-# Presses over which a scar grows to its full size; 1 is a cut.
-_GROWTHS = (1, 1, 5, 20)
-
-
-@dataclass(frozen=True)
-class Scar:
-    """One mark of the gel."""
-
-    kind: str
-    at_mm: tuple[float, float]
-    """Its middle, from the picture's."""
-    turn_rad: float
-    size: float
-    """Its length or radius in mm."""
-    strength: float
-    """Height in mm, or for worn coat the share of light lost."""
-    since: int
-    """The press from which it exists; it grows evenly over `growth` presses."""
-    growth: int = 1
-    seed: int = 0
-
-    def share(self, press: int) -> float:
-        """Return the share of its full strength at the press with this number; 0 before it exists."""
-        return min(1.0, max(0.0, (press - self.since + 1) / self.growth))
-
-    def relief(self, field: Field) -> F32:
-        """Return the relief at full strength, in mm, float32 (h, w); nothing for worn coat."""
-        return np.asarray(
-            self._pattern(field) * np.float32(SCARS[self.kind].sign * self.strength), np.float32
-        )
-
-    def coat(self, field: Field) -> F32:
-        """The share of light that is left at full strength, float32 (h, w)."""
-        if SCARS[self.kind].sign:
-            return np.ones(field.shape, np.float32)
-        return np.asarray(1 - np.float32(self.strength) * self._pattern(field), np.float32)
-
-    def _pattern(self, field: Field) -> F32:
-        """Return the scar's shape from 0 to 1, float32 (h, w)."""
-        x, y = grids(field)
-        dx, dy = x - np.float32(self.at_mm[0]), y - np.float32(self.at_mm[1])
-        cos, sin = np.float32(math.cos(self.turn_rad)), np.float32(math.sin(self.turn_rad))
-        return SCARS[self.kind].pattern(cos * dx + sin * dy, cos * dy - sin * dx, self)
-
-
-def _line(along: F32, across: F32, scar: Scar, half_width_mm: float, bend: float) -> F32:
-    away = across - np.float32(bend) * along * along
-    ends = np.clip((np.float32(scar.size / 2) - np.abs(along)) / np.float32(0.3), 0, 1)
-    return np.asarray(ends * reproducible_math.exp(-((away / np.float32(half_width_mm)) ** 2)), np.float32)
-
-
-def _scratch(along: F32, across: F32, scar: Scar) -> F32:
-    """A furrow about 0.15 mm wide."""
-    return _line(along, across, scar, 0.08, 0.03)
-
-
-def _hair(along: F32, across: F32, scar: Scar) -> F32:
-    """A bent fibre 0.08 mm across, between coat and part."""
-    return _line(along, across, scar, 0.05, 0.12)
-
-
-def _dent(along: F32, across: F32, scar: Scar) -> F32:
-    """A round hollow that the gel does not fill again."""
-    r2 = (along * along + across * across) / np.float32(scar.size * scar.size)
-    return np.asarray(reproducible_math.exp(-r2 * 2), np.float32)
-
-
-def _rub_coat(along: F32, across: F32, scar: Scar) -> F32:
-    """Return a rubbed patch: ragged, with sharp edges."""
-    rng = np.random.default_rng(scar.seed)
-    angle = reproducible_math.arctan2(across, along)
-    waves = sum(
-        np.float32(a) * reproducible_math.sin(np.float32(n) * angle + np.float32(p))
-        for n, a, p in zip((2, 3, 5, 9), rng.uniform(0.05, 0.2, 4), rng.uniform(0, 6.3, 4), strict=True)
-    )
-    radius = np.sqrt(along * along + across * across) / np.float32(scar.size)
-    return np.asarray(np.clip((1 + waves - radius) * 6, 0, 1), np.float32)
-
-
-class ScarKind(NamedTuple):
-    """What scars of one kind have in common."""
-
-    pattern: Callable[[F32, F32, Scar], F32]
-    sign: float
-    """Of its height; 0 for one that only takes light."""
-    sizes_mm: tuple[float, float]
-    strengths: tuple[float, float]
-
-
-SCARS: Mapping[str, ScarKind] = {
-    "scratch": ScarKind(_scratch, -1.0, (1.0, 5.0), (0.012, 0.06)),
-    "dent": ScarKind(_dent, -1.0, (0.3, 0.9), (0.02, 0.1)),
-    "hair": ScarKind(_hair, 1.0, (2.0, 7.0), (0.02, 0.06)),
-    "worn_coat": ScarKind(_rub_coat, 0.0, (0.4, 1.2), (0.1, 0.35)),
-}
-
-
-def random_scar(kind: str, spot_mm: tuple[float, float], since: int, rng: np.random.Generator) -> Scar:
-    """A scar of random size and growth at a spot."""
-    return Scar(
-        kind,
-        spot_mm,
-        float(rng.uniform(0, math.pi)),
-        float(rng.uniform(*SCARS[kind].sizes_mm)),
-        float(rng.uniform(*SCARS[kind].strengths)),
-        since,
-        int(rng.choice(_GROWTHS)),
-        int(rng.integers(2**31)),
-    )
-
+__all__ = ["PLACINGS", "Line", "Placing", "as_view"]
 
 U8 = NDArray[np.uint8]
 
@@ -225,11 +110,8 @@ class Line:
         return self._renderer.free_gel(("new", number))
 
     def _light(self, surface: F32, age: int, scars: tuple[tuple[Scar, float], ...]) -> F32:
-        coat = np.ones(LR.shape, np.float32)
-        for scar, share in scars:
-            surface = surface + np.float32(share) * scar.relief(LR)
-            coat *= 1 - np.float32(share) * (1 - scar.coat(LR))
-        return np.asarray(self._renderer.light(np.asarray(surface, np.float32), age) * coat, np.float32)
+        marked, coat = mark_gel(surface, scars, LR)
+        return np.asarray(self._renderer.light(marked, age) * coat, np.float32)
 
 
 def as_view(rgb: U8) -> View:

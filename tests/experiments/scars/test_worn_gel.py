@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from calibration.experiments.scars.worn_gel import PLACINGS, SCARS, Line, Scar, random_scar
+from calibration.experiments.scars.worn_gel import PLACINGS, Line
 from calibration.simulator.field_of_view import LR
+from calibration.simulator.scars import SCARS, Scar, random_scar
 
 DENT = Scar("dent", (0.0, 0.0), 0.0, 0.8, 0.08, since=3, growth=5)
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from calibration.experiments.gel_change.command import another_gel
 from calibration.simulator.field_of_view import LR
+from calibration.simulator.gel_variation import another_gel
 from calibration.simulator.sensor_appearance import SENSORS, background
 
 UNIT = SENSORS["unit_b"]
