@@ -114,6 +114,7 @@ _GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "evaluate-backbone": "Compare backbones on presses that training never draws.",
             "evaluate-new-gel": "What a bundle loses on a new gel, and how to keep it.",
             "evaluate-scars": "How scars of the gel and damage are distinguished.",
+            "month": "A month on the line: dust, wear, drift, a person.",
         },
     }
 )

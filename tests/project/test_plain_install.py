@@ -87,6 +87,7 @@ VERBS: list[tuple[str, int, str]] = [
     ("lab recommend studies", 3, "gelgate[studies]"),
     ("lab tradeoff dataset -o tradeoff", 3, "gelgate[studies]"),
     ("lab bench pz0 nowhere", 3, "nowhere"),
+    ("lab month -o month", 3, "gelgate[studies]"),
     ("lab detectability pz0 nominal -o found", 3, "gelgate[studies]"),
 ]
 # `make demo` runs it in an environment with the one package, a broker, that it needs where mosquitto is missing.

@@ -1,0 +1,148 @@
+"""Months day by day: two stations on the same plan, and a row for each day of each."""
+
+import logging
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from calibration.experiments.harness.rows import Rows
+from calibration.experiments.month.bundles import fit_first, learn_from_day
+from calibration.experiments.month.gel import MountedGel
+from calibration.experiments.month.plan import Month
+from calibration.experiments.month.station import DayStation, write_config
+from calibration.simulator.reproducible_math import reproducible_opencv
+from edge.core.shadow import LEAST_COMPARED
+from edge.model.bundle import Bundle
+from edge.model.manifest_facts import promise
+from edge.model.session import TrunkSessions
+
+__all__ = ["ARMS", "NOT_ASKED", "Row", "find_key", "is_early", "run_month"]
+
+ARMS: Final[Mapping[str, str]] = {
+    "frozen": "the bundle of the first day, all month",
+    "learning": "`gelgate bundle learn` in the night, its bundle a shadow until it may take over",
+}
+
+NOT_ASKED: Final = "not asked"
+"""Of a day without a shadow, and of a night without `gelgate bundle learn`."""
+
+# What a station answers where a shadow has judged too few presses yet, and where it is worse.
+TOO_FEW: Final = f"at least {LEAST_COMPARED} are needed"
+_WORSE: Final = ("it passes damage", "do not pass it")
+
+Row = Mapping[str, Any]
+
+# Files of the archive never change, so a day's copy shares them.
+_SHARED: Final = ".archive"
+
+
+def find_key(month: Month, arm: str, day: int) -> str:
+    """Return the key of a day's row."""
+    return f"{month.which} {month.part} {month.presses} {month.days} {arm} {day}"
+
+
+def run_month(month: Month, folder: Path, rows: Rows, advance: Callable[[], None] = lambda: None) -> None:
+    """Run the days that have no row yet. folder: of stations and bundles, removed when all is done."""
+    here = folder / f"{month.which}-{month.part}-{month.presses}-{month.days}"
+    trunks = TrunkSessions(1)
+    for arm in ARMS:
+        yesterday: Row = {}
+        for day in range(month.days):
+            if find_key(month, arm, day) not in rows.done():
+                with reproducible_opencv(), _silence_stations():
+                    row = _run_day(month, arm, day, here, trunks, yesterday)
+                rows.append(row)
+                shutil.rmtree(here / f"{arm} {day - 1}", ignore_errors=True)
+            yesterday = next(one for one in rows.read() if one["key"] == find_key(month, arm, day))
+            advance()
+    shutil.rmtree(here, ignore_errors=True)
+
+
+def _run_day(month: Month, arm: str, day: int, here: Path, trunks: TrunkSessions, yesterday: Row) -> Row:
+    """Run one day in a copy of the station's folder, so that a day that was interrupted begins again.
+
+    yesterday: the row of the day before, nothing on the first.
+    """
+    began_s = time.process_time()
+    presses, fit = month.day(day), here / "fit"
+    is_new_gel = day > 0 and (month.is_gel_changed(day) or yesterday["needs_gel"])
+    known = (yesterday.get("gel", 0), yesterday.get("gel_since", 0))
+    gel = MountedGel(month, *((known[0] + 1, presses[0].number) if is_new_gel else known))
+    first = fit_first(MountedGel(month), fit)
+    before, station = here / f"{arm} {day - 1}", here / f"{arm} {day}"
+    shutil.rmtree(station, ignore_errors=True)
+    if day:
+        shutil.copytree(before, station, copy_function=_copy)
+    else:
+        station.mkdir(parents=True)
+    learnt = here / "learnt"
+    bundle = learnt / yesterday["next_bundle"] if yesterday.get("next_bundle") else first
+    shadow = learnt / yesterday["next_shadow"] if yesterday.get("next_shadow") else None
+    config = write_config(station, bundle, month.presses, shadow)
+    with DayStation(config, day, gel, trunks).open() as opened:
+        opened.begin(presses[0], is_new_gel=is_new_gel)
+        for press in presses:
+            opened.press(press)
+        opened.end()
+        not_adopted = NOT_ASKED if shadow is None else opened.adopt_shadow()
+    next_bundle, next_shadow = (bundle, shadow) if not_adopted is not None else (shadow or bundle, None)
+    if not_adopted is not None and not is_early(not_adopted):
+        next_shadow = None
+    not_learnt: str | None = NOT_ASKED
+    if arm == "learning" and next_shadow is None:
+        new = learnt / f"night-{day:02d}"
+        shutil.rmtree(new, ignore_errors=True)
+        not_learnt = learn_from_day(next_bundle, fit, station, new, opened.date)
+        next_shadow = new if not_learnt is None else None
+    manifest, counts = Bundle.load(bundle).manifest, vars(opened.counts)
+    return {
+        "key": find_key(month, arm, day),
+        "study": "month",
+        "set": month.which,
+        "part": month.part,
+        "arm": arm,
+        "day": day + 1,
+        "days": month.days,
+        "month_presses": month.presses,
+        "gel": gel.number,
+        "gel_since": gel.since,
+        **counts,
+        "alarms": dict(counts["alarms"]),
+        "escaped": {name: number for name, number in counts["escaped"].items() if number},
+        "causes": dict(counts["causes"]),
+        "promise": promise(manifest.threshold) if manifest.threshold.n else None,
+        "revision": manifest.revision,
+        "not_adopted": not_adopted,
+        "not_learnt": not_learnt,
+        "next_bundle": None if next_bundle == first else next_bundle.name,
+        "next_shadow": None if next_shadow is None else next_shadow.name,
+        "cpu_s": round(time.process_time() - began_s, 2),
+    }
+
+
+def is_early(refusal: str) -> bool:
+    """Tell whether a shadow has judged too few presses, and nothing else is against it: it stays a shadow."""
+    return TOO_FEW in refusal and not any(word in refusal for word in _WORSE)
+
+
+@contextmanager
+def _silence_stations() -> Iterator[None]:
+    """Keep the logs of stations away: their alarms are counted."""
+    before = logging.root.manager.disable
+    logging.disable(logging.ERROR)
+    try:
+        yield
+    finally:
+        logging.disable(before)
+
+
+def _copy(source: str, target: str) -> None:
+    """Copy a file; link one of the archive."""
+    if _SHARED in source:
+        os.link(source, target)
+    else:
+        shutil.copy2(source, target)

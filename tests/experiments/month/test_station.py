@@ -1,0 +1,102 @@
+"""A day at a station of the month, with the smallest detector: what is counted is what the station does."""
+
+from pathlib import Path
+
+import cv2
+import pytest
+from station import variant
+from tiny import TINY, tiny_trunk
+
+from calibration.experiments.harness.rows import Rows
+from calibration.experiments.month.gel import MountedGel
+from calibration.experiments.month.plan import Month
+from calibration.experiments.month.run import is_early, run_month
+from calibration.experiments.month.station import DayStation, write_config
+from calibration.fitting.fit import FitConfig, fit_files
+from calibration.fitting.presses.nominal_presses import read_presses
+from calibration.fitting.trunks import Trunk
+from edge.core.imaging.known_profiles import profile
+from edge.core.imaging.region import Region
+from edge.model.session import TrunkSessions
+from edge.store.database import open_read_only
+from edge.store.person_verdicts import read_verdicts
+
+MONTH = Month("development", 1, 8, days=2)
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Fitted on presses of the month's part; every press passes."""
+    folder, gel = tmp_path_factory.mktemp("month"), MountedGel(MONTH)
+    (folder / "nominal").mkdir()
+    for piece in range(4):
+        picture = cv2.cvtColor(gel.nominal(piece, 0), cv2.COLOR_RGB2BGR)
+        cv2.imwrite(str(folder / "nominal" / f"{piece}.png"), picture)
+    sensor = profile("cropped_lr")
+    region = Region.centre(sensor.size)
+    config = FitConfig("part 1", "pos1", sensor, region, TINY, Trunk("tiny", tiny_trunk()), threshold=1e6)
+    presses = read_presses([folder / "nominal"], sensor, region)
+    return fit_files(presses, config, created="2026-01-04").write(folder / "bundle")
+
+
+def test_a_day_counts_every_piece_and_keeps_every_answer(bundle: Path, tmp_path: Path) -> None:
+    """All pass, so what is damaged or of another part escapes; the person's words are in the ledger."""
+    presses = MONTH.day(0)
+    day = DayStation(write_config(tmp_path, bundle, 100), 0, MountedGel(MONTH), TrunkSessions(1))
+    with day.open() as opened:
+        opened.begin(presses[0], is_new_gel=False)
+        for press in presses:
+            opened.press(press)
+        opened.end()
+
+    counts = day.counts
+    assert counts.pieces == len(presses) == 4
+    assert (counts.false_alarms, counts.no_verdict) == (0, 0)
+    assert counts.escapes == counts.not_sound == sum(press.truth != "sound" for press in presses)
+    with open_read_only(tmp_path / "gelgate.db", "reading it") as connection:
+        assert len(read_verdicts(connection)) == counts.asked == 4
+
+
+def test_another_gel_is_recorded_and_not_proven(bundle: Path, tmp_path: Path) -> None:
+    """The bundle was used on the first one."""
+    config = write_config(tmp_path, bundle, 100)
+    for number, presses in enumerate((MONTH.day(0), MONTH.day(1))):
+        day = DayStation(config, number, MountedGel(MONTH, number), TrunkSessions(1))
+        with day.open() as opened:
+            opened.begin(presses[0], is_new_gel=number == 1)
+            opened.press(presses[0])
+            opened.end()
+
+    assert day.counts.unproven is not None
+    assert "not yet proven on gel SIM00001-2" in day.counts.unproven
+    assert day.counts.alarms["gel_proof"] == 1
+
+
+def test_a_shadow_of_too_few_presses_stays_a_shadow(bundle: Path, tmp_path: Path) -> None:
+    """The station says how many are needed; a shadow that is worse is not kept."""
+    other = variant(bundle, tmp_path / "other", revision=7)
+    config = write_config(tmp_path, bundle, 100, other)
+    with DayStation(config, 0, MountedGel(MONTH), TrunkSessions(1)).open() as opened:
+        opened.begin(MONTH.day(0)[0], is_new_gel=False)
+        opened.press(MONTH.day(0)[0])
+        refusal = opened.adopt_shadow()
+
+    assert refusal is not None
+    assert "promises no rate of false alarms" in refusal
+    assert "both have judged 1 presses, at least 100 are needed" in refusal
+    assert is_early(refusal)
+    assert not is_early(f"{refusal}; it passes damage that was found: one")
+
+
+@pytest.mark.lab
+def test_a_month_has_a_row_for_each_day_and_goes_on_where_it_ended(tmp_path: Path) -> None:
+    """Two days of two stations, with the usual fit; a second run has nothing to do."""
+    rows = Rows(tmp_path / "rows.jsonl")
+    run_month(MONTH, tmp_path, rows)
+
+    assert [(row["arm"], row["day"]) for row in rows.read()] == [
+        ("frozen", 1), ("frozen", 2), ("learning", 1), ("learning", 2)
+    ]  # fmt: skip
+    before = (tmp_path / "rows.jsonl").read_bytes()
+    run_month(MONTH, tmp_path, rows)
+    assert (tmp_path / "rows.jsonl").read_bytes() == before
