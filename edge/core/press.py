@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
 from edge.core.contact.reference import View
+from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Rejection
 from edge.core.overview.view import OverviewView
@@ -102,6 +103,8 @@ class Press:
     """The inspected region, (h, w, 3); None where the press did not get that far."""
     score_map: NDArray[np.float32] | None = None
     """Raw scores of the region, (h, w); higher is more anomalous."""
+    light: FollowedLight | None = None
+    """How it was brought to the light of the fit before its score; None where it was scored as it is."""
     latency_ms: dict[str, float] = field(default_factory=dict)
     """Stage to milliseconds."""
     judged_ns: int | None = None

@@ -202,7 +202,12 @@ def _score(press: Press, shadow: Inspector, inspector: Inspector) -> Press:
     """Score the region of a press with a shadow, by what the bundle in use has computed where that is the same."""
     assert press.rgb is not None
     try:
-        scored = shadow.scorer.score_beside(inspector.scorer, press.rgb, press.registered)
+        shadow.follow_light(None if press.judged is None else press.judged.reference)
+        if shadow.light == press.light:
+            lit = shadow.restore_light(press.rgb)
+            scored = shadow.scorer.score_beside(inspector.scorer, lit, press.registered)
+        else:  # it was fitted under another light
+            scored = shadow.scorer.score_filled(shadow.restore_light(shadow.scorer.fill_dots(press.rgb)))
         verdict = shadow.bundle.manifest.decide(scored.anomaly_score)
         return Press(verdict, score_map=scored.score_map)
     except (PoseNotFound, NotScorable) as error:

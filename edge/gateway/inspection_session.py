@@ -156,6 +156,7 @@ class InspectionSession:
         just begun."""
         self.inspector.forget_ahead()
         self.inspector = inspector
+        self._follow_light()
         if self._detector.newest is not None and not self.has_contact:
             inspector.warm_up(self._detector.newest)
         for stage in self._stages:
@@ -275,8 +276,10 @@ class InspectionSession:
                 self._status.clear_fault("free_gel")
                 self._status.set_waiting_for(None)
                 self._compare_light()
+                self._follow_light()
                 self._measure_wear()
             case ReferenceRefreshed():
+                self._follow_light()
                 self._measure_wear()
         for stage in self._stages:
             stage.see(event)
@@ -287,6 +290,16 @@ class InspectionSession:
         difference = foreign_start(learnt, at_fit) if learnt and at_fit else None
         if difference is not None:
             log.warning("%s", difference)
+
+    def _follow_light(self) -> None:
+        """Score presses under the light of the fit, as the free gel of now shows the way."""
+        before, reference = self.inspector.light, self._detector.tracker.reference
+        self.inspector.follow_light(None if reference is None else reference.view)
+        light = self.inspector.light
+        if (light is None) != (before is None):
+            log.info(
+                "%s", "the light is that of the fit" if light is None else f"the light is followed: {light}"
+            )
 
     def _measure_wear(self) -> None:
         """The gel is free: keep its picture, and compare it with the first of this gel."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from edge.core.defects import find_defects
 from edge.core.errors import ArchiveError
 from edge.core.imaging.decode import decode
+from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, Message
 from edge.core.press import Press, ScarFindings
@@ -194,7 +195,8 @@ def press_drawing(
 
     def draw() -> PressFiles:
         is_asked = press.word != Kind.PASS.value  # why a press passes nobody asks
-        compared = compare_press(bundle, rgb, score_map, press.registered) if is_asked else None
+        lit = rgb if press.light is None else press.light.restore(rgb)
+        compared = compare_press(bundle, lit, score_map, press.registered) if is_asked else None
         return PressFiles(sheet(compared), encode_scores(score_map, caption))
 
     return draw
@@ -218,6 +220,8 @@ def draw_archived(press_id: str, store: Store, bundles: Iterable[Bundle], heatma
     rgb = np.ascontiguousarray(bundle.region.crop(picture))
     dots, part = bundle.manifest.dots, bundle.registration
     filled = rgb if dots is None else dots.open().fill(rgb)
+    light = None if then.light is None else FollowedLight(*then.light)
+    filled = filled if light is None else light.restore(filled)
     blame = Blame(Cause.UNSURE, "see the recorded result")
     press = Press(
         press_id=press_id,
@@ -226,6 +230,7 @@ def draw_archived(press_id: str, store: Store, bundles: Iterable[Bundle], heatma
         score_map=archive.read_map(then),
         verdict=Verdict(Kind(then.verdict), then.score, then.threshold, 0.0),
         registered=None if part is None else part.open().register(filled),
+        light=light,
         scars=None if then.masked is None else ScarFindings(blame, archive.read_masked(then)),
     )
     draw = press_drawing(press, bundle, then.station, heatmap)
@@ -264,6 +269,7 @@ def _judgement(press: Press, bundle: Bundle) -> Mapping[str, Any]:
         # At a threshold of 0 or below there is no such scale.
         "score_ratio": score / threshold if score is not None and threshold > 0 else None,
         "latency_ms": press.latency_ms,
+        "light_gain": None if press.light is None else press.light.gain,
         "pose": None if placed is None else PosePlace.of(placed, mm_per_pixel),
     }
 

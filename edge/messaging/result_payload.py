@@ -203,6 +203,11 @@ class ResultPayload(Payload):
         default=None,
         description="the score with the places under scars and beyond the part; null where none was left out",
     )
+    light_gain: tuple[float, float, float] | None = Field(
+        default=None,
+        description="red, green, blue: by how much the press was made brighter before its score, because the free gel "
+        "shows the light of the fit no more; null where it was scored as it is",
+    )
     method: str | None = None
     bundle_id: str | None = None
     sensor_serial: str

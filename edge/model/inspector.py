@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
+from edge.core.contact.reference import View
 from edge.core.contact.relief import find_expected_reach
 from edge.core.errors import FrameCorrupt, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
+from edge.core.imaging.followed_light import FollowedLight, find_light
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import (
     Reason,
@@ -35,11 +37,13 @@ MOST_AHEAD: Final = 4
 class Inspector:
     """Judges settled frames with one bundle.
 
-    fault: why its scores cannot be trusted now; then a press gives this error and no verdict. expected: where nominal
-    presses reach, bool (h, w) of the region in the bank's pose; None where the bundle does not show it. took_s: how
-    long the last score took, from the camera's bytes on; without end before the first.
+    light: how presses are brought to the light of the fit; None scores them as they are. fault: why its scores cannot
+    be trusted now; then a press gives this error and no verdict. expected: where nominal presses reach, bool (h, w) of
+    the region in the bank's pose; None where the bundle does not show it. took_s: how long the last score took, from
+    the camera's bytes on; without end before the first.
     """
 
+    light: FollowedLight | None = None
     fault: str | None = None
     took_s: float = math.inf
 
@@ -87,7 +91,23 @@ class Inspector:
             score_map=examined.score_map,
             latency_ms=examined.latency_ms,
             registered=examined.registered,
+            light=examined.light,
         )
+
+    def follow_light(self, free: View | None) -> None:
+        """Bring presses from now on from the light of this free gel to that of the fit, where it is proven."""
+        reference = self.bundle.free_reference
+        self.set_light(find_light(free, None if reference is None else reference.view))
+
+    def set_light(self, light: FollowedLight | None) -> None:
+        """Bring presses to the light of the fit in this way; None scores them as they are."""
+        if light != self.light:
+            self.light = light
+            self.forget_ahead()
+
+    def restore_light(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return a picture of the region under the light of the fit; the same array where it is that light."""
+        return rgb if self.light is None else self.light.restore(rgb)
 
     def warm_up(self, frame: CameraFrame) -> None:
         """Score a frame for nothing before the first press: once for memory, once for the time that a score takes."""
@@ -104,7 +124,7 @@ class Inspector:
         return True
 
     def forget_ahead(self) -> None:
-        """Let go of the frames that wait: another bundle is in use."""
+        """Let go of the frames that wait: another bundle is in use, or another light."""
         self._ahead.clear()
 
     def _find_ahead(self, frame: CameraFrame, touch: Touch) -> Press | None:
@@ -120,11 +140,12 @@ class Inspector:
             return replace(press, error=str(error))
         latency = {"decode": (self._clock.monotonic_ns() - started_ns) / 1e6}
         rgb = np.ascontiguousarray(self.bundle.region.crop(picture))
-        press = replace(press, rgb=rgb, latency_ms=latency)
+        press = replace(press, rgb=rgb, light=self.light, latency_ms=latency)
         started_ns = self._clock.monotonic_ns()
         filled = self.scorer.fill_dots(rgb)
         if filled is not rgb:
             latency["dots"] = (self._clock.monotonic_ns() - started_ns) / 1e6
+        filled = self.restore_light(filled)
         rejection = check_light(picture)
         if rejection is None and self._colours is not None:
             rejection = check_sensor(filled, self._colours)
@@ -141,7 +162,7 @@ class Inspector:
     def score_map(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32] | None:
         """Score another picture of the region, uint8 (h, w, 3); float32 (h, w), None where it cannot be scored."""
         try:
-            return self.scorer.score(rgb).score_map
+            return self.scorer.score_filled(self.restore_light(self.scorer.fill_dots(rgb))).score_map
         except (PoseNotFound, NotScorable):
             return None
 

@@ -92,6 +92,8 @@ class ArchivedPress(BaseModel):
     """The score of the first press, for a second one."""
     masked: Digest | None = None
     """Places that were not judged, under scars or beyond the part, one bit each, row by row."""
+    light: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    """Gain and offset of red, green and blue, where it was brought to the light of the fit."""
     is_too_blind: bool = False
     """More lay under scars than was accepted, so a pass became unsure."""
 

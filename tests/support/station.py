@@ -78,8 +78,10 @@ def press_recording(
     motion: Motion | None = None,
     seed: int = 0,
     fps: float = FPS,
+    light: float = 1.0,
 ) -> Path:
-    """Untouched gel, then so many presses of one part; those numbered in `dented` are damaged. Labels number them."""
+    """Untouched gel, then so many presses of one part; those numbered in `dented` are damaged. Labels number them.
+    light: of the lamps, as a share."""
     motion = motion or Motion()
     rng = np.random.default_rng(seed)
     phases: list[tuple[float, int | None]] = [(0.0, None)] * motion.free
@@ -87,7 +89,8 @@ def press_recording(
         phases += [(0.5, press)] + [(1.0, press)] * motion.hold + [(0.3, press)] + [(0.0, None)] * motion.idle
     with RecordingWriter(folder, replace(HEADER, nominal_fps=fps)) as writer:
         for number, (depth, press) in enumerate(phases):
-            writer.add(jpeg(gel(rng, depth, press in dented)), round(number * 1e9 / fps), {"press": press})
+            frame = np.rint(light * gel(rng, depth, press in dented)).astype(np.uint8)
+            writer.add(jpeg(frame), round(number * 1e9 / fps), {"press": press})
     return folder
 
 

@@ -1,6 +1,7 @@
 """A verdict made again, from the archived camera bytes and the bundle with the recorded hash: bit for bit, or not."""
 
 import hashlib
+import io
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
 from edge.core.errors import ArchiveError, BundleError
+from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
 from edge.core.press import Press, ScarFindings
@@ -83,12 +85,22 @@ class Bundles:
 def judge_again(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector) -> Replayed:
     """Judge it again with this inspector, and compare. Errors: ArchiveError for what is gone or damaged."""
     frame = archive.read(press.frame, f"the judged frame of press {press.press_id}")
+    _light_as_then(press, archive, inspector)
     now = inspector.inspect(CameraFrame(frame, 0, 0, is_on_demand=True), Touch(*press.touch))
     now = _without_scars(press, now, archive, inspector)
     if inspector.bundle.digest == press.bundle_id:
         now = _with_the_other_press(press, now, inspector).distrust()
     differences = tuple(_differences(press, now, archive))
     return Replayed(press, now, differences, tuple(_machine(press, archive)) if differences else ())
+
+
+def _light_as_then(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector) -> None:
+    """Follow the light as it was followed then; a bundle of another fit follows it by the free gel of then."""
+    if inspector.bundle.digest == press.bundle_id or press.reference is None:
+        inspector.set_light(None if press.light is None else FollowedLight(*press.light))
+    else:
+        free = archive.read(press.reference, f"the free gel of press {press.press_id}")
+        inspector.follow_light(np.load(io.BytesIO(free), allow_pickle=False))
 
 
 def _without_scars(press: ArchivedPress, now: Press, archive: ArchiveFolder, inspector: Inspector) -> Press:

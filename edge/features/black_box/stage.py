@@ -90,6 +90,7 @@ class BlackBox(PressStage):
             first_score=again.first_score if again else None,
             map_shape=None if press.score_map is None else press.score_map.shape,
             masked=masked[0] if masked else None,
+            light=None if press.light is None else (press.light.gain, press.light.offset),
             is_too_blind=scars is not None and scars.is_too_blind,
         )
         kept = (frame, machine, reference, score_map, masked)
