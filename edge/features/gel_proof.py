@@ -4,7 +4,7 @@ import logging
 from functools import partial
 from typing import Final, Literal, Self
 
-from edge.core.gel_proof import MadeOn
+from edge.core.gel_proof import GelProof, MadeOn
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
 from edge.core.press import Press, ReferenceLabel
@@ -17,6 +17,8 @@ from edge.press_stage import Alarms, Command, Data, Mounted, PressStage, StagePa
 from edge.store import gel_proofs
 from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle
+from edge.store.person_verdicts import newest_act
+from edge.store.press_archive import ArchiveFolder
 from edge.store.press_store import Store
 
 __all__ = ["GelProofWatch", "read_origin"]
@@ -45,6 +47,8 @@ class GelProofWatch(PressStage):
         self._mounted: Mounted | None = None
         self._sentence: str | None = None
         self._next_look_ns = 0
+        self._newest_act: object = None
+        self._read_act: object = None
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -119,10 +123,23 @@ class GelProofWatch(PressStage):
             time_ns=self._clock.time_ns(),
         )
         proof = self._store.write("reading how far the bundle is proven on this gel", change)
+        if proof.proven is None:
+            proof = self._read_words(_key(mounted)) or proof
         sentence = proof.unproven(_key(mounted).describe(mounted.part), mounted.gel_id)
         if sentence != self._sentence:
             self._sentence = sentence
             self._say()
+
+    def _read_words(self, key: GelBundle) -> GelProof | None:
+        """Prove the bundle by what people said, if that is enough. It is looked at twice after each act: an act is
+        complete a moment after it is written."""
+        newest = self._store.read("reading the newest act", newest_act), key
+        if newest == self._read_act:
+            return None
+        self._newest_act, self._read_act = newest, newest if newest == self._newest_act else None
+        archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
+        change = partial(gel_proofs.prove_by_words, key=key, archive=archive)
+        return self._store.write("proving a bundle by what people said", change)
 
     def _say(self) -> None:
         """Say why the bundle is not yet proven in the station's state, and by an alarm or a fault."""

@@ -4,13 +4,18 @@ Functions that take a connection run inside the caller's transaction.
 """
 
 import sqlite3
+from contextlib import suppress
 from datetime import datetime
 from typing import NamedTuple
 
+from edge.core.errors import ArchiveError
 from edge.core.gel_proof import GelProof, MadeOn, Proven, first_proof
 from edge.core.part_position import PartPosition
+from edge.core.person_verdict import settle
+from edge.store.person_verdicts import read_verdicts
+from edge.store.press_archive import ArchiveFolder
 
-__all__ = ["GelBundle", "count", "find", "of_mounted", "prove", "see"]
+__all__ = ["GelBundle", "count", "find", "of_mounted", "prove", "prove_by_words", "see"]
 
 
 class GelBundle(NamedTuple):
@@ -78,6 +83,36 @@ def prove(connection: sqlite3.Connection, key: GelBundle, part: PartPosition) ->
         raise ValueError(str(proof.unproven(key.describe(part), key.gel_id)))
     connection.execute(f"UPDATE gel_proofs SET proven = ? WHERE {_OF}", (Proven.PRESSES.value, *key))
     return GelProof(Proven.PRESSES, proof.known_from, proof.presses, proof.alarms)
+
+
+def prove_by_words(connection: sqlite3.Connection, key: GelBundle, archive: ArchiveFolder) -> GelProof | None:
+    """Prove the bundle by the presses of this gel that people called good, if these are enough; None where not.
+
+    Only the archive tells which bundle judged a press, so what is gone from there does not count.
+    """
+    row = connection.execute(
+        f"SELECT time_ns, known_from FROM gel_proofs WHERE {_OF} AND proven IS NULL", key
+    ).fetchone()
+    if row is None:
+        return None
+    presses = alarms = 0
+    for press_id, verdicts in read_verdicts(connection, since_ns=row[0]).items():
+        settled = settle(verdicts)
+        press = connection.execute(
+            "SELECT verdict, evidence FROM presses WHERE press_id = ? AND serial = ? AND gel_id = ?",
+            (press_id, key.serial, key.gel_id),
+        ).fetchone()
+        if press is None or settled is None or settled.saying not in ("good", "gel"):
+            continue
+        with suppress(ArchiveError):
+            if archive.press(press_id, press[1]).bundle_id == key.bundle_id:
+                presses, alarms = presses + 1, alarms + (press[0] != "pass")
+    proof = GelProof(Proven.PRESSES, row[1], presses, alarms)
+    if proof.still_needed:
+        return None
+    change = f"UPDATE gel_proofs SET proven = ?, presses = ?, alarms = ? WHERE {_OF}"
+    connection.execute(change, (Proven.PRESSES.value, presses, alarms, *key))
+    return proof
 
 
 def of_mounted(connection: sqlite3.Connection) -> list[tuple[GelBundle, PartPosition, GelProof]]:

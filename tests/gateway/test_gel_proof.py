@@ -7,9 +7,12 @@ import pytest
 from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
+from edge.core.gel_proof import Proven
 from edge.core.verdict import Kind
 from edge.features.gel_proof import GelProofWatch
 from edge.messaging.command_payloads import NoArguments
+from edge.store.acts import CONFIRM, Act
+from edge.store.gel_proofs import of_mounted
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +71,33 @@ def test_parts_are_refused_where_that_is_configured(replaced: Callable[..., Step
         assert (result.verdict, result.score) == (Kind.REJECTED, None)
         assert str(result.reason).startswith("gel_proof: bundle PZ0/pos1")
         assert "no press on this gel yet" in station.said("state")["unproven"]
+
+
+def test_what_people_say_of_presses_ends_it_without_a_request(
+    replaced: Callable[..., SteppedStation], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A press that they call damaged, and one of the gel before, count nothing; one that they call good does."""
+    with replaced(presses_since=2) as station:
+        monkeypatch.setattr("edge.core.gel_proof.PROVEN_RATE", 0.95)
+        before, first, second = station.results
+
+        def say(press_id: str, verdict: str) -> object:
+            arguments = {"press_id": press_id, "verdict": verdict}
+            act = Act(station.clock.time_ns(), "kim, at the page", CONFIRM, press_id + verdict, arguments)
+            act_id, _ = station.parts.store.begin_act(act, 60.0)
+            station.ask(CONFIRM, **arguments)
+            station.parts.store.finish_act(act_id, "done")
+            for _ in range(3):
+                station.clock.sleep(1.5)
+                station.turn()
+            return station.said("state")["unproven"]
+
+        assert say(before.press_id, "good") is not None
+        assert say(first.press_id, "damaged") is not None
+        assert say(second.press_id, "good") is None
+        assert station.alarm("gel_proof") is None
+        (_, _, proof) = station.parts.store.read("reading", of_mounted)[0]
+        assert (proof.proven, proof.presses, proof.alarms) == (Proven.PRESSES, 1, 0)
 
 
 def test_it_may_be_said_in_the_state_alone(replaced: Callable[..., SteppedStation]) -> None:
