@@ -24,6 +24,7 @@ __all__ = [
     "OutboxStatus",
     "drop_priority_of",
     "enforce",
+    "forget",
     "owe_picture",
     "owed_pictures",
     "put",
@@ -97,7 +98,7 @@ def put(
     """Add messages, in order, inside the caller's transaction. time_ns: wall clock, for people alone."""
     for message in messages:
         if message.retain:
-            connection.execute("DELETE FROM outbox WHERE topic = ? AND retain = 1", (message.topic,))
+            forget(connection, message.topic)
         names = ("topic", "qos", "content_type", "expiry_s", "payload")
         row = {
             **{name: getattr(message, name) for name in names},
@@ -108,6 +109,11 @@ def put(
             "bytes": len(message.payload) + ROW_OVERHEAD_BYTES,
         }
         insert(connection, "outbox", row)
+
+
+def forget(connection: sqlite3.Connection, topic: str) -> None:
+    """Forget the message that waits on a retained topic, inside the caller's transaction."""
+    connection.execute("DELETE FROM outbox WHERE topic = ? AND retain = 1", (topic,))
 
 
 def owe_picture(connection: sqlite3.Connection, press_id: str, verdict: str, time_ns: int) -> None:

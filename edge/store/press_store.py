@@ -370,6 +370,8 @@ class Store:
             return
         with self._database.writing(f"comparing the counts of sensor {serial}") as connection:
             sentences = recover(connection, self._counts.read().get(serial), serial, time_ns)
+            if sentences:  # an earlier count that still waits for a receiver would be retained over this one
+                outbox.forget(connection, "gel")
         self.findings += [f"database {self.path}: {sentence}" for sentence in sentences]
         self._compared.add(serial)
 

@@ -12,6 +12,8 @@ import pytest
 from recorded_presses import count, make_press
 
 from edge.core.errors import StoreError
+from edge.core.ports import Message
+from edge.store.outbox import Outbox
 from edge.store.press_counts import COPY_BYTES, Count, PressCounts
 from edge.store.press_store import Store
 
@@ -140,6 +142,18 @@ def test_presses_that_a_database_refused_are_counted_at_the_next_start(path: Pat
     with Store(path) as store:
         assert store.gel(SERIAL, 7).presses == 21
         assert store.findings == []
+
+
+def test_an_earlier_count_that_waits_does_not_replace_one_that_was_corrected(path: Path) -> None:
+    """The gel is said anew at the start; what an earlier life left in the outbox would be retained over it."""
+    old = Message("gel", b'{"presses": 1}', retain=True)
+    with Store(path) as store:
+        store.record_press(make_press(1), lambda recorded: [old, Message("result", b"{}")])
+        store.note_uncounted(SERIAL, 20)
+    with Store(path) as store, Outbox(path) as outbox:
+        outbox.register(["mqtt"])
+        assert store.gel(SERIAL, 7).presses == 21
+        assert [row.message.topic for row in outbox.pending("mqtt", 9)] == ["result"]
 
 
 def test_uncounted_presses_do_not_stop_a_new_gel_from_taking_the_place_of_an_impossible_one(

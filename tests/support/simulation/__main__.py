@@ -99,7 +99,10 @@ def main() -> int:
     words.add_argument("--no-shrink", action="store_true", help="print a failure as it is")
     words.add_argument("--bundle", type=Path, nargs=2, help="of both parts; by default new ones")
     words.add_argument(
-        "--until-failed", type=float, default=0, help="end with the first failure, or after so many s"
+        "--until-failed",
+        type=float,
+        default=0,
+        help="end with the first failure, or after so many s of processor time",
     )
     given = words.parse_args()
     begun, total = time.perf_counter(), Total()
@@ -132,7 +135,7 @@ def _plays(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder:
     """Play every job-th seed; a failure is printed."""
     logging.disable(logging.CRITICAL)
     cv2.setNumThreads(1)
-    begun, last_s = time.perf_counter(), given.seconds or given.until_failed
+    begun, begun_processor = time.perf_counter(), time.process_time()
     seeds = (
         range(given.seed + job, given.seed + given.runs, given.jobs)
         if given.runs
@@ -151,7 +154,9 @@ def _plays(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder:
                 ]
                 print("\n".join(said), flush=True)
             yield run
-            if (given.until_failed and run.faults) or (last_s and time.perf_counter() - begun > last_s):
+            is_late = given.seconds and time.perf_counter() - begun > given.seconds
+            processor_s = time.process_time() - begun_processor
+            if is_late or (given.until_failed and (run.faults or processor_s > given.until_failed)):
                 break
 
 

@@ -76,8 +76,11 @@ def audit_alarms(world: World, station: Station) -> Iterator[str]:
         well_since_ns = station.so_since(
             f"{rule.alarm} is well", not (is_so or may) and not station.is_frozen
         )
-        if so_since_ns is not None and now_ns - so_since_ns > rule.raised_s * S and rule.alarm not in raised:
+        is_late = so_since_ns is not None and now_ns - so_since_ns > rule.raised_s * S
+        if is_late and rule.alarm not in raised:
             yield f"the alarm {rule.alarm} is not raised {rule.raised_s} s after its reason came"
+        if rule.alarm == "device" and is_late and view.state == "ready":
+            yield f"nothing was seen for more than {rule.raised_s} s, and the station is ready"
         if rule.alarm in ("device", "store") and rule.alarm in raised and view.state == "ready":
             yield f"the station is ready, and the alarm {rule.alarm} is raised"
         if well_since_ns is not None and now_ns - well_since_ns > rule.cleared_s * S and rule.alarm in raised:

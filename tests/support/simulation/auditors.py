@@ -12,6 +12,7 @@ from edge.features.black_box.replay import Bundles, judge_again
 from edge.store.integrity import check_database
 from edge.store.press_archive import ArchiveFolder
 from simulation.alarms import audit_alarms
+from simulation.auditors_brokers import audit_availability, audit_levels
 from simulation.auditors_outputs import audit_lamp, audit_outputs
 from simulation.auditors_retained import audit_late, audit_outbox, audit_retained, audit_serials
 from simulation.brokers import Broker
@@ -28,6 +29,15 @@ CALM_S = 60
 
 OLDEST_S = 1.0
 """An older frame is refused (docs/operations.md)."""
+
+ARCHIVED = 8
+"""So many presses are kept in the archive, rejected ones among them."""
+
+LEARNS_S = (0.3, 0.6)
+"""When the picture of a new gel is being learnt, after its replacement."""
+
+RESTS_S = 0.15
+"""A press rests for 0.2 s before it is judged, also after an interruption (docs/contact.md)."""
 
 AGAIN = {"the gateway was killed", "the gateway was restarted", "it began just after an interruption"}
 """After these a part that still presses may be judged again, or a press count as one with that before."""
@@ -50,6 +60,8 @@ def _audit_results(world: World, station: Station) -> Iterator[str]:
 def audit_now(world: World, station: Station) -> Iterator[str]:
     """What holds at each moment."""
     yield from audit_lamp(world, station)
+    yield from audit_availability(world, station)
+    yield from _audit_new_gel(world, station)
     yield from audit_alarms(world, station)
     now_ns = world.clock.now_ns
     since_ns = station.so_since(
@@ -61,19 +73,32 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
         yield from () if station.is_disk_disturbed else audit_outbox(station)
 
 
+def _audit_new_gel(world: World, station: Station) -> Iterator[str]:
+    """A new gel is learnt before it is pressed: the station is not ready at once (docs/operations.md)."""
+    age_s = (world.clock.now_ns - world.new_gel_ns) / S
+    is_same_life = world.new_gel_ns > station.began_ns and not station.is_frozen
+    is_ready = station.loop.parts.status.view().state == "ready"
+    if is_same_life and LEARNS_S[0] < age_s < LEARNS_S[1] and is_ready:
+        yield f"the gel was replaced {age_s:.1f} s ago, and the station is ready at once"
+
+
 def audit_end(world: World, station: Station) -> Iterator[str]:
     """What holds when all is calm again."""
     yield from _audit_results(world, station)
-    yield from _audit_presses(world, station)
+    found = find_rows(world, station)
+    yield from _audit_presses(world, station, found)
     yield from _audit_judged(station)
     yield from audit_outputs(world, station)
     yield from audit_retained(world, station)
     yield from audit_late(world, station)
     yield from audit_serials(station)
+    yield from audit_levels(world)
+    yield from station.found
     yield from _audit_sight(station)
-    yield from _audit_ledger(
-        station.disk.folder / "gelgate.db", sum(bool(one.why) for one in world.hand.presses)
-    )
+    without = [press for press in world.hand.presses if press.number not in found]
+    more = sum(bool(press.why & AGAIN) for press in world.hand.presses if press.number in found)
+    must = sum(press.must_count for press in without)
+    yield from _audit_ledger(station.disk.folder / "gelgate.db", must, len(without) + more)
     yield from _audit_requests(station)
     for broker in world.brokers.values():
         yield from _audit_subscriber(broker, station.disk.folder / "gelgate.db")
@@ -92,31 +117,47 @@ def audit_replay(world: World, station: Station, bundles: Sequence[Path]) -> Ite
     path = station.disk.folder / "gelgate.db"
     again, archive = Bundles(bundles, world.clock), ArchiveFolder(path.with_suffix(".archive"))
     with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
-        query = "SELECT press_id, evidence FROM presses WHERE evidence IS NOT NULL AND verdict IN ('pass', 'fail')"
+        query = (
+            "SELECT press_id, evidence FROM presses WHERE evidence IS NOT NULL AND verdict IN ('pass', 'fail') "
+            "ORDER BY number DESC"
+        )
         rows = list(connection.execute(query))
-    for press_id, evidence in rows:
+    for newer, (press_id, evidence) in enumerate(rows):
         try:
             press = archive.press(press_id, evidence)
             replayed = judge_again(press, archive, again.inspector(press))
-        except ArchiveError:
-            continue  # the archive drops, and may be lost with the power
+        except ArchiveError as error:  # the archive drops, and may be lost with the power
+            if newer < ARCHIVED and station.lives == 1 and not world.disk_disturbed:
+                yield f"press {press_id}, the newest but {newer}, is not in the archive: {error}"
+            continue
         for difference in replayed.differences:
             yield f"press {press_id} scores otherwise when it is judged again: {difference}"
 
 
-def _audit_presses(world: World, station: Station) -> Iterator[str]:
-    """Each press of the hand is one row, in order, with its verdict; where a fault was, it may be lost."""
+Row = tuple[str, str, str, str]
+"""Id, verdict, part and gel."""
+
+
+def find_rows(world: World, station: Station) -> dict[int | None, list[Row]]:
+    """Find the rows of each press of the hand by its number; None: those of no press."""
     rows = read_presses(station.disk.folder / "gelgate.db")
-    found: dict[int, list[tuple[str, str, str, str]]] = {}
+    found: dict[int | None, list[Row]] = {}
     times = {seen.press_id: seen.frame_ns or seen.noted_ns for seen in station.seen}
     for row in rows:
         seen_ns = times.get(row[0])
         made = [one for one in world.hand.presses if seen_ns and one.begin_ns <= seen_ns]
         if not made or (seen_ns > made[-1].end_ns + LATEST_S * S and not made[-1].why):
-            when = seen_ns and f"{seen_ns / S:.2f} s"
-            yield f"row {row[0]} ({row[1]}) at {when} belongs to no press of the hand"
+            found.setdefault(None, []).append(row)
             continue
         found.setdefault(made[-1].number, []).append(row)
+    return found
+
+
+def _audit_presses(world: World, station: Station, found: dict[int | None, list[Row]]) -> Iterator[str]:
+    """Each press of the hand is one row, in order, with its verdict; where a fault was, it may be lost."""
+    for row in found.get(None, []):
+        when = [seen.noted_ns / S for seen in station.seen if seen.press_id == row[0]]
+        yield f"row {row[0]} ({row[1]}) at {when} s belongs to no press of the hand"
     for press in world.hand.presses:
         own = found.get(press.number, [])
         if len(own) > 1 and not press.why:
@@ -131,6 +172,8 @@ def _audit_presses(world: World, station: Station) -> Iterator[str]:
                 yield f"press {press.number} is judged as {part}, and another part was selected at its begin"
             if not press.why and not world.gels.allows(press, gel):
                 yield f"press {press.number} counts on gel {gel}, and another gel was mounted at its begin"
+            if press.is_others and verdict in ("pass", "fail"):
+                yield f"press {press.number} was made on another sensor, and is judged"
             if press.is_bad and verdict == "pass":
                 yield f"press {press.number} is {press.what} and passed ({', '.join(press.why) or 'no fault'})"
             if not press.why and verdict not in press.words:
@@ -145,17 +188,23 @@ def _audit_judged(station: Station) -> Iterator[str]:
         age_s = (seen.judged_ns - seen.frame_ns) / S
         if OLDEST_S < age_s < 10:  # otherwise the wall clock was set
             yield f"the frame of press {seen.press_id} was {age_s:.1f} s old when it was judged"
+        if seen.after_gap_s < RESTS_S:
+            yield f"press {seen.press_id} was judged {seen.after_gap_s:.2f} s after an interruption"
         if seen.is_over_gap:
             yield f"press {seen.press_id} was judged by a frame from before an interruption"
 
 
-def _audit_ledger(path: Path, disturbed: int) -> Iterator[str]:
-    """Every row is a press of its gel; presses without a row are counted too, and there are no more than were made."""
+def _audit_ledger(path: Path, least: int, most: int) -> Iterator[str]:
+    """Every row is a press of its gel, and between `least` and `most` presses without a row are counted too."""
+    total = 0
     with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
         rows = Counter(gel for (gel,) in connection.execute("SELECT gel_id FROM presses"))
         for gel, presses in connection.execute("SELECT gel_id, presses FROM gels"):
-            if not rows[gel] <= presses <= rows[gel] + disturbed:
+            total += presses - rows[gel]
+            if not rows[gel] <= presses <= rows[gel] + most:
                 yield f"gel {gel} has {presses} presses, and {rows[gel]} rows"
+    if not least <= total <= most:
+        yield f"the gels have {total} presses more than rows, and {least} to {most} were made without one"
     yield from (
         f"the database is not sound: {finding.text}" for finding in check_database(path) if finding.is_fault
     )
@@ -207,7 +256,7 @@ def _audit_requests(station: Station) -> Iterator[str]:
             yield f"the request {answer['verb']}, {answer['transaction']}, was done, and nobody may ask it so"
 
 
-def read_presses(path: Path) -> list[tuple[str, str, str, str]]:
+def read_presses(path: Path) -> list[Row]:
     """Id, verdict, part and gel of each row, in order."""
     with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
         query = "SELECT press_id, verdict, part, gel_id FROM presses WHERE serial = ? ORDER BY number"

@@ -48,6 +48,16 @@ def audit_outputs(world: World, station: Station) -> Iterator[str]:
             before = [seen.word for seen in station.seen if seen.noted_ns <= one.told_ns]
             if before[-1:] != ["pass"]:
                 yield f"a pass was shown {when}, and the last press was {before[-1:] or 'none'}"
+            begun = [press for press in world.hand.presses if press.begin_ns <= one.told_ns][-1:]
+            for press in begun:
+                is_sure = not press.why - {"the station said 'halted'"}
+                is_noticed = one.told_ns - press.begin_ns > (world.noticed_s + SHOWN_S) * S
+                if (
+                    is_sure
+                    and is_noticed
+                    and not any(press.begin_ns <= seen.noted_ns <= one.told_ns for seen in station.seen)
+                ):
+                    yield f"a pass was shown {when}, and press {press.number} was not recorded yet"
             passed_ns = max(
                 [seen.noted_ns for seen in station.seen if seen.noted_ns <= one.told_ns], default=0
             )

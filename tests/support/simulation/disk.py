@@ -29,6 +29,7 @@ class Disk:
         self.lost: Callable[[Unsynced, Path], None] | None = None
         """Takes from the copy what a loss of power takes; None where only the process is killed."""
         self.is_full = False
+        self.full_since_ns = 0
         self.copy: Path | None = None
         self.killed_at = ""
         self._connections: list[sqlite3.Connection] = []

@@ -130,7 +130,10 @@ def fill_disk(run: "Simulation", rng: random.Random) -> float:
     """No room on the disk, then room again."""
     disk = run.station.disk
     disk.fill(True)
-    run.world.parts.forget(run.world.clock.now_ns)
+    run.world.disk_disturbed = True
+    disk.full_since_ns = run.world.clock.now_ns
+    if run.station.loop.parts.selection.is_waiting:
+        run.world.parts.forget(run.world.clock.now_ns)
     return run.for_a_while("disk full", rng.uniform(1, 20), lambda: disk.fill(False))
 
 
@@ -159,6 +162,7 @@ def bad_disk(run: "Simulation", rng: random.Random) -> float:
     unsynced.fails = lambda call: call == what and own.random() < share
     run.world.parts.forget(run.world.clock.now_ns)
     run.world.gels.forget(run.world.clock.now_ns)
+    run.world.disk_disturbed = True
     run.reach(f"the disk failed to {what}")
 
     def mend() -> None:

@@ -18,6 +18,7 @@ Phase = tuple[float, str]
 """Depth, 0 to 1, and what is on the gel: `sound`, `dented` or `glaring`."""
 FREE: Phase = (0.0, "sound")
 NOT_SETTLED = {"rejected"}
+WAYS = ("steady", "slow", "hesitating", "brief", "long")
 PATIENCE = 0.9
 """The share of people who wait half a second more for a station that is not ready."""
 
@@ -31,6 +32,10 @@ class MadePress:
     what: str
     way: str = "steady"
     end_ns: int = 0
+    must_count: bool = False
+    """It was made on a full disk, and counts on the gel although the process was killed."""
+    is_others: bool = True
+    """Another sensor was plugged in all the time."""
     why: set[str] = field(default_factory=set)
 
     @property
@@ -107,7 +112,7 @@ class Hand:
 
     def _begin(self, now_ns: int) -> None:
         what = self._rng.choices(("sound", "dented", "glaring"), (77, 20, 3))[0]
-        way = self._rng.choices(("steady", "slow", "hesitating", "brief"), (80, 8, 8, 4))[0]
+        way = self._rng.choices(WAYS, (74, 8, 8, 4, 6))[0]
         self.presses.append(MadePress(len(self.presses), now_ns, what, way))
         self._phases.extend((depth, what) for depth in self._depths(way))
         self._phases.extend(repeat(FREE, self._frames(0.35, 0.75, 4)))
@@ -123,7 +128,8 @@ class Hand:
             yield from (round(0.4 + 0.6 * step / steps, 1) for step in range(steps))
         elif way == "hesitating":
             yield from repeat(0.6, self._frames(0.12, 0.2, 2))
-        yield from repeat(1.0, self._frames(0.5, 0.75, 5))
+        least_s, most_s = (1.5, 2.5) if way == "long" else (0.5, 0.75)
+        yield from repeat(1.0, self._frames(least_s, most_s, 5))
         yield 0.3
 
     def _frames(self, least_s: float, most_s: float, fewest: int) -> int:

@@ -50,6 +50,8 @@ class Seen:
     """By the wall clock of now: wrong where it was set since."""
     is_over_gap: bool
     """Frames are missing between the judged frame and the verdict."""
+    after_gap_s: float
+    """From the last interruption to the verdict."""
 
 
 class Station:
@@ -65,6 +67,8 @@ class Station:
         """The times of the frames that this life has looked at."""
         self.answers: list[dict[str, Any]] = []
         """Of requests that people have sent, in order."""
+        self.was_waiting = False
+        """The last life ended while a selection waited."""
         self.is_frozen = False
         """No thread of it gets a turn."""
         self.fps = S / world.sensor.period_ns
@@ -73,6 +77,8 @@ class Station:
         self.unseen_in: list[int] = []
         """The lives in which a time without sight ended that must be in the acts."""
         self._since_ns: dict[str, int] = {}
+        self.found: list[str] = []
+        """What must not be, and was seen on the way."""
         self.signed = set[str]()
         """Transactions that were signed with the station's secret."""
         self.asking: list[threading.Thread] = []
@@ -92,7 +98,8 @@ class Station:
         self._since_ns.clear()
         clock = self.world.clock
         self.began_ns = clock.now_ns
-        self.world.parts.forget(clock.now_ns)
+        if self.was_waiting:
+            self.world.parts.forget(clock.now_ns)
         self.world.gels.forget(clock.now_ns)
         self.config = self._read_config()
         checked = Preflight(BundleOpener(None, 1, clock))
@@ -143,6 +150,8 @@ class Station:
     def stop(self) -> None:
         """End in order, as at SIGTERM."""
         self._note_end()
+        sinks = self.world.connections.sinks
+        connected = [one for one in self.world.brokers.values() if one.mood == "up" and sinks[one.name].level]
         stop = threading.Event()
         stop.set()
         try:
@@ -154,10 +163,16 @@ class Station:
         self.hear_answers()
         self._closing.close()
         self.world.connections.end_turns()
+        self.world.connections.pump()
+        for broker in connected:
+            state = json.loads(broker.retained["state"])["state"]
+            if state != "stopped" and not self.disk.is_dead:
+                self.found.append(f"{broker.name} retains {state} of a station that ended in order")
         self.disk.forget()
 
     def _note_end(self) -> None:
         self.ended_ns.append(self.world.clock.now_ns)
+        self.was_waiting = self.loop.parts.selection.is_waiting
         self.unseen_in = [life for life in self.unseen_in if life != self.lives]
 
     def bury(self) -> None:
@@ -253,12 +268,13 @@ class Station:
         frame_ns, set_ns = press.judged_ns or now_ns, self.world.clock.set_ns
         if not (press.judged_ns or 0) <= judged_ns <= now_ns or set_ns > min(frame_ns, judged_ns):
             judged_ns = frame_ns  # the wall clock was set since
-        gaps = (
-            later - then > GAP_NS
-            for then, later in pairwise(self.fed_ns)
-            if later >= frame_ns and then <= judged_ns
+        gaps = [(then, later) for then, later in pairwise(self.fed_ns[-200:]) if later - then > GAP_NS]
+        is_over = any(later >= frame_ns and then <= judged_ns for then, later in gaps)
+        ended_ns = max((later for _, later in gaps if later <= judged_ns), default=0)
+        after_s = (now_ns - ended_ns) / S
+        self.seen.append(
+            Seen(press.press_id, now_ns, press.judged_ns, press.word, judged_ns, is_over, after_s)
         )
-        self.seen.append(Seen(press.press_id, now_ns, press.judged_ns, press.word, judged_ns, any(gaps)))
 
 
 class Draining(PressStage):

@@ -1,5 +1,6 @@
 """A relay board and a pedal, each with a state of its own, and what was switched when."""
 
+import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
@@ -41,22 +42,24 @@ class Switching:
 
 
 class Relay:
-    """A board that keeps its relays when it is unplugged. mood: `up`, `unplugged`, `slow` or `stuck`."""
+    """A board with three relays. mood: `up`, `unplugged`, `slow` or `stuck`."""
 
     now: ClassVar["Relay"]
     """That of the run that is on."""
     name = "simulated relay"
     channels = 3
 
-    def __init__(self, clock: "SimulatedClock", is_dead: Callable[[], bool]) -> None:
-        self._clock, self._is_dead = clock, is_dead
+    def __init__(self, clock: "SimulatedClock", is_dead: Callable[[], bool], rng: random.Random) -> None:
+        self._clock, self._is_dead, self._rng = clock, is_dead, rng
         self.mood = "up"
         self.well_since_ns = 0
         self.is_on = {LAMP: False, REJECT: False, GATE: False}
         self.switched: list[Switching] = []
 
     def mend(self) -> None:
-        """It is plugged in, and switches at once."""
+        """It is plugged in, and switches at once. Some boards begin as they were, others anyhow."""
+        if self.mood == "unplugged" and self._rng.random() < 0.5:
+            self.is_on = {channel: self._rng.random() < 0.5 for channel in self.is_on}
         self.mood, self.well_since_ns = "up", self._clock.now_ns
 
     def write(self, channel: int, is_on: bool) -> None:

@@ -21,6 +21,7 @@ def replace_gel(run: "Simulation", rng: random.Random) -> float:
     hand.wait(4)
     try:
         run.world.gels.select(run.world.clock.now_ns, run.station.ask("replace_gel")["gel_id"])
+        run.world.new_gel_ns = run.world.clock.now_ns
         run.reach(
             "the gel was replaced while a broker was away" if run.is_broker_away else "the gel was replaced"
         )
@@ -44,6 +45,8 @@ def select_part(run: "Simulation", rng: random.Random) -> float:
         run.note(f"part {part} is not selected: {error}")
         return 0.0
     parts.select(run.world.clock.now_ns, part)
+    if run.station.disk.is_dead:
+        parts.forget(run.world.clock.now_ns)  # it may have died before that was recorded
     is_waiting = answer["is_waiting"]
     run.reach("a part change came during a press, and waited" if is_waiting else "the part was changed")
     if run.world.hand.press and not is_waiting:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from simulation.bundles import both_bundles
 from simulation.planted_bugs import BUGS, Bug
+from simulation.planted_by_others import BY_OTHERS
 
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGES = ("edge", "plugins", "calibration", "tests/support")
@@ -20,13 +21,14 @@ PACKAGES = ("edge", "plugins", "calibration", "tests/support")
 def main() -> int:
     words = argparse.ArgumentParser(prog="python -m simulation.planted", description=__doc__)
     words.add_argument("names", nargs="*", help="by default all")
-    words.add_argument("--seconds", type=float, default=60, help="of runs with each")
+    words.add_argument("--seconds", type=float, default=60, help="of processor time, of the runs with each")
+    words.add_argument("--bundle", type=Path, nargs=2, help="of both parts; by default new ones")
     given = words.parse_args()
     missed = 0
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
-        bundles = both_bundles(folder)
-        for bug in BUGS:
+        bundles = given.bundle or both_bundles(folder)
+        for bug in (*BUGS, *BY_OTHERS):
             if not given.names or bug.name in given.names:
                 said = find(bug, folder / "tree", bundles, given.seconds)
                 print(f"{bug.name}: {said}", flush=True)

@@ -169,8 +169,8 @@ BUGS = (
     Bug(
         "retained messages pile up",
         "edge/store/outbox.py",
-        '        if message.retain:\n            connection.execute("DELETE',
-        '        if False:\n            connection.execute("DELETE',
+        "        if message.retain:\n            forget(",
+        "        if False:\n            forget(",
         "of the retained topic",
     ),
     Bug(

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from edge.config import Config, load_config
 from edge.core.errors import StoreError
-from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
+from simulation.auditors import ARCHIVED, CALM_S, audit_end, audit_now, audit_replay
 from simulation.auditors_retained import audit_retained
 from simulation.chosen import Chosen, Fault
 from simulation.conditions import reached_at_end
@@ -258,9 +258,17 @@ class Simulation:
             self.reach("killed while a broker was away")
         if disk.is_full:
             self.reach("killed while the disk was full")
+            self._note_uncounted()
         self.world.sensor.disturb("the gateway was killed")
         self.station.bury()
         self.open_again()
+
+    def _note_uncounted(self) -> None:
+        """Presses that wait for room on the disk count on the gel at the next start (docs/operations.md)."""
+        disk, now_ns = self.station.disk, self.world.clock.now_ns
+        for press in self.world.hand.presses:
+            is_waiting = press.begin_ns > disk.full_since_ns + S // 2 and 0 < press.end_ns < now_ns - 2 * S
+            press.must_count |= is_waiting and not press.why - {"the station said 'halted'"}
 
     def open_again(self) -> None:
         """Begin the next life, with the station's own sensor; the service manager starts again what cannot start."""
@@ -283,7 +291,7 @@ class Simulation:
         self.rng.shuffle(self.order)
         if self.order != before and self.station.lives > 1:
             self.reach("restarted with the sinks in another order")
-        archive = "" if self.chosen.has_archive else "[archive]\npresses = 0\n"
+        archive = f"[archive]\npresses = {ARCHIVED if self.chosen.has_archive else 0}\n"
         paths = "".join(f'[[inspection.bundles]]\npath = "{path}"\n' for path in self._bundles)
         text = CONFIG.format(bundles=paths, folder=self._disk, archive=archive, secret=self._secret)
         text += TABLES + "".join(SINK.format(name=name, at_once_s=AT_ONCE_S) for name in self.order)

@@ -70,6 +70,7 @@ class Sensor:
         phase = self.hand.move(self._clock.now_ns, is_ready)
         if press := self.hand.press:
             press.why |= self.troubles
+            press.is_others &= self.serial != SERIAL and self.is_plugged
             if press.begin_ns < self.dim_until_ns:
                 press.why.add("it began just after an interruption")
         if not self.is_plugged or self.is_silent:

@@ -83,7 +83,11 @@ class World:
         """A contact is a press so long after its begin at most: docs/contact.md has the times."""
         self.parts = Selected(PARTS[0], self.noticed_s)
         self.gels = Selected(f"{SERIAL}-1", self.noticed_s)
-        self.relay = Relay.now = Relay(self.clock, lambda: self.is_dead())
+        self.relay = Relay.now = Relay(self.clock, lambda: self.is_dead(), random.Random(f"{seed} relay"))
+        self.disk_disturbed = False
+        """It was full or failed at some time."""
+        self.new_gel_ns = -S
+        """When the gel was replaced last, as the station has confirmed."""
         self.said: list[str] = []
         """How a stop of the service ended, where it did not end well."""
         self.pedal = Pedal.now = Pedal(self.clock)
