@@ -1,17 +1,20 @@
 """Drift of ordinary production: charts of the passing presses, and an alarm with what has shifted and what to do."""
 
 import logging
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.events import PressSettled
-from edge.core.drift import MEASURES, DriftChart
+from edge.core.drift import LEARNT, MEASURES, DriftChart, H
+from edge.core.ports import Clock, Message
 from edge.core.press import Press
-from edge.core.reference_press.outcome import Imprint
+from edge.core.reference_press.outcome import Imprint, Measure
 from edge.core.verdict import Kind
+from edge.messaging.status_payloads import ChartPart, DriftPayload
 from edge.model.inspector import Inspector
 from edge.press_stage import Alarms, PressStage, StageParts
 from edge.store.gel_files import GelFiles
@@ -25,6 +28,8 @@ log = logging.getLogger(__name__)
 _KEPT_EVERY: Final = 16
 # Bundles whose charts are kept for a gel, the newest in use.
 _KEPT_BUNDLES: Final = 32
+# Presses that are drawn: more would be closer than a point is wide.
+_DRAWN: Final = 60
 
 Charts = dict[str, DriftChart]
 
@@ -32,28 +37,37 @@ Charts = dict[str, DriftChart]
 class DriftWatch(PressStage):
     """Charts of each bundle on the mounted gel; another gel begins new ones."""
 
-    def __init__(self, folder: GelFiles, alarms: Alarms) -> None:
-        self._folder, self._alarms = folder, alarms
+    def __init__(
+        self, folder: GelFiles, alarms: Alarms, announce: Callable[[Message], object], clock: Clock
+    ) -> None:
+        self._folder, self._alarms, self._announce, self._clock = folder, alarms, announce, clock
         self._serial, self._gel_id, self._unsaved = "", "", 0
         self._bundles: dict[int, Charts] = {}
         self._bundle = 0
+        self._inspector: Inspector | None = None
+        self._sums: dict[tuple[int, str], deque[tuple[float, float]]] = {}
+        self._is_shown = True
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
         """Charts are kept next to the database, with the gel's pictures."""
-        return cls(GelFiles(parts.config.store.path.with_suffix(".references")), parts.alarms)
+        folder = GelFiles(parts.config.store.path.with_suffix(".references"))
+        return cls(folder, parts.alarms, parts.announce, parts.clock)
 
     def mount(self, gel: GelRecord) -> None:
         """Go on with the charts of this gel; an unknown one has none."""
         self._save()
         self._serial, self._gel_id = gel.serial, gel.gel_id
         self._bundles = self._folder.load(gel.serial, gel.gel_id, "drift", _bundles_from) or {}
+        self._sums = {}
         self._say()
+        self._show()
 
     def use(self, inspector: Inspector) -> None:
         """Go on with the charts of this bundle."""
-        self._bundle = int(inspector.bundle.digest[:12], 16)
+        self._bundle, self._inspector = int(inspector.bundle.digest[:12], 16), inspector
         self._say()
+        self._show()
 
     def close(self) -> None:
         self._save()
@@ -65,14 +79,19 @@ class DriftWatch(PressStage):
             for measure in MEASURES:
                 value = _measure(press, settled, inspector).get(measure.name)
                 if value is not None:
-                    charts[measure.name] = charts.get(measure.name, DriftChart()).add(value, measure)
+                    chart = charts[measure.name] = charts.get(measure.name, DriftChart()).add(value, measure)
+                    drawn = self._sums.setdefault((self._bundle, measure.name), deque(maxlen=_DRAWN))
+                    drawn.append((round(chart.above, 2), round(chart.below, 2)))
             self._bundles[self._bundle] = charts  # the last one is the newest in use
             self._unsaved += 1
+            self._is_shown = False
             self._say()
         return press
 
     def record(self, press: Press, gel: GelRecord) -> None:
-        """Keep the charts where they are due: a result does not wait for a file."""
+        """Show the charts, and keep them where they are due: a result waits for neither."""
+        if not self._is_shown:
+            self._show()
         if self._unsaved >= _KEPT_EVERY:
             self._save()
 
@@ -81,8 +100,32 @@ class DriftWatch(PressStage):
         if alarm == "drift":
             charts = self._bundles.get(self._bundle, {})
             self._bundles[self._bundle] = {name: chart for name, chart in charts.items() if not chart.shift}
+            for name in charts.keys() - self._bundles[self._bundle].keys():
+                self._sums.pop((self._bundle, name), None)
             self._unsaved += 1
             self._save()
+            self._show()
+
+    def _show(self) -> None:
+        """Publish the charts of the bundle in use, with the newest presses since the start."""
+        self._is_shown = True
+        if self._inspector is None or not self._gel_id:
+            return
+        charts, manifest = self._bundles.get(self._bundle, {}), self._inspector.bundle.manifest
+        payload = DriftPayload(
+            time_ns=self._clock.time_ns(),
+            part=manifest.part,
+            position=manifest.position,
+            gel_id=self._gel_id,
+            learnt=LEARNT,
+            limit=H,
+            charts=tuple(
+                _chart_part(measure, charts[measure.name], self._sums.get((self._bundle, measure.name), ()))
+                for measure in MEASURES
+                if measure.name in charts
+            ),
+        )
+        self._announce(payload.message())
 
     def _say(self) -> None:
         charts = self._bundles.get(self._bundle, {})
@@ -105,6 +148,22 @@ class DriftWatch(PressStage):
             if measure.name in charts
         ]
         self._folder.save(self._serial, self._gel_id, "drift", np.array(rows, np.float64))
+
+
+def _chart_part(measure: Measure, chart: DriftChart, sums: Iterable[tuple[float, float]]) -> ChartPart:
+    drawn = tuple(sums)
+    return ChartPart(
+        measure=measure.name,
+        title=measure.title,
+        unit=measure.unit,
+        count=chart.count,
+        newest=float(f"{chart.newest:.6g}"),
+        mean=float(f"{chart.mean:.6g}"),
+        above=tuple(above for above, _ in drawn),
+        below=tuple(below for _, below in drawn),
+        shift=chart.shift,
+        what_to_do=measure.what_to_do,
+    )
 
 
 def _measure(press: Press, settled: PressSettled, inspector: Inspector) -> Mapping[str, float | None]:

@@ -10,6 +10,8 @@ from edge.messaging.payload_base import Payload, PressId
 from edge.store.gel_ledger import GelRecord
 
 __all__ = [
+    "ChartPart",
+    "DriftPayload",
     "GelPayload",
     "InfoPayload",
     "Question",
@@ -155,3 +157,32 @@ class QuestionsPayload(Payload):
         default=(),
         description="oldest first: those closest to the threshold, and of five one pass drawn by its id",
     )
+
+
+class ChartPart(BaseModel):
+    """The control chart of one measure of passing presses; rises and falls are sums of standard deviations."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
+
+    measure: str
+    title: str
+    unit: str
+    count: int = Field(ge=0, description="passing presses; a shift can be said from `learnt` on")
+    newest: float = Field(description="the mean of the newest presses, about twenty")
+    mean: float = Field(description="of all")
+    above: tuple[float, ...] = Field(description="how far newest presses lie above, oldest first")
+    below: tuple[float, ...]
+    shift: int = Field(ge=-1, le=1, description="1 higher, -1 lower than before, 0 for no shift")
+    what_to_do: str
+
+
+class DriftPayload(Payload):
+    """The control charts of the passing presses of the bundle in use, on the mounted gel."""
+
+    topic: ClassVar = "drift"
+    part: str
+    position: str | None = None
+    gel_id: str
+    learnt: int = Field(description="presses before a shift can be said")
+    limit: float = Field(description="of `above` and `below`; beyond it a shift is said")
+    charts: tuple[ChartPart, ...] = ()

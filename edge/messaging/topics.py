@@ -8,6 +8,7 @@ from edge.messaging.alarm_payload import AlarmPayload
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import (
+    DriftPayload,
     GelPayload,
     InfoPayload,
     QuestionsPayload,
@@ -80,6 +81,7 @@ TOPICS: Final[tuple[Topic, ...]] = (
     ),
     Topic("gel", 1, True, GelPayload, "wear of the mounted gel"),
     Topic("questions", 1, True, QuestionsPayload, "presses that a person is asked about"),
+    Topic("drift", 1, True, DriftPayload, "control charts of the passing presses"),
     Topic("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over", may_be_empty=True),
     Topic("stats", 0, False, StatsPayload, "counters, for dashboards"),
     Topic("cmd/<verb>", 1, False, CommandRequest, "requests to the station; never retained"),

@@ -14,6 +14,7 @@ from edge.messaging.alarm_payload import Alarm, AlarmPayload, list_alarms
 from edge.messaging.payload_base import Payload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import (
+    DriftPayload,
     GelPayload,
     InfoPayload,
     QuestionsPayload,
@@ -54,12 +55,13 @@ _MODELS: Final[Mapping[str, type[Payload]]] = {
     "gel": GelPayload,
     "reference": ReferencePayload,
     "questions": QuestionsPayload,
+    "drift": DriftPayload,
     "stats": StatsPayload,
     "alarm": AlarmPayload,
     "result": ResultPayload,
 }
 
-_STATUS: Final = ("state", "info", "gel", "reference", "questions", "stats")
+_STATUS: Final = ("state", "info", "gel", "reference", "questions", "drift", "stats")
 
 
 class Picture(NamedTuple):

@@ -63,6 +63,37 @@ def test_a_shift_is_an_alarm_until_somebody_acknowledges_it(
     assert set(left) == {measure.name for measure in MEASURES} - {"x_mm"}
 
 
+def test_the_charts_are_shown_with_every_press_that_passes(
+    tmp_path: Path, presses: Path, bundle: Path
+) -> None:
+    """Of three presses the third is dented, and charted by none; what the lines show begins with the start. After
+    another gel nothing is charted."""
+    config = station_config(tmp_path, presses, bundle)
+    with SteppedStation(config) as station:
+        station.play_presses(3)
+        shown = station.said("drift")
+        charts = station.find(DriftWatch)._bundles
+    with SteppedStation(config) as again:
+        again.play_until(lambda: again.loop.session is not None)
+        restarted = again.said("drift")
+        again.ask("replace_gel")
+        other = again.said("drift")
+
+    (kept,) = charts.values()
+    by_name = {chart["measure"]: chart for chart in shown["charts"]}
+    assert (shown["part"], shown["position"], shown["limit"]) == ("PZ0", "pos1", 10.0)
+    assert list(by_name) == [measure.name for measure in MEASURES if measure.name in kept]
+    assert {chart["count"] for name, chart in by_name.items() if name != "noise_levels"} == {2}
+    for name, chart in by_name.items():
+        assert len(chart["above"]) == len(chart["below"]) == chart["count"]
+        assert chart["above"][-1] == round(kept[name].above, 2)
+        assert chart["newest"] == pytest.approx(kept[name].newest, rel=1e-5)
+    assert [chart["count"] for chart in restarted["charts"]] == [chart["count"] for chart in shown["charts"]]
+    assert {chart["above"] == [] for chart in restarted["charts"]} == {True}
+    assert other["charts"] == []
+    assert other["gel_id"] != shown["gel_id"]
+
+
 @pytest.mark.parametrize(
     "damaged", [np.zeros((2, 3)), np.full((1, 10), np.nan), np.full((1, 10), 7.0), np.zeros(3, np.float32)]
 )

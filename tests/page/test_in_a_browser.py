@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from chromium import BROWSER_MS, wait_until
-from page_messages import PICTURE, T0_NS, TOKEN, gel, info, press, state, stats
+from page_messages import PICTURE, T0_NS, TOKEN, drift, gel, info, press, state, stats
 from ports import free_port
 from station import MQTT, Motion, press_recording, station_config, two_parts
 
@@ -69,6 +69,34 @@ def test_a_person_sees_the_verdict_as_it_comes(tab: Any, sink: PageSink) -> None
     assert "mqtt: no broker answers" in tab.inner_text("#receivers")
     assert tab.locator("#presses tr").count() == 2
     wait_until(tab, "document.getElementById('picture').naturalWidth > 0")
+
+
+def test_charts_of_passing_presses_say_what_has_shifted_and_what_to_do(tab: Any, sink: PageSink) -> None:
+    """Each chart has a line on either side between its limits. A shift is said in words, with what to do, as text; few
+    presses are still learnt. Light that is followed is said with the newest press."""
+    assert not tab.locator("#drift").is_visible()
+
+    sink.send(drift(shift=-1, what_to_do="check <b>the lamp</b>"))
+    for message in press(1, light_gain=(1.2, 1.0, 1.04)):
+        sink.send(message)
+
+    tab.wait_for_selector("#charts li.shifted")
+    assert "bolt/pos1 on gel S-1" in tab.inner_text("#drift-of")
+    assert tab.locator("#charts li").all_inner_texts() == [
+        "score / threshold: 0.761 lately, 0.75 in the mean: no shift",
+        "light of the free gel: 98 levels lately, 117 levels in the mean: lower than before; check <b>the lamp</b>",
+    ]
+    assert tab.locator("#charts polyline").count() == 4
+    lowest = "Number(document.querySelector('#charts polyline.out').getAttribute('points').split(',').pop())"
+    limit = "Number(document.querySelectorAll('#charts li.shifted line.limit')[1].getAttribute('y1'))"
+    assert tab.evaluate(f"{lowest} > {limit}")
+    assert "1.20, 1.00, 1.04 times brighter" in tab.inner_text("#followed")
+
+    sink.send(drift(count=7))
+    wait_until(tab, "document.getElementById('charts').textContent.includes('7 of 20 presses learnt')")
+    for message in press(2):
+        sink.send(message)
+    wait_until(tab, "document.getElementById('followed').textContent === ''")
 
 
 AGAIN = PressAgainPart(is_asked=True, reason="press the same piece again, a little shifted")

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from page_messages import gel, info, press, reference, state, stats
+from page_messages import drift, gel, info, press, reference, state, stats
 
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
@@ -19,6 +19,7 @@ OWN = {
     "gel": gel(5, GelState.GOOD),
     "stats": stats(mqtt="up"),
     "reference": reference(),
+    "drift": drift(),
     "result": press(1)[0],
 }
 JSON = st.recursive(

@@ -12,6 +12,8 @@ from edge.core.verdict import Kind
 from edge.messaging.reference_message import describe_reference_press
 from edge.messaging.result_payload import PressFiles, ResultPayload, picture_messages
 from edge.messaging.status_payloads import (
+    ChartPart,
+    DriftPayload,
     GelPayload,
     InfoPayload,
     StatePayload,
@@ -69,6 +71,34 @@ def info(
         method="padim",
         revision=3,
         warnings=warnings,
+    ).message()
+
+
+def drift(shift: int = 0, count: int = 44, what_to_do: str = "check the lamp") -> Message:
+    """Two charts: the score, which has not shifted, and the light."""
+    fields = {
+        "unit": "",
+        "count": count,
+        "newest": 0.761,
+        "mean": 0.75,
+        "above": (0.0, 0.4),
+        "below": (0.0, 0.0),
+    }
+    calm = ChartPart(measure="score_ratio", title="score / threshold", shift=0, what_to_do="", **fields)  # type: ignore[arg-type]
+    light = calm.model_copy(
+        update={
+            "measure": "light_levels",
+            "title": "light of the free gel",
+            "unit": "levels",
+            "newest": 98.0,
+            "mean": 117.2,
+            "below": (2.0, 11.5),
+            "shift": shift,
+            "what_to_do": what_to_do,
+        }
+    )
+    return DriftPayload(
+        time_ns=T0_NS, part="bolt", position="pos1", gel_id="S-1", learnt=20, limit=10.0, charts=(calm, light)
     ).message()
 
 

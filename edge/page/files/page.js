@@ -162,6 +162,43 @@ function showQuestions(questions, pictures) {
   }));
 }
 
+const shape = (tag, about) => {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  Object.entries(about).forEach(([name, value]) => made.setAttribute(name, value));
+  return made;
+};
+
+// Two sums of one chart, upward what lies above and downward what lies below, between their limits.
+function sketch(chart, limit) {
+  const wide = 200, high = 44, middle = high / 2, top = 1.25 * limit, drawn = Math.max(chart.above.length, 2);
+  const y = (value) => (middle - middle * Math.max(-top, Math.min(top, value)) / top).toFixed(1);
+  const line = (sums, way) => shape("polyline", { class: chart.shift === way ? "out" : "sum",
+    points: sums.map((sum, n) => `${(n * wide / (drawn - 1)).toFixed(1)},${y(way * sum)}`).join(" ") });
+  const level = (value, name) => shape("line", { class: name, x1: 0, x2: wide, y1: y(value), y2: y(value) });
+  const made = shape("svg", { viewBox: `0 0 ${wide} ${high}`, preserveAspectRatio: "none", "aria-hidden": "true" });
+  made.append(level(limit, "limit"), level(-limit, "limit"), level(0, "centre"), line(chart.above, 1), line(chart.below, -1));
+  return made;
+}
+
+function showChart(chart, drift) {
+  const item = element("li", "", chart.shift ? "shifted" : ""), unit = chart.unit ? ` ${chart.unit}` : "";
+  const value = (number) => Number(number.toPrecision(3)) + unit;
+  const said = chart.count < drift.learnt ? `${chart.count} of ${drift.learnt} presses learnt`
+    : chart.shift ? `${value(chart.newest)} lately, ${value(chart.mean)} in the mean: ${chart.shift > 0 ? "higher" : "lower"} than before; ${chart.what_to_do}`
+    : `${value(chart.newest)} lately, ${value(chart.mean)} in the mean: no shift`;
+  item.append(element("span", `${chart.title}: ${said}`), sketch(chart, drift.limit));
+  return item;
+}
+
+function showDrift(drift, last) {
+  const charts = (drift || {}).charts || [];
+  at("drift").hidden = !charts.length;
+  put("drift-of", charts.length ? `${named(drift)} on gel ${drift.gel_id}. A line beyond its limit says that something has shifted.` : "");
+  draw("charts", charts, () => charts.map((chart) => showChart(chart, drift)));
+  const gain = (last || {}).light_gain;
+  put("followed", gain ? `The light has changed since the fit, and is followed: the last press was made ${gain.map((one) => one.toFixed(2)).join(", ")} times brighter in red, green, blue.` : "");
+}
+
 function showPresses(presses) {
   const last = presses[0], newest = presses.slice(0, 12);
   draw("presses", [newest.map((press) => [press.press_id, press.has_picture]), may("confirm_press")], () => newest.map(showRow));
@@ -191,6 +228,7 @@ function show() {
   if (shown !== null) {
     showStation(shown);
     showPresses(shown.presses);
+    showDrift(shown.drift, shown.presses[0]);
   }
 }
 
