@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import read_presses
-from calibration.fitting.presses.strangers import find_misexposed, find_repeated, small_view
+from calibration.fitting.presses.strangers import find_misexposed, find_pieces, find_repeated, small_view
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
@@ -180,6 +180,24 @@ def test_frames_of_one_film_are_one_piece_and_are_held_out_in_stretches(tmp_path
     assert [len(held) for held in folds] == [7, 7, 6]
     assert {film.names[k] for k in folds[0]} == {f"film/{k}.png" for k in range(7)}
     assert "are of 1 piece" in said[0]
+
+
+@pytest.mark.parametrize(
+    "drift", [lambda rgb, k: rgb + k, lambda rgb, k: rgb * (1 + k / 100)], ids=["offset", "gain"]
+)
+def test_presses_whose_light_drifts_are_no_film(
+    drift: Callable[[NDArray[np.int64], int], NDArray[np.float64]],
+) -> None:
+    """Each is nearer to the next one in its level alone: the part is held well, and only its depth differs."""
+    depths = np.random.default_rng(0).uniform(25, 29, 20)
+    views = [
+        small_view(
+            np.clip(drift(gel(k, depth * (Y - Y**3)[..., None]).astype(int), k), 0, 255).astype(np.uint8)
+        )
+        for k, depth in enumerate(depths)
+    ]
+    names = [f"{k}.png" for k in range(20)]
+    assert find_pieces(names, views, [None] * 20)[2] == ()
 
 
 def test_of_three_presses_the_one_that_does_not_belong_is_named(tmp_path: Path) -> None:

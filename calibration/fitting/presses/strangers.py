@@ -37,7 +37,7 @@ _STRANGE_LEVELS, _STRANGE_TIMES = 6.0, 3.0
 _SAME_LEVELS, _PLACE_PX = 2.0, 1.5
 # In a film a frame differs from the next one by this share of what any two do at most, and most frames are most like a
 # neighbour: of a rolling finger by 0.34, and 83 % are; of seven sets of presses one by one by 0.95 and more, and 15 %.
-_FEWEST_FRAMES, _MOST_FRAMES, _FILM_SHARE = 8, 48, 0.5
+_FEWEST_FRAMES, _MOST_FRAMES, _FILM_SHARE, _LEAST_SPREAD = 8, 48, 0.5, 0.1
 # Levels of presses of 15 real and simulated parts lie within 0.92 and 1.07 of their median.
 _EXPOSED_TIMES = 1.25
 # Grain is what a blur of a pixel takes away, at the quietest quarter of the places: of presses of 22 real and simulated
@@ -247,6 +247,10 @@ def _find_film(names: Sequence[str], views: Sequence[U8]) -> tuple[int, ...]:
     if len(order) < _FEWEST_FRAMES:
         return ()
     broad = np.stack(_blur([views[k] for k in order[:_MOST_FRAMES]]))
+    # A light that drifts makes no film: neither its level counts nor its gain.
+    broad -= np.median(broad, axis=(1, 2), keepdims=True)
+    spread = np.median(np.abs(broad), axis=(1, 2), keepdims=True)
+    broad *= np.median(spread, axis=0) / np.maximum(spread, _LEAST_SPREAD)
     away = np.stack([np.abs(broad - one).max(axis=(1, 2, 3)) for one in broad])
     next_one, any_two = np.median(np.diagonal(away, 1)), np.median(away[np.triu_indices(len(away), 1)])
     np.fill_diagonal(away, np.inf)
