@@ -216,6 +216,16 @@ def test_how_often_a_part_looks_the_same_in_a_turn(part: parts.Bumps, symmetry: 
         assert all(abs(one.turn_rad or 0) <= np.pi / symmetry for one in learnt.registered)
 
 
+def test_one_asymmetric_damage_among_nominal_presses_of_a_symmetric_part_is_named() -> None:
+    """The part keeps its symmetry, and the press stands apart."""
+    poses, presses = parts.anywhere(parts.CROSS, 14)
+    presses[9] = parts.press((*parts.CROSS, (10.0, 12.0, 4.0, 5.0)), poses[9], seed=10)
+    manifest = fitted(nominal(presses), "auto").manifest
+
+    assert "the part looks the same 4 times in a full turn" in manifest.facts["registration"]
+    assert any("'press 9' stands apart from the others" in said for said in manifest.provenance.warnings)
+
+
 def test_a_turn_that_some_presses_do_not_show_is_said() -> None:
     """Two presses without the mark that breaks a symmetry agree as well at its other turns; the others are sure."""
     marked = (*parts.ring(3), (8.0, 12.0, 3.0, 4.0))
