@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -153,6 +153,7 @@ def fit(given: FitArguments) -> None:
         augment=_check_word("augment", given.augment, ("auto", "never", "always")),
         revision=given.revision or next_revision(given.output),
         gel_id=given.gel,
+        settings=_asked_for(given),
     )
     presses = read_presses(
         found.paths,
@@ -167,6 +168,27 @@ def fit(given: FitArguments) -> None:
     how = f"{config.detector.name} ({config.mode}) on {config.trunk.id}"
     typer.echo(f"{count_presses(len(presses))}, {how}, region {config.region}")
     make(partial(fit_files, presses, config), given.output, given.overwrite)
+
+
+# They change what a later fit of the same presses gives; the others are in fields of the manifest, or of one machine.
+_KEPT_SETTINGS = (
+    "resize",
+    "pattern",
+    "holdout",
+    "seed",
+    "folds",
+    "scattered",
+    "limit",
+    "register",
+    "augment",
+)
+
+
+def _asked_for(given: FitArguments) -> dict[str, object]:
+    """Return the settings that differ from the usual ones."""
+    usual = {one.name: one.default for one in fields(FitArguments)}
+    asked = {name: getattr(given, name) for name in _KEPT_SETTINGS}
+    return {name: value for name, value in asked.items() if value != usual[name]}
 
 
 def _check_word(option: str, word: str, known: Sequence[str]) -> Any:

@@ -67,7 +67,7 @@ from edge.model.manifest import (
     ThresholdEntry,
     ToleranceEntry,
 )
-from edge.model.manifest_facts import MISSING, gel_facts
+from edge.model.manifest_facts import MISSING
 from edge.model.scorer import Scorer
 from edge.model.session import TrunkSessions
 from edge.model.tile_runner import most_typical, untouched_tiles
@@ -384,7 +384,7 @@ def _facts(learnt: _Learnt, created: str) -> Facts:
         facts={
             "backbone": config.trunk.facts,
             **learnt.facts,
-            **gel_facts(config.gel_id),
+            **config.facts,
             **{k: v for k, v in facts.items() if k != "repairs"},
         },
         profile=config.profile,

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from calibration.fitting.bundle_measurements import check_given
 from calibration.fitting.limits.threshold import check_alpha
@@ -13,8 +13,12 @@ from edge.core.detector import Detector, Mode
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.model.manifest_facts import gel_facts
 
-__all__ = ["FitConfig"]
+__all__ = ["SETTINGS", "FitConfig"]
+
+SETTINGS = "settings"
+"""The entry of a manifest's `facts` with what the fit was asked for otherwise than usual, by the names of `--set`."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,8 @@ class FitConfig:
     """Whether the bank also learns rendered copies of the presses, `auto` where there are few."""
     gel_id: str | None = None
     """The gel of the presses, where it is known."""
+    settings: Mapping[str, object] = field(default_factory=dict)
+    """What was asked for otherwise than usual, for the manifest: a later fit asks for the same."""
 
     def __post_init__(self) -> None:
         check_alpha(self.alpha)
@@ -66,6 +72,11 @@ class FitConfig:
     def view(self) -> tuple[SensorProfile, Region]:
         """The sensor of the pictures, and the part of them that is inspected."""
         return self.profile, self.region
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Return what the manifest says of the gel, and of what was asked for."""
+        return gel_facts(self.gel_id) | ({SETTINGS: dict(self.settings)} if self.settings else {})
 
     @property
     def why_plain(self) -> str:

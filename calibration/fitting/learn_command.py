@@ -1,6 +1,5 @@
 """`gelgate bundle learn`: a bundle, its nominal presses and what people said at the station in, a new bundle out."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +11,6 @@ from edge.cli.arguments import flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
 
 if TYPE_CHECKING:
-    from calibration.fitting.fit_config import FitConfig
     from calibration.fitting.learn import ConfirmedPresses
     from calibration.fitting.presses.nominal_presses import NominalPresses
     from edge.core.part_position import PartPosition
@@ -57,9 +55,9 @@ def learn(given: LearnArguments) -> None:
 
     from calibration.fitting.command import count_presses, make, refuse_existing
     from calibration.fitting.fit import Fitted, fit_files
+    from calibration.fitting.fit_again import configure_again, read_again
     from calibration.fitting.learn import compare, write_pictures
-    from calibration.fitting.presses.nominal_presses import read_presses
-    from calibration.fitting.presses.sources import check_present, find_sources
+    from calibration.fitting.presses.sources import check_present
     from edge.cli.options import database_path
     from edge.core.part_position import PartPosition
     from edge.model.bundle import Bundle
@@ -69,20 +67,17 @@ def learn(given: LearnArguments) -> None:
     old = Bundle.load(given.bundle)
     manifest, database = old.manifest, database_path(given.config, given.database)
     confirmed = _read_words(database, PartPosition(manifest.part, manifest.position))
-    config = _configure_again(old, given)
-    sources = find_sources(given.sources, manifest.part, manifest.position, old.profile.size)
-    if left_out := _left_out_before(sources.paths, manifest.provenance.left_out):
-        typer.echo(f"left out as before: {', '.join(left_out)}")
+    config = configure_again(old, given.alpha, given.threads, given.gel)
     with tempfile.TemporaryDirectory() as folder:
         pictures = Path(folder) / "confirmed"
         write_pictures(confirmed.good, pictures)
-        presses = read_presses(
-            [*sources.paths, pictures],
-            old.profile,
-            old.region,
+        presses = read_again(
+            old,
+            given.sources,
+            more=sorted(pictures.iterdir()),
             no_contact=given.no_contact,
-            specimens=sources.specimens,
-            leave_out=[*left_out, *(given.leave_out or ())],
+            leave_out=given.leave_out or (),
+            say=typer.echo,
         )
     _warn_without_gel(old, presses)
     learnt = sum(name.startswith(f"{pictures.name}/") for name in presses.names)
@@ -124,50 +119,3 @@ def _warn_without_gel(old: "Bundle", presses: "NominalPresses") -> None:
             "give pictures of it with --no-contact",
             err=True,
         )
-
-
-def _left_out_before(sources: Sequence[Path], names: Sequence[str]) -> list[str]:
-    """Choose the presses that are still among the sources, of those that the old bundle left out."""
-    from calibration.fitting.presses.nominal_presses import is_recording, list_pictures
-
-    recordings = {source.name for source in sources if is_recording(source)}
-    pictures = list_pictures([source for source in sources if not is_recording(source)])
-    there = {f"{path.parent.name}/{path.name}" for path in pictures}
-    return [name for name in names if name in there or name.rpartition("#")[0] in recordings]
-
-
-def _configure_again(old: "Bundle", given: LearnArguments) -> "FitConfig":
-    """Make the configuration of a fit like that of the old bundle. Errors: FitError for a bundle of another origin."""
-    import json
-
-    from calibration.fitting.fit_config import FitConfig
-    from calibration.fitting.trunks import open_trunk
-    from edge import registry
-    from edge.core.errors import FitError
-
-    manifest = old.manifest
-    if manifest.backbone is None or manifest.mode is None:
-        raise FitError(f"bundle {old.where} is no bundle of `gelgate fit`, so it cannot be fitted again")
-    detector = registry.detector(manifest.method)
-    usual = json.loads(json.dumps(dict(vars(detector.parameters(manifest.mode)))))
-    overrides = {
-        name: value for name, value in manifest.parameters.items() if value != usual.get(name, value)
-    }
-    return FitConfig(
-        part=manifest.part,
-        position=manifest.position,
-        profile=old.profile,
-        region=old.region,
-        detector=detector,
-        trunk=open_trunk(
-            manifest.backbone.id, detector.taps(detector.parameters(manifest.mode, **overrides))
-        ),
-        mode=manifest.mode,
-        overrides=overrides,
-        alpha=manifest.threshold.alpha if given.alpha is None else given.alpha,
-        threads=given.threads,
-        register="auto",
-        augment="auto",
-        revision=(manifest.revision or 0) + 1,
-        gel_id=given.gel,
-    )

@@ -11,6 +11,7 @@ from command_line import Outcome, gelgate
 from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
+from calibration.fitting.fit_again import configure_again
 from calibration.fitting.learn import Comparison, ConfirmedPresses
 from calibration.fitting.presses.nominal_presses import read_presses
 from edge import registry
@@ -322,3 +323,40 @@ def test_the_learnt_pictures_are_the_camera_s_bytes(
     assert path.name == f"{ids[0]}.jpg"
     assert path.read_bytes() == found.good[0].frame
     assert cv2.imread(str(path)).shape == (240, 320, 3)
+
+
+def test_what_the_old_fit_was_asked_for_is_asked_for_again(
+    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]], tmp_path: Path
+) -> None:
+    """Every `--set` that changes what is learnt, and which files of a folder; and the fit after the next one too."""
+    folder, ids = station
+    old = Bundle.load(inspected[0] / "old")
+    frames = read_presses([inspected[0] / "nominal"], old.profile, Region(0, 0, *old.profile.size)).frames
+    data = tmp_path / "pictures"
+    data.mkdir()
+    for number, rgb in enumerate(frames):
+        for name in ("press", "other"):
+            cv2.imwrite(str(data / f"{name}{number}.png"), cv2.resize(rgb[..., ::-1], (640, 480)))
+    asked = {
+        "pattern": "press*",
+        "seed": 4,
+        "folds": 3,
+        "limit": "plain",
+        "register": "never",
+        "scattered": True,
+    }
+    settings = [word for name, value in asked.items() for word in ("--set", f"{name}={str(value).lower()}")]
+    fit(data, folder / "other", "--resize", "--set", "profile=cropped_lr", *settings)
+    say(folder, {ids[0]: "good"})
+
+    done = learn(inspected, folder, bundle=folder / "other", sources=data)
+
+    assert done.code == 0, done.err
+    assert "9 nominal presses, 1 of them from the station\n" in done.out
+    manifest = Bundle.load(folder / "new").manifest
+    assert manifest.facts["settings"] == {"resize": True, **asked}
+    assert manifest.provenance.seed == 4
+    again = configure_again(Bundle.load(folder / "new"), None, 1, None)
+    found = (again.seed, again.folds, again.limit, again.register, again.augment, again.is_scattered)
+    assert found == (4, 3, "plain", "never", "auto", True)
+    assert "settings" not in old.manifest.facts

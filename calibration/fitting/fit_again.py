@@ -1,0 +1,109 @@
+"""A bundle fitted again: its nominal presses, and the settings of its fit as its manifest states them."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from calibration.fitting.fit_config import SETTINGS, FitConfig
+from calibration.fitting.presses.nominal_presses import (
+    NominalPresses,
+    is_recording,
+    list_pictures,
+    read_presses,
+)
+from calibration.fitting.presses.sources import check_present, find_sources
+from calibration.fitting.trunks import open_trunk
+from edge import registry
+from edge.core.errors import FitError
+from edge.model.bundle import Bundle
+
+__all__ = ["configure_again", "read_again"]
+
+
+def configure_again(old: Bundle, alpha: float | None, threads: int, gel: str | None) -> FitConfig:
+    """Make the configuration of a fit like that of the old bundle. alpha: None for that of the bundle. Errors: FitError
+    for a bundle of another origin."""
+    manifest = old.manifest
+    if manifest.backbone is None or manifest.mode is None:
+        raise FitError(f"bundle {old.where} is no bundle of `gelgate fit`, so it cannot be fitted again")
+    detector = registry.detector(manifest.method)
+    usual = json.loads(json.dumps(dict(vars(detector.parameters(manifest.mode)))))
+    overrides = {
+        name: value for name, value in manifest.parameters.items() if value != usual.get(name, value)
+    }
+    asked = _settings(old)
+    return FitConfig(
+        part=manifest.part,
+        position=manifest.position,
+        profile=old.profile,
+        region=old.region,
+        detector=detector,
+        trunk=open_trunk(
+            manifest.backbone.id, detector.taps(detector.parameters(manifest.mode, **overrides))
+        ),
+        mode=manifest.mode,
+        overrides=overrides,
+        alpha=manifest.threshold.alpha if alpha is None else alpha,
+        seed=asked.get("seed", 0),
+        folds=asked.get("folds", 5),
+        threads=threads,
+        with_trunk=manifest.backbone.in_bundle,
+        is_scattered=asked.get("scattered", False),
+        limit=asked.get("limit", "chosen"),
+        register=asked.get("register", "auto"),
+        augment=asked.get("augment", "auto"),
+        revision=(manifest.revision or 0) + 1,
+        gel_id=gel,
+        settings=asked,
+    )
+
+
+def read_again(
+    old: Bundle,
+    sources: Sequence[Path],
+    *,
+    more: Sequence[Path] = (),
+    no_contact: Sequence[Path] | None,
+    leave_out: Sequence[str],
+    say: Callable[[str], None],
+) -> NominalPresses:
+    """Read the nominal presses as the old fit did, less those that it left out. more: pictures beside them. say: gets
+    the names of those. Errors: as `read_presses`, `find_sources`."""
+    check_present(sources)
+    manifest, asked = old.manifest, _settings(old)
+    found = find_sources(
+        sources,
+        manifest.part,
+        manifest.position,
+        old.profile.size,
+        holdout=asked.get("holdout", 0.0),
+        seed=asked.get("seed", 0),
+    )
+    pattern = asked.get("pattern")
+    if left_out := _left_out_before(found.paths, manifest.provenance.left_out, pattern):
+        say(f"left out as before: {', '.join(left_out)}")
+    return read_presses(
+        [*found.paths, *more],
+        old.profile,
+        old.region,
+        no_contact=no_contact,
+        resize=asked.get("resize", False),
+        pattern=pattern,
+        specimens=found.specimens,
+        leave_out=[*left_out, *leave_out],
+    )
+
+
+def _settings(old: Bundle) -> Mapping[str, Any]:
+    """Return what the old fit was asked for otherwise than usual; nothing of a fit before 0.2.0."""
+    asked = old.manifest.facts.get(SETTINGS)
+    return asked if isinstance(asked, Mapping) else {}
+
+
+def _left_out_before(sources: Sequence[Path], names: Sequence[str], pattern: str | None) -> list[str]:
+    """Choose the presses that are still among the sources, of those that the old bundle left out."""
+    recordings = {source.name for source in sources if is_recording(source)}
+    pictures = list_pictures([source for source in sources if not is_recording(source)], pattern)
+    there = {f"{path.parent.name}/{path.name}" for path in pictures}
+    return [name for name in names if name in there or name.rpartition("#")[0] in recordings]
