@@ -24,7 +24,7 @@ from edge.store.database import open_read_only
 from edge.store.person_verdicts import read_verdicts
 from edge.store.press_archive import ArchivedPress, ArchiveFolder
 
-__all__ = ["Comparison", "ConfirmedPresses", "compare", "read_confirmed", "write_pictures"]
+__all__ = ["Comparison", "ConfirmedPresses", "compare", "judge_presses", "read_confirmed", "write_pictures"]
 
 # Presses that change and are named.
 MOST_NAMED: Final = 8
@@ -65,12 +65,16 @@ class ConfirmedPresses:
     """Presses that could have been used, with the reason why they are not."""
     others: list[ArchivedPress] = field(default_factory=list)
     """Archived presses of which nobody can tell, or that show the gel, and the newest ones of which nobody spoke."""
+    doubted: set[str] = field(default_factory=set)
+    """The ids of those that anybody ever called damaged, whatever was said later."""
 
     def add(self, one: ConfirmedPress) -> None:
         """Sort it in."""
         score, threshold = one.press.score, one.press.threshold
         if one.said.saying == "damaged":
             self.damaged.append(one)
+        elif one.said.saying != "good":
+            self.others.append(one.press)
         elif score is None or not threshold:
             self.left_out.append(f"{one.describe()} has no score")
         elif score > FARTHEST * threshold:
@@ -92,19 +96,22 @@ def read_confirmed(database: Path, part: PartPosition) -> ConfirmedPresses:
         ).fetchall()
     for press_id, evidence in reversed(rows):
         verdict = settle(said.get(press_id, ()))
+        is_doubted = any(word.saying == "damaged" for word in said.get(press_id, ()))
         if verdict is not None:
             found.words[verdict.saying] += 1
-        if verdict is None or verdict.saying not in ("good", "damaged"):
+        if is_doubted:
+            found.doubted.add(press_id)
+        if not is_doubted and (verdict is None or verdict.saying not in ("good", "damaged")):
             with suppress(ArchiveError):  # the archive keeps the newest ones
                 if evidence is not None and (verdict is not None or len(found.others) < MOST_OTHERS):
                     found.others.append(archive.press(press_id, evidence))
             continue
+        assert verdict is not None
         try:
             press = archive.press(press_id, evidence)
             frame = archive.read(press.frame, f"the judged frame of press {press_id}")
         except ArchiveError as error:
-            is_damaged = verdict.saying == "damaged"
-            unknown = "; whether the new bundle finds this damage is not known" if is_damaged else ""
+            unknown = "; whether the new bundle finds this damage is not known" if is_doubted else ""
             found.left_out.append(f"{error}{unknown}")
             continue
         found.add(ConfirmedPress(press, verdict, frame))
@@ -149,9 +156,11 @@ class Comparison:
         both.sort(key=lambda one: one[2] != "pass")
         changed = [f"{key} {before} to {after}" for key, before, after in both if before != after]
         named = "; ".join(changed[:MOST_NAMED]) + (" and others" if len(changed) > MOST_NAMED else "")
-        return f"{len(changed)} of {len(both)} other archived presses change" + (
+        said = f"{len(changed)} of {len(both)} other archived presses change" + (
             f": {named}" if changed else ""
         )
+        passing = [key for key in sorted(self.presses.doubted & known) if self.after[key].word == "pass"]
+        return said + (f"; it passes {', '.join(passing)}, which somebody called damaged" if passing else "")
 
     def check(self) -> None:
         """Errors: FitError where the new bundle loses a known damage, or fails more good parts."""
@@ -175,15 +184,19 @@ class Comparison:
 
 def compare(old: Bundle, new: Bundle, presses: ConfirmedPresses, database: Path, threads: int) -> Comparison:
     """Judge them by both, as a replay does. Errors: ArchiveError, BundleError."""
-    archive = ArchiveFolder(database.with_suffix(".archive"))
+    before, after = (judge_presses(one, presses, database, threads) for one in (old, new))
+    return Comparison(presses, before, after)
 
-    def judge(bundle: Bundle) -> dict[str, Press]:
-        inspector, judged = Inspector(Scorer(bundle, threads), SystemClock()), dict[str, Press]()
-        for one in (*presses.good, *presses.damaged):
-            judged[one.press.press_id] = judge_again(one.press, archive, inspector).now.drop_pictures()
-        for press in presses.others:
-            with suppress(ArchiveError):  # a running station removes the oldest ones meanwhile
-                judged[press.press_id] = judge_again(press, archive, inspector).now.drop_pictures()
-        return judged
 
-    return Comparison(presses, judge(old), judge(new))
+def judge_presses(
+    bundle: Bundle, presses: ConfirmedPresses, database: Path, threads: int
+) -> dict[str, Press]:
+    """Judge them again, by their ids. Errors: ArchiveError, BundleError."""
+    archive, judged = ArchiveFolder(database.with_suffix(".archive")), dict[str, Press]()
+    inspector = Inspector(Scorer(bundle, threads), SystemClock())
+    for one in (*presses.good, *presses.damaged):
+        judged[one.press.press_id] = judge_again(one.press, archive, inspector).now.drop_pictures()
+    for press in presses.others:
+        with suppress(ArchiveError):  # a running station removes the oldest ones meanwhile
+            judged[press.press_id] = judge_again(press, archive, inspector).now.drop_pictures()
+    return judged

@@ -49,7 +49,7 @@ def learn(given: LearnArguments) -> None:
 
     Presses that people call good are learnt beside the nominal ones, with the detector and the backbone of the bundle.
     The new bundle is not written where it passes a press that people call damaged and that was found before, or fails
-    more good ones. Copy it in the place of the old one, keep that, and reload.
+    more good ones. Try it as a shadow (docs/operations.md).
     """
     import tempfile
 
@@ -80,6 +80,7 @@ def learn(given: LearnArguments) -> None:
             say=typer.echo,
         )
     _warn_without_gel(old, presses)
+    _warn_of_taught(old)
     learnt = sum(name.startswith(f"{pictures.name}/") for name in presses.names)
     typer.echo(f"{count_presses(len(presses))}, {learnt} of them from the station")
 
@@ -109,6 +110,16 @@ def _read_words(database: Path, part: "PartPosition") -> "ConfirmedPresses":
             "`confirm_press`"
         )
     return confirmed
+
+
+def _warn_of_taught(old: "Bundle") -> None:
+    """Warn where the old bundle was taught damage, which the new one has to be taught again."""
+    taught = [name for one in old.manifest.facts.get("taught", ()) for name in one["presses"]]
+    if taught:
+        typer.echo(
+            f"warning: the old bundle was taught {', '.join(taught)}; teach the new one again (`gelgate bundle teach`)",
+            err=True,
+        )
 
 
 def _warn_without_gel(old: "Bundle", presses: "NominalPresses") -> None:

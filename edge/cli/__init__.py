@@ -94,6 +94,7 @@ _GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "acquire": "Take nominal presses until they are enough, then fit.",
             "carry": "Carry a bundle over to a new gel of its sensor.",
             "learn": "Learn from what people said at the station.",
+            "teach": "Teach a bundle damage that it missed.",
             "inspect": "Show what a bundle contains, from its manifest.",
             "verify": "Check a bundle's files and its scores on this machine.",
             "sign": "Sign a bundle, so that a gateway can tell who made it.",

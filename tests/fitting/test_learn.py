@@ -1,87 +1,21 @@
 """`gelgate bundle learn`: what people said at a station becomes a new bundle, or a sentence."""
 
-import shutil
-import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
 import pytest
 from command_line import Outcome, gelgate
-from station import Motion, press_recording, station_config
-from stepped_station import SteppedStation
+from confirmed_station import fit, say
 
 from calibration.fitting.fit_again import configure_again
 from calibration.fitting.learn import Comparison, ConfirmedPresses
 from calibration.fitting.presses.nominal_presses import read_presses
-from edge import registry
 from edge.core.imaging.region import Region
 from edge.core.press import Press
 from edge.core.verdict import decide
 from edge.model.bundle import Bundle
-from edge.store.acts import CONFIRM, Act
 from edge.store.press_archive import ArchivedPress
-from edge.store.press_store import Store
-
-
-@pytest.fixture(autouse=True, scope="module")
-def other_package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """The tiny detector and backbone as another distribution installs its own."""
-    site = tmp_path_factory.mktemp("site")
-    info = site / "other_package-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other_package\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[gelgate.detectors]\ntiny = tiny:TINY\n[gelgate.backbones]\ntiny = tiny:TINY_BACKBONE\n"
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "path", [*sys.path, str(site)])
-        registry._points.cache_clear()
-        yield
-    registry._points.cache_clear()
-
-
-def fit(nominal: Path, output: Path, *more: object) -> None:
-    made = gelgate(
-        "fit", nominal, "-o", output, "--part", "bolt", "--method", "tiny", "--backbone", "tiny", *more
-    )
-    assert made.code == 0, made.err
-
-
-@pytest.fixture(scope="module")
-def inspected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
-    """A bundle of eight nominal presses, and a station that has judged six, the third and fifth one dented; the folder,
-    and the ids of its presses."""
-    folder = tmp_path_factory.mktemp("learn")
-    nominal = press_recording(folder / "nominal", 8, motion=Motion(hold=8, idle=20), seed=1)
-    fit(nominal, folder / "old", "--set", "gain=2.0")
-    presses = press_recording(folder / "presses", 6, dented=[2, 4], motion=Motion(hold=8, idle=34), seed=5)
-    with SteppedStation(station_config(folder, presses, folder / "old")) as station:
-        station.play_presses(6)
-        ids = [result.press_id for result in station.results]
-        assert station.verdicts == ["pass", "pass", "fail", "pass", "fail", "pass"]
-    return folder, ids
-
-
-@pytest.fixture
-def station(inspected: tuple[Path, list[str]], tmp_path: Path) -> tuple[Path, list[str]]:
-    """A copy, in which people may say something else."""
-    folder, ids = inspected
-    for path in folder.glob("gelgate.*"):
-        (shutil.copytree if path.is_dir() else shutil.copy)(path, tmp_path / path.name)
-    (tmp_path / "gelgate.toml").write_text(
-        (folder / "gelgate.toml")
-        .read_text()
-        .replace('path = "gelgate.db"', f'path = "{tmp_path}/gelgate.db"')
-    )
-    return tmp_path, ids
-
-
-def say(folder: Path, words: Mapping[str, str], person: str = "kim") -> None:
-    with Store(folder / "gelgate.db") as store:
-        for press_id, word in words.items():
-            given = {"press_id": press_id, "verdict": word}
-            store.begin_act(Act(1, f"{person}, at the page", CONFIRM, None, given, outcome="done"), 0)
 
 
 def learn(
@@ -183,6 +117,20 @@ def test_of_many_presses_that_change_those_that_pass_now_are_named() -> None:
     assert said.startswith("12 of 12 other archived presses change: 11 fail to pass; 0 pass to fail; ")
 
 
+def test_every_press_that_somebody_called_damaged_and_that_passes_now_is_named() -> None:
+    """However many there are, and also where the old bundle passed it already."""
+    ids = [f"P{number:02}" for number in range(12)]
+    others = [ArchivedPress.model_construct(press_id=press_id) for press_id in ids]
+    passed, failed = Press(decide(1.0, 2.0)), Press(decide(3.0, 2.0))
+    presses = ConfirmedPresses(others=others, doubted=set(ids))
+
+    said = Comparison(
+        presses, dict.fromkeys(ids, failed) | {"P11": passed}, dict.fromkeys(ids, passed)
+    ).changes()
+
+    assert said.endswith(f"; it passes {', '.join(ids)}, which somebody called damaged")
+
+
 def test_a_bundle_that_loses_a_known_damage_is_not_written(
     inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
 ) -> None:
@@ -208,7 +156,10 @@ def test_a_damage_that_somebody_else_calls_good_does_not_change_unsaid(
 
     assert done.code == 0, done.err
     assert "1 cannot_tell, 1 good\n" in done.out
-    assert f"1 of 5 other archived presses change: {ids[4]} fail to pass\n" in done.out
+    assert (
+        f"1 of 5 other archived presses change: {ids[4]} fail to pass; it passes {ids[4]}, which somebody called "
+        "damaged\n" in done.out
+    )
 
 
 def test_a_damage_that_the_station_found_is_not_lost_by_way_of_a_bundle_that_passes_it(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 
-__all__ = ["append", "can_extend", "extend_head", "head_inputs"]
+__all__ = ["TAUGHT_WEIGHTS", "append", "can_extend", "extend_head", "head_inputs"]
 
 # Earlier fits had limits with both; banks of their presses are judged too (`gelgate lab detectability`).
 _SURROUNDINGS = """
@@ -82,12 +82,23 @@ _RELIEF_CONSTANTS = """int64[1] relief_channels = {1}, int64[2] relief_axes = {1
     float relief_one = {1}, float relief_ten = {10}, float relief_eleven = {11}, float relief_start = {0.9},
     float relief_tiny = {1e-12}"""
 
+TAUGHT_WEIGHTS = "taught_weights"
+"""The array of the bank by which a score map is multiplied, (h, w): more than 1 at places of damage that was taught."""
+
+_TAUGHT = """
+    score_map = Mul (taught_raw_score_map, taught_weights)
+    taught_plane = Unsqueeze (score_map, taught_axis)
+    taught_peak = GlobalMaxPool (taught_plane)
+    score = Reshape (taught_peak, taught_flat)
+"""
+_TAUGHT_CONSTANTS = "int64[1] taught_axis = {1}, int64[1] taught_flat = {-1}"
+
 # Reductions take their axes as an input from this opset on.
 _OLDEST_OPSET = 18
 
 
 def append(head: bytes, bank: Bank, arrays: Mapping[str, NDArray[Any]], tap: str = "") -> tuple[bytes, Bank]:
-    """Append the limit and the check of missing relief that these arrays hold; unchanged where they hold none.
+    """Append the limit, the check of missing relief and the taught places of these arrays; nothing without any.
 
     arrays: also those of a complete bundle, whose own arrays are left out. tap: whose features the check reads. Errors:
     FitError for a head that cannot be extended, or a bank with an array of such a name.
@@ -101,6 +112,8 @@ def append(head: bytes, bank: Bank, arrays: Mapping[str, NDArray[Any]], tap: str
     if "relief_free" in arrays:
         text = _RELIEF.format(tap=tap)
         head, bank = _append(head, bank, arrays, text, _RELIEF_CONSTANTS, "relief_raw_")
+    if TAUGHT_WEIGHTS in arrays:
+        head, bank = _append(head, bank, arrays, _TAUGHT, _TAUGHT_CONSTANTS, "taught_raw_")
     return head, bank
 
 

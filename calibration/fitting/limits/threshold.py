@@ -39,6 +39,8 @@ __all__ = [
     "limit_promise",
     "of_copies",
     "pieces_of",
+    "promise_at",
+    "promise_known_pieces",
     "rate_range",
     "require_enough",
 ]
@@ -101,13 +103,34 @@ def conformal_threshold(
         by_press=_promise(len(high), len(found)),
         by_piece=_promise(len({keys[k] for k in high}), pieces) if pieces < len(found) else None,
     )
-    return _of_these_pieces(threshold) if pieces == 1 else threshold
+    return promise_known_pieces(threshold) if pieces == 1 else threshold
 
 
 def _promise(alarms: int, trials: int) -> RatePromise:
     """Return the rates that so many alarms among these trials still allow."""
     rate = upper_rate(alarms, trials, CONFIDENCE)
     return RatePromise(trials=trials, alarms=alarms, rate=rate, confidence=CONFIDENCE)
+
+
+def promise_at(
+    scores: Sequence[float] | NDArray[np.float64],
+    value: float,
+    alpha: float,
+    specimens: Sequence[str | None] = (),
+) -> ThresholdEntry | None:
+    """State what a limit of this value promises: the smallest rate, from alpha on, whose own threshold is no higher.
+    None where every rate's is. Parameters and errors otherwise as `conformal_threshold`."""
+    keys = pieces_of(specimens or (None,) * len(scores))
+    pieces = len(set(keys))
+    steps = (k / (pieces + 1) for k in range(1, pieces + 1))
+    for rate in (alpha, *(step for step in steps if step > alpha)):
+        found = conformal_threshold(scores, rate, specimens=specimens)
+        if found.value <= value:
+            high = [key for key, score in zip(keys, scores, strict=True) if score > value]
+            by_piece = None if found.by_piece is None else _promise(len(set(high)), pieces)
+            by_press = _promise(len(high), len(keys))
+            return found.model_copy(update={"value": value, "by_press": by_press, "by_piece": by_piece})
+    return None
 
 
 def _rank(pieces: Sequence[str], alpha: float) -> int | None:
@@ -175,10 +198,11 @@ def limit_promise(
     keys = np.array(pieces_of(specimens))
     if sum(len(set(keys[held])) for held in folds) == len(set(keys)):
         return threshold
-    return _of_these_pieces(threshold)
+    return promise_known_pieces(threshold)
 
 
-def _of_these_pieces(threshold: ThresholdEntry) -> ThresholdEntry:
+def promise_known_pieces(threshold: ThresholdEntry) -> ThresholdEntry:
+    """Promise nothing of other pieces than those of the presses."""
     return threshold.model_copy(update={"alpha_floor": 1.0, "rate_range": None, "by_piece": None})
 
 

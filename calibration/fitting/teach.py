@@ -1,0 +1,314 @@
+"""A damage that passed: which limit, place or method would have found it, and what that costs in false alarms.
+
+A limit and a place leave bank and graphs as they are, and every score is at least what it was, relative to the limit:
+they find whatever was found before. Sound presses are scored by banks without them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.bundle_measurements import measure_tolerance
+from calibration.fitting.fit import Fitted, fit_files
+from calibration.fitting.fit_config import FitConfig
+from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append
+from calibration.fitting.limits.gel_limits import find_near
+from calibration.fitting.limits.threshold import promise_at, promise_known_pieces
+from calibration.fitting.presses.nominal_presses import NominalPresses
+from edge.core.detector import Bank
+from edge.core.errors import FitError, NotScorable, PoseNotFound
+from edge.core.registration.pose import warp
+from edge.model.bundle import Bundle, GoldenFrame
+from edge.model.bundle_writer import bundle_files
+from edge.model.manifest import Facts, ThresholdEntry, ToleranceEntry
+from edge.model.scorer import Scorer, map_peaks
+
+__all__ = [
+    "BEARABLE",
+    "MOST_DAMAGED",
+    "Lesson",
+    "Remedy",
+    "change_method",
+    "lower_limit",
+    "lower_place",
+    "why_not",
+]
+
+Float = NDArray[np.float64]
+F32 = NDArray[np.float32]
+
+BEARABLE: Final = 0.10
+"""Of sound presses that fail: twice what a fit asks for by default."""
+
+MOST_DAMAGED: Final = 5
+
+# At a place that is taught its damage scores this many times the limit.
+_ABOVE: Final = 1.1
+# A place is watched as far as two parts of a kind differ, and fades out, so that no edge is made.
+_PLACE_MM, _FADE_MM = 1.0, 0.5
+# Below this share of the limit a map shows noise, which no weight makes a damage.
+_LEAST_SHOWN: Final = 0.1
+# Fits that each leave out a part of the presses.
+_FOLDS, FEWEST_HELD_OUT = 3, 6
+# What a manifest says of scores, which are others with another limit.
+_OF_OLD_SCORES: Final = ("press_again",)
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """A bundle, the damage that it is to find, and its nominal presses."""
+
+    old: Bundle
+    damaged: NominalPresses
+    """Cut to the inspected region, with names."""
+    nominal: NominalPresses
+    config: FitConfig
+    created: str
+    scores: Float = field(init=False)
+    """Of the damaged presses, by the old bundle."""
+    maps: F32 = field(init=False)
+    """Their score maps in units of the limit, where the bank knows the part, (m, h, w)."""
+    held_out: F32 | None = field(init=False)
+    """The same of the nominal presses by banks without them, (n, h, w); None of too few."""
+
+    def __post_init__(self) -> None:
+        old, limit = self.old, self.old.manifest.threshold
+        if not 1 <= len(self.damaged) <= MOST_DAMAGED:
+            raise FitError(f"found {len(self.damaged)} damaged presses, expected 1 to {MOST_DAMAGED}")
+        if limit.n == 0 or not limit.value > 0:
+            raise FitError(
+                f"bundle {old.where} has no scores of presses ({limit.method}), so what another limit costs is not "
+                "known; fit it from presses"
+            )
+        scores, maps = _see(Scorer(old, self.config.threads), self.damaged, old)
+        if refused := [
+            name for name, score in zip(self.damaged.names, scores, strict=True) if not score < np.inf
+        ]:
+            raise FitError(f"the bundle gives {', '.join(refused)} no score, so such presses never pass")
+        object.__setattr__(self, "scores", scores * limit.value)
+        object.__setattr__(self, "maps", maps)
+        object.__setattr__(self, "held_out", self._hold_out())
+
+    @property
+    def missed(self) -> list[int]:
+        """The numbers of the damaged presses that pass."""
+        return [k for k, score in enumerate(self.scores) if self.old.manifest.decide(score).kind == "pass"]
+
+    def _hold_out(self) -> F32 | None:
+        """Score each nominal press by a fit without it. Errors: as `fit_files`."""
+        if len(self.nominal) < FEWEST_HELD_OUT:
+            return None
+        maps = np.zeros((len(self.nominal), *self.maps.shape[1:]), np.float32)
+        for first in range(_FOLDS):
+            held = list(range(first, len(self.nominal), _FOLDS))
+            rest = self.nominal.choose([k for k in range(len(self.nominal)) if k % _FOLDS != first])
+            without = fit_files(rest, self.config, created=self.created).bundle()
+            maps[held] = _see(Scorer(without, self.config.threads), self.nominal.choose(held), self.old)[1]
+        return maps * self.old.bank.get(TAUGHT_WEIGHTS, np.float32(1))
+
+
+@dataclass(frozen=True, eq=False)
+class Remedy:
+    """A bundle that may find the damage."""
+
+    name: str
+    """By which it is taken."""
+    what: str
+    """What it changes, in words."""
+    fitted: Fitted
+    scores: Float
+    """Of the damaged presses."""
+
+    @property
+    def is_found(self) -> list[bool]:
+        """Say of each damaged press whether it fails."""
+        return [self.fitted.manifest.decide(score).kind == "fail" for score in self.scores]
+
+    @property
+    def rate(self) -> float:
+        """The rate of sound presses that fail, as it is promised."""
+        limit = self.fitted.manifest.threshold
+        return limit.alpha if limit.alpha_floor == 1 else max(limit.alpha, limit.alpha_floor)
+
+    @property
+    def alarms(self) -> int:
+        """The nominal presses that fail by a bank without them."""
+        limit = self.fitted.manifest.threshold
+        return sum(score > limit.value for score in limit.nominal_scores)
+
+    def describe(self) -> str:
+        """Give what it finds, and what that costs, in one line."""
+        limit = self.fitted.manifest.threshold
+        return (
+            f"{self.name}: {self.what}; finds {sum(self.is_found)} of {len(self.scores)}; by banks without them "
+            f"{self.alarms} of {limit.n} nominal presses fail, {self.rate:.1%} of sound ones are to be expected"
+        )
+
+
+def lower_limit(lesson: Lesson) -> Remedy | str:
+    """Lower the limit of all places to just below the damage; say why not where that cannot be."""
+    old = lesson.old.manifest
+    lowest = min(lesson.scores[k] for k in lesson.missed)
+    value = float(lowest - 2 * old.tolerance.around(lowest))
+    limit = promise_at(old.threshold.nominal_scores, value, old.threshold.alpha) if value > 0 else None
+    if limit is None:
+        return "limit: every sound press would fail"
+    if old.threshold.pieces not in (
+        None,
+        old.threshold.n,
+    ):  # which score is of which piece is not known any more
+        limit = promise_known_pieces(limit)
+    what = f"the limit {value:.4g} instead of {old.threshold.value:.4g}"
+    fitted = _rewrite(lesson, what, limit)
+    return Remedy("limit", what, fitted, lesson.scores)
+
+
+def lower_place(lesson: Lesson) -> Remedy | str:
+    """Lower the limit where each missed damage stands out most; say why not where that cannot be."""
+    old, held_out = lesson.old, lesson.held_out
+    if held_out is None:
+        return f"place: of fewer than {FEWEST_HELD_OUT} presses none can be held out"
+    x_mm, y_mm = old.profile.mm_per_pixel
+    weights, words = np.ones(lesson.maps.shape[1:], np.float32), list[str]()
+    for k in lesson.missed:
+        y, x = _find_place(lesson, k)
+        if lesson.maps[k, y, x] < _LEAST_SHOWN:
+            return f"place: {lesson.damaged.names[k]} shows nowhere above {_LEAST_SHOWN:.0%} of the limit"
+        factor = _ABOVE / float(lesson.maps[k, y, x])
+        weights = np.maximum(weights, _weigh_place(weights.shape, (y, x), factor, old.profile.pixels_per_mm))
+        words.append(f"divided by {factor:.2g} at ({x * x_mm:.1f}, {y * y_mm:.1f}) mm")
+    value = old.manifest.threshold.value
+    scores = (held_out * weights).max(axis=(1, 2)) * value
+    limit = promise_at(scores, value, old.manifest.threshold.alpha, lesson.nominal.specimens)
+    if limit is None:
+        return "place: every sound press would fail"
+    what = f"the limit {', '.join(words)}"
+    try:
+        fitted = _rewrite(lesson, what, limit, weights)
+    except FitError as error:
+        return f"place: {error}"
+    seen = Scorer(fitted.bundle(), lesson.config.threads)
+    return Remedy("place", what, fitted, _see(seen, lesson.damaged, old)[0] * value)
+
+
+def change_method(lesson: Lesson, name: str, config: FitConfig) -> Remedy | str:
+    """Fit another method; say why not where that cannot be. config: the fit's, with that method."""
+    try:
+        fitted = fit_files(lesson.nominal, config, created=lesson.created)
+    except FitError as error:
+        return f"{name}: {error}"
+    scorer = Scorer(fitted.bundle(), config.threads)
+    ratios = _see(scorer, lesson.damaged, lesson.old)[0]
+    return Remedy(name, f"the method {name}", fitted, ratios * fitted.manifest.threshold.value)
+
+
+def why_not(lesson: Lesson) -> list[str]:
+    """Say of each missed damage which sound press lies nearest to it, where it stands out most."""
+    held_out = lesson.held_out
+    if held_out is None:
+        return []
+    x_mm, y_mm = lesson.old.profile.mm_per_pixel
+    near, said = find_near(held_out, lesson.old.profile.pixels_per_mm), list[str]()
+    for k in lesson.missed:
+        y, x = _find_place(lesson, k)
+        nearest = int(near[:, y, x].argmax())
+        said.append(
+            f"{lesson.damaged.names[k]} scores {lesson.maps[k, y, x]:.2f} of the limit at ({x * x_mm:.1f}, "
+            f"{y * y_mm:.1f}) mm, where it stands out most, and the sound press {lesson.nominal.names[nearest]} "
+            f"{near[nearest, y, x]:.2f}"
+        )
+    return said
+
+
+def _find_place(lesson: Lesson, number: int) -> tuple[int, int]:
+    """Find where a damaged press most exceeds what sound presses show near there: (y, x)."""
+    assert lesson.held_out is not None
+    usual = find_near(lesson.held_out, lesson.old.profile.pixels_per_mm).max(axis=0)
+    damage = lesson.maps[number]
+    excess = np.where(damage >= min(_LEAST_SHOWN, float(damage.max())), damage / np.maximum(usual, 1e-6), 0)
+    y, x = np.unravel_index(int(excess.argmax()), excess.shape)
+    return int(y), int(x)
+
+
+def _weigh_place(shape: tuple[int, ...], place: tuple[int, int], factor: float, pixels_per_mm: float) -> F32:
+    """Make weights of a score map: the factor around a place (y, x), 1 elsewhere."""
+    rows, columns = np.indices(shape)
+    distance_mm = np.hypot(rows - place[0], columns - place[1]) / pixels_per_mm
+    share = np.clip((_PLACE_MM + _FADE_MM - distance_mm) / _FADE_MM, 0, 1)
+    return np.asarray(1 + (max(factor, 1.0) - 1) * share, np.float32)
+
+
+def _see(scorer: Scorer, presses: NominalPresses, old: Bundle) -> tuple[Float, F32]:
+    """Score presses in units of the scorer's limit; a press without a score is infinite and its map empty. Maps are in
+    the pose of the old bundle's bank."""
+    limit = scorer.bundle.manifest.threshold.value
+    registrar = None if old.registration is None else old.registration.open()
+    scores, maps = list[float](), list[F32]()
+    for rgb in presses.frames:
+        try:
+            scored = scorer.score(rgb)
+            found = None if registrar is None else registrar.register(scorer.fill_dots(rgb))
+            if found is not None and found.refusal is not None:
+                raise PoseNotFound(found.refusal)
+            lying = np.asarray(scored.score_map / np.float32(limit), np.float32)
+            maps.append(lying if found is None else np.where(found.seen, warp(lying, found.pose), 0))
+            scores.append(scored.anomaly_score / limit)
+        except (PoseNotFound, NotScorable):
+            scores.append(np.inf)
+            maps.append(np.zeros(presses.frames.shape[1:3], np.float32))
+    return np.array(scores), np.stack(maps)
+
+
+def _rewrite(lesson: Lesson, what: str, limit: ThresholdEntry, weights: F32 | None = None) -> Fitted:
+    """Write the old bundle again with this limit, and weights of its score map. Errors: FitError for a head that cannot
+    be extended."""
+    old = lesson.old
+    manifest, graphs, arrays = old.manifest, old.graphs, dict(old.bank)
+    packing = {name: entry.packing for name, entry in manifest.bank.items()}
+    if weights is not None and TAUGHT_WEIGHTS in arrays:
+        arrays[TAUGHT_WEIGHTS] = arrays[TAUGHT_WEIGHTS] * weights
+    elif weights is not None:
+        head, bank = append(graphs.head or b"", Bank(arrays), {TAUGHT_WEIGHTS: weights})
+        graphs, arrays = replace(graphs, head=head), dict(bank.arrays)
+    taught = {"presses": list(lesson.damaged.names), "what": what}
+    facts: dict[str, Any] = {
+        name: fact for name, fact in manifest.facts.items() if name not in _OF_OLD_SCORES
+    }
+    facts["taught"] = [*facts.get("taught", []), taught]
+    words = f"{manifest.threshold.method}; taught: {what}"
+    changes = {
+        "revision": (manifest.revision or 0) + 1,
+        "facts": facts,
+        "threshold": limit.model_copy(update={"method": words}),
+        "accuracy": None,
+    }
+
+    def pack(golden: Sequence[GoldenFrame], tolerance: ToleranceEntry) -> Fitted:
+        values = {name: getattr(manifest, name) for name in Facts.model_fields}
+        return Fitted(
+            *bundle_files(
+                Facts(**values | changes | {"tolerance": tolerance}),
+                graphs,
+                Bank(arrays, packing),
+                golden,
+                backbone=manifest.backbone.id if manifest.backbone else "",
+                with_trunk=not golden or (manifest.backbone is not None and manifest.backbone.in_bundle),
+                free_gel=old.free_gel,
+                free_view=old.free_view,
+                registration=old.registration,
+            )
+        )
+
+    scorer = Scorer(pack((), manifest.tolerance).bundle(), lesson.config.threads)
+    golden = [_score_golden(scorer, one) for one in old.golden]
+    return pack(
+        golden, measure_tolerance(scorer, golden, lesson.config.threads) if golden else manifest.tolerance
+    )
+
+
+def _score_golden(scorer: Scorer, golden: GoldenFrame) -> GoldenFrame:
+    scored = scorer.score_in_pose(golden.rgb)
+    return replace(golden, score=scored.anomaly_score, map_peaks=map_peaks(scored.score_map))

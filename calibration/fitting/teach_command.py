@@ -1,0 +1,250 @@
+"""`gelgate bundle teach`: damage that passed in, what would find it and its cost out, and a bundle that does."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
+from edge.cli.arguments import flatten
+from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
+
+if TYPE_CHECKING:
+    from calibration.fitting.fit_config import FitConfig
+    from calibration.fitting.learn import ConfirmedPresses
+    from calibration.fitting.teach import Lesson, Remedy
+    from edge.core.press import Press
+    from edge.model.bundle import Bundle
+
+__all__ = ["TeachArguments", "teach"]
+
+# Those that are tried where none is named: with the usual one the best on real touch (docs/detectors.md).
+_METHODS: Final = ("padim", "patchcore")
+
+
+@dataclass(frozen=True)
+class TeachArguments:
+    """What the command line says."""
+
+    bundle: Annotated[Path, typer.Argument(help="The bundle in use.")]
+    sources: Annotated[
+        list[Path], typer.Argument(metavar="SOURCE...", help="Its nominal presses, as for `fit`.")
+    ]
+    damaged: Annotated[
+        list[str],
+        typer.Option(metavar="PRESS", help="A damaged press: its id, or a picture; 1 to 5 of them."),
+    ]
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The bundle to write: a folder, or a name ending in .zip."),
+    ] = None
+    take: Annotated[
+        str | None,
+        typer.Option(
+            help="Write this one: limit, place, or a method; by default all are shown and none is written."
+        ),
+    ] = None
+    methods: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--method", help="Another method to try; default: padim and patchcore.", show_default=False
+        ),
+    ] = None
+    config: ConfigOption = CONFIG
+    database: DatabaseOption = None
+    no_contact: NoContact = None
+    leave_out: LeaveOut = None
+    threads: Threads = 2
+    overwrite: Overwrite = False
+
+
+@flatten
+def teach(given: TeachArguments) -> None:
+    """Teach a bundle damage that it missed.
+
+    Shows what would find each damaged press: a lower limit, a lower limit at its place, or another method; and what
+    that costs, on nominal presses by banks without them and on the archived presses of the station. --take writes one.
+    """
+    import tempfile
+
+    from calibration.fitting.command import refuse_existing, summarise, write
+    from edge.core.errors import ConfigError, FitError
+    from edge.core.suggest import suggestion
+    from edge.model.bundle import Bundle
+
+    if (given.take is None) != (given.output is None):
+        raise ConfigError("--take says what is written, and --output where; give both, or none to look first")
+    if given.output is not None:
+        refuse_existing(given.output, given.overwrite)
+    old = Bundle.load(given.bundle)
+    database = _find_database(given)
+    confirmed = _read_operation(old, database)
+    with tempfile.TemporaryDirectory() as folder:
+        lesson = _prepare(given, old, Path(folder), database, confirmed)
+    for k, name in enumerate(lesson.damaged.names):
+        passes = "passes" if k in lesson.missed else "is found already"
+        typer.echo(
+            f"{name} {passes}: score {lesson.scores[k] / old.manifest.threshold.value:.2f} of the limit"
+        )
+    if not lesson.missed:
+        raise FitError("the bundle finds every one of these presses; there is nothing to teach")
+    remedies, before = _try_remedies(given, lesson), _judge(old, confirmed, database, given.threads)
+    _describe(lesson, remedies)
+    if given.take is None:
+        for remedy in remedies.values():
+            _compare(remedy, before, confirmed, database, given.threads)
+        return
+    if given.take not in remedies:
+        raise ConfigError(
+            f"'{given.take}' is not among what can be taken; {suggestion(given.take, list(remedies))}"
+        )
+    taken = remedies[given.take]
+    if lost := [lesson.damaged.names[k] for k in lesson.missed if not taken.is_found[k]]:
+        raise FitError(f"{given.take} does not find {', '.join(lost)}, and is not written")
+    _compare(taken, before, confirmed, database, given.threads, is_taken=True)
+    assert given.output is not None
+    write(taken.fitted, given.output, given.overwrite)
+    summarise(taken.fitted, given.output)
+
+
+def _find_database(given: TeachArguments) -> Path | None:
+    """Find the station's database; None where only pictures are given and there is no station."""
+    from edge.cli.options import database_path
+
+    is_asked = given.database is not None or given.config.is_file()
+    needs_it = not all(Path(one).is_file() for one in given.damaged)
+    if is_asked or needs_it:
+        return database_path(given.config, given.database)
+    typer.echo("there is no station's configuration here, so presses of operation are not counted")
+    return None
+
+
+def _read_operation(old: "Bundle", database: Path | None) -> "ConfirmedPresses":
+    """Read what people said, and the newest archived presses of the part."""
+    from calibration.fitting.learn import ConfirmedPresses, read_confirmed
+    from edge.core.part_position import PartPosition
+
+    if database is None:
+        return ConfirmedPresses()
+    return read_confirmed(database, PartPosition(old.manifest.part, old.manifest.position))
+
+
+def _prepare(
+    given: TeachArguments, old: "Bundle", folder: Path, database: Path | None, confirmed: "ConfirmedPresses"
+) -> "Lesson":
+    """Read the nominal and the damaged presses. Errors: FitError for a press that people call good."""
+    import datetime
+
+    from calibration.fitting.fit_again import configure_again, read_again
+    from calibration.fitting.presses.nominal_presses import read_presses
+    from calibration.fitting.teach import Lesson
+    from edge.core.errors import FitError
+
+    good = {one.press.press_id: one.describe() for one in confirmed.good}
+    if called := [good[one] for one in given.damaged if one in good]:
+        raise FitError(
+            f"people call {'; '.join(called)} good; say with `confirm_press` that it is damaged first"
+        )
+    files = [_write_picture(one, folder, database) for one in given.damaged]
+    nominal = read_again(
+        old,
+        given.sources,
+        no_contact=given.no_contact,
+        leave_out=given.leave_out or (),
+        say=typer.echo,
+    )
+    damaged = read_presses(files, old.profile, old.region, no_contact=given.no_contact)
+    archived = {path.name: path.stem for path in files if path.parent == folder}
+    damaged = replace(damaged, names=tuple(archived.get(Path(one).name, one) for one in damaged.names))
+    typer.echo(f"{len(damaged)} damaged and {len(nominal)} nominal presses")
+    config = configure_again(old, None, given.threads, None)
+    return Lesson(old, damaged, nominal, config, datetime.date.today().isoformat())
+
+
+def _write_picture(press: str, folder: Path, database: Path | None) -> Path:
+    """Give a picture's path, that of an archived press after its frame is written there. Errors: ArchiveError,
+    StoreError."""
+    from edge.core.imaging.image_bytes import kind
+    from edge.store.press_archive import ArchiveFolder, find_press
+
+    if database is None or Path(press).is_file():
+        return Path(press)
+    known, archive = find_press(database, press), ArchiveFolder(database.with_suffix(".archive"))
+    then = archive.press(known.press_id, known.evidence)
+    frame = archive.read(then.frame, f"the judged frame of press {known.press_id}")
+    path = folder / f"{known.press_id}.{'png' if kind(frame) == 'png' else 'jpg'}"
+    path.write_bytes(frame)
+    return path
+
+
+def _try_remedies(given: TeachArguments, lesson: "Lesson") -> dict[str, "Remedy"]:
+    """Make what can be taken, and say what cannot."""
+    from calibration.fitting.teach import change_method, lower_limit, lower_place
+
+    methods = given.methods if given.methods is not None else list(_METHODS)
+    wanted = {"limit": lambda: lower_limit(lesson), "place": lambda: lower_place(lesson)} | {
+        name: lambda name=name: change_method(lesson, name, _with_method(lesson.config, name))
+        for name in methods
+        if name != lesson.config.detector.name
+    }
+    made = [make() for name, make in wanted.items() if given.take in (None, name)]
+    for one in made:
+        if isinstance(one, str):
+            typer.echo(one)
+    return {one.name: one for one in made if not isinstance(one, str)}
+
+
+def _with_method(config: "FitConfig", name: str) -> "FitConfig":
+    from calibration.fitting.trunks import open_trunk
+    from edge import registry
+
+    detector = registry.detector(name)
+    trunk = open_trunk(config.trunk.id, detector.taps(detector.parameters(config.mode)))
+    return replace(config, detector=detector, trunk=trunk, overrides={})
+
+
+def _describe(lesson: "Lesson", remedies: Mapping[str, "Remedy"]) -> None:
+    """Print what each finds and costs; where none is bearable, the sound press that is the reason."""
+    from calibration.fitting.fit import Fitted
+    from calibration.fitting.teach import BEARABLE, Remedy, why_not
+
+    now = Remedy("now", "the bundle as it is", Fitted(lesson.old.manifest, {}), lesson.scores)
+    for remedy in (now, *remedies.values()):
+        typer.echo(remedy.describe())
+    for k, reason in zip(lesson.missed, why_not(lesson), strict=False):
+        bearable = [one for one in remedies.values() if one.is_found[k] and one.rate <= BEARABLE]
+        if not bearable:
+            typer.echo(
+                f"nothing of this finds it at a bearable cost ({BEARABLE:.0%} of sound presses): {reason}"
+            )
+
+
+def _judge(
+    bundle: "Bundle", confirmed: "ConfirmedPresses", database: Path | None, threads: int
+) -> "dict[str, Press]":
+    from calibration.fitting.learn import judge_presses
+
+    return {} if database is None else judge_presses(bundle, confirmed, database, threads)
+
+
+def _compare(
+    remedy: "Remedy",
+    before: "Mapping[str, Press]",
+    confirmed: "ConfirmedPresses",
+    database: Path | None,
+    threads: int,
+    *,
+    is_taken: bool = False,
+) -> None:
+    """Print what the station's presses say of it. Errors: FitError for one that is taken and is worse than before."""
+    from calibration.fitting.learn import Comparison
+
+    if database is None:
+        return
+    after = _judge(remedy.fitted.bundle(), confirmed, database, threads)
+    comparison = Comparison(confirmed, before, after)
+    typer.echo(f"{remedy.name} in operation: {comparison.describe()}; {comparison.changes()}")
+    if is_taken:
+        comparison.check()

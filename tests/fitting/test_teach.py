@@ -1,0 +1,307 @@
+"""`gelgate bundle teach`: what would find a damage that passed, what it costs, and a bundle that finds it."""
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+import pytest
+import tiny
+from command_line import Outcome, gelgate
+from confirmed_station import fit, say
+from station import gel, jpeg
+from tiny_fit import config
+
+from calibration.fitting.fit import fit_files
+from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append
+from calibration.fitting.limits.threshold import conformal_threshold, promise_at
+from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
+from calibration.fitting.teach import Lesson, Remedy, lower_limit, lower_place, why_not
+from edge.core.detector import Bank
+from edge.core.imaging.region import Region
+from edge.core.imaging.sensor_profile import SensorProfile
+from edge.model.bundle import Bundle
+from edge.model.scorer import Scorer
+from edge.store.history import HistoryQuery, read_history
+
+Inspected = tuple[Path, list[str]]
+
+SIDE = 128
+"""Of a region, pixels: 8 mm."""
+
+
+def draw(path: Path, share: float, seed: int = 5, shift_px: int = 0) -> Path:
+    """A press with a dent of this share of the film's, and this far from its place."""
+    sound = gel(np.random.default_rng(seed), 1.0)
+    dented = gel(np.random.default_rng(seed), 1.0, dent=True)
+    mixed = sound + share * np.roll(dented.astype(np.float64) - sound, shift_px, axis=1)
+    path.write_bytes(jpeg(np.clip(np.rint(mixed), 0, 255).astype(np.uint8)))
+    return path
+
+
+def teach(
+    inspected: Inspected, damaged: Sequence[object], *more: object, folder: Path | None = None
+) -> Outcome:
+    named = [word for one in damaged for word in ("--damaged", one)]
+    station = [] if folder is None else ["-c", folder / "gelgate.toml"]
+    old, nominal = inspected[0] / "old", inspected[0] / "nominal"
+    return gelgate("bundle", "teach", old, nominal, *named, "--method", "tiny", *station, *more)
+
+
+def ratio(bundle: Path, picture: Path) -> float:
+    loaded = Bundle.load(bundle)
+    (rgb,) = read_presses([picture], loaded.profile, loaded.region).frames
+    return Scorer(loaded, 1).score(rgb).anomaly_score / loaded.manifest.threshold.value
+
+
+@pytest.fixture
+def faint(inspected: Inspected, tmp_path: Path) -> Path:
+    """A dent so faint that it passes."""
+    picture = draw(tmp_path / "faint.jpg", 0.88)
+    assert 0.97 < ratio(inspected[0] / "old", picture) < 1
+    return picture
+
+
+def test_what_would_find_it_is_shown_and_nothing_is_written(
+    inspected: Inspected, faint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each with what it finds, and how many sound presses fail by banks without them."""
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+
+    done = teach(inspected, [faint])
+
+    assert done.code == 0, done.err
+    assert "presses of operation are not counted" in done.out
+    assert re.search(r"faint.jpg passes: score 0.9\d of the limit", done.out)
+    rows = {line.partition(":")[0]: line for line in done.out.splitlines()}
+    assert (
+        "the bundle as it is; finds 0 of 1; by banks without them 0 of 8 nominal presses fail" in rows["now"]
+    )
+    assert "finds 1 of 1; by banks without them" in rows["limit"]
+    assert re.search(r"divided by 1.\d+ at \(.*\) mm; finds 1 of 1", rows["place"])
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("what", ["limit", "place"])
+def test_what_is_taken_finds_it_and_loses_nothing(
+    inspected: Inspected, faint: Path, tmp_path: Path, what: str
+) -> None:
+    """Every score is at least what it was, in units of the limit; the bundle is sound, and says what it was taught."""
+    loud, sound = draw(tmp_path / "loud.jpg", 1.0), draw(tmp_path / "sound.jpg", 0.0)
+    old, new = inspected[0] / "old", tmp_path / "new"
+    before = (old / "manifest.json").read_bytes()
+
+    done = teach(inspected, [faint], "--take", what, "-o", new)
+
+    assert done.code == 0, done.err
+    manifest = Bundle.load(new).manifest
+    assert manifest.decide(ratio(new, faint) * manifest.threshold.value).kind == "fail"
+    assert all(ratio(new, one) >= ratio(old, one) for one in (loud, sound))
+    assert manifest.facts["taught"][0]["presses"] == [f"{tmp_path.name}/faint.jpg"]
+    assert manifest.revision == 2
+    assert gelgate("bundle", "verify", new).code == 0
+    assert (old / "manifest.json").read_bytes() == before
+    assert "false alarms: 8 presses: at" in done.out
+
+
+def press(rng: np.random.Generator, spot: tuple[int, int] | None = None, levels: int = 8) -> np.ndarray:
+    """A press whose upper left corner differs from piece to piece; with a blob at a spot (y, x)."""
+    rgb: np.ndarray = rng.integers(119, 122, (SIDE, SIDE, 3), dtype=np.uint8)
+    rgb[:8, :8] += np.uint8(rng.integers(0, 60))
+    if spot is not None:
+        rgb[spot[0] : spot[0] + 8, spot[1] : spot[1] + 8] += np.uint8(levels)
+    return rgb
+
+
+def gather(frames: Sequence[np.ndarray], name: str) -> NominalPresses:
+    return NominalPresses(np.stack(frames), tuple(f"{name} {k}" for k in range(len(frames))))
+
+
+@pytest.fixture(scope="module")
+def lesson() -> Lesson:
+    """Two faint blobs where sound presses are alike, and a limit that the corner sets."""
+    rng = np.random.default_rng(8)
+    nominal = gather([press(rng) for _ in range(20)], "press")
+    damaged = gather([press(rng, (96, 96)), press(rng, (96, 32), 6)], "blob")
+    damaged.frames[:, :8, :8] = 149
+    settings = config(
+        profile=SensorProfile("tiny", (SIDE, SIDE), (0.0, 0.0), (SIDE, SIDE), 1, 15.77),
+        region=Region(0, 0, SIDE, SIDE),
+    )
+    old = fit_files(nominal, settings, created="2026-01-01").bundle()
+    return Lesson(old, damaged, nominal, settings, "2026-01-01")
+
+
+def test_a_place_finds_what_stands_out_there_alone(lesson: Lesson) -> None:
+    """At no cost, where the limit of all places would fail nearly every sound press."""
+    assert lesson.missed == [0, 1]
+    limit, place = lower_limit(lesson), lower_place(lesson)
+
+    assert isinstance(place, Remedy)
+    assert place.is_found == [True, True]
+    assert place.alarms == 0
+    assert place.rate == pytest.approx(0.05)
+    assert not isinstance(limit, Remedy) or limit.alarms > 10
+    weights = place.fitted.bundle().bank[TAUGHT_WEIGHTS]
+    assert (weights[:8, :8] == 1).all()
+    assert weights[100, 100] > 1 < weights[100, 36]
+
+
+def test_a_later_lesson_keeps_the_earlier_one(lesson: Lesson) -> None:
+    """The weights of both hold, the head is extended once, and the bundle says both."""
+    one = dataclasses.replace(lesson, damaged=lesson.damaged.choose([0]))
+    first = lower_place(one)
+    assert isinstance(first, Remedy)
+    old = first.fitted.bundle()
+    second = lower_place(dataclasses.replace(lesson, old=old))
+    assert isinstance(second, Remedy)
+
+    new = second.fitted.bundle()
+    assert second.is_found == [True, True]
+    assert (first.is_found, second.alarms) == ([True], 0)
+    assert new.graphs.head == old.graphs.head
+    assert (new.bank[TAUGHT_WEIGHTS] >= old.bank[TAUGHT_WEIGHTS]).all()
+    assert [len(one["presses"]) for one in new.manifest.facts["taught"]] == [1, 2]
+    assert new.manifest.revision == 2
+
+
+def test_the_reason_names_the_sound_press_that_is_nearest(lesson: Lesson) -> None:
+    """A sound press as damage: the others show as much where it stands out most."""
+    rng = np.random.default_rng(9)
+    (said,) = why_not(dataclasses.replace(lesson, damaged=gather([press(rng)], "sound")))
+
+    assert re.search(
+        r"sound 0 scores \d\.\d+ of the limit at \(.*\) mm, where .* the sound press press \d+ \d\.", said
+    )
+
+
+def test_of_few_presses_no_place_is_tried(lesson: Lesson) -> None:
+    few = dataclasses.replace(lesson, nominal=lesson.nominal.first(5))
+
+    assert lower_place(few) == "place: of fewer than 6 presses none can be held out"
+    assert why_not(few) == []
+
+
+def test_where_nothing_finds_it_the_nearest_sound_press_is_the_reason(
+    inspected: Inspected, station: Inspected
+) -> None:
+    """A sound press that somebody calls damaged."""
+    folder, ids = station
+    say(folder, {ids[1]: "damaged", ids[0]: "good"})
+
+    done = teach(inspected, [ids[1]], folder=folder)
+
+    assert done.code == 0, done.err
+    (reason,) = [line for line in done.out.splitlines() if line.startswith("nothing of this finds it")]
+    assert re.search(rf"{ids[1]} scores 0.\d+ of the limit at .* and the sound press \S+ 0.\d+", reason)
+    assert "limit: every sound press would fail" in done.out
+
+
+def test_a_remedy_that_fails_what_people_call_good_is_not_written(
+    inspected: Inspected, station: Inspected, tmp_path: Path
+) -> None:
+    """A limit below a press that somebody calls damaged lies below a good one, too."""
+    folder, _ = station
+    passed = sorted(
+        read_history(folder / "gelgate.db", HistoryQuery(verdicts=("pass",))), key=lambda row: row.score or 0
+    )
+    taught, good = (row.press_id for row in passed[-2:])
+    say(folder, {taught: "damaged", good: "good"})
+
+    done = teach(inspected, [taught], "--take", "limit", "-o", tmp_path / "new", folder=folder)
+
+    assert "fails more of the presses that people call good, and is not written" in done.sentence()
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("damaged", "more", "sentence"),
+    [
+        (["loud"], [], "the bundle finds every one of these presses; there is nothing to teach"),
+        (["faint"] * 6, [], "found 6 damaged presses, expected 1 to 5"),
+        (["faint"], ["--take", "limit"], "give both, or none to look first"),
+        (["faint"], ["--take", "place_", "-o", "new"], "is not among what can be taken"),
+        (["01J"], [], "does not exist"),
+    ],
+)
+def test_what_cannot_be_taught_is_a_sentence(
+    inspected: Inspected,
+    faint: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    damaged: Sequence[str],
+    more: Sequence[object],
+    sentence: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    files = [tmp_path / f"{k}.jpg" for k in range(len(damaged))]
+    drawn: list[object] = [
+        draw(path, {"loud": 1.0, "faint": 0.88}[word]) if word in ("loud", "faint") else word
+        for k, (path, word) in enumerate(zip(files, damaged, strict=True))
+    ]
+
+    done = teach(inspected, drawn, *more)
+
+    assert sentence in done.sentence()
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_press_that_people_call_good_is_no_damage(inspected: Inspected, station: Inspected) -> None:
+    folder, ids = station
+    say(folder, {ids[1]: "good"})
+
+    done = teach(inspected, [ids[1]], folder=folder)
+
+    assert f"people call {ids[1]} (pass" in done.sentence()
+
+
+def test_a_given_limit_has_no_cost_that_is_known(inspected: Inspected, faint: Path, tmp_path: Path) -> None:
+    fit(inspected[0] / "nominal", tmp_path / "given", "--set", "threshold=1000")
+
+    done = gelgate("bundle", "teach", tmp_path / "given", inspected[0] / "nominal", "--damaged", faint)
+
+    assert "has no scores of presses (given by hand)" in done.sentence()
+
+
+def test_the_weights_of_a_head_are_those_of_float64() -> None:
+    """A score map times the weights, and its highest value, for several frames at once."""
+    frames = tiny.presses(3)
+    plain = Bundle.in_memory(*tiny.tiny_files())
+    weights = np.random.default_rng(0).uniform(1, 3, plain.manifest.frame).astype(np.float32)
+    head, bank = append(plain.graphs.head or b"", Bank(dict(plain.bank)), {TAUGHT_WEIGHTS: weights})
+    maps = np.stack([one.score_map for one in Scorer(plain).score_batch(frames)]).astype(np.float64)
+    session = ort.InferenceSession(head)
+    trunk = ort.InferenceSession(plain.graphs.trunk)
+    taps = {i.name for i in session.get_inputs()} - set(bank.arrays)
+    features = dict(
+        zip([o.name for o in trunk.get_outputs()], trunk.run(None, {"frames": frames}), strict=True)
+    )
+    score_map, score = session.run(
+        ["score_map", "score"], {**{tap: features[tap] for tap in taps}, **bank.arrays}
+    )
+
+    np.testing.assert_allclose(score_map, maps * weights, rtol=1e-6)
+    np.testing.assert_array_equal(score, score_map.max(axis=(1, 2)))
+
+
+@pytest.mark.parametrize("value", [0.2, 0.45, 0.9, 1.5])
+def test_a_given_limit_promises_the_smallest_rate_whose_own_limit_is_no_higher(value: float) -> None:
+    """Of ten presses, 0.1 to 1.0, above each of which lie the next ones."""
+    scores = np.arange(1, 11) / 10
+
+    found = promise_at(scores, value, 0.05)
+
+    assert found is not None
+    assert found.value == value
+    above = int((scores > value).sum())
+    assert found.alpha == pytest.approx(0.05 if value > 1.2 else (above + 1) / 11, abs=1e-9)
+    assert found.by_press is not None
+    assert found.by_press.alarms == above
+    assert conformal_threshold(scores, found.alpha).value <= value
+
+
+def test_a_limit_below_every_press_promises_nothing() -> None:
+    assert promise_at(np.arange(1, 11) / 10, 0.05, 0.05) is None
