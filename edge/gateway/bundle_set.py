@@ -68,6 +68,11 @@ class BundleSet:
         every = (*self.bundles.values(), *self.shadows.values())
         return next((one for one in every if one.path == path), None)
 
+    def may_inspect(self, one: OpenBundle) -> bool:
+        """Say whether this one inspects its position, or is what a shadow has taken the place of: no mere shadow."""
+        used = self.bundles.get(one.part)
+        return used is not None and one.bundle.digest in (used.bundle.digest, used.instead_of)
+
     def find(self, part: str, position: str | None = None) -> PartPosition:
         """Return the position of this part. Errors: ValueError, which names those known."""
         return find_part(self.bundles, part, position)

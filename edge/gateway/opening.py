@@ -80,8 +80,8 @@ class BundleOpener:
             except GelgateError as error:
                 faults[one.path] = error
                 with contextlib.suppress(GelgateError):
-                    found = found if earlier is None else found.with_one(earlier)
-        found = self._open_shadows(table, trust, before, found)
+                    found = found.with_one(earlier) if earlier and before.may_inspect(earlier) else found
+        found = self._open_shadows(table, trust, before, found, faults)
         used = [
             one.bundle.trunk_sha256
             for each in (before, found)
@@ -91,20 +91,27 @@ class BundleOpener:
         return Opened(found, faults)
 
     def _open_shadows(
-        self, table: InspectionTable, trust: Trust, before: BundleSet, found: BundleSet
+        self,
+        table: InspectionTable,
+        trust: Trust,
+        before: BundleSet,
+        found: BundleSet,
+        of_bundles: dict[Path, GelgateError],
     ) -> BundleSet:
         """Open the shadows beside these bundles, each of which inspects whatever becomes of its shadow; one that has
-        taken over goes on in its place."""
+        taken over goes on in its place. of_bundles: takes the fault of one that inspects."""
         faults: list[str] = []
         for path in table.shadows:
             earlier = before.at(path)
             try:
-                shadow = self._open_one(BundleTable(path=path), table, trust, earlier, is_shadow=True)
-                found = found.with_shadow(shadow)
+                found = found.with_shadow(self._open_one(BundleTable(path=path), table, trust, earlier))
             except GelgateError as error:
-                faults.append(str(error))
+                if earlier is None or earlier.instead_of is None:
+                    faults.append(str(error))
+                    continue
+                of_bundles[path] = error  # it inspects, and goes on as every bundle in use
                 with contextlib.suppress(GelgateError):
-                    found = found if earlier is None else found.with_shadow(replace(earlier, instead_of=None))
+                    found = found.with_shadow(replace(earlier, instead_of=None))
         for part, one in found.bundles.items():
             configured, shadow_id = self.taken(part) or ("", "")
             if one.bundle.digest != configured:
@@ -124,25 +131,25 @@ class BundleOpener:
         table: InspectionTable,
         trust: Trust,
         earlier: OpenBundle | None,
-        *,
-        is_shadow: bool = False,
     ) -> OpenBundle:
         """Open one bundle, or take the one that is open and has not changed. Errors: BundleError."""
         is_sound = earlier is not None and earlier.inspector.fault is None
         if earlier is not None and is_sound and _digest(one.path, trust) == earlier.bundle.digest:
-            Bundle.load(
-                one.path, trust=trust
-            )  # a graph that has changed under its manifest is refused, as at a start
+            # A graph that has changed under its manifest is refused, as at a start; so is a shadow that grew old.
+            self._check_age(Bundle.load(one.path, trust=trust), table)
             return OpenBundle(one.path, one.names, earlier.inspector, earlier.golden_difference)
         if self._tried is not None:
             try_once(one.path, trust, table.threads, self._tried, keep=self._keeps_trials)
         bundle = Bundle.load(one.path, loaded=self.trunks, trust=trust)
-        configured, _ = self.taken(part_of(bundle)) or ("", "")
-        # A shadow is newer than the bundle that it took the place of, which is the way back.
-        if table.older == "refused" and not is_shadow and bundle.digest != configured:
-            check_revision(bundle.manifest, self.newest(part_of(bundle)), bundle.where)
+        self._check_age(bundle, table)
         scorer = Scorer(bundle, table.threads, self.trunks)
         return OpenBundle(one.path, one.names, Inspector(scorer, self._clock), scorer.check_golden())
+
+    def _check_age(self, bundle: Bundle, table: InspectionTable) -> None:
+        """Refuse one that is older than what was in use, unless it is the way back from a shadow that took over."""
+        configured, _ = self.taken(part_of(bundle)) or ("", "")
+        if table.older == "refused" and bundle.digest != configured:
+            check_revision(bundle.manifest, self.newest(part_of(bundle)), bundle.where)
 
 
 def bundle_tables(table: InspectionTable) -> tuple[BundleTable, ...]:

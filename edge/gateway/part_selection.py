@@ -53,6 +53,7 @@ class PartSelection:
         self._status = status
         self._clock = clock
         self._is_recorded = False
+        self._exchanges = self._seen_exchanges = 0  # made, and made when the present opening began
         self._unrecorded: deque[Act] = deque()
         self._golden = GoldenWatch(clock)
         self.on_change: Callable[[], None] = lambda: None
@@ -99,6 +100,7 @@ class PartSelection:
         except StoreError:
             self.bundles, self._why = before, None
             raise
+        self._exchanges += 1
         self.on_change()
 
     def find_all(self, name: str) -> frozenset[PartPosition]:
@@ -134,7 +136,10 @@ class PartSelection:
         in use has not changed; the next turn tries again."""
         inspector, bundles = self.inspector, self.bundles
         if (staged := self.worker.take()) is not None:
-            self._take(staged)
+            if self._seen_exchanges == self._exchanges:
+                self._take(staged)
+            else:  # opened for bundles that have changed places meanwhile
+                self.reload()
         while self._unrecorded:
             self._store.begin_act(self._unrecorded[0], within_s=0)
             self._unrecorded.popleft()
@@ -155,6 +160,7 @@ class PartSelection:
 
     def _open_again(self) -> Opened | GelgateError:
         """Open what is configured now; the bundles in use that have not changed are kept as they are."""
+        self._seen_exchanges = self._exchanges
         try:
             return self._open(self.bundles)
         except GelgateError as error:
@@ -183,6 +189,7 @@ class PartSelection:
                 self.bundles = staged.bundles
                 new = staged.bundles[self.part]
                 if new.inspector is self.inspector:  # under its new names; another one waits to be changed
+                    self._is_recorded &= new.instead_of == self._in_use.instead_of
                     self._in_use = new
             else:
                 faults.append(

@@ -9,6 +9,7 @@ from unittest.mock import Mock
 
 import pytest
 from command_line import gelgate
+from shadow_station import FIVE, adopt, configure, limit
 from station import Motion, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
@@ -19,13 +20,6 @@ from edge.store.acts import CONFIRM, Act
 from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import check_database
 
-FIVE = {
-    "alpha": 0.2,
-    "alpha_floor": 0.2,
-    "nominal_scores": [0.01, 0.02, 0.03, 0.04, 0.05],
-    "method": "held out",
-}
-
 
 @pytest.fixture(scope="module")
 def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -34,21 +28,10 @@ def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return press_recording(folder, 8, dented=[2, 5], motion=Motion(hold=8, idle=24), seed=5)
 
 
-def limit(bundle: Path, **changes: Any) -> dict[str, Any]:
-    """The bundle's threshold with these changes."""
-    threshold: dict[str, Any] = json.loads((bundle / "manifest.json").read_text())["threshold"]
-    return threshold | changes
-
-
 @pytest.fixture
 def shadow(tmp_path: Path, bundle: Path) -> Path:
     """The same bundle with a stated promise and another revision."""
     return variant(bundle, tmp_path / "new", revision=2, threshold=limit(bundle, **FIVE))
-
-
-def configure(folder: Path, presses: Path, bundle: Path, *shadows: Path) -> Path:
-    named = ", ".join(f'"{path}"' for path in shadows)
-    return station_config(folder, presses, f'bundle = "{bundle}"\nshadows = [{named}]')
 
 
 def say(station: SteppedStation, words: Mapping[int, str], person: str = "kim") -> None:
@@ -56,13 +39,6 @@ def say(station: SteppedStation, words: Mapping[int, str], person: str = "kim") 
         given = {"press_id": station.results[number].press_id, "verdict": word}
         act = Act(1, f"{person}, at the page", CONFIRM, None, given, outcome="done")
         station.parts.store.begin_act(act, 0)
-
-
-def adopt(station: SteppedStation) -> Any:
-    """Ask as a requester's thread does, and let the loop take a turn."""
-    data = station.ask("adopt_shadow")()
-    station.turn()
-    return data
 
 
 def test_a_shadow_says_what_it_would_decide_and_decides_nothing(
