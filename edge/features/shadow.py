@@ -4,7 +4,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from edge.core.contact.events import PressSettled
 from edge.core.errors import ArchiveError, NotScorable, PoseNotFound
@@ -21,9 +21,12 @@ from edge.store.database import open_read_only
 from edge.store.press_archive import ArchiveFolder
 from edge.store.shadow_verdicts import UnjudgedDamage, read_judged_twice
 
-__all__ = ["Shadow"]
+__all__ = ["MOST_S", "Shadow"]
 
 log = logging.getLogger(__name__)
+
+MOST_S: Final = 1.0
+"""What a shadow may take, or as long as the score of the bundle in use: verdicts wait for it."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,8 @@ class Shadow(PressStage):
         self._clock, self._post = parts.clock, parts.post
         self._scored: tuple[Inspector, Press] | None = None
         self._exchange: _Exchange | None = None
-        self._fault: str | None = None
+        self._fault: tuple[Inspector, str] | None = None
+        self._late: tuple[Inspector | None, int] = None, 0  # presses in a row for which it took too long
         self._said: str | None = None
 
     @classmethod
@@ -56,15 +60,36 @@ class Shadow(PressStage):
         shadow, self._scored = self._selection.shadow, None
         if shadow is None or press.label is not None or press.rgb is None or press.score is None:
             return press
+        if self._is_left_out(shadow):
+            return press
         started_ns = self._clock.monotonic_ns()
         try:
             self._scored = shadow, _score(press, shadow, inspector)
-            self._fault = self._scored[1].error
+            why = self._scored[1].error
         except Exception as error:  # nothing of a bundle that decides nothing may stop an inspection
             log.exception("the shadow failed")
-            self._scored, self._fault = (shadow, Press(error=repr(error))), f"{error!r:.200}"
-        took_ms = (self._clock.monotonic_ns() - started_ns) / 1e6
-        return replace(press, latency_ms={**press.latency_ms, "shadow": took_ms})
+            self._scored, why = (shadow, Press(error=repr(error))), f"{error!r:.200}"
+        took_s = (self._clock.monotonic_ns() - started_ns) / 1e9
+        late = self._judge_time(shadow, took_s, inspector)
+        self._fault = late or ((shadow, f"gave no score: {why}") if why else None)
+        return replace(press, latency_ms={**press.latency_ms, "shadow": took_s * 1e3})
+
+    def _judge_time(
+        self, shadow: Inspector, took_s: float, inspector: Inspector
+    ) -> tuple[Inspector, str] | None:
+        """Leave out a shadow that the verdicts of two presses in a row have waited for, longer than it may take."""
+        most_s = max(MOST_S, inspector.took_s)
+        is_late = took_s > most_s
+        self._late = (shadow, self._late[1] + 1 if self._late[0] is shadow else 1) if is_late else (None, 0)
+        if not self._is_left_out(shadow):
+            return None
+        return shadow, (
+            f"is left out, for it took {took_s:.1f} s, at most {most_s:.1f} s are allowed, and each verdict waits for "
+            "it: fit one with a faster method or a smaller bank"
+        )
+
+    def _is_left_out(self, shadow: Inspector) -> bool:
+        return self._late[0] is shadow and self._late[1] >= 2
 
     def keep(self, press: Press, inspector: Inspector) -> Press:
         """Return it with what the shadow says, without the places that were not judged."""
@@ -83,13 +108,16 @@ class Shadow(PressStage):
     def turn(self, mounted: Mounted | None) -> None:
         """Exchange the bundles where that was asked for, while nothing is pressed. Errors: StoreError."""
         faults = [*self._selection.shadow_faults]
-        if self._fault is not None:
-            faults.append(f"the shadow of {self._selection.part} gave no score: {self._fault}")
+        if self._fault is not None and self._fault[0] is self._selection.shadow:
+            faults.append(f"the shadow of {self._selection.part} {self._fault[1]}")
         if self._said != (said := "; ".join(faults) or None):
             self._said = said
             self._alarms.say("shadow", said and f"{said}; presses are inspected without it", "warning")
         wish = self._exchange
         if wish is None or (mounted is not None and mounted.has_contact):
+            return
+        if self._selection.inspector.bundle.digest == wish.after:  # asked for twice
+            self._exchange = None
             return
         if self._ids() == (wish.part, wish.before, wish.after):
             why = Act(
@@ -203,11 +231,11 @@ def _score(press: Press, shadow: Inspector, inspector: Inspector) -> Press:
     assert press.rgb is not None
     try:
         shadow.follow_light(None if press.judged is None else press.judged.reference)
+        filled = shadow.restore_light(shadow.scorer.fill_dots(press.rgb))
         if shadow.light == press.light:
-            lit = shadow.restore_light(press.rgb)
-            scored = shadow.scorer.score_beside(inspector.scorer, lit, press.registered)
+            scored = shadow.scorer.score_beside(inspector.scorer, filled, press.registered)
         else:  # it was fitted under another light
-            scored = shadow.scorer.score_filled(shadow.restore_light(shadow.scorer.fill_dots(press.rgb)))
+            scored = shadow.scorer.score_filled(filled)
         verdict = shadow.bundle.manifest.decide(scored.anomaly_score)
         return Press(verdict, score_map=scored.score_map)
     except (PoseNotFound, NotScorable) as error:

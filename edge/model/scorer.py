@@ -135,11 +135,10 @@ class Scorer:
 
     def score_beside(self, other: "Scorer", rgb: NDArray[np.uint8], registered: Registered | None) -> Scored:
         """Score a press that `other` has just scored: by its pose and its features, where this bundle would find the
-        same. rgb, registered: the press as the camera shows it, and as `other` has registered it. Errors as
-        `score_filled`."""
+        same. rgb, registered: as for `score_filled`, and as `other` has registered it. Errors as `score_filled`."""
         if self._trunk is None or self._trunk_facts != other._trunk_facts:
-            return self.score(rgb)
-        in_pose = self.fill_dots(rgb) if registered is None else registered.rgb
+            return self.score_filled(rgb)
+        in_pose = rgb if registered is None else registered.rgb
         features = other._pipe.find_features(in_pose)
         if features is None or not self._taps.keys() <= features.keys():
             scored = self.score_in_pose(in_pose)

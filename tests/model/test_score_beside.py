@@ -46,6 +46,17 @@ def test_the_features_of_the_other_are_taken() -> None:
     assert runs() == 0
 
 
+def test_dots_that_are_filled_are_not_filled_again() -> None:
+    """A press is brought to another light after its dots are filled, so filling again would change it."""
+    filled = tiny.presses(1)[0]
+    other, scorer = Scorer(plain()), Scorer(plain(0.4))
+    other._dots, scorer._dots = Mock(), Mock()
+    other.score_filled(filled)
+
+    assert scorer.score_beside(other, filled, None).anomaly_score == alone(scorer, filled).anomaly_score
+    assert not scorer._dots.fill.called
+
+
 @pytest.mark.parametrize("between", ["another frame", "a batch", "nothing at all", "a fault"])
 def test_features_of_another_frame_are_not_taken(between: str) -> None:
     """As after a golden frame, and where the trunk has failed."""
