@@ -33,8 +33,8 @@ def month(
 ) -> None:
     """A month on the line: dust, wear, drift, a person.
 
-    Random parts are pressed for 30 days at two stations: one keeps its bundle, one learns each night from a person who
-    answers ten questions a day. Rows for each day, a page with curves. An interrupted run goes on with the day that it
+    Random parts are pressed for 30 days at two stations: one keeps its bundle, one learns from a person who answers
+    up to ten questions a day. Rows for each day, a page with curves. An interrupted run goes on with the day that it
     was in.
     """
     needs("studies", "gelgate lab month")

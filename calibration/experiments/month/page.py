@@ -24,7 +24,7 @@ _MOST_FALSE: Final = 0.02
 _INTRO: Final = """# A month on the line
 
 A reference, printed by `gelgate lab month` from its rows: what goes wrong in a month of presses, day by day, at a
-station whose bundle stays as it was fitted, and at one that learns from a person who answers ten questions a day.
+station whose bundle stays as it was fitted, and at one that learns from a person who answers a few questions a day.
 """
 _WORLD: Final = """## What happens
 
@@ -41,15 +41,16 @@ sizes:
 - **Batches.** Every three days another one: relief up to 4 % higher or lower, size up to 0.3 %, tool marks of 1 to
   3 um. The fit saw none.
 - **Damage.** 1 % of the pieces, of six kinds that the fit does not render; one piece in 500 is of another part.
-- **The person** answers the station's own questions in the evening, 3 % of them wrongly; nobody else helps.
+- **The person** answers the station's own questions in the evening, ten a day, and where a day has fewer than 50
+  presses one for each five; 3 % of the answers are wrong. Nobody else helps.
 
 What is real: the station from the camera's bytes on (contact, scores, gel marks and scars, press again, drift, proof on
 the gel, archive, database, questions), its settings by default, and `gelgate bundle learn` with its refusals. What is
 not: the gel, the parts and the operator are the simulator's; the station has no threads, and its clock is the line's;
 messages go to memory; an answer is written as the page's request writes it, without the page. A press that the station
 asks for again is made, up to three of a piece. The new bundle is a shadow the next day; in the evening it is asked to
-take over, which the station refuses before 100 presses, and where it is worse. As long as it is a shadow no other one
-is learnt.
+take over, which the station refuses before 100 presses, and where it is worse. As long as it waits no other one is
+learnt.
 
 A piece counts by the verdict of its last press. A *false alarm* is a sound piece that does not pass in the end,
 whatever the verdict is. An *escape* is a damaged piece, or one of another part, that passes.

@@ -64,6 +64,7 @@ _LIGHT_LOST: Final = 0.2
 _WANDER_MM, _WANDER_RAD, _WANDER_DEPTH, _MEMORY = 0.15, math.radians(1.0), 0.04, 0.98
 
 _INSPECTED_MM: Final = 6.3
+_QUESTIONS: Final = 10
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,11 @@ class Month:
         self.streams = Streams(self.seed)
         self.shape: HeightField = random_part(np.random.default_rng([self.seed, 1]))
         self._other: HeightField = random_part(np.random.default_rng([self.seed, 2]))
+
+    @property
+    def questions(self) -> int:
+        """How many presses a person is asked about on one day: 10 of a full month, of a smaller one each fifth."""
+        return max(1, min(_QUESTIONS, self.presses // self.days // 5))
 
     def day(self, day: int) -> Sequence[PlannedPress]:
         """Return the presses of a day, from 0."""

@@ -24,7 +24,7 @@ __all__ = ["ARMS", "NOT_ASKED", "Row", "find_key", "is_early", "run_month"]
 
 ARMS: Final[Mapping[str, str]] = {
     "frozen": "the bundle of the first day, all month",
-    "learning": "`gelgate bundle learn` in the night, its bundle a shadow until it may take over",
+    "learning": "`gelgate bundle learn` in each fifth night, its bundle a shadow until it may take over",
 }
 
 NOT_ASKED: Final = "not asked"
@@ -35,6 +35,9 @@ TOO_FEW: Final = f"at least {LEAST_COMPARED} are needed"
 _WORSE: Final = ("it passes damage", "do not pass it")
 
 Row = Mapping[str, Any]
+
+# Days between two nights in which a station learns, where no shadow waits: a fit takes as long as hundreds of presses.
+_LEARN_EVERY: Final = 5
 
 # Files of the archive never change, so a day's copy shares them.
 _SHARED: Final = ".archive"
@@ -82,7 +85,7 @@ def _run_day(month: Month, arm: str, day: int, here: Path, trunks: TrunkSessions
     learnt = here / "learnt"
     bundle = learnt / yesterday["next_bundle"] if yesterday.get("next_bundle") else first
     shadow = learnt / yesterday["next_shadow"] if yesterday.get("next_shadow") else None
-    config = write_config(station, bundle, month.presses, shadow)
+    config = write_config(station, bundle, month.presses, month.questions, shadow)
     with DayStation(config, day, gel, trunks).open() as opened:
         opened.begin(presses[0], is_new_gel=is_new_gel)
         for press in presses:
@@ -93,7 +96,7 @@ def _run_day(month: Month, arm: str, day: int, here: Path, trunks: TrunkSessions
     if not_adopted is not None and not is_early(not_adopted):
         next_shadow = None
     not_learnt: str | None = NOT_ASKED
-    if arm == "learning" and next_shadow is None:
+    if arm == "learning" and next_shadow is None and day % _LEARN_EVERY == 0:
         new = learnt / f"night-{day:02d}"
         shutil.rmtree(new, ignore_errors=True)
         not_learnt = learn_from_day(next_bundle, fit, station, new, opened.date)

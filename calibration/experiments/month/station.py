@@ -59,16 +59,22 @@ presses = {archived}
 mb = 20000
 [commands]
 page = ["confirm_press"]
+[confirm]
+questions_per_day = {questions}
 [[sinks]]
 plugin = "memory"
 """
 """Of a station: what is configured is what the pages recommend; all else is by default."""
 
 
-def write_config(folder: Path, bundle: Path, archived: int, shadow: Path | None = None) -> Path:
-    """Write the configuration of a station. archived: presses that its archive keeps."""
+def write_config(
+    folder: Path, bundle: Path, archived: int, questions: int = 10, shadow: Path | None = None
+) -> Path:
+    """Write the configuration of a station. archived: presses that its archive keeps. questions: of a day at most."""
     path, shadows = folder / "gelgate.toml", "" if shadow is None else f'"{shadow.absolute()}"'
-    text = CONFIGURATION.format(bundle=bundle.absolute(), shadows=shadows, archived=archived)
+    text = CONFIGURATION.format(
+        bundle=bundle.absolute(), shadows=shadows, archived=archived, questions=questions
+    )
     path.write_text(text, encoding="utf-8")
     return path
 

@@ -75,7 +75,7 @@ def test_another_gel_is_recorded_and_not_proven(bundle: Path, tmp_path: Path) ->
 def test_a_shadow_of_too_few_presses_stays_a_shadow(bundle: Path, tmp_path: Path) -> None:
     """The station says how many are needed; a shadow that is worse is not kept."""
     other = variant(bundle, tmp_path / "other", revision=7)
-    config = write_config(tmp_path, bundle, 100, other)
+    config = write_config(tmp_path, bundle, 100, shadow=other)
     with DayStation(config, 0, MountedGel(MONTH), TrunkSessions(1)).open() as opened:
         opened.begin(MONTH.day(0)[0], is_new_gel=False)
         opened.press(MONTH.day(0)[0])
