@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_svg", "figure", "page", "write_page"]
 
-_COLOURS: Final = {"frozen": "#b93a5b", "learning": "#1f5fa8"}
+_LINES_OF: Final = {"frozen": ("#b93a5b", "-"), "learning": ("#1f5fa8", "--")}
 _FROM_DAY: Final = 4
 _MOST_FALSE: Final = 0.02
 _INTRO: Final = """# A month on the line
@@ -202,7 +202,8 @@ def figure(rows: Sequence[Row]) -> "Figure":
         false = np.array([_total(one, "false_alarms") for one in own])
         escapes = np.cumsum([_total(one, "escapes") for one in own])
         unsure = np.array([_total(one, "unsure") for one in own])
-        style: dict[str, Any] = {"color": _COLOURS[arm], "label": arm, "linewidth": 1.4}
+        colour, dashes = _LINES_OF[arm]
+        style: dict[str, Any] = {"color": colour, "linestyle": dashes, "label": arm, "linewidth": 1.4}
         panels[0].plot(days, 100 * false / np.maximum(sound, 1), **style)
         panels[1].step(days, escapes, where="post", **style)
         panels[2].plot(days, unsure, **style)

@@ -1,11 +1,15 @@
 """The page of a month says what the rows say."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from calibration.experiments.harness.rows import read_rows
 from calibration.experiments.month.page import page
 from calibration.experiments.month.run import ARMS, NOT_ASKED
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def row(arm: str, day: int, **changes: Any) -> dict[str, Any]:
@@ -67,6 +71,15 @@ def test_a_day_shows_in_the_totals(changes: dict[str, Any], line: str) -> None:
     text = " ".join(page(rows, "month.svg", "gelgate lab month").split())
 
     assert line in text
+
+
+def test_the_page_of_the_manual_is_that_of_its_rows() -> None:
+    """Nothing in it is typed."""
+    rows = read_rows(ROOT / "docs/studies/month.jsonl")
+    told = (ROOT / "docs/month.md").read_text(encoding="utf-8")
+    command = told.partition("\n`")[2].partition("`")[0]
+
+    assert page(rows, "images/month.svg", command) == told
 
 
 def test_the_page_names_its_parts_and_what_they_took() -> None:

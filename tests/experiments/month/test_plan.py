@@ -41,6 +41,12 @@ def test_a_gel_has_its_rated_life_by_the_middle_where_another_is_mounted() -> No
     assert PRESSES[-1].light == pytest.approx(0.8, abs=1e-3)
 
 
+@pytest.mark.parametrize(("presses", "questions"), [(10_000, 10), (1500, 10), (300, 2), (60, 1)])
+def test_ten_questions_a_day_are_fewer_in_a_small_month(presses: int, questions: int) -> None:
+    """One for each five presses of a day at most."""
+    assert Month("development", 0, presses).questions == questions
+
+
 def test_the_same_plan_comes_again_and_each_part_has_its_own() -> None:
     """Development and judgement have no part in common."""
     again = Month("development", 3, 900)
