@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.events import PressSettled
+from edge.core.contact.reference import View
 from edge.core.drift import LEARNT, MEASURES, DriftChart, H
 from edge.core.ports import Clock, Message
 from edge.core.press import Press
@@ -172,8 +173,15 @@ def _measure(press: Press, settled: PressSettled, inspector: Inspector) -> Mappi
     return {
         **vars(Imprint.of(settled, inspector.bundle.profile)),
         "score_ratio": score / threshold if score is not None and threshold else None,
-        "light_levels": None if findings is None else float(findings.free.mean()),
+        "light_levels": None if findings is None else _light(press, findings.free, inspector),
     }
+
+
+def _light(press: Press, free: View, inspector: Inspector) -> float:
+    """Return the mean level of the free gel: by the light that is followed, or the picture that was learnt, which may
+    be hours old."""
+    at_fit = inspector.bundle.free_reference
+    return float((free if press.light is None or at_fit is None else press.light.undo(at_fit.view)).mean())
 
 
 def _bundles_from(array: NDArray[Any]) -> dict[int, Charts]:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, Self
 
+import numpy as np
+
 from edge.core.contact.events import PressSettled
 from edge.core.errors import ArchiveError, NotScorable, PoseNotFound
 from edge.core.part_position import PartPosition
@@ -230,7 +232,7 @@ def _score(press: Press, shadow: Inspector, inspector: Inspector) -> Press:
     """Score the region of a press with a shadow, by what the bundle in use has computed where that is the same."""
     assert press.rgb is not None
     try:
-        shadow.follow_light(None if press.judged is None else press.judged.reference)
+        _follow_light(press, shadow, inspector)
         filled = shadow.restore_light(shadow.scorer.fill_dots(press.rgb))
         if shadow.light == press.light:
             scored = shadow.scorer.score_beside(inspector.scorer, filled, press.registered)
@@ -240,3 +242,14 @@ def _score(press: Press, shadow: Inspector, inspector: Inspector) -> Press:
         return Press(verdict, score_map=scored.score_map)
     except (PoseNotFound, NotScorable) as error:
         return Press(error=str(error))
+
+
+def _follow_light(press: Press, shadow: Inspector, inspector: Inspector) -> None:
+    """Have the shadow follow the light that the press was scored under; it may be fitted under another one."""
+    fits = [one.bundle.free_reference for one in (inspector, shadow)]
+    if fits[0] is not None and fits[1] is not None and np.array_equal(fits[0].view, fits[1].view):
+        shadow.set_light(press.light)
+    elif press.light is not None and fits[0] is not None:
+        shadow.follow_light(press.light.undo(fits[0].view))
+    else:
+        shadow.follow_light(None if press.judged is None else press.judged.reference)

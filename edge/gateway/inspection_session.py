@@ -187,6 +187,7 @@ class InspectionSession:
             self._see(event)
             match event:
                 case PressBegan():
+                    self._follow_light(is_press=True)
                     label = None
                     for stage in self._stages:
                         label = stage.begin(label)
@@ -291,10 +292,13 @@ class InspectionSession:
         if difference is not None:
             log.warning("%s", difference)
 
-    def _follow_light(self) -> None:
-        """Score presses under the light of the fit, as the free gel of now shows the way."""
-        before, reference = self.inspector.light, self._detector.tracker.reference
-        self.inspector.follow_light(None if reference is None else reference.view)
+    def _follow_light(self, *, is_press: bool = False) -> None:
+        """Score presses under the light of the fit, as the free gel shows the way. is_press: one begins; what was
+        learnt of the free gel may be hours old where no pause is long, so the view just before it counts."""
+        before, tracker = self.inspector.light, self._detector.tracker
+        if not is_press:
+            self.inspector.follow_light(None if tracker.reference is None else tracker.reference.view)
+        self.inspector.follow_light(tracker.newest_free, is_doubtful=True)
         light = self.inspector.light
         if (light is None) != (before is None):
             log.info(

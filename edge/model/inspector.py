@@ -94,10 +94,13 @@ class Inspector:
             light=examined.light,
         )
 
-    def follow_light(self, free: View | None) -> None:
-        """Bring presses from now on from the light of this free gel to that of the fit, where it is proven."""
+    def follow_light(self, free: View | None, *, is_doubtful: bool = False) -> None:
+        """Bring presses from now on from the light of this free gel to that of the fit, where it is proven.
+        is_doubtful: the view may show what a press has left behind, and changes nothing where it proves nothing."""
         reference = self.bundle.free_reference
-        self.set_light(find_light(free, None if reference is None else reference.view))
+        light, is_proven = find_light(free, None if reference is None else reference.view)
+        if is_proven or not is_doubtful:
+            self.set_light(light)
 
     def set_light(self, light: FollowedLight | None) -> None:
         """Bring presses to the light of the fit in this way; None scores them as they are."""

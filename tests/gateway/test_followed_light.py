@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import gelgate
-from station import press_recording, station_config
+from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
+from edge.core.contact.tracker import ContactTracker
 from edge.model import inspector as module
 
 
@@ -40,15 +41,37 @@ def test_less_light_changes_no_verdict(tmp_path: Path, films: dict[float, Path],
     )
     assert [gain for _, _, gain in before] == [None] * 3
     for _, _, gain in now:
-        assert gain == pytest.approx((1.25, 1.25, 1.25), abs=0.06)  # an offset does the rest
+        assert gain is not None
+        assert min(gain) > 1.1  # an offset does the rest
 
 
 def test_without_it_sound_presses_fail(
     tmp_path: Path, films: dict[float, Path], bundle: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is guarded: with the light taken as it is, every press of the film fails."""
-    monkeypatch.setattr(module, "find_light", lambda now, at_fit: None)
+    monkeypatch.setattr(module, "find_light", lambda now, at_fit: (None, False))
     assert {verdict for verdict, _, _ in scores(station_config(tmp_path, films[0.8], bundle))} == {"fail"}
+
+
+def test_light_that_falls_between_presses_is_followed_without_a_pause(
+    tmp_path: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From all of the light to 80 % of it over 24 presses, the gel free for 0.5 s between two: what was learnt of the
+    free gel at the start is never renewed. Every sound press passes, and the chart of the light sees it; without the
+    view before each press the last ones fail."""
+    film = press_recording(
+        tmp_path / "film", 24, dented=[20], motion=Motion(hold=7, idle=9), light=1.0, light_at_end=0.8
+    )
+    with SteppedStation(station_config(tmp_path / "a", film, bundle)) as station:
+        station.play()
+        verdicts = [report.result.verdict for report in station.reports]
+        (light,) = (one for one in station.said("drift")["charts"] if one["measure"] == "light_levels")
+    monkeypatch.setattr(ContactTracker, "newest_free", None)
+    without = [verdict for verdict, _, _ in scores(station_config(tmp_path / "b", film, bundle))]
+
+    assert verdicts == ["fail" if number == 20 else "pass" for number in range(24)]
+    assert light["newest"] < 0.97 * 118
+    assert without[-3:] == ["fail"] * 3
 
 
 def test_its_verdicts_are_made_again_bit_for_bit(

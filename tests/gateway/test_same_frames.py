@@ -16,6 +16,7 @@ from calibration.fitting.presses.nominal_presses import read_presses
 from edge import registry
 from edge.clock import ManualClock
 from edge.core.contact.mask import Touch
+from edge.core.contact.reference import View
 from edge.core.contact.settings import ContactSettings
 from edge.core.errors import FitError, FrameCorrupt, RecordingEnded
 from edge.core.imaging.frames import CameraFrame
@@ -100,12 +101,15 @@ class Listener:
 
     bundle = Mock(profile=PROFILE, free_reference=None, digest="")
     took_s = 0.0
+    light = None
 
     def __init__(self) -> None:
         self.asked: list[bytes] = []
         self.ahead: list[bytes] = []
 
     def warm_up(self, frame: CameraFrame) -> None: ...
+
+    def follow_light(self, free: View | None, *, is_doubtful: bool = False) -> None: ...
 
     def examine_ahead(self, frame: CameraFrame, touch: Touch) -> bool:
         if is_new := frame.payload not in self.ahead:

@@ -79,9 +79,10 @@ def press_recording(
     seed: int = 0,
     fps: float = FPS,
     light: float = 1.0,
+    light_at_end: float | None = None,
 ) -> Path:
     """Untouched gel, then so many presses of one part; those numbered in `dented` are damaged. Labels number them.
-    light: of the lamps, as a share."""
+    light, light_at_end: of the lamps, as a share; the first throughout where there is no other."""
     motion = motion or Motion()
     rng = np.random.default_rng(seed)
     phases: list[tuple[float, int | None]] = [(0.0, None)] * motion.free
@@ -89,7 +90,8 @@ def press_recording(
         phases += [(0.5, press)] + [(1.0, press)] * motion.hold + [(0.3, press)] + [(0.0, None)] * motion.idle
     with RecordingWriter(folder, replace(HEADER, nominal_fps=fps)) as writer:
         for number, (depth, press) in enumerate(phases):
-            frame = np.rint(light * gel(rng, depth, press in dented)).astype(np.uint8)
+            now = light + ((light_at_end or light) - light) * number / len(phases)
+            frame = np.rint(now * gel(rng, depth, press in dented)).astype(np.uint8)
             writer.add(jpeg(frame), round(number * 1e9 / fps), {"press": press})
     return folder
 

@@ -93,6 +93,7 @@ class ContactTracker:
         self._refer_to(stored or witness)
         self._baseline, self._free = _Mean(), _Mean()
         self._free_looks: tuple[View, ...] = ()
+        self._newest_free: tuple[View, ...] = ()
         self._rest: View | None = None
         self.level: View | None = None
         """The last view, at the reference's level where there is one: float32 (h, w, 3)."""
@@ -131,6 +132,11 @@ class ContactTracker:
                 return track.window.choose_peak(track.wanted_ns, track.strength_peak)
         return None
 
+    @property
+    def newest_free(self) -> View | None:
+        """The newest view of the free gel as the sensor showed it, but for the last two: they may show an approach."""
+        return self._newest_free[0] if self._newest_free else None
+
     def is_due(self, timestamp_ns: int, *, is_held: bool = False) -> bool:
         """False for a frame that need not be decoded: nothing presses, or a press that has its verdict `is_held` as
         before, and the last look was a moment ago."""
@@ -154,6 +160,8 @@ class ContactTracker:
             views = [self._recent[frame.sequence].level for frame in self._track.window.frames]
             self._refer_to(Reference(np.mean(views, axis=0, dtype=np.float32)))
         self.level = level
+        if self.state in (State.NO_CONTACT, State.RECOVERY) and not seen.is_black:
+            self._newest_free = (*self._newest_free[-2:], view)
         if self._track.still_ns == timestamp_ns:
             self._rest = level
         kept = self.candidates
@@ -177,7 +185,7 @@ class ContactTracker:
         self._track, events = contact.relearn(self._track)
         self._refer_to(None)
         self.mask, self.touch, self.relief = None, None, None
-        self._free_looks = ()
+        self._free_looks = self._newest_free = ()
         self._is_lent = False
         self._witness = None
         self._baseline.clear()
