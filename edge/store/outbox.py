@@ -259,12 +259,16 @@ class Outbox:
 
     def offer_first_of_kinds(self, sink: str) -> list[int]:
         """Queue again the oldest row of each kind that this sink refused; returns their ids."""
-        with self._database.writing("offering refused rows again") as connection:
+        # It reads every refused row, so it is no transaction that a press would wait for.
+        with self._database.reading("reading the refused rows") as connection:
             rows = connection.execute(
                 "SELECT min(row_id) FROM settled JOIN outbox USING (row_id) WHERE sink = ? AND refusal IS NOT NULL "
                 "GROUP BY substr(topic, 1, instr(topic || '/', '/') - 1) ORDER BY 1",
                 (sink,),
             ).fetchall()
+        if not rows:
+            return []
+        with self._database.writing("offering refused rows again") as connection:
             return self._queue_again(connection, sink, rows)
 
     def newest(self) -> int:

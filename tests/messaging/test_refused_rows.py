@@ -51,6 +51,16 @@ def test_many_refused_rows_are_offered_in_turn_and_all_at_once_when_one_is_accep
     assert sorted(int(m.payload) for m in sink.taken if m.topic == "result") == list(range(3 * OFFERED_ROWS))
 
 
+def test_looking_for_refused_rows_holds_up_no_press(path: Path) -> None:
+    """A hundred thousand of them take a second to read; a press may be written meanwhile."""
+    put(path, Message("result", b"{}"))
+    with Outbox(path) as outbox, closing(sqlite3.connect(path, isolation_level=None)) as press:
+        outbox.register(["mqtt"])
+        press.execute("BEGIN IMMEDIATE")
+        assert outbox.offer_first_of_kinds("mqtt") == []
+        press.execute("ROLLBACK")
+
+
 def test_many_refused_rows_of_one_kind_do_not_keep_back_another_kind(path: Path) -> None:
     """Each kind has its turn in every offer: `last/press` arrives although more pictures than that are too large."""
     sink, clock = ScriptedSink(), ManualClock()
