@@ -10,8 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+import cv2
+import numpy as np
+
 from edge.clock import SystemClock
 from edge.core.errors import ArchiveError, FitError
+from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.image_bytes import kind
 from edge.core.part_position import PartPosition
 from edge.core.person_verdict import PersonVerdict, settle
@@ -24,7 +28,15 @@ from edge.store.database import open_read_only
 from edge.store.person_verdicts import read_verdicts
 from edge.store.press_archive import ArchivedPress, ArchiveFolder
 
-__all__ = ["Comparison", "ConfirmedPresses", "compare", "judge_presses", "read_confirmed", "write_pictures"]
+__all__ = [
+    "Comparison",
+    "ConfirmedPresses",
+    "compare",
+    "judge_presses",
+    "read_confirmed",
+    "write_picture",
+    "write_pictures",
+]
 
 # Presses that change and are named.
 MOST_NAMED: Final = 8
@@ -119,11 +131,24 @@ def read_confirmed(database: Path, part: PartPosition) -> ConfirmedPresses:
 
 
 def write_pictures(presses: Sequence[ConfirmedPress], folder: Path) -> None:
-    """Write the camera's bytes as pictures with the names of their presses."""
+    """Write them as pictures with the names of their presses."""
     folder.mkdir()
     for one in presses:
-        ending = "png" if kind(one.frame) == "png" else "jpg"
-        (folder / f"{one.press.press_id}.{ending}").write_bytes(one.frame)
+        write_picture(one.press, one.frame, folder)
+
+
+def write_picture(press: ArchivedPress, frame: bytes, folder: Path) -> Path:
+    """Write the camera's bytes as a picture with the name of its press, and return its path. Where the light was
+    followed, it is the picture under the light of the fit: nominal presses are of that light."""
+    ending = "png" if kind(frame) == "png" else "jpg"
+    if press.light is not None:
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        bgr = np.asarray(cv2.imdecode(np.frombuffer(frame, np.uint8), flags), np.uint8)
+        lit = FollowedLight(*press.light).restore(np.ascontiguousarray(bgr[..., ::-1]))
+        frame, ending = cv2.imencode(".png", np.ascontiguousarray(lit[..., ::-1]))[1].tobytes(), "png"
+    path = folder / f"{press.press_id}.{ending}"
+    path.write_bytes(frame)
+    return path
 
 
 @dataclass(frozen=True)

@@ -299,6 +299,7 @@ def _rewrite(lesson: Lesson, what: str, limit: ThresholdEntry, weights: F32 | No
                 free_gel=old.free_gel,
                 free_view=old.free_view,
                 registration=old.registration,
+                nominal_pictures=old.nominal_pictures,
             )
         )
 

@@ -164,9 +164,9 @@ def _prepare(
 
 
 def _write_picture(press: str, folder: Path, database: Path | None) -> Path:
-    """Give a picture's path, that of an archived press after its frame is written there. Errors: ArchiveError,
+    """Give a picture's path, that of an archived press after it is written there. Errors: ArchiveError,
     StoreError."""
-    from edge.core.imaging.image_bytes import kind
+    from calibration.fitting.learn import write_picture
     from edge.store.press_archive import ArchiveFolder, find_press
 
     if database is None or Path(press).is_file():
@@ -174,9 +174,7 @@ def _write_picture(press: str, folder: Path, database: Path | None) -> Path:
     known, archive = find_press(database, press), ArchiveFolder(database.with_suffix(".archive"))
     then = archive.press(known.press_id, known.evidence)
     frame = archive.read(then.frame, f"the judged frame of press {known.press_id}")
-    path = folder / f"{known.press_id}.{'png' if kind(frame) == 'png' else 'jpg'}"
-    path.write_bytes(frame)
-    return path
+    return write_picture(then, frame, folder)
 
 
 def _try_remedies(given: TeachArguments, lesson: "Lesson") -> dict[str, "Remedy"]:

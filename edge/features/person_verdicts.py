@@ -140,6 +140,7 @@ class PersonVerdicts(PressStage):
             "a person says what a press was, beside the verdict of the station, which stays; the newest word of each "
             "person counts, and where two contradict each other nobody can tell. `earlier`: what was said before; "
             "`is_archived`: whether the press can still be replayed",
+            "what the bundle in use is trusted with on a new gel",
         ),
     )
 

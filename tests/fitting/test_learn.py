@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from command_line import Outcome, gelgate
 from confirmed_station import fit, say
 
 from calibration.fitting.fit_again import configure_again
-from calibration.fitting.learn import Comparison, ConfirmedPresses
+from calibration.fitting.learn import Comparison, ConfirmedPresses, write_picture
 from calibration.fitting.presses.nominal_presses import read_presses
 from edge.core.imaging.region import Region
 from edge.core.press import Press
@@ -274,6 +275,20 @@ def test_the_learnt_pictures_are_the_camera_s_bytes(
     assert path.name == f"{ids[0]}.jpg"
     assert path.read_bytes() == found.good[0].frame
     assert cv2.imread(str(path)).shape == (240, 320, 3)
+
+
+@pytest.mark.parametrize("light", [None, ((2.0, 1.0, 0.5), (0.0, 3.0, 0.0))])
+def test_a_press_under_a_light_that_was_followed_is_learnt_as_it_was_scored(
+    tmp_path: Path, light: tuple[tuple[float, ...], tuple[float, ...]] | None
+) -> None:
+    """Under the light of the fit, as the nominal presses are."""
+    rgb = np.full((16, 16, 3), (40, 50, 60), np.uint8)
+    frame = cv2.imencode(".png", rgb[..., ::-1])[1].tobytes()
+    path = write_picture(ArchivedPress.model_construct(press_id="ONE", light=light), frame, tmp_path)
+
+    expected = (40, 50, 60) if light is None else (80, 53, 30)
+    assert path.stem == "ONE"
+    assert cv2.imread(str(path))[8, 8, ::-1].tolist() == list(expected)
 
 
 def test_what_the_old_fit_was_asked_for_is_asked_for_again(

@@ -148,6 +148,9 @@ def test_a_place_finds_what_stands_out_there_alone(lesson: Lesson) -> None:
     weights = place.fitted.bundle().bank[TAUGHT_WEIGHTS]
     assert (weights[:8, :8] == 1).all()
     assert weights[100, 100] > 1 < weights[100, 36]
+    pictures = place.fitted.bundle().nominal_pictures
+    assert pictures is not None
+    assert pictures == lesson.old.nominal_pictures  # what people are shown stays
 
 
 def test_a_later_lesson_keeps_the_earlier_one(lesson: Lesson) -> None:
