@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,8 @@ def configure_again(old: Bundle, alpha: float | None, threads: int, gel: str | N
         augment=asked.get("augment", "auto"),
         revision=(manifest.revision or 0) + 1,
         gel_id=gel,
+        # With the same pose the new bundle, as a shadow, takes the features of the old one.
+        pose=None if old.registration is None else replace(old.registration, gel_limits=None),
         settings=asked,
     )
 

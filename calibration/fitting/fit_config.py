@@ -13,6 +13,7 @@ from edge.core.detector import Detector, Mode
 from edge.core.errors import FitError
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.registration.registrar import PartInPose
 from edge.model.manifest_facts import gel_facts
 
 __all__ = ["SETTINGS", "FitConfig"]
@@ -59,6 +60,8 @@ class FitConfig:
     """Whether the bank also learns rendered copies of the presses, `auto` where there are few."""
     gel_id: str | None = None
     """The gel of the presses, where it is known."""
+    pose: PartInPose | None = None
+    """The part in the pose of an earlier bank, to which presses are brought; None where a fit finds it."""
     settings: Mapping[str, object] = field(default_factory=dict)
     """What was asked for otherwise than usual, for the manifest: a later fit asks for the same."""
 

@@ -14,7 +14,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from edge.core.errors import BundleCorrupt, NotScorable, PoseNotFound
-from edge.core.registration.pose import Registered
+from edge.core.registration.pose import Registered, gel_limits_in_pose
 from edge.model.bundle import Bundle
 from edge.model.pipe import FRAMES, SCORE, SCORE_MAP, Pipe, Ran
 from edge.model.session import RUNTIME_ERRORS, TrunkSessions, open_session
@@ -95,13 +95,8 @@ class Scorer:
         self._beside: tuple[Mapping[str, ort.OrtValue], Pipe] | None = None
         manifest, free = bundle.manifest, bundle.manifest.free_gel
         # Bundles with equal ones compute the same features of a press.
-        self._trunk_facts = (
-            sha256,
-            manifest.grid,
-            manifest.dots,
-            manifest.registration,
-            free and free.sha256,
-        )
+        pose = manifest.registration and manifest.registration.model_copy(update={"gel_limits": None})
+        self._trunk_facts = (sha256, manifest.grid, manifest.dots, pose, free and free.sha256)
 
     @property
     def tiles_run(self) -> int:
@@ -144,7 +139,11 @@ class Scorer:
             scored = self.score_in_pose(in_pose)
         else:
             scored = self._score_features(features)
-        return scored if registered is None else _bring_back(scored, registered)
+        if registered is None or self.bundle.registration is None:
+            return scored
+        limits = self.bundle.registration.gel_limits
+        in_pose_limits = None if limits is None else gel_limits_in_pose(limits, registered.pose)
+        return _bring_back(scored, replace(registered, gel_limits=in_pose_limits))
 
     def _score_features(self, features: Mapping[str, ort.OrtValue]) -> Scored:
         """Score the features of one frame. Errors: NotScorable."""

@@ -102,10 +102,33 @@ def test_the_pose_of_the_other_is_taken_where_it_is_sought_alike() -> None:
     found = scorer.score_beside(other, press, pose)
 
     expected = other.score(press)
-    assert (found.anomaly_score, found.registered) == (expected.anomaly_score, pose)
+    assert found.anomaly_score == expected.anomaly_score
+    assert found.registered is not None
+    assert found.registered.pose == pose.pose
     np.testing.assert_array_equal(found.score_map, expected.score_map)
     assert runs() == 0
     assert not scorer._registrar.register.called
+
+
+def test_a_bundle_that_was_learnt_in_the_same_pose_takes_pose_and_features() -> None:
+    """With its own limits of the gel: as alone, and without a run of its trunk."""
+    old = registered().bundle()
+    presses = parts.anywhere(parts.BLOCK, 20)[1]
+    assert old.registration is not None
+    kept = dataclasses.replace(old.registration, gel_limits=None)
+    new = fitted(nominal(presses[:14]), "auto", pose=kept).bundle()
+    assert new.registration is not None
+    limits = np.full(new.manifest.frame, 1.5, np.float32)
+    new = dataclasses.replace(new, registration=dataclasses.replace(new.registration, gel_limits=limits))
+    other, scorer = Scorer(old), Scorer(new)
+    runs = trunk_runs(scorer)
+
+    found = scorer.score_beside(other, presses[17], other.score(presses[17]).registered)
+
+    expected = alone(scorer, presses[17])
+    assert runs() == 0
+    assert found.anomaly_score == expected.anomaly_score
+    np.testing.assert_array_equal(found.score_map, expected.score_map)
 
 
 def test_a_copy_scores_as_its_original_and_shares_the_trunk() -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.damage.damaged_presses import SIZE_SHARES, DamagedPresses, render_damage
 from calibration.fitting.limits.held_out import HeldOut, Learner, ShownPresses
-from calibration.fitting.pose.registration import LearntPose, completed, learn_pose
+from calibration.fitting.pose.registration import LearntPose, completed, keep_pose, learn_pose
 from calibration.fitting.pose.two_parts import find_two_parts
 from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -27,7 +27,7 @@ from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.registration.colours import FreeLight
 from edge.core.registration.pose import warp
-from edge.core.registration.registrar import Registrar, find_relief
+from edge.core.registration.registrar import PartInPose, Registrar, find_relief
 from edge.model.tile_runner import most_typical
 
 __all__ = ["PoseChoice", "Register", "choose_pose", "compare_poses", "pose_spread_mm"]
@@ -145,12 +145,17 @@ def choose_pose(
     take: Take,
     view: View,
     is_held_out: bool = False,
+    earlier: PartInPose | None = None,
 ) -> PoseChoice:
-    """Decide whether presses are registered. take: the features of frames.
+    """Decide whether presses are registered. take: the features of frames. earlier: a pose that they are brought to.
 
     is_held_out: whether presses that are not compared as they lie may be proven by those that the fit holds out.
     Errors: FitError where registration is asked for and cannot be had.
     """
+    if earlier is not None:
+        return PoseChoice(
+            keep_pose(earlier, presses.frames), "presses are registered as in the bundle before"
+        )
     if register == "never":
         return PoseChoice(None)
     try:

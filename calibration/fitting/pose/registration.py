@@ -30,7 +30,7 @@ from edge.core.registration.registrar import (
     shrunk,
 )
 
-__all__ = ["LearntPose", "completed", "in_pose_of", "learn_pose"]
+__all__ = ["LearntPose", "completed", "in_pose_of", "keep_pose", "learn_pose"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -121,6 +121,13 @@ def learn_pose(frames: U8, free: U8) -> LearntPose:
         least_seen=max(_LEAST_SEEN, 0.9 * min(one.seen_share for one in registered)),
     )
     return LearntPose(part, registered, completed(registered), _doubt(best))
+
+
+def keep_pose(part: PartInPose, frames: U8) -> LearntPose:
+    """Bring nominal presses, uint8 (n, h, w, 3), to a pose that was learnt before."""
+    registrar = Registrar(part)
+    registered = tuple(registrar.register(rgb) for rgb in frames)
+    return LearntPose(part, registered, completed(registered))
 
 
 def _firsts(small: Sequence[F32]) -> list[F32]:
