@@ -181,10 +181,29 @@ def test_the_reason_names_the_sound_press_that_is_nearest(lesson: Lesson) -> Non
     )
 
 
+def test_the_cost_of_a_place_is_counted_on_presses_that_did_not_choose_it(lesson: Lesson) -> None:
+    """Each sound press has a blob where no other has one, and the damage has two of these. With the place that all
+    presses choose one of the two passes; each would fail by the place that the others choose."""
+    rng = np.random.default_rng(10)
+    spots = [(20 * row + 24, 20 * column) for row in range(5) for column in range(1, 5)]
+    nominal = gather([press(rng, spot) for spot in spots], "press")
+    damaged = press(rng, spots[7])
+    damaged[spots[12][0] : spots[12][0] + 8, spots[12][1] : spots[12][1] + 8] += np.uint8(8)
+    damaged[:16, :16] = 149
+    old = fit_files(nominal, lesson.config, created="2026-01-01").bundle()
+    taught = Lesson(old, gather([damaged], "blobs"), nominal, lesson.config, "2026-01-01")
+    place = lower_place(taught)
+    assert isinstance(place, Remedy)
+    assert taught.held_out is not None
+    by_all = taught.held_out * place.fitted.bundle().bank[TAUGHT_WEIGHTS]
+
+    assert place.alarms == 1 + int((by_all.max(axis=(1, 2)) > 1).sum())
+
+
 def test_of_few_presses_no_place_is_tried(lesson: Lesson) -> None:
     few = dataclasses.replace(lesson, nominal=lesson.nominal.first(5))
 
-    assert lower_place(few) == "place: of fewer than 6 presses none can be held out"
+    assert lower_place(few) == "place: of one piece, or fewer than 6 presses, none can be held out"
     assert why_not(few) == []
 
 
