@@ -1,5 +1,6 @@
 """A day at a station of the month, with the smallest detector: what is counted is what the station does."""
 
+import shutil
 from pathlib import Path
 
 import cv2
@@ -88,15 +89,38 @@ def test_a_shadow_of_too_few_presses_stays_a_shadow(bundle: Path, tmp_path: Path
     assert not is_early(f"{refusal}; it passes damage that was found: one")
 
 
-@pytest.mark.lab
-def test_a_month_has_a_row_for_each_day_and_goes_on_where_it_ended(tmp_path: Path) -> None:
-    """Two days of two stations, with the usual fit; a second run has nothing to do."""
-    rows = Rows(tmp_path / "rows.jsonl")
-    run_month(MONTH, tmp_path, rows)
+class Interrupted(Exception):
+    """Somebody stops the run."""
 
-    assert [(row["arm"], row["day"]) for row in rows.read()] == [
+
+def test_an_interrupted_month_goes_on_with_the_day_that_it_was_in(bundle: Path, tmp_path: Path) -> None:
+    """Its rows are those of a month that was not interrupted, whatever the broken day has left."""
+
+    def prepare(folder: Path) -> Path:
+        here = folder / "development-1-8-2"
+        shutil.copytree(bundle, here / "fit" / "first")
+        return here
+
+    whole, broken = Rows(tmp_path / "whole.jsonl"), Rows(tmp_path / "broken.jsonl")
+    prepare(tmp_path / "whole")
+    run_month(MONTH, tmp_path / "whole", whole)
+
+    def stop() -> None:
+        raise Interrupted
+
+    left = prepare(tmp_path / "broken")
+    with pytest.raises(Interrupted):
+        run_month(MONTH, tmp_path / "broken", broken, stop)
+    (left / "frozen 1").mkdir()
+    (left / "frozen 1" / "gelgate.db").write_bytes(b"a day that was not finished")
+    run_month(MONTH, tmp_path / "broken", broken)
+
+    def facts(rows: Rows) -> list[dict[str, object]]:
+        names = {"cpu_s", "not_learnt"}  # the second says where nothing was found
+        return [{name: row[name] for name in row if name not in names} for row in rows.read()]
+
+    assert [(row["arm"], row["day"]) for row in facts(broken)] == [
         ("frozen", 1), ("frozen", 2), ("learning", 1), ("learning", 2)
     ]  # fmt: skip
-    before = (tmp_path / "rows.jsonl").read_bytes()
-    run_month(MONTH, tmp_path, rows)
-    assert (tmp_path / "rows.jsonl").read_bytes() == before
+    assert facts(broken) == facts(whole)
+    assert not left.exists()
