@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calibration.experiments.harness.markdown import markdown_table
-from calibration.experiments.month.run import ARMS, NOT_ASKED, Row
+from calibration.experiments.month.run import ARMS, NOT_ASKED, PASSES_DAMAGE, Row, is_early
 from calibration.folders import write_atomically
 from edge.core.binomial import rate_limits
 
@@ -174,7 +174,22 @@ def _details(rows: Sequence[Row]) -> list[list[str]]:
             counts: Counter[str] = sum((Counter(row[name]) for row in _of(rows, arm)), Counter())
             cells.append(", ".join(f"{key} {number}" for key, number in counts.most_common()) or "none")
         lines.append([what, *cells])
-    return lines
+    refused = [_list_refusals(_of(rows, arm)) for arm in ARMS]
+    return [*lines, ["bundles refused", *refused]]
+
+
+def _list_refusals(own: list[Row]) -> str:
+    """Count why new bundles were not written, and shadows dropped."""
+    counts: Counter[str] = Counter()
+    for row in own:
+        shadow, learnt = row["not_adopted"], row["not_learnt"]
+        if shadow not in (None, NOT_ASKED) and not is_early(shadow):
+            counts[
+                "a shadow that passes known damage" if PASSES_DAMAGE in shadow else "a shadow that fails more"
+            ] += 1
+        if learnt not in (None, NOT_ASKED):
+            counts["a learnt one, not written"] += 1
+    return ", ".join(f"{what} {number}" for what, number in counts.most_common()) or "none"
 
 
 def draw_svg(rows: Sequence[Row]) -> bytes:

@@ -20,7 +20,7 @@ from edge.model.bundle import Bundle
 from edge.model.manifest_facts import promise
 from edge.model.session import TrunkSessions
 
-__all__ = ["ARMS", "NOT_ASKED", "Row", "find_key", "is_early", "run_month"]
+__all__ = ["ARMS", "NOT_ASKED", "PASSES_DAMAGE", "Row", "find_key", "is_early", "run_month"]
 
 ARMS: Final[Mapping[str, str]] = {
     "frozen": "the bundle of the first day, all month",
@@ -32,7 +32,8 @@ NOT_ASKED: Final = "not asked"
 
 # What a station answers where a shadow has judged too few presses yet, and where it is worse.
 TOO_FEW: Final = f"at least {LEAST_COMPARED} are needed"
-_WORSE: Final = ("it passes damage", "do not pass it")
+PASSES_DAMAGE: Final = "it passes damage"
+_WORSE: Final = (PASSES_DAMAGE, "do not pass it")
 
 Row = Mapping[str, Any]
 
