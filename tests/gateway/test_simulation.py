@@ -10,6 +10,9 @@ from simulation.bundles import both_bundles
 from simulation.chosen import Chosen, Fault
 from simulation.conditions import SOMETIMES
 from simulation.failed import FAILED
+from simulation.planted import ROOT
+from simulation.planted_bugs import BUGS, Bug
+from simulation.planted_by_others import BY_OTHERS
 from simulation.schedule import Simulation
 from simulation.shrinking import Failure, kind_of, shrink
 from simulation.surroundings import install_plugins
@@ -91,6 +94,13 @@ def test_a_schedule_is_played_in_place_of_what_a_seed_draws(bundles: list[Path],
     run = Simulation(1, 4, bundles, tmp_path / "run", Chosen(fps=7.0), schedule).play()
     assert run.faults == []
     assert [replace(fault, at_s=round(fault.at_s, 2)) for fault in run.schedule] == list(schedule)
+
+
+@pytest.mark.parametrize("bug", [*BUGS, *BY_OTHERS], ids=lambda bug: bug.name)
+def test_a_bug_can_be_planted(bug: Bug) -> None:
+    """Its text is in the program, once; `make sim-planted` finds it."""
+    assert (ROOT / bug.file).read_text(encoding="utf-8").count(bug.old) == 1
+    assert bug.new != bug.old
 
 
 def test_the_conditions_have_names_of_their_own() -> None:

@@ -44,6 +44,10 @@ def _is_pedal_away(world: World, station: Station) -> bool:
     return world.pedal.mood == "unplugged"
 
 
+def _may_be_pressed(world: World, station: Station) -> bool:
+    return world.hand.press is not None or bool(world.sensor.troubles)
+
+
 def _never(world: World, station: Station) -> bool:
     return False
 
@@ -58,6 +62,8 @@ RULES = (
     # Its presence is asked for once a second; it is opened again every 0.5 to 5 s, and a second.
     Rule("actuator", _is_relay_away, 2.5, _is_relay_disturbed, 8.0),
     Rule("trigger_device", _is_pedal_away, 2.5, _is_pedal_away, 8.0),
+    # It ends when the gel is seen free.
+    Rule("contact", _never, 0.0, _may_be_pressed, 8.0),
     # It ends with the next press that is recorded, or with the next report, every 10 s.
     Rule("store", _never, 0.0, _is_disk_disturbed, 14.0),
 )

@@ -16,6 +16,7 @@ from simulation.auditors_brokers import audit_availability, audit_levels
 from simulation.auditors_outputs import audit_lamp, audit_outputs
 from simulation.auditors_retained import audit_late, audit_outbox, audit_retained, audit_serials
 from simulation.brokers import Broker
+from simulation.faults import LONG_UNSEEN_S
 from simulation.lives import Station, find_lasting
 from simulation.sensor import SERIAL, S
 from simulation.surroundings import World
@@ -36,8 +37,11 @@ ARCHIVED = 8
 LEARNS_S = (0.3, 0.6)
 """When the picture of a new gel is being learnt, after its replacement."""
 
-RESTS_S = 0.15
-"""A press rests for 0.2 s before it is judged, also after an interruption (docs/contact.md)."""
+NOTED_S = 10
+"""A time without sight is noted so long after its end."""
+
+RESTS_S = 0.45
+"""After an interruption the exposure settles for 0.3 s, and then a press rests for 0.2 s (docs/contact.md)."""
 
 AGAIN = {"the gateway was killed", "the gateway was restarted", "it began just after an interruption"}
 """After these a part that still presses may be judged again, or a press count as one with that before."""
@@ -118,16 +122,17 @@ def audit_replay(world: World, station: Station, bundles: Sequence[Path]) -> Ite
     again, archive = Bundles(bundles, world.clock), ArchiveFolder(path.with_suffix(".archive"))
     with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
         query = (
-            "SELECT press_id, evidence FROM presses WHERE evidence IS NOT NULL AND verdict IN ('pass', 'fail') "
-            "ORDER BY number DESC"
+            "SELECT press_id, evidence, verdict FROM presses WHERE evidence IS NOT NULL ORDER BY number DESC"
         )
         rows = list(connection.execute(query))
-    for newer, (press_id, evidence) in enumerate(rows):
+    for newer, (press_id, evidence, verdict) in enumerate(rows):
+        if verdict not in ("pass", "fail"):
+            continue
         try:
             press = archive.press(press_id, evidence)
             replayed = judge_again(press, archive, again.inspector(press))
         except ArchiveError as error:  # the archive drops, and may be lost with the power
-            if newer < ARCHIVED and station.lives == 1 and not world.disk_disturbed:
+            if newer < ARCHIVED - 1 and not world.may_lack_files:
                 yield f"press {press_id}, the newest but {newer}, is not in the archive: {error}"
             continue
         for difference in replayed.differences:
@@ -238,9 +243,13 @@ def _audit_sight(station: Station) -> Iterator[str]:
     with closing(
         sqlite3.connect(f"file:{station.disk.folder / 'gelgate.db'}?mode=ro", uri=True)
     ) as connection:
-        (acts,) = connection.execute("SELECT count(*) FROM acts WHERE verb = 'not_seen'").fetchone()
-    if acts < len(station.unseen_in):
-        yield f"{len(station.unseen_in)} times nothing was seen for long, and {acts} are in the acts"
+        query = "SELECT time_ns FROM acts WHERE verb = 'not_seen' AND arguments ->> '$.seconds' > ?"
+        acts_ns = [time_ns for (time_ns,) in connection.execute(query, (LONG_UNSEEN_S - 1,))]
+    clock = station.world.clock
+    for _, ended_ns in station.unseen_in:
+        noted_s = [(clock.running_ns(time_ns) - ended_ns) / S for time_ns in acts_ns]
+        if clock.set_ns < ended_ns and not any(-1 < after_s < NOTED_S for after_s in noted_s):
+            yield f"nothing was seen for long until {ended_ns / S:.1f} s, and that is not in the acts"
 
 
 def _audit_requests(station: Station) -> Iterator[str]:

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from simulation.power import Unsynced
     from simulation.schedule import Simulation
 
+LONG_UNSEEN_S = 4
+"""A time without sight that is an act for certain (docs/operations.md)."""
+
 # The sensor
 
 
@@ -54,7 +57,12 @@ def blind(run: "Simulation", rng: random.Random) -> float:
     def see() -> None:
         lasted_s = (run.world.clock.now_ns - begun_ns) / S
         others = sensor.troubles - {name}
-        if lasted_s > 4 and lives == run.station.lives and not others and run.station.loop.session:
+        if (
+            lasted_s > LONG_UNSEEN_S
+            and lives == run.station.lives
+            and not others
+            and run.station.loop.session
+        ):
             run.station.expect_act()
         sensor.is_frozen = sensor.is_covered = False
 
@@ -130,7 +138,7 @@ def fill_disk(run: "Simulation", rng: random.Random) -> float:
     """No room on the disk, then room again."""
     disk = run.station.disk
     disk.fill(True)
-    run.world.disk_disturbed = True
+    run.world.may_lack_files = True
     disk.full_since_ns = run.world.clock.now_ns
     if run.station.loop.parts.selection.is_waiting:
         run.world.parts.forget(run.world.clock.now_ns)
@@ -162,7 +170,6 @@ def bad_disk(run: "Simulation", rng: random.Random) -> float:
     unsynced.fails = lambda call: call == what and own.random() < share
     run.world.parts.forget(run.world.clock.now_ns)
     run.world.gels.forget(run.world.clock.now_ns)
-    run.world.disk_disturbed = True
     run.reach(f"the disk failed to {what}")
 
     def mend() -> None:
@@ -226,6 +233,7 @@ def lose_power(run: "Simulation", rng: random.Random) -> float:
         if unsynced.lose(copy, rng):
             run.reach("writes were lost with the power")
 
+    run.world.may_lack_files = True
     run.station.disk.kill_in, run.station.disk.lost = rng.randint(1, 60), lose
     return 0.0
 

@@ -74,8 +74,8 @@ class Station:
         self.fps = S / world.sensor.period_ns
         self.halted_ns: list[int] = []
         """When it was not ready, about each time that the camera makes a frame."""
-        self.unseen_in: list[int] = []
-        """The lives in which a time without sight ended that must be in the acts."""
+        self.unseen_in: list[tuple[int, int]] = []
+        """The life in which a time without sight ended that must be in the acts, and when."""
         self._since_ns: dict[str, int] = {}
         self.found: list[str] = []
         """What must not be, and was seen on the way."""
@@ -138,7 +138,7 @@ class Station:
     def expect_act(self) -> None:
         """A time without sight ends now: it must be in the acts, unless the process ends before it sees again."""
         if not self.is_disk_disturbed and not self.is_frozen:
-            self.unseen_in.append(self.lives)
+            self.unseen_in.append((self.lives, self.world.clock.now_ns))
 
     def so_since(self, name: str, is_so: bool) -> int | None:
         """Since when something is so in this life; None where it is not."""
@@ -173,7 +173,7 @@ class Station:
     def _note_end(self) -> None:
         self.ended_ns.append(self.world.clock.now_ns)
         self.was_waiting = self.loop.parts.selection.is_waiting
-        self.unseen_in = [life for life in self.unseen_in if life != self.lives]
+        self.unseen_in = [one for one in self.unseen_in if one[0] != self.lives]
 
     def bury(self) -> None:
         """The process is dead: its folder is as it was at that point."""

@@ -84,8 +84,8 @@ class World:
         self.parts = Selected(PARTS[0], self.noticed_s)
         self.gels = Selected(f"{SERIAL}-1", self.noticed_s)
         self.relay = Relay.now = Relay(self.clock, lambda: self.is_dead(), random.Random(f"{seed} relay"))
-        self.disk_disturbed = False
-        """It was full or failed at some time."""
+        self.may_lack_files = False
+        """The power was lost, or the disk was full, so the archive may lack presses."""
         self.new_gel_ns = -S
         """When the gel was replaced last, as the station has confirmed."""
         self.said: list[str] = []
