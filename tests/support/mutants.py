@@ -92,7 +92,8 @@ def change(node: ast.AST, source: bytes, starts: Sequence[int]) -> tuple[int, in
         case ast.Constant(value=bool() as value):
             return *span(node), str(not value)
         case ast.Constant(value=int() | float() as value):
-            return *span(node), repr(value + 1 if isinstance(value, int) else 2 * value + 1e-3)
+            is_small = isinstance(value, int) and value < 100  # one more of a large number is no other one
+            return *span(node), repr(value + 1 if is_small else 2 * value + type(value)(1))
         case ast.Return(value=ast.expr() as value) if not isinstance(value, ast.Constant):
             return *span(node), "return None"
         case ast.Expr(value=ast.Call()) | ast.Assign(targets=[ast.Attribute()]) | ast.AugAssign():
@@ -188,6 +189,7 @@ def tests_of_lines(folder: str) -> tuple[Mapping[str, Mapping[str, list[str]]], 
         kept.parent.mkdir(exist_ok=True)
         print(f"{folder}: its tests run once under coverage", flush=True)
         if not passes(ROOT, [folder], {NOTED: str(kept)}):
+            kept.unlink(missing_ok=True)
             sys.exit(f"the tests in {folder} fail without a mutant; run them")
     lines, seconds = json.loads(kept.read_text(encoding="utf-8"))
     return lines, seconds
