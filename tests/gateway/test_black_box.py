@@ -196,6 +196,9 @@ def test_a_score_that_differs_is_said_with_where_and_why(copy: Played) -> None:
     ):
         assert words in done.out
 
+    (copy.objects / str(copy.record(1).score_map)).unlink()
+    assert "another SHA-256; where it differs cannot be said: " in copy.replay(press.press_id).out
+
 
 def forge(copy: Played, press: ArchivedPress) -> None:
     """As if another machine had judged this press: one score map pixel, the score, and the fingerprint differ."""

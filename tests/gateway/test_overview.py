@@ -12,7 +12,7 @@ from overview_stills import blank, encoded, with_tag
 from station import station_config
 from stepped_station import SteppedStation
 
-from edge.acquisition import Acquisition
+from edge.acquisition import Acquisition, AcquisitionState
 from edge.clock import ManualClock
 from edge.core.errors import DeviceLost, FrameCorrupt, RecordingEnded
 from edge.core.imaging.frames import CameraFrame
@@ -77,7 +77,9 @@ def test_each_result_has_the_still_of_its_part(tmp_path: Path, recording: Path, 
     with station_with_overview(tmp_path, recording, bundle, table) as station:
         play(station)
         first, other, none = station.results
+        camera = station.find(Overview).camera
 
+    assert camera.status.state is AcquisitionState.CLOSED
     assert [result.part_codes for result in station.results] == [["PZ0;1"], ["PZ9;2"], []]
     assert [result.part_present for result in (first, other)] == [True] * 2
     assert first.verdict is not Kind.REJECTED
