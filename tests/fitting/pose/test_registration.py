@@ -1,6 +1,7 @@
 """Whether a fit registers presses, what the bundle keeps of it, and how the bundle then scores."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,7 @@ from registered_bundle import fitted, nominal, registered
 from calibration.fitting.damage.damaged_presses import DamagedPresses
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses
 from calibration.fitting.pose.pose_decision import PoseChoice
-from calibration.fitting.pose.registration import in_pose_of, learn_pose
+from calibration.fitting.pose.registration import LearntPose, in_pose_of, learn_pose
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.contact.mask import Touch
 from edge.core.detector import Bank, Features, Nominal
@@ -29,6 +30,12 @@ from edge.model.scorer import Scorer
 def take(frames: np.ndarray) -> Features:
     """Frames as their own features."""
     return {"rgb": frames}
+
+
+@cache
+def learnt_from(part: parts.Bumps, n: int = 8) -> LearntPose:
+    """Learn the pose of presses anywhere, once for the tests that look at it."""
+    return learn_pose(parts.anywhere(part, n)[1], parts.free_gel())
 
 
 def test_parts_anywhere_are_registered_and_the_bundle_says_why() -> None:
@@ -52,7 +59,7 @@ def test_parts_too_far_apart_to_lie_as_they_are_need_no_second_bank() -> None:
     damage = DamagedPresses(
         np.zeros((12, 1, 1, 3), np.uint8), np.arange(12), np.ones((12, 1, 1), bool), names
     )
-    open_choice = PoseChoice(learn_pose(presses.frames, parts.free_gel()), "far apart", is_open=True)
+    open_choice = PoseChoice(learnt_from(parts.BLOCK), "far apart", is_open=True)
 
     def prove(*sizes: float) -> PoseChoice | None:
         sound, edited = np.ones(20), np.tile(sizes, 4)
@@ -125,7 +132,7 @@ def test_presses_are_held_out_as_the_gateway_shows_them() -> None:
     presses with seams, which would rule the limit. Damage is put into the press as it lies, and counts where it is
     seen."""
     rendered = nominal(parts.anywhere(parts.BLOCK, 8)[1])
-    learnt = learn_pose(rendered.frames, parts.free_gel())
+    learnt = learnt_from(parts.BLOCK)
     choice = PoseChoice(learnt)
     unused = Nominal({"rgb": np.zeros((8, 1, 1, 1), np.float32)})
     shown = choice.show(unused, take)
@@ -204,8 +211,8 @@ def test_what_is_stored_is_what_was_learnt() -> None:
 )
 def test_how_often_a_part_looks_the_same_in_a_turn(part: parts.Bumps, symmetry: int) -> None:
     """Its turn is then found but for steps of that, for each press; a nearly round part keeps all of its turn."""
-    poses, presses = parts.anywhere(part, 8)
-    learnt = learn_pose(presses, parts.free_gel())
+    n = 6 if symmetry > 1 else 8
+    poses, learnt = parts.poses(n), learnt_from(part, n)
 
     assert learnt.part.symmetry == symmetry
     if symmetry:
@@ -274,9 +281,7 @@ def test_a_real_ball_has_no_turn(real_tactile: Path, ball: str, n: int) -> None:
 @pytest.mark.parametrize(("part", "expected"), [("BLOCK", True), ("BALL", False)])
 def test_a_round_part_keeps_the_seam_unscored(part: str, expected: bool) -> None:
     """It shows other light at the end of the field; other parts are scored up to there."""
-    presses = parts.anywhere(getattr(parts, part), 8)[1]
-
-    assert learn_pose(presses, parts.free_gel()).part.scores_relief_to_end == expected
+    assert learnt_from(getattr(parts, part)).part.scores_relief_to_end == expected
 
 
 def test_a_bundle_that_states_no_seam_keeps_that_of_its_fit() -> None:
