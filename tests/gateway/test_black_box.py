@@ -81,7 +81,9 @@ def test_what_a_verdict_was_made_from_is_kept(made: Played, recording: Path) -> 
     assert len(archive.read(str(press.score_map), "map")) == 4 * np.prod(press.map_shape or ())
     assert (machine["threads"], press.threads) == (2, 2)
     assert {"gelgate", "onnxruntime", "flags", "processor"} <= machine.keys()
-    assert (press.verdict, press.bundle_id) == ("fail", made.reports[1].result.bundle_id)
+    report = made.reports[1]
+    assert (press.verdict, press.bundle_id) == ("fail", report.result.bundle_id)
+    assert press.serial == report.gel.serial != ""
 
 
 def test_every_verdict_is_made_again_bit_for_bit(made: Played, tmp_path: Path) -> None:
