@@ -303,14 +303,7 @@ def test_what_the_old_fit_was_asked_for_is_asked_for_again(
     for number, rgb in enumerate(frames):
         for name in ("press", "other"):
             cv2.imwrite(str(data / f"{name}{number}.png"), cv2.resize(rgb[..., ::-1], (640, 480)))
-    asked = {
-        "pattern": "press*",
-        "seed": 4,
-        "folds": 3,
-        "limit": "plain",
-        "register": "never",
-        "scattered": True,
-    }
+    asked = {"pattern": "press*", "seed": 4, "folds": 3, "limit": "plain", "scattered": True}
     settings = [word for name, value in asked.items() for word in ("--set", f"{name}={str(value).lower()}")]
     fit(data, folder / "other", "--resize", "--set", "profile=cropped_lr", *settings)
     say(folder, {ids[0]: "good"})
@@ -320,9 +313,9 @@ def test_what_the_old_fit_was_asked_for_is_asked_for_again(
     assert done.code == 0, done.err
     assert "9 nominal presses, 1 of them from the station\n" in done.out
     manifest = Bundle.load(folder / "new").manifest
-    assert manifest.facts["settings"] == {"resize": True, **asked}
+    assert manifest.facts["settings"] == {"resize": True, "register": "never", **asked}
     assert manifest.provenance.seed == 4
     again = configure_again(Bundle.load(folder / "new"), None, 1, None)
     found = (again.seed, again.folds, again.limit, again.register, again.augment, again.is_scattered)
     assert found == (4, 3, "plain", "never", "auto", True)
-    assert "settings" not in old.manifest.facts
+    assert old.manifest.facts["settings"] == {"register": "never"}, "what was not asked for is not kept"
