@@ -1,5 +1,6 @@
 """Nominal presses from recordings and pictures: frames as in the gateway, and a sentence for the rest."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -150,6 +151,15 @@ def test_no_source_with_a_press_is_a_sentence(tmp_path: Path) -> None:
     ):
         with pytest.raises(FitError, match=sentence):
             read_presses([tmp_path / name for name in sources], PROFILE, REGION)
+
+
+def test_a_name_that_no_manifest_can_hold_is_a_sentence(tmp_path: Path) -> None:
+    """Bytes that are no UTF-8, as of a card that another system has written."""
+    folder = write(
+        tmp_path / "good", os.fsdecode(b"press\xff.png"), png(np.full((120, 160, 3), 77, np.uint8))
+    )
+    with pytest.raises(FitError, match=r"press\\udcff.png' cannot be printed; rename the file"):
+        read_presses([folder], PROFILE, REGION)
 
 
 def test_a_recording_with_a_lost_frame_is_refused(recording: Path, tmp_path: Path) -> None:

@@ -328,6 +328,9 @@ def list_pictures(sources: Sequence[Path], pattern: str | None = None) -> list[P
             files += found
         else:
             files.append(source)
+    for file in files:
+        if not f"{file.parent.name}/{file.name}".isprintable():  # a manifest and sentences name it so
+            raise FitError(f"the name {str(file)!a} cannot be printed; rename the file, and its folder")
     return files
 
 
