@@ -74,7 +74,7 @@ def test_a_planted_fault_is_named_and_shrinks_to_a_short_schedule(
     with monkeypatch.context() as planted:
         plant(planted)
         rates = {"hang up": 20.0, "stop": 6.0, "step clock": 6.0, "relay": 6.0}
-        run = Simulation(1, 12, bundles, tmp_path / "run", Chosen(1, False, rates, fps=7.0)).play()
+        run = Simulation(8, 12, bundles, tmp_path / "run", Chosen(1, False, rates, fps=7.0)).play()
         failure = Failure.of(run)
         assert "results lack" in failure.says
         shortest = shrink(failure, lambda tried: tried.play(bundles, tmp_path).faults, most=40)
