@@ -42,7 +42,8 @@ sizes:
   3 um. The fit saw none.
 - **Damage.** 1 % of the pieces, of six kinds that the fit does not render; one piece in 500 is of another part.
 - **The person** answers the station's own questions in the evening, ten a day, and where a day has fewer than 50
-  presses one for each five; 3 % of the answers are wrong. Nobody else helps.
+  presses one for each five; 3 % of the answers are wrong. Nobody else helps: nobody
+  [carries the bundle over](gel.md#carry-a-bundle-over) to the other gel.
 
 What is real: the station from the camera's bytes on (contact, scores, gel marks and scars, press again, drift, proof on
 the gel, archive, database, questions), its settings by default, and `gelgate bundle learn` with its refusals. What is

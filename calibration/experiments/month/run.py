@@ -121,7 +121,7 @@ def _run_day(month: Month, arm: str, day: int, here: Path, trunks: TrunkSessions
         "promise": promise(manifest.threshold) if manifest.threshold.n else None,
         "revision": manifest.revision,
         "not_adopted": not_adopted,
-        "not_learnt": not_learnt,
+        "not_learnt": not_learnt and not_learnt.replace(f"{here}/", ""),  # rows name no folder of a machine
         "next_bundle": None if next_bundle == first else next_bundle.name,
         "next_shadow": None if next_shadow is None else next_shadow.name,
         "cpu_s": round(time.process_time() - began_s, 2),
