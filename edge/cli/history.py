@@ -67,10 +67,7 @@ def history(
 
     Oldest first, with a line of totals. The gateway may run meanwhile. Each press is one row: number, id, time,
     sensor, gel, part, position, verdict, score, threshold, cause: part or gel, and what a person said of it."""
-    if by is not None and by not in (*_GROUPS, "shadow"):
-        raise ConfigError(f"presses have no '{by}'; {suggestion(by, (*_GROUPS, 'shadow'))}")
-    if by is not None and (as_json or output is not None):
-        raise ConfigError("--by prints lines for people; leave out --json and --output, or --by")
+    _check_groups(by, is_for_people=not as_json and output is None)
     if output is not None and output.suffix.lower() == ".parquet":
         needs("parquet", f"writing {output}")
     now_ns = time.time_ns()
@@ -87,14 +84,22 @@ def history(
     rows = read_history(database_path(config, database), query)
     if by == "shadow":
         _print_shadows(rows)
-        return
-    if by is not None:
+    elif by is not None:
         _print_agreement(rows, _GROUPS[by], _shifts(config) if by == "shift" else ())
-        return
-    if output is not None:
+    elif output is not None:
         typer.echo(f"{write_history(output, rows)} presses in {output}")
     else:
         _print(rows, as_json=as_json)
+
+
+def _check_groups(by: str | None, *, is_for_people: bool) -> None:
+    """Check what is printed for each. Errors: ConfigError."""
+    if by is None:
+        return
+    if by not in (*_GROUPS, "shadow"):
+        raise ConfigError(f"presses have no '{by}'; {suggestion(by, (*_GROUPS, 'shadow'))}")
+    if not is_for_people:
+        raise ConfigError("--by prints lines for people; leave out --json and --output, or --by")
 
 
 def moment_ns(text: str, now_ns: int) -> int:

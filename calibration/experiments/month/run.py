@@ -77,12 +77,7 @@ def _run_day(month: Month, arm: str, day: int, here: Path, trunks: TrunkSessions
     known = (yesterday.get("gel", 0), yesterday.get("gel_since", 0))
     gel = MountedGel(month, *((known[0] + 1, presses[0].number) if is_new_gel else known))
     first = fit_first(MountedGel(month), fit)
-    before, station = here / f"{arm} {day - 1}", here / f"{arm} {day}"
-    shutil.rmtree(station, ignore_errors=True)
-    if day:
-        shutil.copytree(before, station, copy_function=_copy)
-    else:
-        station.mkdir(parents=True)
+    station = _begin_folder(here, arm, day)
     learnt = here / "learnt"
     bundle = learnt / yesterday["next_bundle"] if yesterday.get("next_bundle") else first
     shadow = learnt / yesterday["next_shadow"] if yesterday.get("next_shadow") else None
@@ -126,6 +121,17 @@ def _run_day(month: Month, arm: str, day: int, here: Path, trunks: TrunkSessions
         "next_shadow": None if next_shadow is None else next_shadow.name,
         "cpu_s": round(time.process_time() - began_s, 2),
     }
+
+
+def _begin_folder(here: Path, arm: str, day: int) -> Path:
+    """Return the folder of the station of a day: that of the day before as it ended, an empty one on the first."""
+    before, station = here / f"{arm} {day - 1}", here / f"{arm} {day}"
+    shutil.rmtree(station, ignore_errors=True)
+    if day:
+        shutil.copytree(before, station, copy_function=_copy)
+    else:
+        station.mkdir(parents=True)
+    return station
 
 
 def is_early(refusal: str) -> bool:
