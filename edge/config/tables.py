@@ -273,7 +273,10 @@ class ArchiveTable(Table):
     """
 
     presses: int = Field(
-        default=1000, ge=0, le=10_000_000, description="the newest presses that are kept; 0: none"
+        default=1000,
+        ge=0,
+        le=10_000_000,
+        description="presses that are kept, the newest, and older ones that people spoke of, up to half; 0: none",
     )
     mb: float = Field(
         default=1000,

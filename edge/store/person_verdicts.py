@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from edge.core.person_verdict import Asked, PersonVerdict
 from edge.store.acts import CONFIRM
 
-__all__ = ["Found", "find_table", "newest_act", "read_askable", "read_verdicts"]
+__all__ = ["Found", "find_table", "newest_act", "read_askable", "read_spoken_of", "read_verdicts"]
 
 
 # What `Commands` adds to a name, which itself may have commas.
@@ -35,6 +35,13 @@ def read_verdicts(
         verdict = PersonVerdict(given["press_id"], time_ns, _name(who), given["verdict"], given.get("kind"))
         said[verdict.press_id].append(verdict)
     return dict(said)
+
+
+def read_spoken_of(connection: sqlite3.Connection, after: int) -> tuple[int, set[str]]:
+    """Read of which presses people spoke after an act, and the number of the newest word."""
+    query = "SELECT act_id, arguments FROM acts WHERE act_id > ? AND verb = ? AND outcome IS NOT 'refused'"
+    rows = connection.execute(query, (after, CONFIRM)).fetchall()
+    return max([after, *(number for number, _ in rows)]), {json.loads(given)["press_id"] for _, given in rows}
 
 
 def _name(who: str) -> str:

@@ -2,7 +2,8 @@
 
 `objects/` holds bytes by their SHA-256, so that what several presses share is there once. `presses/<press id>.json`
 names those of one press. The SHA-256 of that record is in the press's row, which the ledger's chain covers, so nothing
-of it can be exchanged without a trace. The newest presses are kept, up to a number and a size.
+of it can be exchanged without a trace. The newest presses are kept, up to a number and a size; of those that people
+spoke of older ones too, up to half of both.
 
 Nothing here stops an inspection: a press that cannot be archived is recorded without, and `fault` says why.
 `ArchiveFolder` reads an archive, and says what is gone or damaged.
@@ -13,7 +14,7 @@ import logging
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -141,6 +142,7 @@ class PressArchive:
         self._most_presses, self._most_bytes = most_presses, most_bytes
         self.why_not = why_not
         self._presses: dict[str, tuple[Digest, ...]] = {}
+        self._spoken_of: set[str] = set()
         self._uses: Counter[Digest] = Counter()
         self._sizes: dict[Digest, int] = {}
         self._is_open = False
@@ -154,6 +156,11 @@ class PressArchive:
             log.warning(
                 "the archive %s is read with the first press: %s", self._folder, error.strerror or error
             )
+
+    def keep_longer(self, press_ids: Iterable[str]) -> None:
+        """Keep these when others of their age are removed, for people spoke of them: the oldest of them go first where
+        they take more than half of the presses, or of the bytes, that are kept."""
+        self._spoken_of.update(press_ids)
 
     def keep(self, press: ArchivedPress, objects: Mapping[Digest, bytes]) -> bytes | None:
         """Write the record and its objects, and remove the oldest ones beyond the limits; returns the SHA-256 of the
@@ -202,7 +209,15 @@ class PressArchive:
 
     def _remove_oldest(self) -> None:
         """The record first: objects without one are removed at the next start at the latest."""
-        press_id = next(iter(self._presses))
+        older = list(self._presses)[:-1]
+        spoken_of = [one for one in older if one in self._spoken_of]
+        held = {digest for one in spoken_of for digest in self._presses[one]}
+        is_too_much = (
+            2 * len(spoken_of) > self._most_presses
+            or 2 * sum(self._sizes.get(digest, 0) for digest in held) > self._most_bytes
+        )
+        press_id = next((one for one in older if is_too_much or one not in self._spoken_of), older[0])
+        self._spoken_of.discard(press_id)
         (self._folder / PRESSES / f"{press_id}.json").unlink(missing_ok=True)
         self._uses.subtract(self._presses.pop(press_id))
         for digest in [digest for digest, uses in self._uses.items() if uses == 0]:

@@ -90,7 +90,7 @@ def test_verdicts_made_again(tmp_path: Path, name: str) -> None:
     kind = KINDS[name]
     bundle = kind.bundle().bundle()
     archive = PressArchive(tmp_path / "archive", 1000, 10**9)
-    box = BlackBox(archive, "site/line/station", THREADS, Mock())
+    box = BlackBox(archive, Mock(), "site/line/station", THREADS, Mock())
     box.mount(Mock(serial="SIM1"))
     inspector = Inspector(Scorer(bundle, THREADS), SystemClock())
     free = np.full((120, 160, 3), 120, np.float32)

@@ -18,8 +18,10 @@ from station import station_config, variant
 from stepped_station import SteppedStation
 
 from edge.gateway.recorder import PressReport
+from edge.store.acts import CONFIRM, Act
 from edge.store.integrity import check_database
 from edge.store.press_archive import ArchivedPress, ArchiveFolder, PressArchive, list_presses
+from edge.store.ulid import new_ulid
 
 
 class Played:
@@ -275,6 +277,41 @@ def test_the_newest_presses_are_kept_up_to_their_number(tmp_path: Path, made: Pl
         archive.keep(press.model_copy(update={"press_id": press_id}), {press.frame: b"frame"})
 
     assert list_presses(tmp_path / "small") == sorted(made.ids[1:3])  # of one moment, in no order
+
+
+@pytest.mark.parametrize("most", [{"most_presses": 4}, {"most_bytes": 4 * 100}])
+def test_presses_that_people_spoke_of_stay_up_to_half_of_the_archive(
+    tmp_path: Path, made: Played, most: dict[str, int]
+) -> None:
+    """Four are kept, by number or by size; of three that people spoke of the oldest goes, and the two others stay."""
+    press = made.record(0).model_copy(update={"reference": None, "score_map": None, "masked": None})
+    archive = PressArchive(tmp_path / "small", **{"most_presses": 100, "most_bytes": 1 << 20} | most)
+    ids = [new_ulid(number * 10**9, bytes) for number in range(1, 9)]
+    kept = []
+    for number, press_id in enumerate(ids):
+        frame = f"{number:064x}"
+        one = press.model_copy(update={"press_id": press_id, "frame": frame, "machine": frame})
+        archive.keep(one, {frame: bytes(100)})
+        if number < 3:
+            archive.keep_longer([press_id])
+        kept.append([ids.index(name) for name in list_presses(tmp_path / "small")])
+
+    assert kept[3:] == [[0, 1, 2, 3], [1, 2, 3, 4], [1, 2, 4, 5], [1, 2, 5, 6], [1, 2, 6, 7]]
+
+
+def test_a_press_that_a_person_spoke_of_outlives_the_others(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """The word comes from another process, such as a page."""
+    config = station_config(tmp_path, recording, bundle, tables="[archive]\npresses = 2\n")
+    with SteppedStation(config) as station:
+        station.play_presses(1)
+        given = {"press_id": station.results[0].press_id, "verdict": "good"}
+        station.parts.store.begin_act(Act(1, "pedal", CONFIRM, None, given, outcome="done"), 0)
+        station.play()
+    ids = [one.press_id for one in station.results]
+
+    assert list_presses(tmp_path / "gelgate.archive") == [ids[0], ids[2]]
 
 
 def test_an_archive_that_is_off_keeps_nothing(tmp_path: Path, recording: Path, bundle: Path) -> None:

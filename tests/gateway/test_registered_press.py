@@ -178,7 +178,7 @@ def test_its_picture_is_drawn_again_as_it_was(tmp_path: Path, inspector: Inspect
     scarred = mask_scars(press, ScarFindings(Blame(Cause.GEL, "a scar"), masked), inspector.bundle)
     with Store(tmp_path / "presses.db") as store:
         archive = PressArchive(store.path.with_suffix(".archive"), 9, 10**9)
-        box = BlackBox(archive, "site/line/station", 1, Mock())
+        box = BlackBox(archive, store, "site/line/station", 1, Mock())
         box.mount(store.gel("SIM1", 0))
         place = Place("site", "line", "station")
         recorder = Recorder(store, "SIM1", place, SystemClock(), drawings.append, [box])

@@ -3,6 +3,7 @@
 import hashlib
 import io
 from dataclasses import replace
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -15,7 +16,9 @@ from edge.model.inspector import Inspector
 from edge.model.session import fingerprint, fingerprint_bytes
 from edge.press_stage import Alarms, PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
+from edge.store.person_verdicts import read_spoken_of
 from edge.store.press_archive import ArchivedPress, PressArchive, map_bytes, mask_bytes
+from edge.store.press_store import Store
 
 __all__ = ["BlackBox"]
 
@@ -23,8 +26,12 @@ __all__ = ["BlackBox"]
 class BlackBox(PressStage):
     """Keeps judged presses of parts, not those of master pieces and of studies. station: site/line/station."""
 
-    def __init__(self, archive: PressArchive, station: str, threads: int, alarms: Alarms) -> None:
-        self._archive, self._station, self._threads, self._alarms = archive, station, threads, alarms
+    def __init__(
+        self, archive: PressArchive, store: Store, station: str, threads: int, alarms: Alarms
+    ) -> None:
+        self._archive, self._store, self._station = archive, store, station
+        self._threads, self._alarms = threads, alarms
+        self._newest_word = 0
         self._serial = ""
         self._machine: tuple[str, bytes] | None = None
         self._reference: tuple[View, tuple[str, bytes]] | None = None
@@ -37,7 +44,8 @@ class BlackBox(PressStage):
         config, table = parts.config, parts.config.archive
         folder, most_bytes = config.store.path.with_suffix(".archive"), round(table.mb * 1e6)
         archive = PressArchive(folder, table.presses, most_bytes, parts.find_low_space)
-        return cls(archive, str(config.station.place), config.inspection.threads, parts.alarms)
+        place, threads = str(config.station.place), config.inspection.threads
+        return cls(archive, parts.store, place, threads, parts.alarms)
 
     def mount(self, gel: GelRecord) -> None:
         """Read what is there, and describe the machine: no press waits for that."""
@@ -102,7 +110,10 @@ class BlackBox(PressStage):
         return replace(press, evidence=record.sha256() if is_sound else self._write())
 
     def record(self, press: Press, gel: GelRecord) -> None:
-        """Write its record: a result does not wait for files."""
+        """Write its record: a result does not wait for files. Errors: StoreError."""
+        query = partial(read_spoken_of, after=self._newest_word)
+        self._newest_word, spoken_of = self._store.read("reading of which presses people spoke", query)
+        self._archive.keep_longer(spoken_of)
         self._write()
 
     def close(self) -> None:
