@@ -207,8 +207,9 @@ class PressStage:
         """Return what the press that begins is for, None for a part; `label` is the word of the stages before."""
         return label
 
-    def expect(self, frame: CameraFrame) -> None:
-        """Take the frame that the present press will most likely be judged by: what takes long may be done now."""
+    def expect(self, frame: CameraFrame, examined: Press) -> None:
+        """Take the frame that the present press will most likely be judged by, and what it shows: what takes long may
+        be done now."""
 
     def admit(self, press: Press) -> Press:
         """Return the press before its score, rejected where it may not be judged."""

@@ -27,9 +27,12 @@ def find_defects(score_map: NDArray[np.floating], threshold: float) -> list[Defe
     """Every part above the threshold, highest score first. score_map: (h, w), raw."""
     above = np.ascontiguousarray(score_map > threshold).astype(np.uint8)
     count, labels, stats, centroids = cv2.connectedComponentsWithStats(above, connectivity=8)
-    if count == 1:  # the background alone
-        return []
-    defects = [_defect(stats[n], centroids[n], float(score_map[labels == n].max())) for n in range(1, count)]
+    defects = []
+    for n in range(1, count):
+        left, top, width, height, _ = stats[n]
+        box = np.s_[top : top + height, left : left + width]
+        highest = score_map[box][labels[box] == n].max()
+        defects.append(_defect(stats[n], centroids[n], float(highest)))
     return sorted(defects, key=lambda defect: -defect.score)
 
 

@@ -16,9 +16,10 @@ from edge.core.gel_scars.free_change import FreeViews
 from edge.core.gel_scars.gel_scars import GelScars, Judged, Repeated
 from edge.core.gel_scars.press import ScoredPress, without_marks
 from edge.core.gel_scars.record import ScarRecord
+from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press, ScarFindings
 from edge.core.registration.pose import warp
-from edge.core.verdict import Blame, Cause
+from edge.core.verdict import Blame, Cause, Kind
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.press_stage import Alarms, PressStage, StageParts
@@ -89,6 +90,11 @@ class ScarWatch(PressStage):
     def look(self, look: Look) -> None:
         if look.level is not None:
             self._free.see(look.state, look.level)
+
+    def expect(self, frame: CameraFrame, examined: Press) -> None:
+        """Look for the marks of the free gel ahead, where the press will need a cause."""
+        if examined.score is not None and examined.word != Kind.PASS.value:
+            self._scars.find_marks(self._free.mean(), self._left)
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         """Return it with its cause, and without the places that are known to be scarred.

@@ -231,10 +231,11 @@ class InspectionSession:
         if is_slow or newest.timestamp_ns - self._ahead_ns < 2 * took_s * 1e9:
             return
         probable = self._detector.probable
-        if probable is not None and self.inspector.examine_ahead(*probable):
+        examined = None if probable is None else self.inspector.examine_ahead(*probable)
+        if probable is not None and examined is not None:
             self._ahead_ns = newest.timestamp_ns
             for stage in self._stages:
-                stage.expect(probable[0])
+                stage.expect(probable[0], examined)
 
     def _score(self, press: Press, settled: PressSettled, started_ns: int) -> Press:
         frame, findings = settled.frame, settled.findings

@@ -118,13 +118,13 @@ class Inspector:
             for _ in range(2):
                 self._examine(frame, None)
 
-    def examine_ahead(self, frame: CameraFrame, touch: Touch) -> bool:
-        """Score a frame that is probably inspected next: what is found waits until then. Returns False where it waits
-        already."""
+    def examine_ahead(self, frame: CameraFrame, touch: Touch) -> Press | None:
+        """Score a frame that is probably inspected next, and return what is found, which waits until then; None where
+        it waits already."""
         if self._find_ahead(frame, touch) is not None:
-            return False
+            return None
         self._ahead.append((frame, touch, self._examine(frame, touch)))
-        return True
+        return self._ahead[-1][2]
 
     def forget_ahead(self) -> None:
         """Let go of the frames that wait: another bundle is in use, or another light."""

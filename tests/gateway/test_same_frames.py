@@ -111,10 +111,11 @@ class Listener:
 
     def follow_light(self, free: View | None, *, is_doubtful: bool = False) -> None: ...
 
-    def examine_ahead(self, frame: CameraFrame, touch: Touch) -> bool:
-        if is_new := frame.payload not in self.ahead:
-            self.ahead.append(frame.payload)
-        return is_new
+    def examine_ahead(self, frame: CameraFrame, touch: Touch) -> Press | None:
+        if frame.payload in self.ahead:
+            return None
+        self.ahead.append(frame.payload)
+        return Press()
 
     def inspect(self, frame: CameraFrame, touch: Touch, press: Press, came_ns: int) -> Press:
         self.asked.append(frame.payload)

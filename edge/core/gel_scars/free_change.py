@@ -175,4 +175,4 @@ class FreeViews:
         if self._mean is None:
             self._mean = view.copy()
         else:
-            self._mean += np.float32(1 / min(self._count, _AVERAGED)) * (view - self._mean)
+            self._mean = self._mean + np.float32(1 / min(self._count, _AVERAGED)) * (view - self._mean)

@@ -1,7 +1,7 @@
 """The scars of one gel over its presses: the cause of what a press shows, and the places that are not judged."""
 
 from dataclasses import dataclass, replace
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import cv2
 import numpy as np
@@ -59,6 +59,27 @@ class Judged:
     """None where no place exceeded in five presses in a row; known scars are left out."""
 
 
+class _Places(NamedTuple):
+    """The connected places above the limit, numbered from 1."""
+
+    labels: NDArray[np.int32]
+    """The place of each pixel of the view; 0 where the limit is not exceeded."""
+    boxes: NDArray[np.int32]
+    """A row for each number: (left, top, width, height, area)."""
+
+    @classmethod
+    def of(cls, excess: F32) -> "_Places":
+        above = (excess > 0).astype(np.uint8)
+        return cls(*cv2.connectedComponentsWithStats(above, connectivity=8)[1:3])  # type: ignore[arg-type]
+
+    def touch(self, places: Mask) -> NDArray[np.bool_]:
+        """Say of each number whether it meets one of these pixels; False for 0."""
+        is_met = np.zeros(len(self.boxes), bool)
+        is_met[self.labels[places]] = True
+        is_met[0] = False
+        return is_met
+
+
 @final
 class GelScars:
     """What is known of one gel. first: its first picture, float32 (120, 160, 3), None until it is learnt.
@@ -70,6 +91,10 @@ class GelScars:
         self.record = record or ScarRecord.empty((VIEW_SIZE[1], VIEW_SIZE[0]))
         self.first = first
         self._in_a_row = np.zeros((VIEW_SIZE[1], VIEW_SIZE[0]), np.int64)
+        self._found: tuple[tuple[View | None, View | None, View | None], Marks | None] = (
+            (None, None, None),
+            None,
+        )
 
     def judge(
         self, press: ScoredPress, free: View | None, left: View | None = None, *, is_masking: bool = True
@@ -81,13 +106,16 @@ class GelScars:
         before = self.record.masked
         excess = press.excess()
         scarred = press.in_map(before) & is_masking
-        outside, left_out = _outside(press, excess)
+        found = _Places.of(excess)
+        outside, left_out = _outside(press, found)
         masked = scarred | press.in_map(left_out)
         rest = np.where(masked, -np.inf, press.score_map)
         blames, scars, shown = list[Blame](), np.zeros_like(before), press.extent()
         if (beyond := rest > press.limit).any():
-            open_places = press.in_view(beyond.astype(np.float32)) > 0
-            blames, scars = self._blame_places(press, excess, open_places, self._marks(free, left))
+            is_open = press.in_view(beyond.astype(np.float32)) > 0
+            blames, scars = self._blame_places(
+                press, np.where(is_open, excess, 0), found, self.find_marks(free, left)
+            )
         self.record = self.record.after(excess > 0, shown, scars, press.place_mm)
         return Judged(
             masked,
@@ -117,23 +145,28 @@ class GelScars:
             not bool(_within((excess > 0) & ~outside, _HALO_PX / 2)[row, column]),
         )
 
-    def _marks(self, free: View | None, left: View | None) -> Marks | None:
-        """Find the marks of the free gel; None where they are not known."""
-        if free is None or self.first is None or free.shape != self.first.shape:
+    def find_marks(self, free: View | None, left: View | None = None) -> Marks | None:
+        """Find the marks of the free gel, once for the same pictures, which do not change; None where they are not
+        known. It may be asked before the press is judged."""
+        first = self.first
+        if free is None or first is None or free.shape != first.shape:
             return None
-        return marks(self.first, free, left)
+        if any(one is not other for one, other in zip(self._found[0], (first, free, left), strict=True)):
+            self._found = (first, free, left), marks(first, free, left)
+        return self._found[1]
 
     def _blame_places(
-        self, press: ScoredPress, excess: F32, open_places: Mask, known: Marks | None
+        self, press: ScoredPress, excess: F32, found: _Places, known: Marks | None
     ) -> tuple[list[Blame], Mask]:
-        """Blame every connected place that is not masked completely; return also the places to mask from now on."""
+        """Blame every place that exceeds the limit somewhere; return also the places to mask from now on. excess: 0
+        where nothing is judged."""
         scars = np.zeros(excess.shape, bool)
-        count, labels = cv2.connectedComponents((excess > 0).astype(np.uint8), connectivity=8)
-        places = [place for place in (labels == n for n in range(1, count)) if (place & open_places).any()]
-        judged = [np.where(place & open_places, excess, np.float32(0)) for place in places]
+        numbers = np.flatnonzero(found.touch(excess > 0))
+        judged = [np.where(found.labels == n, excess, np.float32(0)) for n in numbers]
         blames = []
-        for place, left in zip(places, _lefts(press, judged, known), strict=True):
-            blames.append(blame(left, self.record.repeats(place), _wide_mm(place, press)))
+        for n, left in zip(numbers, _lefts(press, judged, known), strict=True):
+            place = found.labels == n
+            blames.append(blame(left, self.record.repeats(place), _wide_mm(found.boxes[n], press)))
             if blames[-1].cause is Cause.GEL:
                 scars |= self._scar(place, known)
         return blames, scars
@@ -147,18 +180,15 @@ class GelScars:
         return np.asarray(wide > 0)
 
 
-def _outside(press: ScoredPress, excess: F32) -> tuple[Mask, Mask]:
+def _outside(press: ScoredPress, found: _Places) -> tuple[Mask, Mask]:
     """The places above the limit that lie beyond the part's reach, and with what they raise around them there.
 
     A place that meets the reach anywhere is judged, all of it.
     """
-    above = excess > 0
+    above = found.labels > 0
     if press.reach is None or not above.any():
-        return (nowhere := np.zeros(excess.shape, bool)), nowhere
-    count, labels = cv2.connectedComponents(above.astype(np.uint8), connectivity=8)
-    is_met = np.zeros(count, bool)
-    is_met[labels[press.reach]] = True
-    met = is_met[labels] & above
+        return (nowhere := np.zeros(above.shape, bool)), nowhere
+    met = found.touch(press.reach)[found.labels]
     outside = above & ~met
     return outside, _within(outside, _HALO_PX) & ~met & ~press.reach
 
@@ -202,8 +232,7 @@ def _within(places: Mask, reach_px: float) -> Mask:
     return np.asarray(away <= reach_px)
 
 
-def _wide_mm(place: Mask, press: ScoredPress) -> float:
-    """The larger side of the box around it."""
-    rows, columns = np.nonzero(place)
+def _wide_mm(box: NDArray[np.int32], press: ScoredPress) -> float:
+    """The larger side of a box, between the centres of its pixels."""
     per_pixel = [press.size[k] * press.mm_per_pixel[k] / VIEW_SIZE[k] for k in (0, 1)]
-    return float(max(np.ptp(columns) * per_pixel[0], np.ptp(rows) * per_pixel[1]))
+    return float(max((box[2] - 1) * per_pixel[0], (box[3] - 1) * per_pixel[1]))

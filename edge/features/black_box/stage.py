@@ -7,6 +7,7 @@ from functools import partial
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from edge.core.contact.reference import View
 from edge.core.imaging.frames import CameraFrame
@@ -36,6 +37,7 @@ class BlackBox(PressStage):
         self._machine: tuple[str, bytes] | None = None
         self._reference: tuple[View, tuple[str, bytes]] | None = None
         self._frame: tuple[str, bytes] = "", b""
+        self._map: tuple[NDArray[np.float32] | None, tuple[str, bytes]] = None, ("", b"")
         self._unwritten: tuple[ArchivedPress, dict[str, bytes]] | None = None
 
     @classmethod
@@ -54,9 +56,11 @@ class BlackBox(PressStage):
         if self._machine is None:
             self._machine = _name_by_hash(fingerprint_bytes(fingerprint(self._threads)))
 
-    def expect(self, frame: CameraFrame) -> None:
-        """Hash its bytes ahead."""
+    def expect(self, frame: CameraFrame, examined: Press) -> None:
+        """Hash ahead what its verdict would be made from."""
         self._frame = _name_by_hash(frame.payload)
+        if examined.score_map is not None:
+            self._name_map(examined.score_map)
 
     def keep(self, press: Press, inspector: Inspector) -> Press:
         """Return it with the SHA-256 of its record, which is written when the press is in the database; as it was
@@ -71,7 +75,7 @@ class BlackBox(PressStage):
             self._frame = _name_by_hash(judged.frame.payload)
         frame, machine = self._frame, self._machine
         reference = None if judged.reference is None else self._reference_now(judged.reference)
-        score_map = None if press.score_map is None else _name_by_hash(map_bytes(press.score_map))
+        score_map = None if press.score_map is None else self._name_map(press.score_map)
         scars, again, manifest = press.scars, press.again, inspector.bundle.manifest
         masked = None if scars is None or scars.masked is None else _name_by_hash(mask_bytes(scars.masked))
         record = ArchivedPress(
@@ -104,7 +108,7 @@ class BlackBox(PressStage):
         kept = (frame, machine, reference, score_map, masked)
         self._write()  # the press before, which the store has not taken yet
         self._unwritten = record, dict(one for one in kept if one is not None)
-        self._frame = "", b""
+        self._frame, self._map = ("", b""), (None, ("", b""))
         # After a fault the archive comes first: no press then names a record that is not there.
         is_sound = self._archive.fault is None and self._archive.why_not() is None
         return replace(press, evidence=record.sha256() if is_sound else self._write())
@@ -128,6 +132,12 @@ class BlackBox(PressStage):
         fault = self._archive.fault
         self._alarms.say("archive", fault and f"presses are judged and not archived: {fault}", "warning")
         return evidence
+
+    def _name_map(self, score_map: NDArray[np.float32]) -> tuple[str, bytes]:
+        """Hashed once, also where it was scored ahead."""
+        if self._map[0] is not score_map:
+            self._map = score_map, _name_by_hash(map_bytes(score_map))
+        return self._map[1]
 
     def _reference_now(self, view: View) -> tuple[str, bytes]:
         """Hashed once while it stays the same."""

@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from edge.core.contact.table import State
+from edge.core.gel_scars import gel_scars
+from edge.core.gel_scars.free_change import FreeViews, marks
 from edge.core.gel_scars.gel_scars import GelScars, Judged
 from edge.core.gel_scars.press import ScoredPress
 from edge.core.imaging.region import Region
@@ -251,3 +254,28 @@ def test_a_place_is_the_same_in_pictures_of_any_size(size: tuple[int, int]) -> N
     assert excess.max() == pytest.approx(2)
     assert back[rows, columns].all()
     assert back.mean() < 0.01
+
+
+def test_marks_are_found_once_for_the_same_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stage asks ahead; a mean of later views, another first picture or another imprint is another question."""
+    asked = list[tuple[object, ...]]()
+    monkeypatch.setattr(gel_scars, "marks", lambda *pictures: asked.append(pictures) or marks(*pictures))
+    gel, views, left = GelScars(first=FREE), FreeViews(), np.zeros_like(FREE)
+    for _ in range(6):
+        views.see(State.NO_CONTACT, marked(20))
+    before = views.mean()
+    gel.find_marks(before, left)
+    assert gel.judge(press(free=marked(20)), before, left).blame is not None
+    assert len(asked) == 1
+    for _ in range(6):
+        views.see(State.NO_CONTACT, FREE)
+    after = views.mean()
+    assert before is not None
+    assert after is not None
+    assert before[IN_VIEW].mean() == 140  # what was asked about stays as it was
+    found = gel.find_marks(after, left)
+    assert found is not gel.find_marks(before, left)
+    gel.first = marked(0)
+    gel.find_marks(before, left)
+    gel.find_marks(before, None)
+    assert len(asked) == 5
