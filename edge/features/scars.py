@@ -108,12 +108,12 @@ class ScarWatch(PressStage):
         if press.label is not None:
             self._left = found.imprint
             return press
-        judged = self._judge(press, inspector, found)
-        self._say()
-        return judged
+        return self._judge(press, inspector, found)
 
     def record(self, press: Press, gel: GelRecord) -> None:
-        """Keep the record of the scars where it is due: a result does not wait for a file. Never raises."""
+        """Say what is wrong with the gel, and keep the record of the scars where it is due: a result waits neither for
+        a message nor for a file. Never raises."""
+        self._say()
         self._save()
 
     def close(self) -> None:

@@ -112,7 +112,7 @@ class GelScars:
         rest = np.where(masked, -np.inf, press.score_map)
         blames, scars, shown = list[Blame](), np.zeros_like(before), press.extent()
         if (beyond := rest > press.limit).any():
-            is_open = press.in_view(beyond.astype(np.float32)) > 0
+            is_open = press.in_view(beyond.astype(np.float32)) > 0 if masked.any() else excess > 0
             blames, scars = self._blame_places(
                 press, np.where(is_open, excess, 0), found, self.find_marks(free, left)
             )
