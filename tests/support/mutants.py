@@ -16,6 +16,7 @@ import os
 import random
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -47,8 +48,8 @@ SWAPPED = {
 }
 # What only people and type checkers read.
 UNSEEN = re.compile(r"\s*(log\.|__all__|@|from |import |raise |class |assert )|.*(TYPE_CHECKING|: .*Field\()")
-# A mutant that takes longer than this is one that is noticed.
-CPU_S, WALL_S = 60, 300
+# A mutant that takes three times as long as the program is noticed, and this much more: a process must start.
+START_S = 30.0
 NOTED = "GELGATE_TESTS_OF_LINES"
 ONE_AT_A_TIME = Lock()
 
@@ -188,28 +189,42 @@ def tests_of_lines(folder: str) -> tuple[Mapping[str, Mapping[str, list[str]]], 
     if not kept.exists():
         kept.parent.mkdir(exist_ok=True)
         print(f"{folder}: its tests run once under coverage", flush=True)
-        if not passes(ROOT, [folder], {NOTED: str(kept)}):
+        if run(ROOT, [folder], {NOTED: str(kept)}) != "passed":
             kept.unlink(missing_ok=True)
             sys.exit(f"the tests in {folder} fail without a mutant; run them")
     lines, seconds = json.loads(kept.read_text(encoding="utf-8"))
     return lines, seconds
 
 
-def passes(tree: Path, tests: Sequence[str], variables: Mapping[str, str], *limit: str) -> bool:
-    """Run these tests against the program in a folder. limit: a command that ends them."""
+def run(tree: Path, tests: Sequence[str], variables: Mapping[str, str], within: Sequence[str] = ()) -> str:
+    """Run these tests against the program in a folder. Return "passed", "failed" or "late".
+
+    within: the words of a command that ends them.
+    """
     with tempfile.NamedTemporaryFile("w", suffix=".txt") as named:
         named.write("\n".join(tests))
         named.flush()
         words = ["pytest", "-q", "-x", "-p", "mutants", "-p", "no:cacheprovider", f"@{named.name}"]
         environment = {**os.environ, "PYTHONPATH": f"{tree}:{tree / 'tests/support'}", **variables}
-        command = [*limit, sys.executable, "-m", *words]
-        return not subprocess.run(
+        command = [*within, sys.executable, "-m", *words]
+        status = subprocess.run(
             command, cwd=tree, env=environment, capture_output=True, check=False
         ).returncode
+    # `timeout` ends with 124; processor time that is spent ends a process by a signal.
+    return {0: "passed", 124: "late", -signal.SIGXCPU: "late", -signal.SIGKILL: "late"}.get(status, "failed")
 
 
-def survives(mutant: Mutant, tree: Path) -> bool:
-    """Run the tests of its line, or of its whole file for a line that runs at import."""
+def limits(cpu_s: float) -> list[str]:
+    """Return the words before a command that may use so much processor time, and wait as long again."""
+    return ["timeout", f"{2 * cpu_s:.0f}", "prlimit", f"--cpu={cpu_s:.0f}"]
+
+
+def judge(mutant: Mutant, tree: Path) -> str:
+    """Run the tests of its line, or of its whole file for a line that runs at import.
+
+    A mutant that is late is killed only where the program passes in a third of the time at once afterwards: a machine
+    that is busy, or a test that takes long by itself, notices nothing.
+    """
     path = tree / mutant.path
     sound = path.read_bytes()
     for folder in mutant.folders:
@@ -217,14 +232,20 @@ def survives(mutant: Mutant, tree: Path) -> bool:
             lines, seconds = tests_of_lines(folder)
         of_file = lines.get(mutant.path, {})
         tests = of_file.get(str(mutant.line)) or {test for named in of_file.values() for test in named}
+        if not tests:
+            continue
+        in_order = sorted(tests, key=lambda test: seconds.get(test, 0.0))
+        cpu_s = START_S + sum(seconds.get(test, 0.0) for test in in_order)
         path.write_text(mutant.source, encoding="utf-8")
         try:
-            limit = ("timeout", str(WALL_S), "prlimit", f"--cpu={CPU_S}")
-            if tests and not passes(tree, sorted(tests, key=lambda test: seconds.get(test, 0.0)), {}, *limit):
-                return False
+            outcome = run(tree, in_order, {}, limits(3 * cpu_s))
         finally:
             path.write_bytes(sound)
-    return True
+        if outcome == "late" and run(tree, in_order, {}, limits(cpu_s)) != "passed":
+            return "not tried"
+        if outcome != "passed":
+            return "killed"
+    return "survived"
 
 
 def main() -> int:
@@ -248,17 +269,15 @@ def main() -> int:
             hidden = shutil.ignore_patterns("__pycache__", ".*", "*.egg-info", "build")
             trees.put(shutil.copytree(ROOT, Path(made, str(number)), ignore=hidden, symlinks=True))
 
-        def judge(mutant: Mutant) -> None:
+        def take(mutant: Mutant) -> None:
             tree = trees.get()
-            outcome = "not tried"
-            if time.monotonic() < end:
-                outcome = "survived" if survives(mutant, tree) else "killed"
+            outcome = judge(mutant, tree) if time.monotonic() < end else "not tried"
             trees.put(tree)
             outcomes[outcome] += 1
             if outcome == "survived":
                 print(f"{mutant.path}:{mutant.line}\n  -{mutant.before}\n  +{mutant.after}", flush=True)
 
-        list(threads.map(judge, mutants))
+        list(threads.map(take, mutants))
     killed, survived = outcomes["killed"], outcomes["survived"]
     print(
         f"{killed} of {killed + survived} mutants killed, {outcomes['not tried']} not tried for want of time"
