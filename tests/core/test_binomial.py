@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 
 from edge.core.binomial import rate_limits, trials_needed, upper_rate
 
@@ -21,14 +21,16 @@ def test_trials_without_an_alarm(rate: float, confidence: float, trials: int) ->
 @pytest.mark.parametrize(("alarms", "trials"), [(0, 1), (0, 22), (1, 38), (3, 40), (19, 20), (12, 400)])
 def test_the_limit_is_that_of_clopper_and_pearson(alarms: int, trials: int, confidence: float) -> None:
     """Against scipy's one-sided exact limit."""
-    found = stats.binomtest(alarms, trials, alternative="less").proportion_ci(confidence, method="exact")
+    found = scipy.stats.binomtest(alarms, trials, alternative="less").proportion_ci(
+        confidence, method="exact"
+    )
     assert upper_rate(alarms, trials, confidence) == pytest.approx(found.high, abs=1e-9)
 
 
 @pytest.mark.parametrize(("alarms", "trials"), [(0, 100), (100, 100), (1, 38), (19, 20), (12, 400)])
 def test_the_limits_on_both_sides_are_those_of_clopper_and_pearson(alarms: int, trials: int) -> None:
     """Against scipy's exact interval; without and with nothing but alarms they end at 0 and 1."""
-    found = stats.binomtest(alarms, trials).proportion_ci(0.95, method="exact")
+    found = scipy.stats.binomtest(alarms, trials).proportion_ci(0.95, method="exact")
     assert rate_limits(alarms, trials, 0.975) == pytest.approx((found.low, found.high), abs=1e-9)
 
 

@@ -83,7 +83,7 @@ def test_a_planted_fault_is_named_and_its_schedule_plays_again(
 
 
 def test_a_schedule_shrinks_to_what_fails_alike() -> None:
-    """Of nine faults and twelve presses the hang-up after a stop stays, with three presses; another fault is no proof."""
+    """Of 9 faults and 12 presses a hang-up after a stop is left, and three presses; another fault is no proof."""
 
     def play(tried: Failure) -> list[str]:
         names = [fault.name for fault in tried.schedule]

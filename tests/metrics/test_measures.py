@@ -1,5 +1,6 @@
 """The weighted table, AU-PRO and AUPIMO equal other definitions; a summary has limits, reasons and intervals."""
 
+import importlib
 from itertools import pairwise
 from typing import Any
 
@@ -9,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
-from sklearn.metrics import average_precision_score, roc_auc_score
 
 from calibration.metrics import (
     Measure,
@@ -35,8 +35,14 @@ def scene(seed: int, levels: int = 50, shape: tuple[int, int] = (16, 18)) -> tup
     return [rng.integers(0, levels, shape) + 0.3 * levels * mask for mask in masks], masks
 
 
+@pytest.fixture(scope="module")
+def oracle() -> Any:
+    """Return scikit-learn's measures. Its import takes longer than these tests, in every process that collects them."""
+    return importlib.import_module("sklearn.metrics")
+
+
 @pytest.mark.parametrize("levels", [3, 50, 10**6])
-def test_a_weight_is_a_repetition(levels: int) -> None:
+def test_a_weight_is_a_repetition(levels: int, oracle: Any) -> None:
     """An image weighted 3 counts as if it stood in the set three times; weight 0 removes it. To 1e-12."""
     maps, masks = scene(1, levels)
     weights = np.array([[1, 1, 1, 1, 1, 1], [3, 0, 1, 2, 0, 1], [0, 2, 0, 0, 1, 0]], float)
@@ -45,9 +51,9 @@ def test_a_weight_is_a_repetition(levels: int) -> None:
         chosen = [i for i, times in enumerate(weight) for _ in range(times)]
         scores = np.concatenate([maps[i].ravel() for i in chosen])
         labels = np.concatenate([masks[i].ravel() for i in chosen])
-        assert table.auroc[row] == pytest.approx(roc_auc_score(labels, scores), abs=1e-12)
+        assert table.auroc[row] == pytest.approx(oracle.roc_auc_score(labels, scores), abs=1e-12)
         assert table.average_precision[row] == pytest.approx(
-            average_precision_score(labels, scores), abs=1e-12
+            oracle.average_precision_score(labels, scores), abs=1e-12
         )
         expected = aupro([maps[i] for i in chosen], [masks[i] for i in chosen], 0.05)
         assert table.aupro[row] == pytest.approx(expected, abs=1e-12)
@@ -103,7 +109,7 @@ def test_aupimo_of_a_perfect_detector_and_without_good_images() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10_000), levels=st.sampled_from([3, 20, 100_000]), limit=st.floats(0.001, 1.0))
-def test_the_values_are_those_of_all_pixels(seed: int, levels: int, limit: float) -> None:
+def test_the_values_are_those_of_all_pixels(oracle: Any, seed: int, levels: int, limit: float) -> None:
     """With few levels most scores are ties."""
     rng = np.random.default_rng(seed)
     maps = rng.integers(0, levels, (4, 12, 15)).astype(np.float32)
@@ -117,7 +123,7 @@ def test_the_values_are_those_of_all_pixels(seed: int, levels: int, limit: float
 
     assert found.auroc == pytest.approx(auroc(maps.ravel(), masks.ravel()), abs=1e-12)
     assert found.average_precision == pytest.approx(
-        average_precision_score(masks.ravel(), maps.ravel()), abs=1e-12
+        oracle.average_precision_score(masks.ravel(), maps.ravel()), abs=1e-12
     )
     assert found.aupro[0] == pytest.approx(aupro(maps, masks, limit), abs=1e-9)
     assert found.aupro[1] == pytest.approx(aupro(maps, masks, 0.05), abs=1e-9)

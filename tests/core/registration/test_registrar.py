@@ -8,8 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import scipy
 import turned_parts as parts
-from scipy import optimize
 
 from calibration.fitting.pose.registration import LearntPose, learn_pose
 from edge.core.registration.colours import FreeLight
@@ -85,7 +85,7 @@ def test_the_estimate_is_that_of_an_optimiser_in_float64() -> None:
     def misfit(pose: np.ndarray) -> float:
         return float(((parts.slopes(parts.BLOCK, Pose(*pose), 112) - press) ** 2).sum())
 
-    oracle = Pose(*optimize.minimize(misfit, [5.0, -4.0, 0.7], method="Nelder-Mead").x.tolist())
+    oracle = Pose(*scipy.optimize.minimize(misfit, [5.0, -4.0, 0.7], method="Nelder-Mead").x.tolist())
     found = search.find(press.astype(np.float32)).pose
 
     assert _apart(oracle, true, Pose())[0] < 1e-3

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 
 from calibration.fitting.limits.threshold import FLOOR_MARGIN, conformal_threshold, count_needed, rate_range
 from edge.core.errors import FitError
@@ -100,7 +100,7 @@ def test_the_promise_holds_for_new_pieces() -> None:
         limits = [conformal_threshold(draw, 0.1, specimens=specimens) for draw in draws]
         promised = max(0.1, limits[0].alpha_floor)
         assert limits[0].alpha_floor == pytest.approx(floor)
-        fails = stats.norm(0, 1.01**0.5).sf([limit.value for limit in limits])
+        fails = scipy.stats.norm(0, 1.01**0.5).sf([limit.value for limit in limits])
         assert (fails.mean() < promised + 4 * fails.std() / 500**0.5) == is_kept
 
 
@@ -114,7 +114,7 @@ def test_one_bundles_own_rate_is_that_of_the_beta_distribution(
     """The 95 % range against scipy's; Beta(n + 1 - r, r) for the r-th smallest of n scores. Above the largest score,
     which ten pieces need for 5 %, there is an upper limit alone."""
     sides = (0.025, 0.975) if pieces > 10 else (0, 0.95)
-    assert rate_range(pieces, alpha) == pytest.approx(stats.beta(*shape).ppf(sides), abs=1e-9)
+    assert rate_range(pieces, alpha) == pytest.approx(scipy.stats.beta(*shape).ppf(sides), abs=1e-9)
 
 
 @pytest.mark.lab
@@ -143,8 +143,8 @@ def test_one_bundle_is_promised_by_press_and_by_piece() -> None:
     assert limit.by_piece is not None
     assert (limit.by_press.alarms, limit.by_press.trials) == (2, 7)
     assert (limit.by_piece.alarms, limit.by_piece.trials) == (1, 4)
-    assert limit.by_press.rate == pytest.approx(stats.beta(3, 5).ppf(0.9), abs=1e-9)
-    assert limit.by_piece.rate == pytest.approx(stats.beta(2, 3).ppf(0.9), abs=1e-9)
+    assert limit.by_press.rate == pytest.approx(scipy.stats.beta(3, 5).ppf(0.9), abs=1e-9)
+    assert limit.by_piece.rate == pytest.approx(scipy.stats.beta(2, 3).ppf(0.9), abs=1e-9)
 
 
 def test_the_promise_of_one_bundle_lies_in_its_range() -> None:
