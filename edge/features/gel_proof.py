@@ -17,7 +17,7 @@ from edge.press_stage import Alarms, Command, Data, Mounted, PressStage, StagePa
 from edge.store import gel_proofs
 from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle
-from edge.store.person_verdicts import newest_act
+from edge.store.person_verdicts import newest_acts
 from edge.store.press_archive import ArchiveFolder
 from edge.store.press_store import Store
 
@@ -47,8 +47,7 @@ class GelProofWatch(PressStage):
         self._mounted: Mounted | None = None
         self._sentence: str | None = None
         self._next_look_ns = 0
-        self._newest_act: object = None
-        self._read_act: object = None
+        self._acts: object = None
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -131,12 +130,11 @@ class GelProofWatch(PressStage):
             self._say()
 
     def _read_words(self, key: GelBundle) -> GelProof | None:
-        """Prove the bundle by what people said, if that is enough. It is looked at twice after each act: an act is
-        complete a moment after it is written."""
-        newest = self._store.read("reading the newest act", newest_act), key
-        if newest == self._read_act:
+        """Prove the bundle by what people said, if that is enough; looked at after each act."""
+        acts = self._store.read("reading the newest acts", newest_acts), key
+        if acts == self._acts:
             return None
-        self._newest_act, self._read_act = newest, newest if newest == self._newest_act else None
+        self._acts = acts
         archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
         change = partial(gel_proofs.prove_by_words, key=key, archive=archive)
         return self._store.write("proving a bundle by what people said", change)

@@ -14,14 +14,13 @@ from edge.messaging.payload_base import PressId
 from edge.messaging.status_payloads import Question, QuestionsPayload
 from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
 from edge.store.acts import CONFIRM
-from edge.store.person_verdicts import find_table, newest_act, read_askable, read_verdicts
+from edge.store.person_verdicts import find_table, newest_acts, read_askable, read_verdicts
 from edge.store.press_store import Store
 
 __all__ = ["PersonVerdicts"]
 
-# New presses are looked for this often, and an answer for so long: its act is complete soon after it is given.
+# New presses and answers are looked for this often.
 LOOK_S: Final = 1.0
-ANSWERED_S: Final = 5.0
 
 # Older presses are not asked for: nobody has the part at hand any more.
 DAY_NS: Final = 86_400 * 10**9
@@ -52,12 +51,12 @@ class PersonVerdicts(PressStage):
         self, per_day: int, store: Store, announce: Callable[[Message], object], clock: Clock
     ) -> None:
         self._per_day, self._store, self._announce, self._clock = per_day, store, announce, clock
-        self._after = self._newest_act = 0
+        self._after = 0
+        self._acts = (0, 0)
         self._presses: list[Asked] = []
         self._shown: tuple[object, ...] | None = None
         self._day: date | None = None
         self._next_look_ns = 0
-        self._answered_ns = -(1 << 62)
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -76,7 +75,7 @@ class PersonVerdicts(PressStage):
             return
         self._next_look_ns = now_ns + round(LOOK_S * 1e9)
         today = _day_of(self._clock.time_ns())
-        if self._read() or today != self._day or now_ns < self._answered_ns + ANSWERED_S * 1e9:
+        if self._read() or today != self._day:
             self._day = today
             self._ask(today)
 
@@ -107,8 +106,8 @@ class PersonVerdicts(PressStage):
             one for one in (*before, *(press for _, press in new)) if 0 <= now_ns - one.time_ns < DAY_NS
         ]
         self._presses = sorted(recent, key=lambda one: one.time_ns)[-MOST_REMEMBERED:]
-        act, self._newest_act = self._newest_act, self._store.read("reading the newest act", newest_act)
-        return self._presses != before or self._newest_act != act
+        acts, self._acts = self._acts, self._store.read("reading the newest acts", newest_acts)
+        return self._presses != before or self._acts != acts
 
     def _confirm(self, arguments: ConfirmPressArguments) -> Data:
         """Say what is known of the press; the request itself is the record. Errors: ValueError, StoreError."""
@@ -124,7 +123,6 @@ class PersonVerdicts(PressStage):
             )
         said = self._store.read("reading what people said", partial(read_verdicts, press_id=press_id))
         earlier = said.get(press_id, [])
-        self._next_look_ns, self._answered_ns = 0, self._clock.monotonic_ns()
         return {
             "press_id": press_id,
             "verdict": table.verdict,

@@ -132,7 +132,6 @@ class Shadow(PressStage):
                 after={"bundle_id": wish.after, "why": wish.why},
             )
             self._selection.exchange(why)
-            self._fault = None
             text = f"bundle {wish.after[:12]} inspects {wish.part} instead of {wish.before[:12]}: {wish.why}"
         else:
             text = f"bundle {wish.after[:12]} has not taken over: another part or bundle is in use; ask again"

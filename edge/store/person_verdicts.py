@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from edge.core.person_verdict import Asked, PersonVerdict
 from edge.store.acts import CONFIRM
 
-__all__ = ["Found", "find_table", "newest_act", "read_askable", "read_spoken_of", "read_verdicts"]
+__all__ = ["Found", "find_table", "newest_acts", "read_askable", "read_spoken_of", "read_verdicts"]
 
 
 # What `Commands` adds to a name, which itself may have commas.
@@ -83,7 +83,12 @@ def read_askable(connection: sqlite3.Connection, after: int, most: int) -> list[
     return [(number, Asked(*row)) for number, *row in rows]
 
 
-def newest_act(connection: sqlite3.Connection) -> int:
-    """Find the number of the newest act, 0 for none."""
-    (number,) = connection.execute("SELECT coalesce(max(act_id), 0) FROM acts").fetchone()
-    return int(number)
+def newest_acts(connection: sqlite3.Connection) -> tuple[int, int]:
+    """Find the number of the newest act, and how many of the newest hundred have no outcome yet.
+
+    The pair is another one after each act that is written, and after each that is completed.
+    """
+    newest = "SELECT act_id, outcome FROM acts ORDER BY act_id DESC LIMIT 100"
+    query = f"SELECT coalesce(max(act_id), 0), coalesce(sum(outcome IS NULL), 0) FROM ({newest})"
+    number, open_acts = connection.execute(query).fetchone()
+    return int(number), int(open_acts)

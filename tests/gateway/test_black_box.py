@@ -245,8 +245,9 @@ def test_another_bundle_shows_the_verdicts_that_change(made: Played, tmp_path: P
 
 def test_only_the_newest_presses_are_kept(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """What only older ones used goes with them; their rows stay, and replay says what is gone."""
-    played, _ = play(station_config(tmp_path, recording, bundle, tables="[archive]\npresses = 1\n"))
+    played, station = play(station_config(tmp_path, recording, bundle, tables="[archive]\npresses = 1\n"))
 
+    assert station.raised == []
     assert list_presses(played.archive) == [played.ids[2]]
     assert {path.name for path in played.objects.iterdir()} == set(played.record(2).objects)
     said = played.replay(played.ids[0]).err

@@ -23,7 +23,7 @@ from edge.core.part_position import PartPosition
 from edge.core.ports import DeviceIdentity
 from edge.core.press import Press
 from edge.core.verdict import Kind
-from edge.features.overview import Overview, still_of
+from edge.features.overview import WAIT_S, Overview, still_of
 
 SELECTION = Mock(part=PartPosition("PZ0", "pos1"), find_all=lambda name: {PartPosition("PZ0", "pos1")})
 IDENTITY = DeviceIdentity("camera", "C1", (320, 240), 5.0)
@@ -173,6 +173,18 @@ def test_a_still_serves_two_quick_presses_and_then_is_too_old() -> None:
 
     assert first.jpeg == second.jpeg == encoded(blank())
     assert (third.jpeg, third.fault) == (None, "camera C1 was unplugged")
+
+
+@pytest.mark.parametrize("state", AcquisitionState)
+def test_only_a_camera_that_may_soon_give_a_picture_is_waited_for(state: AcquisitionState) -> None:
+    """One that is lost holds up no press."""
+    camera = Mock(status=Mock(state=state, fault=None))
+    camera.next.return_value = None
+    may_give = state in (AcquisitionState.CONNECTING, AcquisitionState.STREAMING)
+    overview = Overview(camera, OverviewRules(), SELECTION, ManualClock(), max_age_s=2.0, max_side_px=1280)
+
+    assert overview.look_at_part().fault == "the overview camera has given no new picture"
+    assert [call.args for call in camera.next.call_args_list] == [(0,), (WAIT_S,)][: 1 + may_give]
 
 
 def test_a_recording_that_is_over_gives_no_still() -> None:

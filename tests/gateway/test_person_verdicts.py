@@ -279,6 +279,21 @@ def test_a_press_of_which_a_pedal_spoke_is_not_asked_about(played: SteppedStatio
     assert asked not in [one["press_id"] for one in played.said("questions")["presses"]]
 
 
+def test_a_word_counts_when_its_act_is_complete(played: SteppedStation) -> None:
+    """However long that takes, and though a later act is complete before it."""
+    store, now_ns = played.parts.store, played.clock.time_ns()
+    asked = played.said("questions")["presses"][0]["press_id"]
+    slow, _ = store.begin_act(Act(now_ns, "kim", CONFIRM, "1", {"press_id": asked, "verdict": "good"}), 0)
+    store.begin_act(Act(now_ns, "lee", "trigger", "2", {}, outcome="done"), 0)
+    played.clock.sleep(60)
+    settle(played)
+    assert asked in [one["press_id"] for one in played.said("questions")["presses"]]
+
+    store.finish_act(slow, "done")
+    settle(played)
+    assert asked not in [one["press_id"] for one in played.said("questions")["presses"]]
+
+
 def test_presses_have_shifts_only_where_they_are_configured(played: SteppedStation, tmp_path: Path) -> None:
     config = tmp_path / "gelgate.toml"
 
