@@ -52,12 +52,17 @@ LEAST_AREA_SHARE = 0.5
 PAINTED_LEVEL = 40
 
 
-def golden_frames(scorer: Scorer, frames: NDArray[np.uint8]) -> list[GoldenFrame]:
+def golden_frames(
+    scorer: Scorer, frames: NDArray[np.uint8], scores: NDArray[np.float64] | None = None
+) -> list[GoldenFrame]:
     """The nominal frames of middle and highest score, and a painted one, so that a high score is checked as well.
 
-    frames: uint8 (n, h, w, 3), in the bank's pose. Errors: NotScorable.
+    frames: uint8 (n, h, w, 3), in the bank's pose. scores: of the nominal presses, (n,); None where none are known.
+    Errors: NotScorable.
     """
-    order = np.argsort([scorer.score_in_pose(frame).anomaly_score for frame in frames], kind="stable")
+    if scores is None:
+        scores = np.array([scorer.score_in_pose(frame).anomaly_score for frame in frames])
+    order = np.argsort(scores, kind="stable")
     middle = frames[order[len(order) // 2]]
     chosen = {
         "middle nominal score": middle,

@@ -336,7 +336,7 @@ def _measure(learnt: _Learnt, created: str, watch: StageTimes) -> Fitted:
     features, plan, threads = learnt.features, learnt.features.plan, learnt.features.plan.config.threads
     trunks, facts = TrunkSessions(threads), _facts(learnt, created)
     scorer = Scorer(_pack(learnt, facts, ()).bundle(), threads, trunks)
-    golden = golden_frames(scorer, features.presses.frames)
+    golden = golden_frames(scorer, features.presses.frames, learnt.scores)
     tolerance = measure_tolerance(scorer, golden, threads)
     cost = cost_card(scorer, features.presses.frames, threads, watch.seconds)
     threshold = learnt.find_threshold(tolerance, scorer)

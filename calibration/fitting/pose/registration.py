@@ -338,7 +338,7 @@ def _mean(added: Sequence[F32], poses: Sequence[Pose], colours: SlopeColours) ->
     count = np.zeros(total.shape[:2], np.float32)
     for one, pose in zip(added, poses, strict=True):
         moved, seen = in_pose(one, pose, colours)
-        total += moved * seen[..., None]
+        total += cv2.copyTo(moved, seen.view(np.uint8))  # 0 elsewhere
         count += seen
     mean = np.asarray(total / np.maximum(count, 1)[..., None], np.float32)
     return mean, count >= _LEARNT_SHARE * len(added)
@@ -374,6 +374,7 @@ def _fill(rgb: F32, seen: Mask, other: Registered) -> None:
         return
     box = slice(y, y + height), slice(x, x + width)
     weight = fade(depth_of(more[box]), rgb.shape)
-    rgb[box] += weight[..., None] * (other.rgb[box] - rgb[box])
+    change = other.rgb[box] - rgb[box]
+    rgb[box] += cv2.multiply(change, cv2.cvtColor(weight, cv2.COLOR_GRAY2RGB))
     # A seam is filled again by the next press: the mean press there would vary less than presses do.
     seen[box] |= weight >= 1

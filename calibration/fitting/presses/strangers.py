@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.presses.free_gel import view_of
 from edge.core.contact.mask import squared_distance, touched
-from edge.core.contact.reference import Reference
+from edge.core.contact.reference import fit_levels
 from edge.core.contact.settings import ContactSettings
 from edge.core.imaging.quality import check_light
 
@@ -277,7 +277,11 @@ def _blur(views: Sequence[U8]) -> list[NDArray[np.float32]]:
 
 
 def _levels(view: U8, others: Sequence[U8]) -> NDArray[np.float64]:
-    """Measure by how many levels others differ from a view, in the median over it, float64 (n,)."""
-    reference = Reference(view.astype(np.float32))
-    differences = (reference.difference(one.astype(np.float32)) for one in others)
+    """Measure by how many levels others differ from a view, in the median over every second pixel, float64 (n,)."""
+    reference = view.astype(np.float32)
+    levels = (fit_levels(one.astype(np.float32), reference) for one in others)
+    differences = (
+        level.applied(one[::2, ::2].astype(np.float32)) - reference[::2, ::2]
+        for level, one in zip(levels, others, strict=True)
+    )
     return np.array([np.median(np.sqrt(squared_distance(one))) for one in differences])

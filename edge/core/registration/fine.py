@@ -84,10 +84,10 @@ class FineSearch:
     def agreement(self, slopes: F32, pose: Pose) -> tuple[float, float]:
         """The match over all places that are seen, and the share of the press's energy in the bank's field."""
         moved = turn_slopes(slopes, pose)
-        is_seen = depth_inside(pose, (self._w, self._h)) >= 0
-        part = self._slopes * is_seen[..., None]
+        is_seen = (depth_inside(pose, (self._w, self._h)) >= 0).view(np.uint8)
+        part = cv2.copyTo(self._slopes, is_seen)  # 0 elsewhere
         energy = float(np.vdot(moved, moved))
-        moved *= is_seen[..., None]
+        moved = cv2.copyTo(moved, is_seen)
         inside = energy / max(float(np.vdot(slopes, slopes)), _TINY)
         return _correlation(part, moved), min(inside, 1.0)
 
@@ -107,8 +107,8 @@ class FineSearch:
         """The press at the places in these poses, float32 (n, 2 * places), and 1 where it is seen, (n, places)."""
         x, y = np.stack([pose.matrix((self._w, self._h)) for pose in poses], axis=1) @ self._places
         is_seen = (x >= 0) & (x <= self._w - 1) & (y >= 0) & (y <= self._h - 1)
-        at = np.stack([x, y], axis=-1).astype(np.float32).reshape(-1, min(_ROW, x.shape[1]), 2)
-        read = cv2.remap(slopes, at, None, cv2.INTER_LINEAR).reshape(*x.shape, 2)  # type: ignore[call-overload]
+        at = (one.astype(np.float32).reshape(-1, min(_ROW, x.shape[1])) for one in (x, y))
+        read = cv2.remap(slopes, *at, cv2.INTER_LINEAR).reshape(*x.shape, 2)
         turns = np.array([pose.turn_rad for pose in poses])
         cos, sin = np.cos(turns).astype(np.float32)[:, None], np.sin(turns).astype(np.float32)[:, None]
         across, down, weight = read[..., 0], read[..., 1], is_seen.astype(np.float32)
