@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import Outcome, gelgate
-from confirmed_station import fit, say
+from confirmed_station import PLAIN, fit, say
 
 from calibration.fitting.fit_again import configure_again
 from calibration.fitting.learn import Comparison, ConfirmedPresses, write_picture
@@ -303,7 +303,7 @@ def test_what_the_old_fit_was_asked_for_is_asked_for_again(
     for number, rgb in enumerate(frames):
         for name in ("press", "other"):
             cv2.imwrite(str(data / f"{name}{number}.png"), cv2.resize(rgb[..., ::-1], (640, 480)))
-    asked = {"pattern": "press*", "seed": 4, "folds": 3, "limit": "plain", "scattered": True}
+    asked = {"pattern": "press*", "seed": 4, "folds": 3, "scattered": True}
     settings = [word for name, value in asked.items() for word in ("--set", f"{name}={str(value).lower()}")]
     fit(data, folder / "other", "--resize", "--set", "profile=cropped_lr", *settings)
     say(folder, {ids[0]: "good"})
@@ -313,9 +313,9 @@ def test_what_the_old_fit_was_asked_for_is_asked_for_again(
     assert done.code == 0, done.err
     assert "9 nominal presses, 1 of them from the station\n" in done.out
     manifest = Bundle.load(folder / "new").manifest
-    assert manifest.facts["settings"] == {"resize": True, "register": "never", **asked}
+    assert manifest.facts["settings"] == {"resize": True, **PLAIN, **asked}
     assert manifest.provenance.seed == 4
     again = configure_again(Bundle.load(folder / "new"), None, 1, None)
     found = (again.seed, again.folds, again.limit, again.register, again.augment, again.is_scattered)
     assert found == (4, 3, "plain", "never", "auto", True)
-    assert old.manifest.facts["settings"] == {"register": "never"}, "what was not asked for is not kept"
+    assert old.manifest.facts["settings"] == PLAIN, "what was not asked for is not kept"
