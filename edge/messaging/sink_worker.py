@@ -157,8 +157,6 @@ class SinkCounters:
 
     sent: int = 0
     """Acknowledged rows."""
-    replayed: int = 0
-    """Acknowledged rows that were marked as late."""
     failed: int = 0
     """Attempts that ended in an error."""
     refused: int = 0
@@ -255,10 +253,10 @@ class SinkWorker:
             self._unsaid_ns = now_ns
 
     def _send(self, row: OutboxRow) -> None:
-        is_late = row.row_id <= self._late_up_to
         # An accepted row waits only for its acknowledgement: a full disk is no reason to send it again.
         if row.row_id != self._accepted:
             try:
+                is_late = row.row_id <= self._late_up_to
                 self._deliver(as_replayed(row.message) if is_late else row.message)
             except SinkRejected as error:
                 self._set_aside(row, str(error))
@@ -279,11 +277,7 @@ class SinkWorker:
         self._refuses.discard(kind_of(row.message))
         self._refused.accept(row)
         self._note_stored()
-        self.counters = replace(
-            self.counters,
-            sent=self.counters.sent + 1,
-            replayed=self.counters.replayed + int(is_late),
-        )
+        self.counters = replace(self.counters, sent=self.counters.sent + 1)
 
     def _set_aside(self, row: OutboxRow, why: str) -> None:
         self._refused.set_aside(row, why)

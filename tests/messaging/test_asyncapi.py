@@ -135,6 +135,14 @@ def test_what_the_station_sends_is_as_described(check: DocumentCheck) -> None:
     assert check.fault(f"{ROOT}/result", changed(colour="red")) is None
 
 
+def test_what_is_over_is_described_as_empty(described: dict[str, Any], check: DocumentCheck) -> None:
+    """An alarm too: nothing follows in its message."""
+    assert check.fault(f"{ROOT}/alarm/gel", b"") is None
+    empty = described["components"]["messages"]["Empty"]["payload"]
+    assert jsonschema.Draft7Validator(empty).is_valid("")
+    assert not jsonschema.Draft7Validator(empty).is_valid("x")
+
+
 def changed(**changes: Any) -> bytes:
     content = json.loads(result().encode())
     content.update(changes)

@@ -53,7 +53,7 @@ def station(unit: Path, real_tactile: Path, tmp_path_factory: pytest.TempPathFac
     trunk = open_trunk(DEFAULT_BACKBONE, detector.taps(detector.parameters()))
     nominal = [unit / "6.310mm" / str(k) / "gelsight.png" for k in NOMINAL]
     presses = read_presses(nominal, PROFILE, REGION, no_contact=[unit / "background.png"])
-    config = FitConfig("ball", "any", PROFILE, REGION, detector, trunk, folds=2)
+    config = FitConfig("ball", "any", PROFILE, REGION, detector, trunk, folds=2, limit="plain")
     bundle = fit_files(presses, config, created="test").write(folder / "ball")
     tested = [unit / "6.310mm" / str(k) / "gelsight.png" for k in TESTED]
     plan = PressLift(lead_frames=20, free_frames=12, press_frames=10, noise_levels=1.5, noise_seed=1)

@@ -14,7 +14,7 @@ from calibration.simulator.dataset_writer import simulate_dataset
 from calibration.simulator.scene import load_scene
 
 COMMAND = Path(sys.executable).with_name("gelgate")
-PRESSES = 12
+PRESSES = 8
 PATIENCE_S = 300.0  # only what hangs takes so long
 
 

@@ -36,8 +36,8 @@ kinds = ["dent"]
 severity = [0.8, 1.0]
 [[runs]]
 name = "line"
-presses = 12
-faulty = 4
+presses = 8
+faulty = 3
 gel_presses = 600
 """
 IDLE, PRESS, SEED = 8, 18, 3  # Frames of the free gel before the first press, and of one press.
@@ -99,7 +99,7 @@ def ended_within(how: signal.Signals, command: list[str | Path], whole: Path, pa
         process.send_signal(how)
         process.wait(timeout=PATIENCE_S)
         presses = (lines(part) - IDLE) // PRESS
-        if presses < 12 and not whole.exists():
+        if presses < 8 and not whole.exists():
             assert presses >= 3
             return presses
         shutil.rmtree(whole, ignore_errors=True)
@@ -113,7 +113,7 @@ def test_a_full_disk_is_reported_and_the_recording_continues(
     """No room for the index in the middle of a line: a clear error; with room again, the bytes of an uninterrupted
     run."""
     command = (
-        f'ulimit -f 20; exec "{COMMAND}" lab simulate "{path}" -o "{tmp_path}/r" --run line --seed {SEED}'
+        f'ulimit -f 12; exec "{COMMAND}" lab simulate "{path}" -o "{tmp_path}/r" --run line --seed {SEED}'
     )
     done = subprocess.run(
         ["bash", "-c", f"{command} --workers 1"], capture_output=True, text=True, timeout=PATIENCE_S

@@ -22,7 +22,7 @@ from calibration.simulator.reproducible_math import reproducible_opencv
 total = hashlib.sha256()
 with reproducible_opencv():
     for number, part in enumerate(PARTS.values()):
-        for field in (LR, native_field(8)):
+        for field in (LR, native_field(8)) if number == 0 else (LR,):
             renderer = Renderer(field, tuple(EFFECTS), streams=Streams(number))
             sound = part.positions["pos1"]
             kind = ("dent", "burr", "abrasion", "material_loss", "impact_mark")[number]

@@ -14,7 +14,7 @@ from edge import registry
 from edge.store.acts import CONFIRM, Act
 from edge.store.press_store import Store
 
-# The presses lie as they are, with one limit: what registration and other limits would find is most of the time of a fit.
+# The presses lie as they are, with one limit: the choice of another pose and limit is most of the time of a fit.
 PLAIN = {"register": "never", "limit": "plain"}
 SETTINGS = [word for name, value in PLAIN.items() for word in ("--set", f"{name}={value}")]
 OPTIONS = ("--part", "bolt", "--method", "tiny", "--backbone", "tiny", *SETTINGS)
