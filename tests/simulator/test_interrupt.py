@@ -12,6 +12,7 @@ from digests import digests
 
 from calibration.simulator.dataset_writer import simulate_dataset
 from calibration.simulator.scene import load_scene
+from edge.core.errors import DatasetError
 
 COMMAND = Path(sys.executable).with_name("gelgate")
 PRESSES = 8
@@ -28,13 +29,18 @@ def test_a_dataset_that_was_ended_continues(
     how: signal.Signals, whole: dict[str, str], tmp_path: Path
 ) -> None:
     """After SIGINT the exit code is 130, every picture is readable, and no file is partial; after SIGKILL the workers
-    end too (they hold its standard error open). The same command then gives the bytes of an uninterrupted run."""
+    end too (they hold its standard error open). The same command then gives the bytes of an uninterrupted run, and
+    leaves complete pictures as they are; another seed is refused."""
     cut = ended(how, tmp_path, sum(name.endswith(".png") for name in whole))
     if how is signal.SIGINT:
         assert all(cv2.imread(str(path)) is not None for path in cut.rglob("*.png"))
         assert [path.name for path in cut.rglob(".*")] == []
+    before = {path: path.stat().st_mtime_ns for path in cut.rglob("[!.]*.png")}
     assert digests(simulate_dataset(load_scene("small"), cut, presses=PRESSES)) == whole
+    assert {path: path.stat().st_mtime_ns for path in before} == before
     assert [path.name for path in cut.rglob(".*")] == []
+    with pytest.raises(DatasetError, match="seed 0, not 2"):
+        simulate_dataset(load_scene("small"), cut, 2, presses=PRESSES)
 
 
 def ended(how: signal.Signals, folder: Path, complete: int) -> Path:

@@ -145,25 +145,6 @@ def test_low_resolution_masks_are_pooled_blocks_of_the_high_resolution_ones(tmp_
     assert np.abs(mean - made["rgb_320x240"]).max() <= 0.51
 
 
-def test_an_interrupted_dataset_continues_with_the_same_bytes(tmp_path: Path) -> None:
-    """Removed files are made again with the same bytes, the others are not touched; another seed is refused."""
-    scene = load_scene("small")
-    scene = scene.model_copy(
-        update={"nominal": scene.nominal and scene.nominal.model_copy(update={"specimens": 2})}
-    )
-    whole = digests(simulate_dataset(scene, tmp_path / "a", 1, presses=1))
-    assert whole == digests(simulate_dataset(scene, tmp_path / "b", 1, presses=1, workers=2))
-    victims = sorted((tmp_path / "a").rglob("*.png"))[::2]
-    kept = sorted(set((tmp_path / "a").rglob("*.png")) - set(victims))
-    times = [path.stat().st_mtime_ns for path in kept]
-    for path in victims:
-        path.unlink()
-    assert whole == digests(simulate_dataset(scene, tmp_path / "a", 1, presses=1))
-    assert times == [path.stat().st_mtime_ns for path in kept]
-    with pytest.raises(DatasetError, match="seed 1, not 2"):
-        simulate_dataset(scene, tmp_path / "a", 2, presses=1)
-
-
 def test_a_foreign_folder_is_not_changed(tmp_path: Path) -> None:
     """A folder with something else in it is neither written to nor read."""
     (tmp_path / "photos.txt").write_text("mine")
