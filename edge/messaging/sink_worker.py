@@ -130,6 +130,15 @@ class RetainedState:
                 version = self._latest.get(message.topic, (0, message))[0]
                 self._latest[message.topic] = (version, message)
 
+    def doubt(self, topic: str, row_id: int) -> None:
+        """A message of the outbox is being sent: until it is delivered a new connection hears no older one.
+
+        The receiver may have it although its acknowledgement is lost, and its topic would go back.
+        """
+        with self._lock:
+            if row_id > self._rows.get(topic, 0):
+                self._latest.pop(topic, None)
+
     def all(self) -> Sequence[Message]:
         """The first messages of a new connection: the retained ones, oldest change first."""
         return [message for _, message in self.since(-1) if message.retain]
@@ -255,6 +264,8 @@ class SinkWorker:
     def _send(self, row: OutboxRow) -> None:
         # An accepted row waits only for its acknowledgement: a full disk is no reason to send it again.
         if row.row_id != self._accepted:
+            if row.message.retain:
+                self._retained_state.doubt(row.message.topic, row.row_id)
             try:
                 is_late = row.row_id <= self._late_up_to
                 self._deliver(as_replayed(row.message) if is_late else row.message)

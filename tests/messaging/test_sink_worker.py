@@ -212,6 +212,24 @@ def test_a_new_connection_hears_the_newest_retained_messages(
     assert said["last"]["press_id"] == make_press(2).press_id
 
 
+def test_a_new_connection_hears_nothing_older_than_what_may_have_arrived(
+    store: Store, outbox: Outbox, sink: ScriptedSink
+) -> None:
+    """The acknowledgement of the newest `last/press` is lost: the receiver has it, and would go back to that before."""
+    retained_state = RetainedState()
+    one = worker(outbox, sink, retained_state=retained_state)
+    record(store, make_press(1))
+    drain(one)
+    record(store, make_press(2))
+    sink.loses_acknowledgements_of = "last/press"
+    one.step()
+
+    assert "last/press" not in {m.topic for m in retained_state.all()}
+    drain(one)
+    (said,) = (json.loads(m.payload) for m in retained_state.all() if m.topic == "last/press")
+    assert said["press_id"] == make_press(2).press_id
+
+
 def test_a_slower_sink_does_not_turn_the_retained_messages_back() -> None:
     """An older row delivered later by another sink does not replace a newer one; the first row of a database counts."""
     retained_state = RetainedState()

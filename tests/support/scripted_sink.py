@@ -19,6 +19,8 @@ class ScriptedSink:
         self.is_away = False
         self.refuses: set[str] = set()
         self.loses_next_acknowledgement = False
+        self.loses_acknowledgements_of = ""
+        """A topic."""
         self.is_closed = False
 
     def send(self, message: Message) -> None:
@@ -27,7 +29,8 @@ class ScriptedSink:
         if message.topic in self.refuses:
             raise SinkRejected(f"{message.topic} is not for you")
         self.taken.append(message)
-        if self.loses_next_acknowledgement:
+        if self.loses_next_acknowledgement or message.topic == self.loses_acknowledgements_of:
+            self.loses_acknowledgements_of = ""
             self.loses_next_acknowledgement = False
             raise SinkUnavailable("no acknowledgement in time")
 
