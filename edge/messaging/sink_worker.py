@@ -29,6 +29,10 @@ OFFERED_ROWS: Final = 16
 BROKEN_ATTEMPTS: Final = 3
 
 
+# What has waited for an acknowledgement that took longer is late: its receiver was silent, or slow.
+LATE_S: Final = 2.0
+
+
 class RefusedRows:
     """What one sink has refused, or cannot send. Its worker calls it, in one thread."""
 
@@ -211,6 +215,7 @@ class SinkWorker:
         self._is_store_failing = False
         # Rows up to this one waited for the sink, or for this process to start: they are late when they are sent.
         self._late_up_to = outbox.newest()
+        self._was_slow = False  # an acknowledgement took so long that the rows of now are late
         self._refused = RefusedRows(name, outbox, clock)
         self._refuses: set[str] = set()  # kinds that are refused now; each is logged once
 
@@ -262,6 +267,8 @@ class SinkWorker:
             self._unsaid_ns = now_ns
 
     def _send(self, row: OutboxRow) -> None:
+        if self._was_slow:
+            self._late_up_to, self._was_slow = self._outbox.newest(), False
         # An accepted row waits only for its acknowledgement: a full disk is no reason to send it again.
         if row.row_id != self._accepted:
             if row.message.retain:
@@ -295,7 +302,9 @@ class SinkWorker:
         self._note_refused(row.message, why)
 
     def _deliver(self, message: Message) -> None:
+        began_ns = self._clock.monotonic_ns()
         self._sink.send(message)
+        self._was_slow |= self._clock.monotonic_ns() - began_ns > LATE_S * 1e9
         self._backoff.succeeded()
         if not self.counters.is_up:
             self.counters = replace(self.counters, is_up=True, last_error="")

@@ -127,6 +127,32 @@ def test_rows_that_waited_are_marked_as_replayed(store: Store, outbox: Outbox, s
     assert [r["is_replayed"] for r in sink.results()] == [True, False, True, True, False]
 
 
+def test_rows_that_waited_for_a_slow_acknowledgement_are_marked_as_replayed(
+    store: Store, outbox: Outbox
+) -> None:
+    """The receiver answers after five seconds: the press made meanwhile is late, and the one after it is not."""
+    clock = ManualClock()
+
+    class Slow(ScriptedSink):
+        takes_s = 5.0
+
+        def send(self, message: Message) -> None:
+            if message.topic == "result" and self.takes_s:
+                clock.sleep(self.takes_s)
+                self.takes_s = 0.0
+                record(store, make_press(2))
+            super().send(message)
+
+    sink = Slow()
+    one = worker(outbox, sink, clock=clock)
+    record(store, make_press(1))
+    drain(one)
+    record(store, make_press(3))
+    drain(one)
+
+    assert [r["is_replayed"] for r in sink.results()] == [False, True, False]
+
+
 def test_a_lost_acknowledgement_means_the_same_press_twice(
     store: Store, outbox: Outbox, sink: ScriptedSink
 ) -> None:
