@@ -244,8 +244,7 @@ class Report:
         self._dropped_before = 0
         self._was_held_up = False
         self._started_ns = clock.monotonic_ns()
-        self._drops_before: OutboxStatus | None = None
-        self._drops_now: OutboxStatus | None = None
+        self._drops_before = self._drops_now = publisher.outbox_status()
 
     def count_frame(self, frame: CameraFrame, *, has_contact: bool) -> None:
         """Count a frame for which this machine was too slow."""
@@ -310,8 +309,6 @@ class Report:
     def note_drops(self, outbox: OutboxStatus) -> None:
         """Raise an alarm for messages dropped since this process started; older ones were published before."""
         self._drops_now = outbox
-        if self._drops_before is None:
-            self._drops_before = outbox
         aged = _subtract(self._drops_before.aged, outbox.aged)
         crowded = _subtract(aged, _subtract(self._drops_before.dropped, outbox.dropped))
         words = [

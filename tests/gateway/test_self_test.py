@@ -77,7 +77,7 @@ def dropped(station: SteppedStation, heatmaps: int) -> None:
 
 def test_dropped_messages_are_acknowledged_until_more_are_dropped(station: SteppedStation) -> None:
     """The alarm of a drop stays over reports, ends by the request, and comes back with the next drop."""
-    for count in (0, 1, 1):
+    for count in (1, 1):  # the first is already in the station's first report
         dropped(station, count)
     assert station.raised == ["outbox_full"]
     assert station.ask("acknowledge_alarm", alarm="outbox_full") == {"alarms": []}
