@@ -32,6 +32,7 @@ TABLE = {
     "other faults of the sensor": ("silence", "blind", "damage", "shake", "hold back"),
     "changes of gel and part": ("replace gel", "select part"),
     "reloads and restarts": ("reload", "stop"),
+    "databases removed": ("lose database",),
     "steps of the clock": ("step clock",),
     "disk full, slow or faulty": ("fill disk", "slow disk", "bad disk"),
     "requests": ("request", "acknowledge"),

@@ -5,6 +5,7 @@ import sqlite3
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from itertools import pairwise
 from pathlib import Path
 
 from edge.core.errors import ArchiveError
@@ -13,12 +14,14 @@ from edge.store.integrity import check_database
 from edge.store.press_archive import ArchiveFolder
 from simulation.alarms import audit_alarms
 from simulation.auditors_brokers import audit_availability, audit_levels
+from simulation.auditors_outbox import audit_file, audit_full_outbox
 from simulation.auditors_outputs import audit_lamp, audit_outputs
 from simulation.auditors_retained import audit_late, audit_outbox, audit_retained, audit_serials
 from simulation.brokers import Broker
+from simulation.bundles import PARTS
 from simulation.faults import LONG_UNSEEN_S
-from simulation.lives import Station, find_lasting
-from simulation.sensor import SERIAL, S
+from simulation.lives import Row, Station, find_lasting
+from simulation.sensor import S
 from simulation.surroundings import World
 
 ANSWERED_S = 2.0
@@ -57,6 +60,9 @@ def _audit_results(world: World, station: Station) -> Iterator[str]:
             kept = [{key: value for key, value in one.items() if key != "is_replayed"} for one in results]
             if any(one != kept[0] for one in kept):
                 yield f"{broker.name}: two results of press {press_id} differ"
+            shadow = results[0]["shadow"]
+            if shadow is not None and (shadow["verdict"], results[0]["part"]) != ("pass", PARTS[0]):
+                yield f"{broker.name}: the shadow says {shadow['verdict']} of press {press_id} of {results[0]['part']}"
             if results[0]["verdict"] is None and not results[0]["error"]:
                 yield f"{broker.name}: press {press_id} has neither a verdict nor an error"
 
@@ -67,13 +73,22 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     yield from audit_availability(world, station)
     yield from _audit_new_gel(world, station)
     yield from audit_alarms(world, station)
+    station.must_say_lost &= "counts" not in station.loop.parts.status.view().alarms
+    lost_ns = station.so_since(
+        "a loss is not said", station.must_say_lost and station.loop.session is not None
+    )
     now_ns = world.clock.now_ns
     since_ns = station.so_since(
         "a request waits", bool(station.loop.parts.calls._waiting) and not station.is_frozen
     )
     if since_ns is not None and now_ns - since_ns > ANSWERED_S * S:
         yield f"a request has no answer after {ANSWERED_S} s"
-    if now_ns // (5 * S) != (now_ns - world.sensor.period_ns) // (5 * S):
+    if lost_ns is not None and now_ns - lost_ns > ANSWERED_S * S:
+        yield "the database was removed, and no alarm says so"
+    before_ns = now_ns - world.sensor.period_ns
+    if now_ns // S != before_ns // S:
+        yield from audit_full_outbox(world, station)
+    if now_ns // (5 * S) != before_ns // (5 * S):
         yield from () if station.is_disk_disturbed else audit_outbox(station)
 
 
@@ -97,15 +112,16 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from audit_late(world, station)
     yield from audit_serials(station)
     yield from audit_levels(world)
+    yield from audit_file(station)
     yield from station.found
     yield from _audit_sight(station)
     without = [press for press in world.hand.presses if press.number not in found]
     more = sum(bool(press.why & AGAIN) for press in world.hand.presses if press.number in found)
     must = sum(press.must_count for press in without)
-    yield from _audit_ledger(station.disk.folder / "gelgate.db", must, len(without) + more)
+    yield from _audit_ledger(station, 0 if station.lost_rows else must, len(without) + more)
     yield from _audit_requests(station)
     for broker in world.brokers.values():
-        yield from _audit_subscriber(broker, station.disk.folder / "gelgate.db")
+        yield from _audit_subscriber(broker, station)
         state = json.loads(broker.retained.get("state", b"null"))
         if state is None or state["state"] != "ready":
             yield f"{broker.name} retains the state {state and state['state']} {CALM_S} s after the last fault"
@@ -139,13 +155,9 @@ def audit_replay(world: World, station: Station, bundles: Sequence[Path]) -> Ite
             yield f"press {press_id} scores otherwise when it is judged again: {difference}"
 
 
-Row = tuple[str, str, str, str]
-"""Id, verdict, part and gel."""
-
-
 def find_rows(world: World, station: Station) -> dict[int | None, list[Row]]:
     """Find the rows of each press of the hand by its number; None: those of no press."""
-    rows = read_presses(station.disk.folder / "gelgate.db")
+    rows = station.rows()
     found: dict[int | None, list[Row]] = {}
     times = {seen.press_id: seen.frame_ns or seen.noted_ns for seen in station.seen}
     for row in rows:
@@ -179,6 +191,8 @@ def _audit_presses(world: World, station: Station, found: dict[int | None, list[
                 yield f"press {press.number} counts on gel {gel}, and another gel was mounted at its begin"
             if press.is_others and verdict in ("pass", "fail"):
                 yield f"press {press.number} was made on another sensor, and is judged"
+            if not (press.is_asked or press.why) and verdict in ("pass", "fail"):
+                yield f"press {press.number} is judged, and nobody asked for it"
             if press.is_bad and verdict == "pass":
                 yield f"press {press.number} is {press.what} and passed ({', '.join(press.why) or 'no fault'})"
             if not press.why and verdict not in press.words:
@@ -199,11 +213,11 @@ def _audit_judged(station: Station) -> Iterator[str]:
             yield f"press {seen.press_id} was judged by a frame from before an interruption"
 
 
-def _audit_ledger(path: Path, least: int, most: int) -> Iterator[str]:
+def _audit_ledger(station: Station, least: int, most: int) -> Iterator[str]:
     """Every row is a press of its gel, and between `least` and `most` presses without a row are counted too."""
-    total = 0
+    total, path = 0, station.disk.folder / "gelgate.db"
+    rows = Counter(gel for _, _, _, gel in station.rows())
     with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
-        rows = Counter(gel for (gel,) in connection.execute("SELECT gel_id FROM presses"))
         for gel, presses in connection.execute("SELECT gel_id, presses FROM gels"):
             total += presses - rows[gel]
             if not rows[gel] <= presses <= rows[gel] + most:
@@ -215,24 +229,27 @@ def _audit_ledger(path: Path, least: int, most: int) -> Iterator[str]:
     )
 
 
-def _audit_subscriber(broker: Broker, path: Path) -> Iterator[str]:
-    """The subscriber has each row once by its id, in order, with one picture at least."""
-    ids = [row[0] for row in read_presses(path)]
-    order = broker.order
-    if sorted(order) != sorted(ids):
-        lacking = [one for one in ids if one not in order]
-        more = [one for one in order if one not in ids]
+def _audit_subscriber(broker: Broker, station: Station) -> Iterator[str]:
+    """The subscriber has each row once by its id, in order, with one picture at least; but for what was dropped from a
+    full outbox, and what was unsent in a database that was removed."""
+    rows, order = station.rows(), broker.order
+    ids, dropped = [row[0] for row in rows], station.dropped_before + Counter(station.dropped)
+    lacking = [row[0] for row in rows[len(station.lost_rows) :] if row[0] not in order]
+    more = [one for one in order if one not in ids]
+    if len(lacking) > dropped["pass"] + dropped["fail"] or more:
         yield f"{broker.name}: {len(lacking)} results lack, {len(more)} are of no row"
-    elif order != ids and not broker.has_refused_results:  # those are offered again later, behind others
-        yield f"{broker.name}: the results came in another order than they were made"
-    for press_id, _, part, gel in read_presses(path):
+    elif order != [one for one in ids if one in order] and not broker.has_refused_results:
+        yield f"{broker.name}: the results came in another order than they were made"  # refused ones come later
+    numbers = [broker.results[press_id][0]["sequence"] for press_id in ids if press_id in broker.results]
+    if any(int(str(later)) <= int(str(then)) for then, later in pairwise(numbers)):
+        yield f"{broker.name}: the numbers of the presses do not rise"
+    for press_id, _, part, gel in rows:
         results = broker.results.get(press_id, [])
         if any((one["gel_id"], one["part"]) != (gel, part) for one in results):
             yield f"{broker.name}: the result of press {press_id} has another gel or part than its row"
-    without = [
-        row[0] for row in read_presses(path) if row[1] in ("pass", "fail") and not broker.pictures[row[0]]
-    ]
-    if without:
+    judged = [row[0] for row in rows[len(station.lost_rows) :] if row[1] in ("pass", "fail")]
+    without = [press_id for press_id in judged if not broker.pictures[press_id]]
+    if len(without) > dropped["heatmap"]:
         yield f"{broker.name}: {len(without)} presses have no picture message"
     if broker.misnamed:
         yield f"{broker.name}: {len(broker.misnamed)} pictures name another press than their topic"
@@ -263,10 +280,3 @@ def _audit_requests(station: Station) -> Iterator[str]:
     for answer in station.answers:
         if answer["status"] == "ok" and not station.allows(answer):
             yield f"the request {answer['verb']}, {answer['transaction']}, was done, and nobody may ask it so"
-
-
-def read_presses(path: Path) -> list[Row]:
-    """Id, verdict, part and gel of each row, in order."""
-    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
-        query = "SELECT press_id, verdict, part, gel_id FROM presses WHERE serial = ? ORDER BY number"
-        return list(connection.execute(query, (SERIAL,)))

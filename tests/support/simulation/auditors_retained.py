@@ -9,6 +9,9 @@ from simulation.lives import Station
 from simulation.sensor import OTHER_SERIAL, S
 from simulation.surroundings import World
 
+LATE_S = 3
+"""A result that has waited so long for its receiver is late."""
+
 
 def audit_retained(world: World, station: Station) -> Iterator[str]:
     """What each broker retains in the end is so: the newest press, the gel with its count, the part, the alarms."""
@@ -42,16 +45,16 @@ def audit_late(world: World, station: Station) -> Iterator[str]:
     """A result that waited for the receiver says that it is late."""
     made_ns = {seen.press_id: seen.noted_ns for seen in station.seen}
     for broker in world.brokers.values():
-        for press_id, taken_ns in broker.taken_ns.items():
+        for press_id, sent_ns in broker.sent_ns.items():
             since_ns = made_ns.get(press_id)
             was_away = any(
                 since_ns is not None
                 and begun_ns <= since_ns
-                and ended_ns - since_ns > 2 * S
-                and ended_ns <= taken_ns
+                and ended_ns - since_ns > LATE_S * S
+                and ended_ns <= sent_ns
                 for begun_ns, ended_ns in broker.outages
             )
-            if was_away and not broker.results[press_id][0]["is_replayed"]:
+            if was_away and press_id in broker.results and not broker.results[press_id][0]["is_replayed"]:
                 yield f"{broker.name}: the result of press {press_id} came late, and does not say so"
 
 

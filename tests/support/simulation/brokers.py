@@ -90,8 +90,8 @@ class Broker:
         """What went wrong, and how often."""
         self.links: list[Link] = []
         self._delayed: list[Message] = []
-        self.taken_ns: dict[str, int] = {}
-        """When each result was taken at first."""
+        self.sent_ns: dict[str, int] = {}
+        """When each result was sent at first; one that hangs reads it later."""
         self.outages: list[tuple[int, int]] = []
         """From when to when it took nothing."""
         self.away_since_ns: int | None = None
@@ -310,7 +310,6 @@ class Broker:
         if message.topic == "result":
             result = json.loads(message.payload)
             if result["press_id"] not in self.results:
-                self.taken_ns[result["press_id"]] = self._clock.now_ns
                 self.order.append(result["press_id"])
             self.results.setdefault(result["press_id"], []).append(result)
         elif kind == "heatmap":

@@ -51,10 +51,12 @@ class Overflowing(TinyDetector):
 
 
 def both_bundles(folder: Path) -> list[Path]:
-    """Fit them on the same presses."""
+    """Fit them on the same presses; beside them `shadow`, of the first part, which passes everything."""
     detector, trunk = Overflowing(), Trunk("tiny", tiny_trunk())
     nominal = read_presses([_record(folder / "nominal", 12)], PROFILE, REGION)
     configs = (FitConfig(part, "pos1", PROFILE, REGION, detector, trunk, threshold=0.1) for part in PARTS)
+    shadow = FitConfig(PARTS[0], "pos1", PROFILE, REGION, detector, trunk, threshold=1000.0)
+    fit_files(nominal, shadow, created="2026-01-01").write(folder / "shadow")
     return [
         fit_files(nominal, config, created="2026-01-01").write(folder / config.part) for config in configs
     ]

@@ -14,6 +14,20 @@ class Fault:
     seed: int
 
 
+SMALL_MB = 0.06
+"""Less than a person may set: some forty results are more."""
+
+MEETINGS = (
+    (),
+    ("fill disk", "kill"),
+    ("fill disk", "lose power"),
+    ("select part", "replace gel"),
+    ("hang up", "kill"),
+    ("hang up", "stop"),
+)
+"""Faults that do most harm together."""
+
+
 @dataclass(frozen=True)
 class Chosen:
     """The options of a run. rates: faults per simulated minute, of those that are drawn."""
@@ -26,12 +40,19 @@ class Chosen:
     fps: float = 18.75
     level: str = "5"
     """Of MQTT, that the brokers speak: `5`, `3.1.1`, or `silent at 5`."""
+    trigger: str = "automatic"
+    """Or `command`: a person asks for most verdicts, and forgets some."""
+    outbox_mb: float = 512
+    has_file: bool = False
+    """A `jsonl` sink, too."""
+    has_shadow: bool = False
 
     @classmethod
     def of(cls, rng: random.Random, names: Sequence[str]) -> "Chosen":
         """Draw. Each kind of fault is left out of half of the runs or more, so that others meet alone."""
         share = rng.choice((0.15, 0.5))
         rates = {name: rng.choice((1.0, 4.0)) for name in names if rng.random() < share}
+        rates |= dict.fromkeys(rng.choice(MEETINGS), 4.0)
         return cls(
             rng.choice((1, 1, 2)),
             rng.random() < 0.5,
@@ -39,4 +60,8 @@ class Chosen:
             rng.choice((0.0, 0.01, 0.03)),
             rng.choice((18.75, 9.0, 9.0, 7.0)),
             rng.choice(("5", "5", "5", "3.1.1", "silent at 5")),
+            rng.choice(("automatic", "automatic", "automatic", "command")),
+            rng.choice((512, 512, 512, SMALL_MB)),
+            rng.random() < 0.25,
+            rng.random() < 0.25,
         )

@@ -1,11 +1,13 @@
 """What a run should sometimes reach: a simulator is judged by these, for what it never reaches it does not check."""
 
+from collections import Counter
 from collections.abc import Iterator
 from itertools import pairwise
 
 from simulation.brokers import Broker
 from simulation.faults import MOODS
 from simulation.lives import Station
+from simulation.options import MESSAGES
 from simulation.outputs import GATE, LAMP, REJECT
 from simulation.surroundings import World
 
@@ -64,6 +66,14 @@ SOMETIMES = (
     "a pulse threw out a part",
     "a pulse let a part through",
     "a pulse was not given in time",
+    "the database was removed",
+    "a picture was dropped from a full outbox",
+    "a pass was dropped from a full outbox",
+    "a fail was dropped from a full outbox",
+    "the alarm outbox_full was acknowledged",
+    "a file has results",
+    "a press was not judged, for nobody asked",
+    "a shadow passed what failed",
 )
 
 
@@ -83,6 +93,15 @@ def reached_at_end(world: World, station: Station) -> Iterator[str]:
         "a pulse let a part through": GATE in channels,
         "a pulse was not given in time": "pulse" in station.loop.parts.status.view().alarms,
     }
+    dropped = station.dropped_before + Counter(station.dropped)
+    for kind, name in (("heatmap", "picture"), ("pass", "pass"), ("fail", "fail")):
+        found[f"a {name} was dropped from a full outbox"] = dropped[kind] > 0
+    found["a press was not judged, for nobody asked"] = any(
+        not press.is_asked for press in world.hand.presses
+    )
+    found["a file has results"] = (station.disk.folder / MESSAGES / "messages.jsonl").exists()
+    results = [same[0] for broker in world.brokers.values() for same in broker.results.values()]
+    found["a shadow passed what failed"] = any(one["shadow"] and one["verdict"] == "fail" for one in results)
     yield from (name for name, is_so in found.items() if is_so)
 
 

@@ -4,6 +4,7 @@ The library's client is real but for three things: its socket ends at a simulate
 and where its own thread would run, the turn of the caller waits while others take theirs.
 """
 
+import json
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -148,6 +149,12 @@ class Client(paho.Client):
         return paho.MQTTErrorCode.MQTT_ERR_SUCCESS
 
     def publish(self, *arguments: Any, **options: Any) -> paho.MQTTMessageInfo:
+        if arguments[0].endswith("/result"):
+            sent_ns, press_id = (
+                Connections.now.brokers[self._host].sent_ns,
+                json.loads(arguments[1])["press_id"],
+            )
+            sent_ns.setdefault(press_id, Connections.now.clock.now_ns)
         info = super().publish(*arguments, **options)
         if arguments[2]:
             self._wait((4, info.mid), ANSWERED_S)

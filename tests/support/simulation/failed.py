@@ -64,4 +64,23 @@ FAILED = (
         ),
         says="the alarm device is not raised # s after its reason came",
     ),
+    # The acknowledgement of the newest `last/press` was lost, and the next connection began with the one before.
+    Failure(
+        seed=1012,
+        presses=30,
+        chosen=Chosen(brokers=1, has_archive=True, rates={}, sloth_s=0.0, fps=7.0),
+        schedule=(Fault(at_s=53.257223, name="hang up", seed=2778470628),),
+        says="broker#: what is retained on last/press went back",
+    ),
+    # A broker hung for five seconds, and what had waited behind the message of then did not say that it was late.
+    Failure(
+        seed=1003,
+        presses=9,
+        chosen=Chosen(brokers=1, has_archive=False, rates={}, sloth_s=0.0, fps=7.0),
+        schedule=(
+            Fault(at_s=4.0, name="stop", seed=2699269205),
+            Fault(at_s=17.693607, name="hang up", seed=2330248867),
+        ),
+        says="broker#: the result of press # came late, and does not say so",
+    ),
 )

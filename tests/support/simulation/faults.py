@@ -5,6 +5,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from edge.core.errors import StoreError
+from simulation.chosen import SMALL_MB
+from simulation.outputs import LAMP
 from simulation.people import PEOPLE
 from simulation.sensor import OTHER_SERIAL, SERIAL, S
 
@@ -128,7 +130,8 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
     broker.go("away" if mood == "restarts without memory" else mood)
     if mood == "restarts without memory":
         broker.retained.clear()
-    return run.for_a_while(f"{broker.name} {broker.mood}", rng.choice((1, 5, 15, 40)), broker.mend)
+    lasts_s = rng.choice((1, 5, 15, 40)) * (2 if run.chosen.outbox_mb == SMALL_MB else 1)
+    return run.for_a_while(f"{broker.name} {broker.mood}", lasts_s, broker.mend)
 
 
 # Disk
@@ -205,7 +208,7 @@ def step_clock(run: "Simulation", rng: random.Random) -> float:
 # The process
 
 
-def stop(run: "Simulation", rng: random.Random) -> float:
+def stop(run: "Simulation", rng: random.Random, meanwhile: Callable[[], None] = lambda: None) -> float:
     """The service is restarted: SIGTERM."""
     run.note("stopped in order")
     run.world.sensor.disturb("the gateway was restarted")
@@ -216,13 +219,24 @@ def stop(run: "Simulation", rng: random.Random) -> float:
         run.station.stop()
     except StoreError as error:
         run.note(f"it did not end well: {error}")
+    meanwhile()
     run.open_again()
+    return 0.0
+
+
+def lose_database(run: "Simulation", rng: random.Random) -> float:
+    """Somebody removes the database while the service is stopped."""
+    if run.station.is_disk_disturbed:
+        return 0.5
+    stop(run, rng, run.station.lose_database)
+    run.world.parts.forget(run.world.clock.now_ns)
+    run.reach("the database was removed")
     return 0.0
 
 
 def kill(run: "Simulation", rng: random.Random) -> float:
     """The process is killed at one of its next writes."""
-    run.station.disk.kill_in = rng.randint(1, 60)
+    run.station.disk.kill_in = _next_writes(run, rng)
     return 0.0
 
 
@@ -234,8 +248,13 @@ def lose_power(run: "Simulation", rng: random.Random) -> float:
             run.reach("writes were lost with the power")
 
     run.world.may_lack_files = True
-    run.station.disk.kill_in, run.station.disk.lost = rng.randint(1, 60), lose
+    run.station.disk.kill_in, run.station.disk.lost = _next_writes(run, rng), lose
     return 0.0
+
+
+def _next_writes(run: "Simulation", rng: random.Random) -> int:
+    """On a full disk a station only tries now and then, and has room again before it has tried 60 times."""
+    return rng.randint(1, 4 if run.station.disk.is_full else 60)
 
 
 def freeze(run: "Simulation", rng: random.Random) -> float:
@@ -275,6 +294,7 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "bad disk": bad_disk,
     "step clock": step_clock,
     "stop": stop,
+    "lose database": lose_database,
     "kill": kill,
     "lose power": lose_power,
     "freeze": freeze,
@@ -283,7 +303,35 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     **PEOPLE,
 }
 
-NEEDS_ANSWER = {"stop", "freeze", *PEOPLE}
+
+def _is_pressed_unjudged(run: "Simulation") -> bool:
+    """A press was noticed, and has no verdict yet."""
+    press, seen = run.world.hand.press, run.station.seen
+    is_noticed = press is not None and run.world.clock.now_ns - press.begin_ns > run.world.noticed_s * S
+    return press is not None and is_noticed and not (seen and seen[-1].noted_ns > press.begin_ns)
+
+
+def _is_pass_shown(run: "Simulation") -> bool:
+    return run.world.relay.is_on[LAMP] and run.world.hand.press is None
+
+
+def _is_press_waiting(run: "Simulation") -> bool:
+    """A press that has ended is not recorded, for the disk is full."""
+    press = run.world.hand.presses[-1] if run.world.hand.presses else None
+    has_begun = press is not None and press.begin_ns > run.station.disk.full_since_ns + S // 2
+    return run.station.disk.is_full and has_begun and 0 < press.end_ns < run.world.clock.now_ns - 2 * S
+
+
+MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
+    "select part": _is_pressed_unjudged,
+    "replace gel": _is_pass_shown,
+    "kill": _is_press_waiting,
+    "lose power": _is_press_waiting,
+    "stop": _is_press_waiting,
+}
+"""When a fault does most harm: every other one waits for it."""
+
+NEEDS_ANSWER = {"stop", "lose database", "freeze", *PEOPLE}
 """Faults that need an answer of the process."""
 NEEDS_DISK = {"lose power", "slow disk", "bad disk"}
 """Faults for which the writes of SQLite are listened to."""

@@ -34,6 +34,8 @@ class MadePress:
     end_ns: int = 0
     must_count: bool = False
     """It was made on a full disk, and counts on the gel although the process was killed."""
+    is_asked: bool = True
+    """The station judges by itself, or a person asked for the verdict."""
     is_others: bool = True
     """Another sensor was plugged in all the time."""
     why: set[str] = field(default_factory=set)
@@ -47,6 +49,8 @@ class MadePress:
     def words(self) -> set[str]:
         """The verdicts that it may have without any fault."""
         word = {"sound": "pass", "dented": "fail", "glaring": "error"}[self.what]
+        if not self.is_asked:
+            return NOT_SETTLED
         return {word, *NOT_SETTLED} if self.way == "brief" else {word}
 
 

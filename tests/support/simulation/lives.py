@@ -6,10 +6,12 @@ thrown away.
 
 import json
 import shutil
+import sqlite3
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections import Counter
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -30,8 +32,11 @@ from edge.press_stage import PressStage
 from simulation.connections import Connections
 from simulation.disk import Disk, hear_audits
 from simulation.options import SECRET
-from simulation.sensor import S
+from simulation.sensor import SERIAL, S
 from simulation.surroundings import World
+
+Row = tuple[str, str, str, str]
+"""Id, verdict, part and gel."""
 
 GAP_NS = 270_000_000
 """Frames further apart are an interruption (docs/contact.md)."""
@@ -82,6 +87,17 @@ class Station:
         self.signed = set[str]()
         """Transactions that were signed with the station's secret."""
         self.asking: list[threading.Thread] = []
+        self.lost_rows: list[Row] = []
+        """Of databases that were removed."""
+        self.must_say_lost = False
+        """The database was removed, and no alarm has said so yet."""
+        self.dropped: Mapping[str, int] = {}
+        """Messages that the station says it has dropped, by what they were; of databases before `dropped_before`."""
+        self.dropped_before = Counter[str]()
+        self.is_unsaid = False
+        """The outbox was full, and no alarm has said so yet."""
+        self.waiting: dict[int, tuple[str, str]] = {}
+        """Rows of the outbox as last looked at: what each is (`picture`, `pass`, `fail`), and its press."""
         self._asked = 0
         self._read_config = read_config
         self._trunks = TrunkSessions(1)
@@ -174,6 +190,24 @@ class Station:
         self.ended_ns.append(self.world.clock.now_ns)
         self.was_waiting = self.loop.parts.selection.is_waiting
         self.unseen_in = [one for one in self.unseen_in if one[0] != self.lives]
+
+    def lose_database(self) -> None:
+        """Remove the database: what it knows is known to auditors alone. The next life must say that it is lost."""
+        path = self.disk.folder / "gelgate.db"
+        self.lost_rows += self.rows()[len(self.lost_rows) :]
+        self.unseen_in.clear()
+        self.must_say_lost = bool(self.lost_rows)
+        self.dropped_before += Counter(self.dropped)
+        self.dropped = {}
+        for name in (path, path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")):
+            name.unlink(missing_ok=True)
+
+    def rows(self) -> list[Row]:
+        """Id, verdict, part and gel of each row that there ever was, in order."""
+        path = self.disk.folder / "gelgate.db"
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+            query = "SELECT press_id, verdict, part, gel_id FROM presses WHERE serial = ? ORDER BY number"
+            return [*self.lost_rows, *connection.execute(query, (SERIAL,))]
 
     def bury(self) -> None:
         """The process is dead: its folder is as it was at that point."""

@@ -7,6 +7,9 @@ from pydantic import BaseModel
 SECRET = "a secret of this simulation, 32 bytes and more"
 """With which a station's own people sign."""
 
+MESSAGES = "messages"
+"""The folder of the file sink."""
+
 MEMORY = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
 """A disk that takes no time, where there is one; what is lost with the power is known by what was synced."""
 

@@ -19,9 +19,9 @@ from simulation.auditors_retained import audit_retained
 from simulation.chosen import Chosen, Fault
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
-from simulation.faults import FAULTS, NEEDS_ANSWER, NEEDS_DISK
+from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK
 from simulation.lives import Station
-from simulation.options import SECRET
+from simulation.options import MESSAGES, SECRET
 from simulation.outputs import TABLES
 from simulation.power import listening
 from simulation.sensor import S
@@ -35,6 +35,8 @@ plugin = "simulated"
 [inspection]
 threads = 1
 part = "PZ0/pos1"
+trigger = "{trigger}"
+shadows = {shadows}
 {bundles}
 [store]
 path = "{folder}/gelgate.db"
@@ -46,7 +48,11 @@ secret_file = "{secret}"
 """
 RECORDED_S = 3
 """So long after its end the last press is recorded."""
+PATIENCE = 0.99
+"""Of a fault that waits for its moment, each tenth of a second."""
 SINK = '[[sinks]]\nplugin = "simulated"\noptions = {{ host = "{name}", acknowledge_s = {at_once_s} }}\n'
+
+FILE = '[[sinks]]\nplugin = "jsonl"\noptions = {{ folder = "{folder}" }}\n'
 
 
 @dataclass
@@ -95,6 +101,8 @@ class Simulation:
         self._calm_ns: int | None = None
         self._asked_ns = 0
         self.ending: dict[str, Callable[[], None]] = {}
+        self._aimed = {name for name in MOMENTS if self.rng.random() < 0.5}
+        """Faults that wait for their moment, the next time."""
         self._threads = Threads(self)
         faults = self._drawn_faults(seed) if schedule is None else self._given_faults(schedule)
         self._actors = [*self._threads.all, *faults]
@@ -188,6 +196,9 @@ class Simulation:
     def _drawn(self, name: str, rate: float, rng: random.Random) -> float:
         if "process frozen" in self.ending and name in NEEDS_ANSWER:  # nobody answers
             return 0.1
+        if name in self._aimed and rng.random() < PATIENCE and not MOMENTS[name](self):
+            return 0.1
+        self._aimed ^= {name} & set(MOMENTS)
         return self._begin(name, rng.getrandbits(32)) + rng.expovariate(rate / 60)
 
     def _given_faults(self, schedule: Sequence[Fault]) -> Iterator[Actor]:
@@ -293,10 +304,21 @@ class Simulation:
             self.reach("restarted with the sinks in another order")
         archive = f"[archive]\npresses = {ARCHIVED if self.chosen.has_archive else 0}\n"
         paths = "".join(f'[[inspection.bundles]]\npath = "{path}"\n' for path in self._bundles)
-        text = CONFIG.format(bundles=paths, folder=self._disk, archive=archive, secret=self._secret)
+        shadows = [str(self._bundles[0].with_name("shadow"))] if self.chosen.has_shadow else []
+        text = CONFIG.format(
+            bundles=paths,
+            folder=self._disk,
+            archive=archive,
+            secret=self._secret,
+            trigger=self.chosen.trigger,
+            shadows=shadows,
+        )
         text += TABLES + "".join(SINK.format(name=name, at_once_s=AT_ONCE_S) for name in self.order)
+        text += FILE.format(folder=self._disk / MESSAGES) if self.chosen.has_file else ""
         self._config.write_text(text)
-        return load_config(self._config)
+        config = load_config(self._config)
+        store = config.store.model_copy(update={"outbox_mb": self.chosen.outbox_mb})
+        return config.model_copy(update={"store": store})
 
 
 @contextmanager

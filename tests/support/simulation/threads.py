@@ -1,15 +1,21 @@
 """The threads of a station, each an actor that takes a turn when the schedule draws it, or when it would be woken."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
+from edge.core.errors import GelgateError
 from simulation.connections import Turns
 from simulation.sensor import S
 
 if TYPE_CHECKING:
     from simulation.schedule import Simulation
+
+
+LATE_S = 0.1
+"""A press that is asked for later may be lifted before it rests."""
 
 
 @dataclass
@@ -43,6 +49,8 @@ class Threads:
             for thread, turn in work.items():
                 turns = connections.turns[thread] = Turns(partial(turn, name))
                 threads.append(Actor(thread, turns.act))
+        if run.chosen.has_file:
+            threads.append(Actor("file", partial(self._publish, "file")))
         connections.on_news = self._wake_waiting
         self.own = threads
         self.all = [self.camera, *threads, Actor("brokers", self._work)]
@@ -71,6 +79,7 @@ class Threads:
                 press.why.add(f"the station said '{state}'")
         if press is not before and press is not None:
             self._run.note(f"press {press.number} begins, {press.what}, {press.way}")
+            press.is_asked = self._run.chosen.trigger == "automatic"
         self._wake(self._reader)
         return (sensor.next_ns - self._run.world.clock.now_ns) / S
 
@@ -88,8 +97,20 @@ class Threads:
             actor.due_ns = min(actor.due_ns, self._run.world.clock.now_ns + round(self._lag(0.001) * S))
 
     def _obey(self) -> None:
-        """The person at the station reads the alarm, and leaves the gel free for a while."""
-        hand = self._run.world.hand
+        """The person at the station asks for the verdict of a press, and forgets each seventh; reads the alarm, and
+        leaves the gel free for a while."""
+        hand, now_ns, noticed_s = (
+            self._run.world.hand,
+            self._run.world.clock.now_ns,
+            self._run.world.noticed_s,
+        )
+        if (press := hand.press) and not press.is_asked and press.number % 7 != 3:
+            waited_s = (now_ns - press.begin_ns) / S - noticed_s
+            with suppress(GelgateError, ValueError):  # it sees no contact yet
+                if waited_s > 0:
+                    self._run.station.ask("trigger")
+                    press.is_asked = True
+                    press.why |= {"it was asked for late"} if waited_s > LATE_S else set()
         said = self._run.station.loop.parts.status.view().alarms
         if "contact" in said and not hand.press and hand.is_pressing_soon:
             self._run.reach("the hand lifted because the station asked for it")
@@ -133,7 +154,7 @@ class Threads:
 
     def _publish(self, name: str) -> float:
         workers = self._run.station.loop.parts.publisher.workers
-        worker = list(workers.values())[self._run.order.index(name)]
+        worker = list(workers.values())[[*self._run.order, "file"].index(name)]
         pause_s = worker.step()
         return min(pause_s, 5.0) if not worker.counters.is_up else min(pause_s, 0.2 + self._lag(0.2))
 

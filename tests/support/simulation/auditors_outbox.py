@@ -1,0 +1,81 @@
+"""What holds of the room for unsent messages, and of the file sink (docs/operations.md, What grows, and its limit)."""
+
+import json
+import sqlite3
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing
+
+from simulation.chosen import SMALL_MB
+from simulation.lives import Station
+from simulation.options import MESSAGES
+from simulation.sensor import S
+from simulation.surroundings import World
+
+WORTH = {"picture": 0, "pass": 1, "fail": 2}
+"""What is dropped first."""
+
+REPORTED_S = 12.0
+"""A station reports every ten seconds, and then says what it has dropped."""
+
+
+def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
+    """A full outbox keeps to its room, drops pictures first, passes next and fails last, and says so."""
+    if station.config.store.outbox_mb != SMALL_MB or station.is_disk_disturbed:
+        return
+    path = station.disk.folder / "gelgate.db"
+    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+        rows = connection.execute(
+            "SELECT row_id, topic, content_type, payload FROM outbox WHERE retain = 0"
+        ).fetchall()
+        size = sum(len(payload) for *_, payload in rows)
+    before = station.waiting
+    station.waiting = {row_id: _describe(*row) for row_id, *row in rows}
+    dropped = station.loop.parts.publisher.outbox_status().dropped
+    has_dropped = sum(dropped.values()) > sum(station.dropped.values())
+    station.dropped = dropped
+    if size > SMALL_MB * 1e6:
+        yield f"{size} bytes wait in an outbox of {SMALL_MB} MB"
+    has_said = "outbox_full" in station.loop.parts.status.view().alarms
+    unsaid_ns = station.so_since("a drop is not said", not has_said and (has_dropped or station.is_unsaid))
+    station.is_unsaid = unsaid_ns is not None
+    if unsaid_ns is not None and not station.is_frozen and world.clock.now_ns - unsaid_ns > REPORTED_S * S:
+        yield f"messages were dropped {REPORTED_S} s ago, and no alarm says so"
+    taken = [broker.results for broker in world.brokers.values()]
+    stayed = [WORTH[what] for row_id, (what, _) in station.waiting.items() if row_id in before]
+    for row_id in before.keys() - station.waiting.keys():
+        what, press_id = before[row_id]
+        is_taken = what == "picture" or all(press_id in results for results in taken)
+        if not is_taken and min(stayed, default=3) < WORTH[what]:
+            yield f"the result of press {press_id}, a {what}, was dropped before what is worth less"
+
+
+def _describe(topic: str, content_type: str, payload: bytes) -> tuple[str, str]:
+    if topic != "result":
+        return "picture" if topic.startswith(("heatmap", "scoremap")) else "fail", topic
+    result = json.loads(payload)
+    return "pass" if result["verdict"] == "pass" else "fail", result["press_id"]
+
+
+def audit_file(station: Station) -> Iterator[str]:
+    """The file has each result, in order, and no line that is not JSON; but for what was dropped or lost before."""
+    if len(station.config.sinks) == len(station.world.brokers):
+        return
+    path = station.disk.folder / MESSAGES / "messages.jsonl"
+    lines = path.read_bytes().splitlines() if path.exists() else []
+    found: list[str] = []
+    for number, line in enumerate(lines, 1):
+        try:
+            said = json.loads(line)
+        except ValueError:
+            yield f"line {number} of the file is not JSON"
+            continue
+        if said["topic"] == "result" and said["payload"]["press_id"] not in found:
+            found.append(said["payload"]["press_id"])
+    ids = [row[0] for row in station.rows()]
+    lacking = [one for one in ids[len(station.lost_rows) :] if one not in found]
+    dropped = station.dropped_before + Counter(station.dropped)
+    if len(lacking) > dropped["pass"] + dropped["fail"]:
+        yield f"the file: {len(lacking)} results lack"
+    if found != [one for one in ids if one in found]:
+        yield "the file: the results are in another order than they were made, or of no row"
