@@ -98,7 +98,9 @@ def mount(
         if not text.isprintable():
             raise StoreError(f"the {what} {text!r} holds control characters; use letters, digits and signs")
     ids = {row[0] for row in connection.execute("SELECT gel_id FROM gels WHERE serial = ?", (serial,))}
-    gel_id = gel_id or next(name for n in range(1, len(ids) + 2) if (name := f"{serial}-{n}") not in ids)
+    # After the highest one: of a database that was lost only the mounted gel is known, and those before it had ids too.
+    numbers = (name.removeprefix(f"{serial}-") for name in ids if name.startswith(f"{serial}-"))
+    gel_id = gel_id or f"{serial}-{1 + max((int(one) for one in numbers if one.isdecimal()), default=0)}"
     if gel_id in ids:
         raise StoreError(
             f"gel '{gel_id}' was already used on sensor {serial}; give the new gel another id, or none"

@@ -53,7 +53,7 @@ def test_numbering_steps_over_ids_that_people_chose(store: Store) -> None:
     store.replace_gel(SERIAL, 2)
     store.replace_gel(SERIAL, 3)
 
-    assert [gel.gel_id for gel in store.gels()] == ["2BNN4ZE7-2", "2BNN4ZE7-1", "2BNN4ZE7-3"]
+    assert [gel.gel_id for gel in store.gels()] == ["2BNN4ZE7-2", "2BNN4ZE7-3", "2BNN4ZE7-4"]
 
 
 def test_the_state_follows_the_limit(path: object) -> None:

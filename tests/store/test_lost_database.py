@@ -57,6 +57,20 @@ def test_a_gel_goes_on_counting_and_the_loss_is_reported(path: Path, tmp_path: P
     assert "goes on from 3 presses" in finding
 
 
+def test_no_gel_gets_the_id_of_one_before_the_loss(path: Path) -> None:
+    """Of the lost database only the mounted gel, the third, is known: the next one is the fourth."""
+    with record(path, 1) as store:
+        pass
+    with Store(path) as store:
+        for _ in range(2):
+            store.replace_gel(SERIAL, 0)
+    remove(path)
+
+    with Store(path) as store:
+        assert store.gel(SERIAL, 0).gel_id == f"{SERIAL}-3"
+        assert store.replace_gel(SERIAL, 0).gel_id == f"{SERIAL}-4"
+
+
 def test_a_lost_journal_is_found_at_the_next_start(path: Path) -> None:
     """Presses that were only in the write-ahead log when the machine stopped and somebody removed the log."""
     program = f"""
