@@ -234,6 +234,7 @@ class SinkWorker:
                 self._passed = min(self._passed, first - 1)
             rows = self._outbox.pending(self.name, BATCH_ROWS, after=self._passed)
             for row in rows:
+                self._say()  # `stopped` waits for no picture: the end of a station leaves it two seconds
                 with about_press(_press_id(row.message)):
                     self._send(row)
                 self._passed = row.row_id

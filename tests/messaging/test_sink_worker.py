@@ -153,6 +153,24 @@ def test_rows_that_waited_for_a_slow_acknowledgement_are_marked_as_replayed(
     assert [r["is_replayed"] for r in sink.results()] == [False, True, False]
 
 
+def test_a_change_of_the_state_waits_for_no_row_that_waits(store: Store, outbox: Outbox) -> None:
+    """The station ends while rows are sent: `stopped` is the next message, not the last of them."""
+    retained_state = RetainedState()
+    stopped = StatePayload(time_ns=0, state="stopped").message()
+
+    class Ending(ScriptedSink):
+        def send(self, message: Message) -> None:
+            super().send(message)
+            if message.topic == "result":
+                retained_state.announce(stopped)
+
+    sink = Ending()
+    record(store, make_press(1))
+    drain(worker(outbox, sink, retained_state=retained_state))
+
+    assert sink.topics()[:2] == ["result", "state"]
+
+
 def test_a_lost_acknowledgement_means_the_same_press_twice(
     store: Store, outbox: Outbox, sink: ScriptedSink
 ) -> None:
