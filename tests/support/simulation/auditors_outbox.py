@@ -29,17 +29,19 @@ def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
             "SELECT row_id, topic, content_type, payload FROM outbox WHERE retain = 0"
         ).fetchall()
         size = sum(len(payload) for *_, payload in rows)
+    is_first = station.so_since("its outbox is looked at", True) == world.clock.now_ns
     before = station.waiting
     station.waiting = {row_id: _describe(*row) for row_id, *row in rows}
     dropped = station.loop.parts.publisher.outbox_status().dropped
-    has_dropped = sum(dropped.values()) > sum(station.dropped.values())
+    has_dropped = not is_first and sum(dropped.values()) > sum(station.dropped.values())
     station.dropped = dropped
     if size > SMALL_MB * 1e6:
         yield f"{size} bytes wait in an outbox of {SMALL_MB} MB"
     has_said = "outbox_full" in station.loop.parts.status.view().alarms
-    unsaid_ns = station.so_since("a drop is not said", not has_said and (has_dropped or station.is_unsaid))
-    station.is_unsaid = unsaid_ns is not None
-    if unsaid_ns is not None and not station.is_frozen and world.clock.now_ns - unsaid_ns > REPORTED_S * S:
+    is_unsaid = not has_said and (has_dropped or station.is_unsaid) and not is_first
+    station.is_unsaid = is_unsaid
+    unsaid_ns = station.so_since("a drop is not said", is_unsaid and not station.is_frozen)
+    if unsaid_ns is not None and world.clock.now_ns - unsaid_ns > REPORTED_S * S:
         yield f"messages were dropped {REPORTED_S} s ago, and no alarm says so"
     taken = [broker.results for broker in world.brokers.values()]
     stayed = [WORTH[what] for row_id, (what, _) in station.waiting.items() if row_id in before]

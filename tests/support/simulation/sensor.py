@@ -67,7 +67,7 @@ class Sensor:
         """The camera makes a frame of what is on the gel now. is_ready: what the person sees of the station."""
         made_ns = self.next_ns
         self.next_ns += round(self.period_ns * (1 + self.jitter_share * self._rng.uniform(-1, 1)))
-        phase = self.hand.move(self._clock.now_ns, is_ready)
+        phase = self.hand.move(made_ns, is_ready)
         if press := self.hand.press:
             press.why |= self.troubles
             press.is_others &= self.serial != SERIAL and self.is_plugged
