@@ -85,9 +85,9 @@ class FineSearch:
         """The match over all places that are seen, and the share of the press's energy in the bank's field."""
         moved = turn_slopes(slopes, pose)
         is_seen = (depth_inside(pose, (self._w, self._h)) >= 0).view(np.uint8)
-        part = cv2.copyTo(self._slopes, is_seen)  # 0 elsewhere
+        part = np.asarray(cv2.copyTo(self._slopes, is_seen), np.float32)  # 0 elsewhere
         energy = float(np.vdot(moved, moved))
-        moved = cv2.copyTo(moved, is_seen)
+        moved = np.asarray(cv2.copyTo(moved, is_seen), np.float32)
         inside = energy / max(float(np.vdot(slopes, slopes)), _TINY)
         return _correlation(part, moved), min(inside, 1.0)
 
@@ -107,8 +107,8 @@ class FineSearch:
         """The press at the places in these poses, float32 (n, 2 * places), and 1 where it is seen, (n, places)."""
         x, y = np.stack([pose.matrix((self._w, self._h)) for pose in poses], axis=1) @ self._places
         is_seen = (x >= 0) & (x <= self._w - 1) & (y >= 0) & (y <= self._h - 1)
-        at = (one.astype(np.float32).reshape(-1, min(_ROW, x.shape[1])) for one in (x, y))
-        read = cv2.remap(slopes, *at, cv2.INTER_LINEAR).reshape(*x.shape, 2)
+        columns, rows = (one.astype(np.float32).reshape(-1, min(_ROW, x.shape[1])) for one in (x, y))
+        read = np.asarray(cv2.remap(slopes, columns, rows, cv2.INTER_LINEAR), np.float32).reshape(*x.shape, 2)
         turns = np.array([pose.turn_rad for pose in poses])
         cos, sin = np.cos(turns).astype(np.float32)[:, None], np.sin(turns).astype(np.float32)[:, None]
         across, down, weight = read[..., 0], read[..., 1], is_seen.astype(np.float32)
