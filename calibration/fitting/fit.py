@@ -37,7 +37,7 @@ from calibration.fitting.limits.limit_choice import Choice, Evidence
 from calibration.fitting.limits.map_limit import PLAIN
 from calibration.fitting.limits.relief_step import ReliefChoice, try_relief
 from calibration.fitting.limits.threshold import conformal_threshold, limit_promise, of_copies, require_enough
-from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose, compare_poses
+from calibration.fitting.pose.pose_decision import PoseChoice, choose_pose
 from calibration.fitting.presses.augmentation import (
     EACH,
     Augmentation,
@@ -186,12 +186,11 @@ class _Features:
         return *self.pose.show_damage(damage, self.take), ""
 
     def prove_pose(self, held_out: HeldOut | None, damage: DamagedPresses | None) -> "_Features":
-        """Prove registration by held-out presses, or by comparison. Errors: FitError where it finds no more."""
+        """Prove registration by held-out presses. Errors: FitError where they show nothing."""
         if not self.pose.is_open:
             return self
         presses, config = self.plan.presses, self.plan.config
-        pose = None if held_out is None or damage is None else self.pose.prove(held_out, damage)
-        pose = pose or compare_poses(self.pose, presses, self.learner, self.take, config.view)
+        pose = self.pose.prove(held_out, damage)
         if pose.learnt is None:
             scatter_warnings(presses, config.profile, config.detector, why_unregistered=pose.why)
         return replace(self, pose=pose)

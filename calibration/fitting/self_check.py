@@ -17,6 +17,7 @@ from edge.model.manifest import ThresholdEntry
 from edge.model.manifest_facts import DAMAGE_FOUND, UNPROVEN
 
 __all__ = [
+    "AT_CHANCE",
     "apart_warnings",
     "black_warnings",
     "damage_facts",

@@ -2,7 +2,7 @@
 
 The proof is made on the part's own presses: a third is held out, small damage is rendered into those, and banks of the
 others judge them, registered and as they lie. Where presses lie so far apart that they are not compared as they lie,
-what the fit sees of its damage anyway is enough, if it sees much.
+what the fit sees of its damage anyway decides: as by chance is too little.
 """
 
 from collections.abc import Sequence
@@ -20,6 +20,7 @@ from calibration.fitting.presses.augmentation import Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.scatter import may_compare
 from calibration.fitting.presses.strangers import list_names
+from calibration.fitting.self_check import AT_CHANCE
 from calibration.metrics import auroc
 from edge.core.detector import Nominal
 from edge.core.errors import FitError
@@ -30,7 +31,7 @@ from edge.core.registration.pose import warp
 from edge.core.registration.registrar import PartInPose, Registrar, find_relief
 from edge.model.tile_runner import most_typical
 
-__all__ = ["PoseChoice", "Register", "choose_pose", "compare_poses", "pose_spread_mm"]
+__all__ = ["PoseChoice", "Register", "choose_pose", "pose_spread_mm"]
 
 U8 = NDArray[np.uint8]
 
@@ -48,9 +49,6 @@ _HELD_OUT = 3
 
 # The sizes of damage by which it is proven, the largest last.
 _PROOF_SIZES = SIZE_SHARES[1:]
-
-# As they lie balls that lie anywhere have an image AUROC of 0.5 to 0.7. With more, registered ones need no comparison.
-_BETTER = 0.75
 
 View = tuple[SensorProfile, Region]
 
@@ -70,8 +68,10 @@ class PoseChoice:
     faults: tuple[str, ...] = ()
     """A sentence for presses of another part."""
 
-    def prove(self, held_out: HeldOut, damage: DamagedPresses) -> "PoseChoice | None":
-        """Return the choice with its proof, by banks without the press; None where these show too little."""
+    def prove(self, held_out: HeldOut | None, damage: DamagedPresses | None) -> "PoseChoice":
+        """Return the choice with its proof by banks without the press; unregistered where they show nothing."""
+        if held_out is None or damage is None:
+            return PoseChoice(None, f"{self.why}, but no damage could be rendered", faults=self.faults)
         kinds = [name.split()[0] for name in damage.names]
         smallest = [damage.names[kinds.index(kind)] for kind in dict.fromkeys(kinds)]
         largest = list(dict(zip(kinds, damage.names, strict=True)).values())
@@ -80,10 +80,10 @@ class PoseChoice:
         found, found_large = (
             _separate(held_out.sound.scores, held_out.edited.scores[rows]) for rows in (some, large)
         )
-        if found < _BETTER:
-            return None
-        why = f"presses are registered: {self.why}; {_words(found)} (image AUROC, out of fold)"
-        return replace(self, why=why, separated=found_large, is_open=False)
+        why = f"{self.why}; {_words(found)} (image AUROC, out of fold)"
+        if found <= AT_CHANCE:
+            return PoseChoice(None, f"{why}, as by chance", faults=self.faults)
+        return replace(self, why=f"presses are registered: {why}", separated=found_large, is_open=False)
 
     @property
     def facts(self) -> dict[str, str]:
@@ -178,10 +178,10 @@ def choose_pose(
     choice = PoseChoice(learnt, apart, faults=faults)
     if is_held_out and not may_compare(presses, view[0], learner.detector):
         return replace(choice, why=f"{apart}, too far to be compared as they lie", is_open=True)
-    return compare_poses(choice, presses, learner, take, view)
+    return _compare_poses(choice, presses, learner, take, view)
 
 
-def compare_poses(
+def _compare_poses(
     choice: PoseChoice, presses: NominalPresses, learner: Learner, take: Take, view: View
 ) -> PoseChoice:
     """Register presses only where that separates more of the damage. choice: what is compared, and how far they lie."""
@@ -194,7 +194,7 @@ def compare_poses(
     both = f"{_words(registered)}, {still:.3f} without"
     if registered > still:
         why = f"presses are registered: {apart}; {both} (image AUROC, out of fold)"
-        return replace(choice, why=why, separated=large, is_open=False)
+        return replace(choice, why=why, separated=large)
     why = f"presses are compared as they lie: {apart}, but {both}"
     return PoseChoice(None, why, large_still, faults=choice.faults)
 

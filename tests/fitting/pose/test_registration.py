@@ -47,8 +47,8 @@ def test_parts_anywhere_are_registered_and_the_bundle_says_why() -> None:
 
 
 def test_parts_too_far_apart_to_lie_as_they_are_need_no_second_bank() -> None:
-    """Where a method that compares places is refused as presses lie, the damage in held-out presses proves it: none of
-    it below every sound press, and the sizes that few banks find left out. Where they show little both are compared."""
+    """Where a method that compares places is refused as presses lie, the damage in held-out presses decides, the sizes
+    that few banks find left out: separated as by chance, or not rendered, presses are not registered."""
     touches = (Touch(0.1, 0.05, 0.5), Touch(0.1, 0.95, 0.5)) * 6
     presses = nominal(parts.anywhere(parts.BLOCK, 12)[1], touches=touches)
     why = fitted(presses, "auto").manifest.facts["registration"]
@@ -61,15 +61,18 @@ def test_parts_too_far_apart_to_lie_as_they_are_need_no_second_bank() -> None:
     )
     open_choice = PoseChoice(learnt_from(parts.BLOCK), "far apart", is_open=True)
 
-    def prove(*sizes: float) -> PoseChoice | None:
+    def prove(*sizes: float) -> PoseChoice:
         sound, edited = np.ones(20), np.tile(sizes, 4)
         maps = [ScoredPresses(np.zeros((len(one), 1, 1), np.float32), one) for one in (sound, edited)]
         return open_choice.prove(HeldOut(*maps), damage)
 
-    assert prove(3.0, 0.5, 2.0) is None
+    unproven, unrendered = prove(3.0, 0.5, 1.2), open_choice.prove(None, None)
+    assert (unproven.learnt, unrendered.learnt) == (None, None)
+    assert "of rendered damage 0.500 is separated" in unproven.why
+    assert "no damage could be rendered" in unrendered.why
     proven = prove(0.5, 2.0, 3.0)
-    assert proven is not None
     assert (proven.separated, proven.is_open) == (1.0, False)
+    assert proven.learnt is open_choice.learnt
 
 
 def test_many_presses_are_found_by_the_mean_of_some() -> None:
