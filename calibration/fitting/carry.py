@@ -29,14 +29,14 @@ from edge.model.manifest_facts import gel_facts
 from edge.model.scorer import Scorer
 from edge.model.tile_runner import most_typical
 
-__all__ = ["FEWEST", "MOST", "CarryConfig", "carry_bundle"]
+__all__ = ["FEWEST", "MOST", "MOST_CHANGE", "CarryConfig", "carry_bundle"]
 
 FEWEST, MOST = 4, 8
 """Presses. With fewer their median is no measure; with more a fit is the better use of them."""
 
-# Change of the median score, PaDiM and FAPM on development parts: 1.1 to 2.2 times on another gel, 1.8 to 3.3 on
-# another unit, 3.3 to 8.1 for another part.
-_MOST_CHANGE: Final = 2.5
+MOST_CHANGE: Final = 2.5
+"""Change of the median score by a gel. PaDiM and FAPM on development parts: 1.1 to 2.2 times on another gel, 1.8 to 3.3
+on another unit, 3.3 to 8.1 for another part."""
 # Two pictures of one gel differ by less shading (levels) and less of a colour's level, and by no mark; of two gels by
 # ten times as much.
 _SAME_SHADING, _SAME_LEVEL = 0.6, 0.02
@@ -172,10 +172,10 @@ def _check_change(before: NDArray[np.float64], now: NDArray[np.float64]) -> None
             "this gel"
         )
     change = float(np.median(now)) / middle
-    if not 1 / _MOST_CHANGE <= change <= _MOST_CHANGE:
+    if not 1 / MOST_CHANGE <= change <= MOST_CHANGE:
         raise FitError(
             f"these presses score {change:.2f} times as high as the learnt ones in the median, expected "
-            f"{1 / _MOST_CHANGE:.2f} to {_MOST_CHANGE:g} times: another part, damaged parts, or a gel too different to "
+            f"{1 / MOST_CHANGE:.2f} to {MOST_CHANGE:g} times: another part, damaged parts, or a gel too different to "
             "carry the bank over; check the parts, or fit a bundle on this gel"
         )
 

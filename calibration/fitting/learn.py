@@ -3,6 +3,7 @@
 Parts that are good are learnt; parts that are damaged are kept apart, to show that the new bundle loses none of them.
 """
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -13,6 +14,7 @@ from typing import Final
 import cv2
 import numpy as np
 
+from calibration.fitting.carry import MOST_CHANGE
 from edge.clock import SystemClock
 from edge.core.errors import ArchiveError, FitError
 from edge.core.imaging.followed_light import FollowedLight
@@ -20,11 +22,13 @@ from edge.core.imaging.image_bytes import kind
 from edge.core.part_position import PartPosition
 from edge.core.person_verdict import PersonVerdict, settle
 from edge.core.press import Press
+from edge.core.shadow import LEAST_ON_NEW_GEL
 from edge.features.black_box.replay import judge_again
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
 from edge.store.database import open_read_only
+from edge.store.gel_proofs import GelBundle, unproven_gel
 from edge.store.person_verdicts import read_verdicts
 from edge.store.press_archive import ArchivedPress, ArchiveFolder
 
@@ -45,7 +49,8 @@ MOST_NAMED: Final = 8
 MOST_OTHERS: Final = 200
 
 # A part that people call good, this far beyond the threshold, would widen the bank to what it should find: a picture of
-# it among the nominal presses says so on purpose.
+# it among the nominal presses says so on purpose. On a new gel all presses score higher, so it is this far beyond their
+# median.
 FARTHEST: Final = 2.0
 
 
@@ -57,10 +62,14 @@ class ConfirmedPress:
     said: PersonVerdict
     frame: bytes
 
+    @property
+    def ratio(self) -> float:
+        """Score by threshold; 0 where there is none."""
+        return (self.press.score or 0.0) / (self.press.threshold or math.inf)
+
     def describe(self) -> str:
         """Name it for a person: id, score, and who said what."""
-        score, threshold = self.press.score, self.press.threshold
-        ratio = f", {score / threshold:.2f} of the threshold" if score is not None and threshold else ""
+        ratio = f", {self.ratio:.2f} of the threshold" if self.press.score is not None else ""
         what = " ".join(filter(None, (self.said.saying, self.said.kind)))
         return f"{self.press.press_id} ({self.press.verdict}{ratio}; {self.said.person}: {what})"
 
@@ -75,6 +84,10 @@ class ConfirmedPresses:
     """How often each word holds."""
     left_out: list[str] = field(default_factory=list)
     """Presses that could have been used, with the reason why they are not."""
+    new_gel: GelBundle | None = None
+    """The mounted gel, where the bundle is not proven on it."""
+    on_new_gel: set[str] = field(default_factory=set)
+    """The ids of its presses."""
     others: list[ArchivedPress] = field(default_factory=list)
     """Archived presses of which nobody can tell, or that show the gel, and the newest ones of which nobody spoke."""
     doubted: set[str] = field(default_factory=set)
@@ -89,24 +102,62 @@ class ConfirmedPresses:
             self.others.append(one.press)
         elif score is None or not threshold:
             self.left_out.append(f"{one.describe()} has no score")
-        elif score > FARTHEST * threshold:
-            self.left_out.append(
-                f"{one.describe()} lies beyond {FARTHEST:g} times the threshold; if such parts are good, give a "
-                "picture of it among the nominal presses"
-            )
         else:
             self.good.append(one)
 
+    @property
+    def good_on_new_gel(self) -> list[ConfirmedPress]:
+        """Those of the new gel that people call good."""
+        return [one for one in self.good if one.press.press_id in self.on_new_gel]
 
-def read_confirmed(database: Path, part: PartPosition) -> ConfirmedPresses:
-    """Read them with their frames. Errors: StoreError."""
+    def leave_out_far(self) -> None:
+        """Leave out good ones that lie far beyond the threshold, or on a new gel beyond the others."""
+        here = [one.ratio for one in self.good_on_new_gel]
+        usual = max(1.0, float(np.median(here))) if here else 1.0
+        kept = list[ConfirmedPress]()
+        for one in self.good:
+            farthest = FARTHEST * (usual if one.press.press_id in self.on_new_gel else 1)
+            if one.ratio <= farthest:
+                kept.append(one)
+                continue
+            self.left_out.append(
+                f"{one.describe()} lies beyond {farthest:.3g} times the threshold; if such parts are good, give a "
+                "picture of it among the nominal presses"
+            )
+        self.good = kept
+
+    def check_new_gel(self) -> None:
+        """Errors: FitError where too little is known of the gel on which the bundle is not proven, or the gel is too
+        different."""
+        here = self.good_on_new_gel
+        if self.new_gel is None:
+            return
+        if len(here) < LEAST_ON_NEW_GEL:
+            raise FitError(
+                f"the bundle is not proven on gel {self.new_gel.gel_id}, and people call {len(here)} of its presses "
+                f"good, at least {LEAST_ON_NEW_GEL} are needed; answer the station's questions about it"
+            )
+        usual = float(np.median([one.ratio for one in here]))
+        if usual > MOST_CHANGE:
+            raise FitError(
+                f"good presses on gel {self.new_gel.gel_id} score {usual:.2f} times the threshold in the median, "
+                f"expected at most {MOST_CHANGE:g} times: another part, or too different a gel; fit a bundle on it"
+            )
+
+
+def read_confirmed(database: Path, part: PartPosition, bundle_id: str) -> ConfirmedPresses:
+    """Read them with their frames. bundle_id: of the bundle that learns. Errors: StoreError."""
     found, archive = ConfirmedPresses(), ArchiveFolder(database.with_suffix(".archive"))
     with open_read_only(database, "reading what people said") as connection:
         said = read_verdicts(connection)
         rows = connection.execute(
-            "SELECT press_id, evidence FROM presses WHERE part = ? AND position = ? ORDER BY number", part
+            "SELECT press_id, evidence, serial, gel_id FROM presses WHERE part = ? AND position = ? ORDER BY number",
+            part,
         ).fetchall()
-    for press_id, evidence in reversed(rows):
+        found.new_gel = unproven_gel(connection, bundle_id)
+    if found.new_gel is not None:
+        found.on_new_gel = {row[0] for row in rows if row[2:] == found.new_gel[:2]}
+    for press_id, evidence, *_ in reversed(rows):
         verdict = settle(said.get(press_id, ()))
         is_doubted = any(word.saying == "damaged" for word in said.get(press_id, ()))
         if verdict is not None:
@@ -127,6 +178,7 @@ def read_confirmed(database: Path, part: PartPosition) -> ConfirmedPresses:
             found.left_out.append(f"{error}{unknown}")
             continue
         found.add(ConfirmedPress(press, verdict, frame))
+    found.leave_out_far()
     return found
 
 
@@ -187,23 +239,36 @@ class Comparison:
         passing = [key for key in sorted(self.presses.doubted & known) if self.after[key].word == "pass"]
         return said + (f"; it passes {', '.join(passing)}, which somebody called damaged" if passing else "")
 
-    def check(self) -> None:
-        """Errors: FitError where the new bundle loses a known damage, or fails more good parts."""
-        lost = [
-            one.describe()
+    @property
+    def lost(self) -> list[ConfirmedPress]:
+        """The damage that was found before and that the new bundle passes."""
+        return [
+            one
             for one in self.presses.damaged
             if (self.before[one.press.press_id].word != "pass" or one.press.verdict == "fail")
             and self.after[one.press.press_id].word == "pass"
         ]
-        if lost:
+
+    @property
+    def new_alarms(self) -> list[ConfirmedPress]:
+        """The good presses that the new bundle alone fails, where it fails more of them."""
+        good = self.presses.good
+        if self.count(good, self.after) <= self.count(good, self.before):
+            return []
+        words = [(self.before[one.press.press_id].word, self.after[one.press.press_id].word) for one in good]
+        return [one for one, (then, now) in zip(good, words, strict=True) if then == "pass" != now]
+
+    def check(self) -> None:
+        """Errors: FitError where the new bundle loses a known damage, or fails more good parts."""
+        if lost := [one.describe() for one in self.lost]:
             raise FitError(
                 f"the new bundle passes what was found before, and is not written: {'; '.join(lost)}. Look at these "
                 "presses: what was called good may be damaged too, or the other way round"
             )
-        good = self.presses.good
-        if self.count(good, self.after) > self.count(good, self.before):
+        if alarms := [one.describe() for one in self.new_alarms[:MOST_NAMED]]:
             raise FitError(
-                f"the new bundle fails more of the presses that people call good, and is not written: {self.describe()}"
+                "the new bundle fails more of the presses that people call good, and is not written: "
+                f"{self.describe()}; it alone fails {'; '.join(alarms)}"
             )
 
 

@@ -11,8 +11,9 @@ from edge.cli.arguments import flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
 
 if TYPE_CHECKING:
-    from calibration.fitting.learn import ConfirmedPresses
+    from calibration.fitting.learn import Comparison, ConfirmedPresses
     from calibration.fitting.presses.nominal_presses import NominalPresses
+    from edge.core.errors import FitError
     from edge.core.part_position import PartPosition
     from edge.model.bundle import Bundle
 
@@ -59,6 +60,7 @@ def learn(given: LearnArguments) -> None:
     from calibration.fitting.learn import compare, write_pictures
     from calibration.fitting.presses.sources import check_present
     from edge.cli.options import database_path
+    from edge.core.errors import FitError
     from edge.core.part_position import PartPosition
     from edge.model.bundle import Bundle
 
@@ -66,7 +68,7 @@ def learn(given: LearnArguments) -> None:
     check_present(given.sources)
     old = Bundle.load(given.bundle)
     manifest, database = old.manifest, database_path(given.config, given.database)
-    confirmed = _read_words(database, PartPosition(manifest.part, manifest.position))
+    confirmed = _read_words(database, PartPosition(manifest.part, manifest.position), old.digest)
     config = configure_again(old, given.alpha, given.threads, given.gel)
     with tempfile.TemporaryDirectory() as folder:
         pictures = Path(folder) / "confirmed"
@@ -88,18 +90,39 @@ def learn(given: LearnArguments) -> None:
         fitted = fit_files(presses, config, **how)  # type: ignore[arg-type]
         comparison = compare(old, fitted.bundle(), confirmed, database, given.threads)
         typer.echo(f"{comparison.describe()}; {comparison.changes()}")
-        comparison.check()
+        try:
+            comparison.check()
+        except FitError as error:
+            raise _ask_again(error, comparison, database) from None
         return fitted
 
     make(fit_and_check, given.output, given.overwrite)
 
 
-def _read_words(database: Path, part: "PartPosition") -> "ConfirmedPresses":
+def _ask_again(error: "FitError", comparison: "Comparison", database: Path) -> "FitError":
+    """Have the station ask once more about the presses that stand against the new bundle; return the error that says
+    so. A copy of a station's database is asked too, where it can be written."""
+    import time
+
+    from edge.core.errors import FitError, StoreError
+    from edge.store.person_verdicts import ask_again
+    from edge.store.press_store import Store
+
+    blocking = [one.press.press_id for one in (*comparison.lost, *comparison.new_alarms)]
+    try:
+        with Store(database) as store:
+            said = ask_again(store, blocking, "gelgate bundle learn", time.time_ns())
+    except StoreError as fault:
+        said = f"the station cannot be told to ask about them again: {fault}"
+    return FitError(f"{error}; {said}") if said else error
+
+
+def _read_words(database: Path, part: "PartPosition", bundle_id: str) -> "ConfirmedPresses":
     """Read what people said of a part, and say what of it is left out. Errors: FitError where nothing can be learnt."""
     from calibration.fitting.learn import read_confirmed
     from edge.core.errors import FitError
 
-    confirmed = read_confirmed(database, part)
+    confirmed = read_confirmed(database, part, bundle_id)
     for sentence in confirmed.left_out:
         typer.echo(f"warning: left out: {sentence}", err=True)
     words = ", ".join(f"{number} {word}" for word, number in sorted(confirmed.words.items())) or "nothing"
@@ -109,6 +132,7 @@ def _read_words(database: Path, part: "PartPosition") -> "ConfirmedPresses":
             f"no press of {part} that people call good can be learnt; say what presses were, on the page or with "
             "`confirm_press`"
         )
+    confirmed.check_new_gel()
     return confirmed
 
 

@@ -128,7 +128,7 @@ def _read_operation(old: "Bundle", database: Path | None) -> "ConfirmedPresses":
 
     if database is None:
         return ConfirmedPresses()
-    return read_confirmed(database, PartPosition(old.manifest.part, old.manifest.position))
+    return read_confirmed(database, PartPosition(old.manifest.part, old.manifest.position), old.digest)
 
 
 def _prepare(

@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Final
 
 from edge.core.binomial import CONFIDENCE, trials_needed, upper_rate
+from edge.core.shadow import LEAST_ON_NEW_GEL
 
 __all__ = ["PROVEN_RATE", "GelProof", "MadeOn", "Proven", "first_proof"]
 
@@ -82,8 +83,9 @@ class GelProof:
         else:
             todo = "If all parts were sound, `gelgate gel prove`"
         return (
-            f"bundle {bundle} is not yet proven on gel {gel_id}: {self.known_from}; {shown}. {todo}; or carry it over "
-            "(`gelgate bundle carry`), or fit a bundle on this gel"
+            f"bundle {bundle} is not yet proven on gel {gel_id}: {self.known_from}; {shown}. {todo}; or say what at "
+            f"least {LEAST_ON_NEW_GEL} of its presses were, and learn from them (`gelgate bundle learn`), or fit a "
+            "bundle on this gel"
         )
 
 

@@ -1,6 +1,7 @@
 """What a person says of a press, beside the machine's verdict: what it shows, and which presses to ask about."""
 
 import math
+from collections import Counter
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal, get_args
@@ -30,13 +31,15 @@ class PersonVerdict:
 
 
 def settle(verdicts: Sequence[PersonVerdict]) -> PersonVerdict | None:
-    """Return what holds of one press: the newest word of each person, oldest first in `verdicts`; where two persons
-    contradict each other nobody can tell. None for a press of which nobody spoke."""
+    """Return what holds of one press: the newest word of each person, oldest first in `verdicts`; where persons
+    contradict each other nobody can tell, unless twice as many say the same. None for a press of which nobody spoke."""
     newest = {verdict.person: verdict for verdict in verdicts}
     if not newest:
         return None
     last = verdicts[-1]
-    said = {verdict.saying for verdict in newest.values()} - {"cannot_tell"}
+    said = Counter(verdict.saying for verdict in newest.values() if verdict.saying != "cannot_tell")
+    most = max(said.values(), default=0)
+    said = Counter({saying: count for saying, count in said.items() if 2 * count > most})
     if len(said) > 1:
         return PersonVerdict(last.press_id, last.time_ns, ", ".join(sorted(newest)), "cannot_tell")
     return next((one for one in reversed(verdicts) if one.saying in said and newest[one.person] is one), last)
@@ -107,15 +110,21 @@ class Asked:
         return -abs(math.log(self.score_ratio)) if 0 < self.score_ratio < math.inf else -math.inf
 
 
-def choose_questions(presses: Iterable[Asked], answered: Container[str], most: int) -> list[Asked]:
+def choose_questions(
+    presses: Iterable[Asked], answered: Container[str], most: int, proven_until_ns: int | None = None
+) -> list[Asked]:
     """Choose the presses that would teach most: closest to the threshold, and of five one pass whatever its score.
 
     Without the latter nobody would ever look at a damage that the machine does not see at all. Which pass it is, is
-    drawn by its id, so the choice stays the same until something changes. Oldest first.
+    drawn by its id, so the choice stays the same until something changes. proven_until_ns: since then another gel is
+    mounted, on which the bundle is not proven. Then its presses alone are asked for, drawn whatever their score: those
+    close to a threshold of another gel would be the lowest. Oldest first.
     """
     open_ = [press for press in presses if press.press_id not in answered]
-    drawn = sorted((one for one in open_ if one.verdict == "pass"), key=lambda one: one.press_id[::-1])[
-        : most // 5
-    ]
+    if proven_until_ns is not None:
+        open_ = [press for press in open_ if press.time_ns >= proven_until_ns]
+    is_drawn = [one for one in open_ if proven_until_ns is not None or one.verdict == "pass"]
+    share = most // 5 if proven_until_ns is None else most
+    drawn = sorted(is_drawn, key=lambda one: one.press_id[::-1])[:share]
     close = sorted((one for one in open_ if one not in drawn), key=lambda one: (-one.doubt, one.press_id))
     return sorted([*drawn, *close[: max(0, most - len(drawn))]], key=lambda one: one.press_id)

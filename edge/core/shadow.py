@@ -5,11 +5,16 @@ from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 from typing import Final, Self
 
-__all__ = ["LEAST_COMPARED", "JudgedTwice", "ShadowVerdict", "Weighing"]
+__all__ = ["LEAST_COMPARED", "LEAST_ON_NEW_GEL", "JudgedTwice", "ShadowVerdict", "Weighing"]
 
 LEAST_COMPARED: Final = 100
 """Presses that both bundles have judged before one may take the other's place. Where none of 100 sound presses
 fails, at most 3 % of all do, 95 % sure (Hanley and Lippman-Hand 1983)."""
+
+LEAST_ON_NEW_GEL: Final = 4
+"""Presses of a new gel that people call good: so many must be learnt, and be judged by both, before a shadow may take
+the place of a bundle that is not proven on this gel. Nothing is promised of the latter there, so nothing is lost by the
+shadow but damage, which is compared. Fewer say nothing of a gel: 4 are the fewest that a threshold is found by."""
 
 # Presses that are named in a sentence of many.
 _MOST_NAMED: Final = 8
@@ -64,6 +69,8 @@ class Weighing:
     presses: Sequence[JudgedTwice]
     unknown: Sequence[str] = ()
     """A sentence for each known damage of which it is not known whether the shadow finds it."""
+    is_new_gel: bool = False
+    """Whether the bundle in use is not proven on the mounted gel, and the shadow has learnt presses of it."""
 
     @property
     def differing(self) -> list[JudgedTwice]:
@@ -73,7 +80,7 @@ class Weighing:
     def describe(self) -> str:
         """Give false alarms and misses of both in one sentence."""
         damaged = [one for one in self.presses if one.saying == "damaged"]
-        good = [one for one in self.presses if one.saying in ("good", "gel")]
+        good = self._good
         stricter = sum(one.verdict == "pass" for one in self.differing)
         return (
             f"{len(self.presses)} presses judged by both: {stricter} pass the bundle in use alone, "
@@ -89,6 +96,22 @@ class Weighing:
         named = [f"the shadow passes {', '.join(passing)}, which somebody called damaged"] if passing else []
         return [*named, *self.unknown]
 
+    @property
+    def lost(self) -> list[str]:
+        """Damage that was found and that the shadow passes."""
+        return [one.press_id for one in self.presses if one.is_lost]
+
+    @property
+    def new_alarms(self) -> list[str]:
+        """Good presses that pass the bundle in use and not the shadow, where more do not pass the shadow."""
+        now, then = _count(self._good, "other", passes=False), _count(self._good, "verdict", passes=False)
+        failing = [one.press_id for one in self._good if one.other != "pass" and one.verdict == "pass"]
+        return failing if now > then else []
+
+    @property
+    def _good(self) -> list[JudgedTwice]:
+        return [one for one in self.presses if one.saying in ("good", "gel")]
+
     def refusals(self, *, has_promise: bool) -> list[str]:
         """Say why the shadow may not take over; nothing where it may."""
         found: list[str] = []
@@ -96,19 +119,19 @@ class Weighing:
             found.append(
                 "it promises no rate of false alarms: fit it from presses, without a given threshold"
             )
-        if len(self.presses) < LEAST_COMPARED:
-            found.append(
-                f"both have judged {len(self.presses)} presses, at least {LEAST_COMPARED} are needed"
-            )
-        if lost := [one.press_id for one in self.presses if one.is_lost]:
-            found.append(f"it passes damage that was found: {', '.join(lost)}")
-        good = [one for one in self.presses if one.saying in ("good", "gel")]
-        now, then = _count(good, "other", passes=False), _count(good, "verdict", passes=False)
-        if now > then:
-            alarms = [one.press_id for one in good if one.other != "pass" and one.verdict == "pass"]
+        compared, least, which = len(self.presses), LEAST_COMPARED, ""
+        if self.is_new_gel:
+            compared, least, which = len(self._good), LEAST_ON_NEW_GEL, " that people call good"
+        if compared < least:
+            found.append(f"both have judged {compared} presses{which}, at least {least} are needed")
+        if self.lost:
+            found.append(f"it passes damage that was found: {', '.join(self.lost)}")
+        if self.new_alarms:
+            good = self._good
+            now, then = _count(good, "other", passes=False), _count(good, "verdict", passes=False)
             found.append(
                 f"{now} instead of {then} of the {len(good)} presses that people call good do not pass it: "
-                f"{', '.join(alarms[:_MOST_NAMED])}"
+                f"{', '.join(self.new_alarms[:_MOST_NAMED])}"
             )
         return found
 

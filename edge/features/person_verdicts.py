@@ -14,7 +14,14 @@ from edge.messaging.payload_base import PressId
 from edge.messaging.status_payloads import Question, QuestionsPayload
 from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
 from edge.store.acts import CONFIRM
-from edge.store.person_verdicts import find_table, newest_acts, read_askable, read_verdicts
+from edge.store.gel_proofs import GelBundle, unproven_since
+from edge.store.person_verdicts import (
+    find_table,
+    newest_acts,
+    read_askable,
+    read_asked_again,
+    read_verdicts,
+)
 from edge.store.press_store import Store
 
 __all__ = ["PersonVerdicts"]
@@ -77,15 +84,24 @@ class PersonVerdicts(PressStage):
         today = _day_of(self._clock.time_ns())
         if self._read() or today != self._day:
             self._day = today
-            self._ask(today)
+            self._ask(today, mounted)
 
-    def _ask(self, today: date) -> None:
+    def _ask(self, today: date, mounted: Mounted | None) -> None:
         since_ns = self._clock.time_ns() - DAY_NS
         said = self._store.read("reading what people said", partial(read_verdicts, since_ns=since_ns))
         answered = sum(any(_day_of(one.time_ns) == today for one in verdicts) for verdicts in said.values())
-        questions = choose_questions(self._presses, said, max(0, self._per_day - answered))
+        again = self._store.read("reading what is asked again", read_asked_again)
+        most = max(0, self._per_day - answered)
+        again, known = again[:most], {one.press_id for one in again} | said.keys()
+        new_gel_ns = None if mounted is None else self._find_new_gel(mounted)
+        questions = [*again, *choose_questions(self._presses, known, most - len(again), new_gel_ns)]
         if (answered, questions) != self._shown:
             self._show(answered, questions)
+
+    def _find_new_gel(self, mounted: Mounted) -> int | None:
+        """Find since when the bundle in use is used on a gel on which it is not proven; None where it is proven."""
+        key = GelBundle(mounted.serial, mounted.gel_id, mounted.bundle_id)
+        return self._store.read("reading the proof on this gel", partial(unproven_since, key=key))
 
     def _show(self, answered: int, questions: list[Asked]) -> None:
         self._shown = answered, questions

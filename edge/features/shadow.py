@@ -12,7 +12,7 @@ from edge.core.contact.events import PressSettled
 from edge.core.errors import ArchiveError, NotScorable, PoseNotFound
 from edge.core.part_position import PartPosition
 from edge.core.press import Press
-from edge.core.shadow import JudgedTwice, ShadowVerdict, Weighing
+from edge.core.shadow import LEAST_ON_NEW_GEL, JudgedTwice, ShadowVerdict, Weighing
 from edge.features.scars import mask_scars
 from edge.messaging.command_payloads import NoArguments
 from edge.messaging.result_payload import ShadowPart
@@ -20,8 +20,10 @@ from edge.model.inspector import Inspector
 from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
 from edge.store.acts import Act
 from edge.store.database import open_read_only
+from edge.store.gel_proofs import GelBundle
+from edge.store.person_verdicts import ask_again
 from edge.store.press_archive import ArchiveFolder
-from edge.store.shadow_verdicts import UnjudgedDamage, read_judged_twice
+from edge.store.shadow_verdicts import Unjudged, read_judged_twice, read_learnt
 
 __all__ = ["MOST_S", "Shadow"]
 
@@ -52,6 +54,7 @@ class Shadow(PressStage):
         self._fault: tuple[Inspector, str] | None = None
         self._late: tuple[Inspector | None, int] = None, 0  # presses in a row for which it took too long
         self._said: str | None = None
+        self._gel: tuple[str, str] | None = None
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -115,6 +118,7 @@ class Shadow(PressStage):
         if self._said != (said := "; ".join(faults) or None):
             self._said = said
             self._alarms.say("shadow", said and f"{said}; presses are inspected without it", "warning")
+        self._gel = None if mounted is None else (mounted.serial, mounted.gel_id)
         wish = self._exchange
         if wish is None or (mounted is not None and mounted.has_contact):
             return
@@ -164,13 +168,20 @@ class Shadow(PressStage):
 
     def _adopt_if_no_worse(self, part: PartPosition, in_use: str, other: str, shadow: Inspector) -> Data:
         """Weigh the two, while the loop goes on. Errors: ValueError where the shadow may not take over; StoreError."""
+        names, learnt = shadow.bundle.manifest.provenance.presses, set[str]()
         with open_read_only(self._store.path, "weighing a shadow") as connection:
-            both, missing = read_judged_twice(connection, part, other, in_use)
-        more, unknown = self._judge_damage(missing, shadow) if missing else ([], [])
-        weighing = Weighing([*both, *more], unknown)
+            if self._gel is not None:
+                learnt = read_learnt(connection, GelBundle(*self._gel, in_use), names)
+            is_new_gel = len(learnt) >= LEAST_ON_NEW_GEL
+            both, missing = read_judged_twice(connection, part, other, in_use, learnt if is_new_gel else ())
+        more, unknown = self._judge_missing(missing, shadow) if missing else ([], [])
+        weighing = Weighing([*both, *more], unknown, is_new_gel=is_new_gel)
         doubts = "; ".join(weighing.doubts())
         refusals = weighing.refusals(has_promise=shadow.bundle.manifest.threshold.n > 0)
         if refusals:
+            blocking = [*weighing.lost, *weighing.new_alarms]
+            again = ask_again(self._store, blocking, "the gateway", self._clock.time_ns())
+            refusals += filter(None, [again])
             raise ValueError(
                 "; ".join([f"bundle {other[:12]} does not take over", *refusals, *filter(None, [doubts])])
             )
@@ -181,10 +192,10 @@ class Shadow(PressStage):
     def _wish_for(self, exchange: _Exchange) -> None:
         self._exchange = exchange
 
-    def _judge_damage(
-        self, missing: list[UnjudgedDamage], shadow: Inspector
+    def _judge_missing(
+        self, missing: list[Unjudged], shadow: Inspector
     ) -> tuple[list[JudgedTwice], list[str]]:
-        """Judge known damage of before the shadow from the archive; return what is gone as sentences."""
+        """Judge presses of before the shadow from the archive; return what damage is gone as sentences."""
         from edge.features.black_box.replay import judge_again  # few stations have such damage
 
         archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
@@ -193,9 +204,13 @@ class Shadow(PressStage):
         for one in missing:
             try:
                 now = judge_again(archive.press(one.press_id, one.evidence), archive, inspector).now
-                judged.append(JudgedTwice(one.press_id, one.verdict, now.word, one.saying, was_damaged=True))
+                words = one.saying, one.was_damaged
+                judged.append(JudgedTwice(one.press_id, one.verdict, now.word, *words))
             except ArchiveError as error:
-                unknown.append(f"whether the shadow finds the damage of {one.press_id} is not known: {error}")
+                if one.was_damaged:
+                    unknown.append(
+                        f"whether the shadow finds the damage of {one.press_id} is not known: {error}"
+                    )
         return judged, unknown
 
     def _restore(self, arguments: NoArguments) -> Data:

@@ -121,8 +121,8 @@ ALARMS: Final[Mapping[str, Alarm]] = {
     ),
     "gel_proof": Alarm(
         "the bundle in use is not yet proven on the mounted gel; with `refuse` parts are rejected meanwhile",
-        "press as many sound parts as the text says, then `gelgate gel prove`; or carry the bundle over "
-        "(`gelgate bundle carry`), or fit one on this gel: see Gel change",
+        "press as many sound parts as the text says, then `gelgate gel prove`; or say what its presses were "
+        "and learn from them (`gelgate bundle learn`), or fit a bundle on this gel: see Gel change",
     ),
     "reference": Alarm(
         "a reference press is due, out of limits or waited for; with `refuse` parts are rejected meanwhile",

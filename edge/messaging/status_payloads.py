@@ -155,7 +155,8 @@ class QuestionsPayload(Payload):
     answered_today: int = Field(default=0, ge=0)
     presses: tuple[Question, ...] = Field(
         default=(),
-        description="oldest first: those closest to the threshold, and of five one pass drawn by its id",
+        description="those asked about once more, then oldest first: those closest to the threshold, and of five one "
+        "pass drawn by its id; on a gel on which the bundle is not proven, presses of it drawn by their ids",
     )
 
 

@@ -12,10 +12,12 @@ from typing import Any, Final, Literal
 from edge.store import ledger_chain
 from edge.store.database import insert
 
-__all__ = ["CONFIRM", "Act", "Outcome", "begin", "earlier", "finish", "newest"]
+__all__ = ["ASK_AGAIN", "CONFIRM", "Act", "Outcome", "begin", "earlier", "finish", "newest"]
 
 # What people said of presses (edge.store.person_verdicts).
 CONFIRM: Final = "confirm_press"
+# That the station asks about a press once more.
+ASK_AGAIN: Final = "ask_again"
 
 # Acts that were done, what people said, and refused requests are counted apart: a flood of refusals pushes out no act,
 # and a line that selects a part every few seconds pushes out no word of a person.

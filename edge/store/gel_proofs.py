@@ -15,7 +15,17 @@ from edge.core.person_verdict import settle
 from edge.store.person_verdicts import read_verdicts
 from edge.store.press_archive import ArchiveFolder
 
-__all__ = ["GelBundle", "count", "find", "of_mounted", "prove", "prove_by_words", "see"]
+__all__ = [
+    "GelBundle",
+    "count",
+    "find",
+    "of_mounted",
+    "prove",
+    "prove_by_words",
+    "see",
+    "unproven_gel",
+    "unproven_since",
+]
 
 
 class GelBundle(NamedTuple):
@@ -55,6 +65,22 @@ def see(
         (*key, *part, None if proof.proven is None else proof.proven.value, proof.known_from, time_ns),
     )
     return proof
+
+
+def unproven_since(connection: sqlite3.Connection, key: GelBundle) -> int | None:
+    """Find the moment at which the bundle was first used on this gel; None where it is proven, or was not used."""
+    row = connection.execute(f"SELECT time_ns FROM gel_proofs WHERE {_OF} AND proven IS NULL", key).fetchone()
+    return None if row is None else int(row[0])
+
+
+def unproven_gel(connection: sqlite3.Connection, bundle_id: str) -> GelBundle | None:
+    """Find the mounted gel on which a bundle was used last and is not proven; None where there is none."""
+    row = connection.execute(
+        "SELECT serial, gel_id, bundle_id FROM gel_proofs JOIN gels USING (serial, gel_id) WHERE bundle_id = ? "
+        "AND proven IS NULL AND removed_ns IS NULL ORDER BY time_ns DESC LIMIT 1",
+        (bundle_id,),
+    ).fetchone()
+    return None if row is None else GelBundle(*row)
 
 
 def count(connection: sqlite3.Connection, key: GelBundle, *, is_alarm: bool) -> None:

@@ -6,12 +6,23 @@ Functions that take a connection run inside the caller's transaction.
 import json
 import sqlite3
 from collections import defaultdict
+from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 from edge.core.person_verdict import Asked, PersonVerdict
-from edge.store.acts import CONFIRM
+from edge.store.acts import ASK_AGAIN, CONFIRM, Act
+from edge.store.press_store import Store
 
-__all__ = ["Found", "find_table", "newest_acts", "read_askable", "read_spoken_of", "read_verdicts"]
+__all__ = [
+    "Found",
+    "ask_again",
+    "find_table",
+    "newest_acts",
+    "read_askable",
+    "read_asked_again",
+    "read_spoken_of",
+    "read_verdicts",
+]
 
 
 # What `Commands` adds to a name, which itself may have commas.
@@ -75,12 +86,44 @@ def find_table(connection: sqlite3.Connection, press_id: str) -> Found | None:
 def read_askable(connection: sqlite3.Connection, after: int, most: int) -> list[tuple[int, Asked]]:
     """Read those of the newest `most` presses after this number that are scored and archived, with their numbers."""
     rows = connection.execute(
-        "SELECT number, press_id, time_ns, verdict, score / threshold, part, position FROM presses "
+        f"SELECT {_ASKED} FROM presses "
         "WHERE number > max(?, (SELECT coalesce(max(number), 0) FROM presses) - ?) AND evidence IS NOT NULL "
         "AND score > 0 AND threshold > 0 AND verdict IN ('pass', 'fail', 'unsure') ORDER BY number",
         (after, most),
     )
     return [(number, Asked(*row)) for number, *row in rows]
+
+
+_ASKED = "number, press_id, presses.time_ns, presses.verdict, score / threshold, part, position"
+
+
+def ask_again(store: Store, press_ids: Iterable[str], who: str, time_ns: int) -> str:
+    """Have the station ask about presses once more, each once ever: a word of it stands against a new bundle. Return a
+    sentence that names them, empty for none. who: for the table of acts. Errors: StoreError."""
+    query = f"SELECT json_extract(arguments, '$.press_id') FROM acts WHERE verb = '{ASK_AGAIN}'"
+    known = {
+        row[0] for row in store.read("reading what is asked again", lambda it: it.execute(query).fetchall())
+    }
+    asked = [press_id for press_id in press_ids if press_id not in known]
+    for press_id in asked:
+        act = Act(time_ns, who, ASK_AGAIN, arguments={"press_id": press_id}, outcome="done")
+        store.begin_act(act, 0)
+    return (
+        f"the station asks once more what {', '.join(asked)} {'is' if len(asked) == 1 else 'are'}"
+        if asked
+        else ""
+    )
+
+
+def read_asked_again(connection: sqlite3.Connection) -> list[Asked]:
+    """Read the presses that are asked about once more, until somebody speaks of them, oldest first."""
+    rows = connection.execute(
+        f"SELECT {_ASKED} FROM acts JOIN presses ON press_id = json_extract(arguments, '$.press_id') "
+        "WHERE acts.verb = ? AND NOT EXISTS (SELECT 1 FROM acts AS word WHERE word.verb = ? AND word.outcome = 'done' "
+        "AND word.act_id > acts.act_id AND json_extract(word.arguments, '$.press_id') = press_id) ORDER BY number",
+        (ASK_AGAIN, CONFIRM),
+    )
+    return [Asked(*row) for _, *row in rows]
 
 
 def newest_acts(connection: sqlite3.Connection) -> tuple[int, int]:

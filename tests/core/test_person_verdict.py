@@ -22,9 +22,12 @@ def said(person: str, saying: str, kind: str | None = None) -> PersonVerdict:
         ([said("kim", "damaged"), said("lee", "cannot_tell")], "damaged"),
         ([said("kim", "cannot_tell")], "cannot_tell"),
         ([said("kim", "good"), said("lee", "gel")], "cannot_tell"),
+        ([said("kim", "damaged"), said("lee", "good"), said("ann", "good")], "good"),  # two against one
+        ([said("kim", "damaged"), said("lee", "good"), said("lee", "good")], "cannot_tell"),
+        ([said(name, "good") for name in "abc"] + [said(name, "damaged") for name in "de"], "cannot_tell"),
     ],
 )
-def test_two_people_who_contradict_each_other_settle_nothing(
+def test_people_who_contradict_each_other_settle_nothing_unless_twice_as_many_say_the_same(
     verdicts: list[PersonVerdict], holds: str | None
 ) -> None:
     """Whoever cannot tell contradicts nobody."""
@@ -96,6 +99,18 @@ def test_the_presses_closest_to_the_threshold_are_asked_for_and_a_pass_that_is_d
     assert [one.press_id for one in chosen] == ["0001", "0002", "0003", "0004", "0006"]
     assert choose_questions(presses, {"0007"}, 2) == [presses[1], presses[2]]
     assert choose_questions(presses, set(), 0) == []
+
+
+def test_on_a_gel_on_which_nothing_is_proven_its_presses_are_drawn_whatever_their_score() -> None:
+    """All fail there, and those close to the threshold are not the usual ones; passes of before are not asked for."""
+    old = [asked(n, "pass", 0.99) for n in range(1, 5)]
+    new = [asked(n, "fail", 1 + n / 100) for n in range(10, 40)]
+
+    chosen = choose_questions([*old, *new], {"0011"}, 10, proven_until_ns=10)
+
+    assert len(chosen) == 10
+    assert {one.press_id for one in chosen} <= {one.press_id for one in new} - {"0011"}
+    assert sum(one.score_ratio for one in chosen) / 10 > 1.15  # the lowest ten give 1.15
 
 
 def test_a_score_without_a_ratio_is_asked_for_last() -> None:

@@ -1,7 +1,10 @@
 """`gelgate bundle learn`: what people said at a station becomes a new bundle, or a sentence."""
 
+import sqlite3
 from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -10,12 +13,15 @@ from command_line import Outcome, gelgate
 from confirmed_station import PLAIN, fit, say
 
 from calibration.fitting.fit_again import configure_again
-from calibration.fitting.learn import Comparison, ConfirmedPresses, write_picture
+from calibration.fitting.learn import Comparison, ConfirmedPress, ConfirmedPresses, write_picture
 from calibration.fitting.presses.nominal_presses import read_presses
+from edge.core.errors import FitError
 from edge.core.imaging.region import Region
+from edge.core.person_verdict import PersonVerdict
 from edge.core.press import Press
 from edge.core.verdict import decide
 from edge.model.bundle import Bundle
+from edge.store.gel_proofs import GelBundle
 from edge.store.press_archive import ArchivedPress
 
 
@@ -142,7 +148,9 @@ def test_a_bundle_that_loses_a_known_damage_is_not_written(
     done = learn(inspected, folder)
 
     assert f"passes what was found before, and is not written: {ids[4]} (fail, " in done.sentence()
+    assert f"the station asks once more what {ids[4]} is" in done.sentence()
     assert not (folder / "new").exists()
+    assert "asks once more" not in learn(inspected, folder).sentence()  # once ever
 
 
 def test_a_damage_that_somebody_else_calls_good_does_not_change_unsaid(
@@ -239,6 +247,56 @@ def test_of_a_dataset_the_good_presses_are_learnt(
     assert "warning: the old bundle knew the free gel, and these sources do not show it" in again.err
 
 
+@pytest.fixture
+def new_gel(station: tuple[Path, list[str]]) -> tuple[Path, list[str]]:
+    """As if all presses were on a gel on which the bundle is not proven."""
+    with closing(sqlite3.connect(station[0] / "gelgate.db")) as connection, connection:
+        connection.execute("UPDATE gel_proofs SET proven = NULL")
+    return station
+
+
+def test_on_a_new_gel_four_good_presses_of_it_are_needed(
+    inspected: tuple[Path, list[str]], new_gel: tuple[Path, list[str]]
+) -> None:
+    folder, ids = new_gel
+    say(folder, dict.fromkeys((ids[0], ids[1], ids[3]), "good"))
+    early = learn(inspected, folder)
+    say(folder, {ids[5]: "good"})
+    done = learn(inspected, folder)
+
+    assert (
+        "is not proven on gel TEST0001-1, and people call 3 of its presses good, at least 4"
+        in early.sentence()
+    )
+    assert done.code == 0, done.err
+    assert "12 nominal presses, 4 of them from the station\n" in done.out
+
+
+def test_on_a_new_gel_a_good_press_is_far_where_it_is_far_from_the_others() -> None:
+    """All presses score higher there: of the threshold 2.6 is too far where the others score 1.2, and 3.2 is not where
+    they score 1.8. A gel on which they score 2.6 times the threshold is too different."""
+
+    def called_good(*ratios: float) -> ConfirmedPresses:
+        presses = ConfirmedPresses(new_gel=GelBundle("SIM1", "G2", "bundle"))
+        for number, ratio in enumerate(ratios):
+            press = Mock(press_id=f"{number}", score=ratio, threshold=1.0, verdict="fail")
+            presses.good.append(ConfirmedPress(press, PersonVerdict(f"{number}", 0, "kim", "good"), b""))
+            presses.on_new_gel.add(f"{number}")
+        presses.leave_out_far()
+        return presses
+
+    near, far = called_good(1.8, 1.8, 1.8, 1.8, 3.2), called_good(1.2, 1.2, 1.2, 1.2, 2.6)
+    near.check_new_gel()
+
+    assert (len(near.good), near.left_out) == (5, [])
+    assert (len(far.good), len(far.left_out)) == (4, 1)
+    assert far.left_out[0].startswith("4 (fail, 2.60 of the threshold; kim: good) lies beyond 2.4 times")
+    with pytest.raises(
+        FitError, match=r"on gel G2 score 2\.60 times the threshold in the median, expected at most"
+    ):
+        called_good(2.6, 2.6, 2.6, 2.6).check_new_gel()
+
+
 def test_a_press_that_is_gone_from_the_archive_is_named(
     inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
 ) -> None:
@@ -267,7 +325,7 @@ def test_the_learnt_pictures_are_the_camera_s_bytes(
 
     folder, ids = station
     say(folder, {ids[0]: "good"})
-    found = read_confirmed(folder / "gelgate.db", PartPosition("bolt", "default"))
+    found = read_confirmed(folder / "gelgate.db", PartPosition("bolt", "default"), "")
 
     write_pictures(found.good, folder / "confirmed")
 

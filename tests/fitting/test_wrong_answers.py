@@ -107,7 +107,8 @@ def test_no_named_damage_passes_without_a_message_that_names_it(
     if gap is not None:
         record.rename(hidden)
     try:
-        learnt, taken = _learn(operation, judged[factor]), _take_over(operation, factor)
+        learnt = _learn(operation, judged[factor])
+        taken = _take_over(operation, factor, is_new_gel=data.draw(st.booleans()))
     finally:
         if gap is not None:
             hidden.rename(record)
@@ -120,7 +121,7 @@ def test_no_named_damage_passes_without_a_message_that_names_it(
 
 def _learn(operation: Operation, after: Mapping[str, Press]) -> str:
     """Everything that `bundle learn` says of a bundle that judges so."""
-    found = read_confirmed(operation.database, PART)
+    found = read_confirmed(operation.database, PART, "")
     before = operation.judged[1.0]
     known = {one.press.press_id for one in (*found.good, *found.damaged)} | {
         one.press_id for one in found.others
@@ -138,7 +139,7 @@ def _learn(operation: Operation, after: Mapping[str, Press]) -> str:
     return "\n".join(said)
 
 
-def _take_over(operation: Operation, factor: float) -> str:
+def _take_over(operation: Operation, factor: float, *, is_new_gel: bool) -> str:
     """Everything that `adopt_shadow` says of a shadow that judges so; the first two presses came before it."""
     with closing(sqlite3.connect(operation.database)) as connection:
         connection.execute("UPDATE presses SET shadow = NULL")
@@ -147,5 +148,5 @@ def _take_over(operation: Operation, factor: float) -> str:
             said = ShadowVerdict("new", "old", press.word, press.score, 1.0)
             connection.execute("UPDATE presses SET shadow = ? WHERE press_id = ?", (said.encode(), press_id))
         both, missing = read_judged_twice(connection, PART, "new", "old")
-    weighing = Weighing(both, [one.press_id for one in missing])
+    weighing = Weighing(both, [one.press_id for one in missing], is_new_gel=is_new_gel)
     return "\n".join([*weighing.refusals(has_promise=True), *weighing.doubts()])

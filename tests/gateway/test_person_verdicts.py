@@ -21,7 +21,7 @@ from edge.page.shown import readable
 from edge.store.acts import CONFIRM, Act
 from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import check_database
-from edge.store.person_verdicts import read_verdicts
+from edge.store.person_verdicts import ask_again, read_verdicts
 from edge.store.ulid import new_ulid
 
 
@@ -225,6 +225,43 @@ def test_at_most_the_configured_number_is_asked_on_a_day(tmp_path: Path, presses
         assert (len(asked), then) == (2, [])
         assert len({one["press_id"] for one in [*asked, *later]}) == 4
         assert station.said("questions")["presses"] == []  # of yesterday
+
+
+def test_on_a_new_gel_its_presses_alone_are_asked_about(tmp_path: Path, presses: Path, bundle: Path) -> None:
+    """Until the bundle is proven there: what is learnt of this gel is learnt from them."""
+    with SteppedStation(station_config(tmp_path, presses, bundle)) as station:
+        station.play_presses(1)
+        station.clock.sleep(1)
+        station.ask("replace_gel")
+        station.play_presses(4)
+        settle(station)
+        asked = [one["press_id"] for one in station.said("questions")["presses"]]
+        ids = [one.press_id for one in station.results]
+
+    assert sorted(asked) == sorted(ids[1:])
+
+
+def test_a_word_that_stands_in_the_way_is_asked_for_once_more(played: SteppedStation) -> None:
+    """First of all, until somebody speaks; and never a third time."""
+    store, ids = played.parts.store, [one.press_id for one in played.results]
+    questions = lambda: [one["press_id"] for one in played.said("questions")["presses"]]  # noqa: E731
+    answer = say(played)
+    answer(press_id=ids[3], verdict="damaged")
+    settle(played)
+    before = questions()
+
+    sentence = ask_again(store, [ids[3]], "gelgate bundle learn", 1)
+    settle(played)
+    then = questions()
+    answer(press_id=ids[3], verdict="good")
+    settle(played)
+
+    assert ids[3] not in before
+    assert (then[0], sorted(then)) == (ids[3], sorted([*before, ids[3]]))
+    assert questions() == before
+    assert sentence == f"the station asks once more what {ids[3]} is"
+    assert ask_again(store, [ids[3]], "gelgate bundle learn", 1) == ""
+    assert [one for one in check_database(store.path) if one.is_fault] == []
 
 
 @pytest.mark.parametrize(

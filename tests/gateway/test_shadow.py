@@ -185,6 +185,56 @@ def test_a_shadow_that_is_worse_is_refused_with_the_presses(
         assert sentence.format(*ids) in str(refused.value)
 
 
+def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
+    tmp_path: Path, presses: Path, bundle: Path
+) -> None:
+    """Four of it that people call good, judged from the archive; with three, and on a gel on which the bundle in use
+    is proven, it waits for 100 presses. Damage that people named stands in its way as ever, and is asked for again."""
+    lenient = limit(bundle, **FIVE, value=1e6)
+    proven = json.loads((bundle / "manifest.json").read_text())["provenance"]
+
+    def learnt(name: str, ids: list[str], threshold: Any) -> Path:
+        names = [*proven["presses"], *(f"confirmed/{press_id}.jpg" for press_id in ids)]
+        provenance = {**proven, "presses": names}
+        return variant(bundle, tmp_path / name, revision=2, threshold=threshold, provenance=provenance)
+
+    folder = tmp_path / "station"
+    with SteppedStation(station_config(folder, presses, bundle)) as station:
+        station.play_presses(1)
+        station.ask("replace_gel")
+        station.play_presses(8)
+        ids = [one.press_id for one in station.results]
+        say(station, dict.fromkeys((0, 1, 3, 4, 6), "good"))
+    four, three = [ids[k] for k in (1, 3, 4, 6)], [ids[k] for k in (0, 1, 3, 4)]
+    waits = learnt("three", three, limit(bundle, **FIVE))
+    with SteppedStation(configure(folder, presses, bundle, waits)) as later:
+        later.play_presses(1)
+        with pytest.raises(ValueError, match="both have judged 1 presses, at least 100 are needed"):
+            adopt(later)
+    blind = learnt("blind", four, lenient)
+    with SteppedStation(configure(folder, presses, bundle, blind)) as later:
+        given = {"press_id": ids[2], "verdict": "damaged"}
+        later.parts.store.begin_act(Act(1, "kim, at the page", CONFIRM, None, given, outcome="done"), 0)
+        later.play_presses(1)
+        with pytest.raises(ValueError, match="does not take over") as refused:
+            adopt(later)
+        later.clock.sleep(2)
+        later.turn()
+        asked = [one["press_id"] for one in later.said("questions")["presses"]]
+    with SteppedStation(
+        configure(folder, presses, bundle, learnt("four", four, limit(bundle, **FIVE)))
+    ) as last:
+        last.play_presses(1)
+        adopt(last)
+        assert last.parts.selection.inspector.bundle.manifest.revision == 2
+
+    assert f"it passes damage that was found: {ids[2]}; the station asks once more what {ids[2]} is" in str(
+        refused.value
+    )
+    assert "are needed" not in str(refused.value)
+    assert asked[0] == ids[2]
+
+
 def test_known_damage_of_before_the_shadow_is_judged_from_the_archive(
     tmp_path: Path, presses: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
