@@ -138,6 +138,8 @@ class Connection:
         self._is_lost = False
         self._is_established = False
         self._answers: dict[int, ReasonCode | None] = {}
+        self.is_unheard = False
+        """A message was sent, and the broker has not acknowledged it."""
         self._client = self._make_client(will)
         self._establish()
 
@@ -164,13 +166,16 @@ class Connection:
             )
         if not self.is_up:
             raise SinkUnavailable(self._lost_sentence())
+        self.is_unheard = True
         try:
             info = self._client.publish(
                 message.topic, message.payload, message.qos, message.retain, self._properties(message)
             )
         except ValueError as error:
             raise SinkRejected(f"a message on {message.topic!r} cannot be sent: {error}") from error
-        self._check(message, self._answer(info.mid, f"the message on {message.topic}"))
+        reason = self._answer(info.mid, f"the message on {message.topic}")
+        self.is_unheard = False
+        self._check(message, reason)
 
     def publish_soon(self, message: Message) -> None:
         """Send at QoS 0 without waiting; lost when the connection is. Only this may be used in `on_received`."""

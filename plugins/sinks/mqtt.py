@@ -80,6 +80,7 @@ class MqttSink:
         self.look_again_s = AGAIN_FIRST_S
         # What the birth of this connection published on each topic: the publisher holds the same, and once is enough.
         self._born: dict[str, Message] = {}
+        self._is_offline_sent = self._is_end_sent = False  # first `offline`, then the state of the end
         self._requests = Requests(station)
         offline = None if station.offline is None else self._full(station.offline)
         self._announcements = announcements  # on topics of their own, after every birth
@@ -119,6 +120,11 @@ class MqttSink:
             raise SinkUnavailable(self._why_down)
         if self._born.pop(message.topic, None) == message:
             return
+        offline, will = self._station.offline, self._station.will
+        if offline is not None and message.topic == offline.topic:
+            self._is_offline_sent, self._is_end_sent = message == offline, False
+        elif will is not None and message.topic == will.topic:
+            self._is_end_sent = self._is_offline_sent
         try:
             connection.publish(self._outgoing(message))
         except SinkUnavailable as error:
@@ -128,10 +134,16 @@ class MqttSink:
         self._strikes.delivered(message)
 
     def close(self) -> None:
-        """Disconnect from the broker, so that it does not publish the will; harmless when repeated."""
+        """Disconnect from the broker, so that it does not publish the will; harmless when repeated.
+
+        One that hangs is not told that the station ends: it publishes the wills when it goes on.
+        """
         self._closing.set()
         connection = self._connection
-        if connection is not None:
+        if connection is not None and connection.is_unheard and not self._is_end_sent:
+            connection.abandon("closed here, and the broker does not answer")
+            self._availability.abandon()
+        elif connection is not None:
             connection.close()
         self._requests.close()
         for thread in filter(threading.Thread.is_alive, self._threads):

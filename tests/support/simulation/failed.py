@@ -72,6 +72,18 @@ FAILED = (
         schedule=(Fault(at_s=53.257223, name="hang up", seed=2778470628),),
         says="broker#: what is retained on last/press went back",
     ),
+    # The station ended while the broker hung, which then retained `online` and `ready` of a station that was gone.
+    Failure(
+        seed=3034,
+        presses=9,
+        chosen=Chosen(brokers=1, has_archive=True, rates={}, sloth_s=0.03, fps=9.0, level="silent at 5"),
+        schedule=(
+            Fault(at_s=2.080528, name="blind", seed=846731097),
+            Fault(at_s=24.904581, name="hang up", seed=3453161778),
+            Fault(at_s=29.04306, name="stop", seed=206368166),
+        ),
+        says="broker# retains `online`, and holds no will",
+    ),
     # A broker hung for five seconds, and what had waited behind the message of then did not say that it was late.
     Failure(
         seed=1003,

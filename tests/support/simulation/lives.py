@@ -182,7 +182,8 @@ class Station:
         self.world.connections.pump()
         for broker in connected:
             state = json.loads(broker.retained["state"])["state"]
-            if state != "stopped" and not self.disk.is_dead:
+            is_slow = self.disk.unsynced is not None and self.disk.unsynced.at_sync is not None
+            if state not in ("stopped", "lost" if is_slow else "") and not self.disk.is_dead:
                 self.found.append(f"{broker.name} retains {state} of a station that ended in order")
         self.disk.forget()
 
