@@ -335,9 +335,9 @@ def test_presses_that_lie_anywhere_are_refused_by_the_methods_that_mind() -> Non
         "half of the contacts lie more than 4.0 mm from their common middle: padim compares"
     )
     assert "fit inreach" in said
-    with pytest.raises(FitError, match=r"inreach; --scattered fits padim all the same"):
+    with pytest.raises(FitError, match=r"inreach; --set scattered=true fits padim all the same"):
         fit_files(anywhere, config(detector=Padim(), profile=wide), created="test")
-    with pytest.raises(FitError, match=r"all the same \(no gain; see --register\)$"):
+    with pytest.raises(FitError, match=r"all the same \(no gain; see --set register\)$"):
         scatter_warnings(anywhere, wide, Padim(), why_unregistered="no gain")
     guessed = dataclasses.replace(anywhere, touches=(), guessed=anywhere.touches)
     (doubted,) = scatter_warnings(guessed, wide, Padim())  # by a free gel in doubt: nothing is refused

@@ -47,6 +47,6 @@ def scatter_warnings(
     if is_guessed:
         return [f"{UNPROVEN}as far as a free gel in doubt shows it, {found}"]
     if not is_scattered:
-        registered = f" ({why_unregistered}; see --register)" if why_unregistered else ""
-        raise FitError(f"{found}; --scattered fits {detector.name} all the same{registered}")
+        registered = f" ({why_unregistered}; see --set register)" if why_unregistered else ""
+        raise FitError(f"{found}; --set scattered=true fits {detector.name} all the same{registered}")
     return [found]
