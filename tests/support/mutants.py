@@ -47,7 +47,7 @@ SWAPPED = {
     a.replace("_", " "): b.replace("_", " ") for one in PAIRS for a, b in (one.split(), one.split()[::-1])
 }
 # What only people and type checkers read.
-UNSEEN = re.compile(r"\s*(log\.|__all__|@|from |import |raise |class |assert )|.*(TYPE_CHECKING|: .*Field\()")
+UNSEEN = re.compile(r"\s*(__all__|@|from |import |class |assert )|.*(TYPE_CHECKING|: .*Field\()")
 # A mutant that takes three times as long as the program is noticed, and this much more: a process must start.
 START_S = 30.0
 NOTED = "GELGATE_TESTS_OF_LINES"
@@ -104,14 +104,21 @@ def change(node: ast.AST, source: bytes, starts: Sequence[int]) -> tuple[int, in
     return None
 
 
+def is_sentence(node: ast.AST) -> bool:
+    """Say whether it makes words for people: of a log line, an error or a text."""
+    match node:
+        case ast.JoinedStr() | ast.Raise() | ast.Expr(ast.Call(ast.Attribute(ast.Name("log")))):
+            return True
+    return False
+
+
 def seen(node: ast.AST) -> Iterator[ast.AST]:
     """Yield a node and what is below it, but for annotations and sentences."""
     yield node
     for name, field in ast.iter_fields(node):
         for child in field if isinstance(field, list) else [field]:
-            is_sentence = isinstance(child, ast.JoinedStr | ast.Raise)
-            if isinstance(child, ast.AST) and name not in ("annotation", "returns") and not is_sentence:
-                yield from seen(child)
+            if isinstance(child, ast.AST) and name not in ("annotation", "returns"):
+                yield from () if is_sentence(child) else seen(child)
 
 
 def mutants_of(path: Path, lines: Sequence[int] | None, rng: random.Random) -> Iterator[Mutant]:
