@@ -168,6 +168,7 @@ class Station:
         self._note_end()
         sinks = self.world.connections.sinks
         connected = [one for one in self.world.brokers.values() if one.mood == "up" and sinks[one.name].level]
+        unheard = {name for name in sinks if self.world.connections.turns[name].is_waiting}
         stop = threading.Event()
         stop.set()
         try:
@@ -183,7 +184,8 @@ class Station:
         for broker in connected:
             state = json.loads(broker.retained["state"])["state"]
             is_slow = self.disk.unsynced is not None and self.disk.unsynced.at_sync is not None
-            if state not in ("stopped", "lost" if is_slow else "") and not self.disk.is_dead:
+            may_be_lost = is_slow or broker.name in unheard  # then the broker publishes its will
+            if state not in ("stopped", "lost" if may_be_lost else "") and not self.disk.is_dead:
                 self.found.append(f"{broker.name} retains {state} of a station that ended in order")
         self.disk.forget()
 
