@@ -13,8 +13,9 @@ import hashlib
 import logging
 import os
 import re
+import sqlite3
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -41,6 +42,7 @@ __all__ = [
     "map_bytes",
     "mask_bytes",
     "presses_since",
+    "read_archived",
 ]
 
 log = logging.getLogger(__name__)
@@ -146,9 +148,15 @@ class PressArchive:
         self._uses: Counter[Digest] = Counter()
         self._sizes: dict[Digest, int] = {}
         self._is_open = False
+        self._number: Mapping[str, int] = {}
 
-    def open(self) -> None:
-        """Read an archive that is there already, so that the first press need not wait for it. Never raises."""
+    def open(self, made: Sequence[str] = ()) -> None:
+        """Read an archive that is there already, so that the first press need not wait for it. Never raises.
+
+        made: ids of its presses as they were made, oldest first, for ids do not tell that where the clock was set back;
+        others are older.
+        """
+        self._number = {press_id: number for number, press_id in enumerate(made)}
         try:
             if not self._is_open and self._folder.is_dir():
                 self._open()
@@ -193,7 +201,8 @@ class PressArchive:
         """Read what is there, and remove objects without a press: a killed process left them."""
         for name in (OBJECTS, PRESSES):
             (self._folder / name).mkdir(parents=True, exist_ok=True)
-        for press_id, objects in _records(self._folder):
+        records = sorted(_records(self._folder), key=lambda one: self._number.get(one[0], -1))
+        for press_id, objects in records:
             self._add(press_id, objects)
         for file in list((self._folder / OBJECTS).iterdir()):
             if file.name in self._uses:
@@ -285,6 +294,12 @@ def find_press(database: Path, prefix: str) -> KnownPress:
             f"no press {prefix:.60} is in {_describe(database)}; is it of another station, or older?"
         )
     return presses[0]
+
+
+def read_archived(connection: sqlite3.Connection) -> list[str]:
+    """The ids of presses with a record in the archive, as they were made, oldest first."""
+    query = "SELECT press_id FROM presses WHERE evidence IS NOT NULL ORDER BY number"
+    return [press_id for (press_id,) in connection.execute(query)]
 
 
 def presses_since(database: Path, since_ns: int | None = None) -> Iterator[KnownPress]:

@@ -18,7 +18,7 @@ from edge.model.session import fingerprint, fingerprint_bytes
 from edge.press_stage import Alarms, PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
 from edge.store.person_verdicts import read_spoken_of
-from edge.store.press_archive import ArchivedPress, PressArchive, map_bytes, mask_bytes
+from edge.store.press_archive import ArchivedPress, PressArchive, map_bytes, mask_bytes, read_archived
 from edge.store.press_store import Store
 
 __all__ = ["BlackBox"]
@@ -52,7 +52,7 @@ class BlackBox(PressStage):
     def mount(self, gel: GelRecord) -> None:
         """Read what is there, and describe the machine: no press waits for that."""
         self._serial = gel.serial
-        self._archive.open()
+        self._archive.open(self._store.read("reading what is archived", read_archived))
         if self._machine is None:
             self._machine = _name_by_hash(fingerprint_bytes(fingerprint(self._threads)))
 
