@@ -15,7 +15,6 @@ from calibration.experiments.month.gel import MountedGel
 from calibration.experiments.month.plan import Month
 from calibration.experiments.month.station import DayStation, write_config
 from calibration.simulator.reproducible_math import reproducible_opencv
-from edge.core.shadow import LEAST_COMPARED
 from edge.model.bundle import Bundle
 from edge.model.manifest_facts import promise
 from edge.model.session import TrunkSessions
@@ -24,15 +23,19 @@ __all__ = ["ARMS", "NOT_ASKED", "PASSES_DAMAGE", "Row", "find_key", "is_early", 
 
 ARMS: Final[Mapping[str, str]] = {
     "frozen": "the bundle of the first day, all month",
-    "learning": "`gelgate bundle learn` in each fifth night, its bundle a shadow until it may take over",
+    "learning": (
+        "`gelgate bundle learn` in each fifth night, and in each while the bundle is not proven on the gel or the "
+        "station asks again; its bundle is a shadow until it may take over"
+    ),
 }
 
 NOT_ASKED: Final = "not asked"
 """Of a day without a shadow, and of a night without `gelgate bundle learn`."""
 
 # What a station answers where a shadow has judged too few presses yet, and where it is worse.
-TOO_FEW: Final = f"at least {LEAST_COMPARED} are needed"
+TOO_FEW: Final = "both have judged"
 PASSES_DAMAGE: Final = "it passes damage"
+AGAIN: Final = "asks once more"
 _WORSE: Final = (PASSES_DAMAGE, "do not pass it")
 
 Row = Mapping[str, Any]
@@ -84,19 +87,21 @@ def _run_day(month: Month, arm: str, day: int, here: Path, trunks: TrunkSessions
     config = write_config(station, bundle, month.presses, month.questions, shadow)
     with DayStation(config, day, gel, trunks).open() as opened:
         opened.begin(presses[0], is_new_gel=is_new_gel)
+        is_adopted = shadow is not None and opened.adopt_shadow() is None
         for press in presses:
             opened.press(press)
         opened.end()
-        not_adopted = NOT_ASKED if shadow is None else opened.adopt_shadow()
+        not_adopted = NOT_ASKED if shadow is None else None if is_adopted else opened.adopt_shadow()
     next_bundle, next_shadow = (bundle, shadow) if not_adopted is not None else (shadow or bundle, None)
     if not_adopted is not None and not is_early(not_adopted):
         next_shadow = None
     not_learnt: str | None = NOT_ASKED
-    if arm == "learning" and next_shadow is None and day % _LEARN_EVERY == 0:
+    is_due = next_shadow is None and (day % _LEARN_EVERY == 0 or AGAIN in str(yesterday.get("not_learnt")))
+    if arm == "learning" and (is_due or opened.counts.unproven is not None):
         new = learnt / f"night-{day:02d}"
         shutil.rmtree(new, ignore_errors=True)
         not_learnt = learn_from_day(next_bundle, fit, station, new, opened.date)
-        next_shadow = new if not_learnt is None else None
+        next_shadow = new if not_learnt is None else next_shadow
     manifest, counts = Bundle.load(bundle).manifest, vars(opened.counts)
     return {
         "key": find_key(month, arm, day),

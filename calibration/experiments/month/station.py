@@ -139,7 +139,8 @@ class DayStation:
         self.clock = ManualClock(_BEGIN_NS + day * _DAY_NS)
         self._config, self._trunks = config, trunks
         self._reports: list[PressReport] = []
-        self._truths: dict[str, str] = {}
+        self._known = config.with_name("truths.json")
+        self._truths: dict[str, str] = json.loads(self._known.read_text()) if self._known.exists() else {}
         self._sensor, self._sequence = _Sensor(), 0
         self._raised: frozenset[str] = frozenset()
         self._rng = gel.month.streams("person", day)
@@ -200,6 +201,7 @@ class DayStation:
 
     def end(self) -> None:
         """Let the person answer what the station asks, and look at its state."""
+        self._known.write_text(json.dumps(self._truths), encoding="utf-8")
         self._turn(1.5)
         questions = self._said("questions")
         for question in [] if questions is None else questions["presses"]:
@@ -275,9 +277,7 @@ class DayStation:
 
     def _answer(self, press_id: str) -> None:
         """Answer as the page does: what the piece is, now and then the opposite."""
-        saying = self._truths.get(press_id)
-        if saying is None:
-            return  # of yesterday: the piece is gone
+        saying = self._truths[press_id]
         self.counts.asked += 1
         if self._rng.uniform() < _WRONG_ANSWERS:
             self.counts.answered_wrongly += 1
