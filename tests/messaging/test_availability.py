@@ -1,5 +1,6 @@
 """The plain topic `availability`: what a dashboard reads of a station that comes, goes and disappears."""
 
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -149,3 +150,25 @@ def test_a_second_connection_that_never_lasts_is_given_up(
 
     listener.wait_for(says(b"", b"online"))
     assert list(stepped_sink.faults) == []
+
+
+def test_a_message_without_an_answer_is_known_while_another_is_answered() -> None:
+    """A station that ends then sends no DISCONNECT, which would make the broker discard the wills."""
+    with ScriptedBroker(topics={"slow": "silent"}) as broker:
+        connection = Connection.open(
+            Broker("127.0.0.1", broker.port, "press2", level="5", timeout_s=PATIENCE_S)
+        )
+
+        def publish_slowly() -> None:
+            with suppress(SinkUnavailable):  # the connection is closed meanwhile
+                connection.publish(Message("slow", b"", 1))
+
+        waiting = threading.Thread(target=publish_slowly)
+        waiting.start()
+        while not connection.is_unheard:
+            time.sleep(0.01)
+        connection.publish(Message("answer", b"", 1))
+        assert connection.is_unheard
+        connection.abandon("the test ends")
+        waiting.join(PATIENCE_S)
+        assert not waiting.is_alive()
