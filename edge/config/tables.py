@@ -93,6 +93,11 @@ class InspectionTable(Table):
         description="bundles that are scored beside the one in use of the same part and position, and decide nothing; "
         "see operations.md",
     )
+    takeover: Literal["on request", "by itself"] = Field(
+        default="on request",
+        description="whether a shadow takes the place of the bundle in use when adopt_shadow asks for it, or as soon "
+        "as that request would not be refused; one that was taken back waits for a request",
+    )
     part: PlainText | None = Field(
         default=None,
         description="name of the part that a new station starts with, the first one by default; later it starts with "

@@ -1,6 +1,7 @@
 """A shadow bundle: scored beside the one in use, never deciding, and taking its place only where it proves no worse."""
 
 import logging
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -8,8 +9,9 @@ from typing import Any, Final, Self
 
 import numpy as np
 
+from edge.background import Background
 from edge.core.contact.events import PressSettled
-from edge.core.errors import ArchiveError, NotScorable, PoseNotFound
+from edge.core.errors import ArchiveError, NotScorable, PoseNotFound, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.press import Press
 from edge.core.shadow import LEAST_ON_NEW_GEL, JudgedTwice, ShadowVerdict, Weighing
@@ -18,8 +20,9 @@ from edge.messaging.command_payloads import NoArguments
 from edge.messaging.result_payload import ShadowPart
 from edge.model.inspector import Inspector
 from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
-from edge.store.acts import Act
+from edge.store.acts import TAKE_OVER, Act, was_adopted
 from edge.store.database import open_read_only
+from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle
 from edge.store.person_verdicts import ask_again
 from edge.store.press_archive import ArchiveFolder
@@ -31,6 +34,12 @@ log = logging.getLogger(__name__)
 
 MOST_S: Final = 1.0
 """What a shadow may take, or as long as the score of the bundle in use: verdicts wait for it."""
+
+
+WEIGHED_EVERY_S: Final = 600.0
+"""A shadow that may take over by itself is weighed after a press, so often at most."""
+
+CLOSE_S: Final = 3.0
 
 
 @dataclass(frozen=True)
@@ -54,6 +63,9 @@ class Shadow(PressStage):
         self._fault: tuple[Inspector, str] | None = None
         self._late: tuple[Inspector | None, int] = None, 0  # presses in a row for which it took too long
         self._said: str | None = None
+        self._is_by_itself = parts.config.inspection.takeover == "by itself"
+        self._next_weighing_ns = -math.inf
+        self.worker: Background[None] = Background("shadow", CLOSE_S)
         self._gel: tuple[str, str] | None = None
 
     @classmethod
@@ -107,6 +119,23 @@ class Shadow(PressStage):
         ids = shadow.bundle.digest, press.bundle_id
         return replace(press, shadow=ShadowVerdict(*ids, scored.word, scored.score, limit))
 
+    def start(self) -> None:
+        if self._is_by_itself:
+            self.worker.start()
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        """Weigh the shadow on another thread, where it may take over by itself."""
+        ids, shadow, now_ns = self._ids(), self._selection.shadow, self._clock.monotonic_ns()
+        has_taken_over = self._selection.instead_of is not None
+        if not self._is_by_itself or ids is None or shadow is None or has_taken_over:
+            return
+        if now_ns >= self._next_weighing_ns and not self.worker.is_busy:
+            self._next_weighing_ns = now_ns + WEIGHED_EVERY_S * 1e9
+            self.worker.ask(partial(self._adopt_by_itself, *ids, shadow))
+
+    def close(self) -> None:
+        self.worker.close()
+
     def fields(self, press: Press) -> Mapping[str, Any]:
         return {} if press.shadow is None else {"shadow": ShadowPart(**vars(press.shadow))}
 
@@ -129,7 +158,7 @@ class Shadow(PressStage):
             why = Act(
                 self._clock.time_ns(),
                 "the gateway",
-                "take_over",
+                TAKE_OVER,
                 arguments=wish.part._asdict(),
                 outcome="done",
                 before={"bundle_id": wish.before},
@@ -188,6 +217,14 @@ class Shadow(PressStage):
         why = "; ".join(filter(None, (weighing.describe(), doubts)))
         self._post(partial(self._wish_for, _Exchange(part, in_use, other, why)))
         return {"bundle_id": other, "instead_of": in_use, "why": why, "is_waiting": True}
+
+    def _adopt_by_itself(self, part: PartPosition, in_use: str, other: str, shadow: Inspector) -> None:
+        """Let it take over where it may and was never taken back; else the log says why not."""
+        try:
+            if not self._store.read("reading takeovers", partial(was_adopted, bundle_id=other)):
+                self._adopt_if_no_worse(part, in_use, other, shadow)
+        except (ValueError, StoreError) as refusal:
+            log.info("%s", refusal)
 
     def _wish_for(self, exchange: _Exchange) -> None:
         self._exchange = exchange

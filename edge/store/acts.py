@@ -12,10 +12,23 @@ from typing import Any, Final, Literal
 from edge.store import ledger_chain
 from edge.store.database import insert
 
-__all__ = ["ASK_AGAIN", "CONFIRM", "Act", "Outcome", "begin", "earlier", "finish", "newest"]
+__all__ = [
+    "ASK_AGAIN",
+    "CONFIRM",
+    "TAKE_OVER",
+    "Act",
+    "Outcome",
+    "begin",
+    "earlier",
+    "finish",
+    "newest",
+    "was_adopted",
+]
 
 # What people said of presses (edge.store.person_verdicts).
 CONFIRM: Final = "confirm_press"
+# Another bundle takes the place of the one in use (edge.features.shadow).
+TAKE_OVER: Final = "take_over"
 # That the station asks about a press once more.
 ASK_AGAIN: Final = "ask_again"
 
@@ -107,6 +120,12 @@ def earlier(
         (signature, signature, verb, request, after_ns),
     ).fetchone()
     return None if row is None else _act(row)
+
+
+def was_adopted(connection: sqlite3.Connection, bundle_id: str) -> bool:
+    """Tell whether this bundle has ever taken another one's place."""
+    query = "SELECT 1 FROM acts WHERE verb = ? AND json_extract(after, '$.bundle_id') = ? LIMIT 1"
+    return connection.execute(query, (TAKE_OVER, bundle_id)).fetchone() is not None
 
 
 def newest(connection: sqlite3.Connection, limit: int) -> list[Act]:

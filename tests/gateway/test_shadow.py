@@ -141,6 +141,37 @@ def test_a_shadow_takes_over_stays_and_is_taken_back(
     assert [one.text for one in found if one.is_fault] == []
 
 
+def test_a_shadow_takes_over_by_itself_once_and_not_where_it_was_taken_back(
+    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where that is configured: when the request would not be refused, with the same act and alarm."""
+    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 3)
+    monkeypatch.setattr("edge.features.shadow.WEIGHED_EVERY_S", 0.0)
+    new, config = Bundle.load(shadow).digest, configure(tmp_path / "station", presses, bundle, shadow)
+
+    def play(station: SteppedStation, upto: int) -> None:
+        for number in range(len(station.reports) + 1, upto + 1):
+            station.play_presses(number)
+            station.find(Shadow).worker.step()
+            station.turn()
+
+    with SteppedStation(config) as asked:
+        play(asked, 4)
+    config.write_text(config.read_text().replace("shadows =", 'takeover = "by itself"\nshadows ='))
+    with SteppedStation(config) as station:
+        play(station, 3)
+        text = station.alarm("takeover")
+        station.ask("restore_bundle")
+        station.turn()
+        play(station, 6)
+        acts = [act.after["bundle_id"] for act in station.parts.store.acts() if act.verb == "take_over"]
+
+    assert {one.bundle_id for one in asked.results} == {Bundle.load(bundle).digest}
+    assert text.startswith(f"bundle {new[:12]} inspects PZ0/pos1 instead of")
+    assert acts == [Bundle.load(bundle).digest, new]  # the newest first: taken back, and for good
+    assert station.results[-1].bundle_id == Bundle.load(bundle).digest
+
+
 def test_the_takeover_waits_for_the_end_of_a_press(
     tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
