@@ -134,8 +134,8 @@ BUGS = (
     Bug(
         "the old gel is pressed on in the ledger",
         "edge/store/gel_ledger.py",
-        "    gel_id = gel_id or next(",
-        "    if len(ids) > 1:\n        return\n    gel_id = gel_id or next(",
+        "    gel_id = gel_id or f",
+        "    if len(ids) > 1:\n        return\n    gel_id = gel_id or f",
         "gel",
     ),
     Bug(

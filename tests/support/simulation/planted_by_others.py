@@ -108,14 +108,8 @@ BY_OTHERS = (
     Bug(
         "the intended end is a loss",
         "plugins/sinks/mqtt.py",
-        "        connection = self._connection\n"
-        "        if connection is not None:\n"
-        "            connection.close()\n"
-        "        self._requests.close()\n",
-        "        connection = self._connection\n"
-        "        if connection is not None:\n"
-        '            connection.abandon("closed here")\n'
-        "        self._requests.close()\n",
+        "            connection.close()\n        self._requests.close()\n",
+        '            connection.abandon("closed here")\n        self._requests.close()\n',
         "ended in order",
     ),
     # operations.md, Gel change: 'Leave the gel free until `state` is `ready` again: its picture is learnt'.
