@@ -111,20 +111,20 @@ class Asked:
 
 
 def choose_questions(
-    presses: Iterable[Asked], answered: Container[str], most: int, proven_until_ns: int | None = None
+    presses: Iterable[Asked], answered: Container[str], most: int, new_gel_ns: int | None = None
 ) -> list[Asked]:
     """Choose the presses that would teach most: closest to the threshold, and of five one pass whatever its score.
 
     Without the latter nobody would ever look at a damage that the machine does not see at all. Which pass it is, is
-    drawn by its id, so the choice stays the same until something changes. proven_until_ns: since then another gel is
+    drawn by its id, so the choice stays the same until something changes. new_gel_ns: since then another gel is
     mounted, on which the bundle is not proven. Then its presses alone are asked for, drawn whatever their score: those
     close to a threshold of another gel would be the lowest. Oldest first.
     """
     open_ = [press for press in presses if press.press_id not in answered]
-    if proven_until_ns is not None:
-        open_ = [press for press in open_ if press.time_ns >= proven_until_ns]
-    is_drawn = [one for one in open_ if proven_until_ns is not None or one.verdict == "pass"]
-    share = most // 5 if proven_until_ns is None else most
+    if new_gel_ns is not None:
+        open_ = [press for press in open_ if press.time_ns >= new_gel_ns]
+    is_drawn = [one for one in open_ if new_gel_ns is not None or one.verdict == "pass"]
+    share = most // 5 if new_gel_ns is None else most
     drawn = sorted(is_drawn, key=lambda one: one.press_id[::-1])[:share]
     close = sorted((one for one in open_ if one not in drawn), key=lambda one: (-one.doubt, one.press_id))
     return sorted([*drawn, *close[: max(0, most - len(drawn))]], key=lambda one: one.press_id)

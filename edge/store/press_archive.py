@@ -141,7 +141,7 @@ class PressArchive:
     ) -> None:
         self.fault: str | None = None
         self._folder = folder
-        self._most_presses, self._most_bytes = most_presses, most_bytes
+        self.most_presses, self._most_bytes = most_presses, most_bytes
         self.why_not = why_not
         self._presses: dict[str, tuple[Digest, ...]] = {}
         self._spoken_of: set[str] = set()
@@ -192,7 +192,7 @@ class PressArchive:
         _write(self._folder / PRESSES / f"{press.press_id}.json", record)
         self._add(press.press_id, press.objects)
         while len(self._presses) > 1 and (
-            len(self._presses) > self._most_presses or sum(self._sizes.values()) > self._most_bytes
+            len(self._presses) > self.most_presses or sum(self._sizes.values()) > self._most_bytes
         ):
             self._remove_oldest()
         return hashlib.sha256(record).digest()
@@ -222,7 +222,7 @@ class PressArchive:
         spoken_of = [one for one in older if one in self._spoken_of]
         held = {digest for one in spoken_of for digest in self._presses[one]}
         is_too_much = (
-            2 * len(spoken_of) > self._most_presses
+            2 * len(spoken_of) > self.most_presses
             or 2 * sum(self._sizes.get(digest, 0) for digest in held) > self._most_bytes
         )
         press_id = next((one for one in older if is_too_much or one not in self._spoken_of), older[0])
@@ -296,10 +296,10 @@ def find_press(database: Path, prefix: str) -> KnownPress:
     return presses[0]
 
 
-def read_archived(connection: sqlite3.Connection) -> list[str]:
-    """The ids of presses with a record in the archive, as they were made, oldest first."""
-    query = "SELECT press_id FROM presses WHERE evidence IS NOT NULL ORDER BY number"
-    return [press_id for (press_id,) in connection.execute(query)]
+def read_archived(connection: sqlite3.Connection, most: int) -> list[str]:
+    """The ids of the newest presses that were archived, as they were made, oldest first; a history may be long."""
+    query = "SELECT press_id FROM presses WHERE evidence IS NOT NULL ORDER BY number DESC LIMIT ?"
+    return [press_id for (press_id,) in connection.execute(query, (most,))][::-1]
 
 
 def presses_since(database: Path, since_ns: int | None = None) -> Iterator[KnownPress]:

@@ -106,7 +106,7 @@ def test_on_a_gel_on_which_nothing_is_proven_its_presses_are_drawn_whatever_thei
     old = [asked(n, "pass", 0.99) for n in range(1, 5)]
     new = [asked(n, "fail", 1 + n / 100) for n in range(10, 40)]
 
-    chosen = choose_questions([*old, *new], {"0011"}, 10, proven_until_ns=10)
+    chosen = choose_questions([*old, *new], {"0011"}, 10, new_gel_ns=10)
 
     assert len(chosen) == 10
     assert {one.press_id for one in chosen} <= {one.press_id for one in new} - {"0011"}

@@ -52,7 +52,8 @@ class BlackBox(PressStage):
     def mount(self, gel: GelRecord) -> None:
         """Read what is there, and describe the machine: no press waits for that."""
         self._serial = gel.serial
-        self._archive.open(self._store.read("reading what is archived", read_archived))
+        newest = partial(read_archived, most=self._archive.most_presses)
+        self._archive.open(self._store.read("reading what is archived", newest))
         if self._machine is None:
             self._machine = _name_by_hash(fingerprint_bytes(fingerprint(self._threads)))
 
