@@ -34,6 +34,7 @@ __all__ = [
     "mean_interval",
     "rank",
     "sample",
+    "spread_measures",
     "stable_from",
     "subtract",
     "summarise",
@@ -199,6 +200,16 @@ def effects(
             lines.append([method, part, COMPARED.get(measure, measure), mean, ours, paper, agreement])
     heading = ["method", "part", "measure", "mean difference", "here", "paper", "direction"]
     return pd.DataFrame(lines, columns=heading)
+
+
+def spread_measures(found: "pd.DataFrame") -> "pd.DataFrame":
+    """Return effects with a row for each method and part: `+0.0154 up (down)`, in brackets the paper's direction."""
+    paper = found["paper"].map(lambda way: "" if way == "-" else f" ({way})")
+    texts = found.assign(text=found["mean difference"] + " " + found["here"] + paper)
+    spread = texts.pivot_table(
+        "text", ["part", "method"], "measure", aggfunc="first", fill_value="-", sort=False
+    )
+    return spread.reset_index()[["method", "part", *spread.columns]]
 
 
 def stable_from(rows: "pd.DataFrame") -> float | None:

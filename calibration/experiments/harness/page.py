@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from calibration.experiments.harness.evidence import COMPARED, are_drawn, count_agreements
+from calibration.experiments.harness.evidence import COMPARED, are_drawn, count_agreements, spread_measures
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.published import paper_medians, read_published
 from calibration.experiments.harness.rows import TIMES
@@ -60,7 +60,8 @@ def _templates() -> "Environment":
 
     loader = PackageLoader("calibration.experiments", "studies/pages")
     made = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    made.filters |= {"table": table, "percent": percent, "count_agreements": count_agreements}
+    made.filters |= {"table": table, "percent": percent}
+    made.filters |= {"count_agreements": count_agreements, "spread_measures": spread_measures}
     made.globals |= {"source": read_published()["source"], "compared": COMPARED}
     return made
 

@@ -14,12 +14,11 @@ from calibration.experiments.harness.evidence import (
     direction,
     effects,
     sample,
-    stable_from,
     subtract,
     write_condition,
 )
-from calibration.experiments.harness.page import SETUP, Page, by_setup, only_scored, percent, render
-from calibration.experiments.harness.published import paper_medians, stable_fraction
+from calibration.experiments.harness.page import SETUP, Page, by_setup, only_scored, render
+from calibration.experiments.harness.published import paper_medians
 from calibration.experiments.studies import cross_position_study, good_fraction_study, resolution_study
 
 if TYPE_CHECKING:
@@ -86,9 +85,8 @@ def page(rows: "pd.DataFrame") -> Page:
         studies = [
             _compare(own, study) for study in _STUDIES if len(own := group[group["study"] == study.name])
         ]
-        plateaus = _list_plateaus(group[group["study"] == good_fraction_study.STUDY])
-        if len(plateaus) or any(found["is_known"] for found in studies):
-            setups.append({"title": title, "name": _name(group), "plateaus": plateaus, "studies": studies})
+        if any(found["is_known"] for found in studies):
+            setups.append({"title": title, "name": _name(group), "studies": studies})
     counts = [[setup["name"], *_count([setup])] for setup in setups]
     counts.append(["**all**", *(f"**{text}**" for text in _count(setups))])
     heading = ["setup", "orders of two methods", "directions of an effect"]
@@ -116,7 +114,11 @@ def _compare(rows: "pd.DataFrame", study: _Study) -> dict[str, Any]:
     for before, after, title in study.steps:
         found = effects(rows, study.column, before, after, study.names)
         if len(known := found[found["paper"] != "-"]):
-            steps.append({"title": title, "known": known, "differing": known[known["direction"] == "differ"]})
+            columns = ["method", "part", "measure", "mean difference"]
+            differing = known.loc[known["direction"] == "differ", columns].agg(" ".join, axis=1)
+            steps.append(
+                {"title": title, "directions": list(known["direction"]), "differing": list(differing)}
+            )
     levels = _list_levels(rows, study)
     return {
         "name": study.name,
@@ -124,7 +126,7 @@ def _compare(rows: "pd.DataFrame", study: _Study) -> dict[str, Any]:
         "pairs": pairs,
         "levels": levels,
         "steps": steps,
-        "directions": [word for step in steps for word in step["known"]["direction"]],
+        "directions": [word for step in steps for word in step["directions"]],
         "is_known": bool(len(orders) or len(levels) or steps),
     }
 
@@ -144,19 +146,6 @@ def _span_levels(rows: "pd.DataFrame") -> "pd.DataFrame":
             ends = [f"{level:.3f}, {setup}" for level, setup in (ours[0], ours[-1])]
             lines.append([part, *ends, f"{theirs[part]:.3f}"])
     return pd.DataFrame(lines, columns=["part", "least here", "most here", "paper"])
-
-
-def _list_plateaus(rows: "pd.DataFrame") -> "pd.DataFrame":
-    """Return the plateau of each method next to the paper's."""
-    import pandas as pd
-
-    lines = []
-    for method, group in rows.groupby("method"):
-        ours, paper = stable_from(group), stable_fraction(str(method))
-        if ours is not None and paper is not None:
-            word = "equal" if ours == paper else "earlier here" if ours < paper else "later here"
-            lines.append([method, percent(ours), percent(paper), word])
-    return pd.DataFrame(lines, columns=["method", "here", "paper", ""])
 
 
 def _list_orders(rows: "pd.DataFrame", study: _Study) -> tuple["pd.DataFrame", list[str]]:
@@ -190,26 +179,24 @@ def _write_order(values: Mapping[str, float]) -> str:
 
 
 def _list_levels(rows: "pd.DataFrame", study: _Study) -> "pd.DataFrame":
-    """Return whether parts are easier or harder than the paper's: means over the methods of both of the medians."""
+    """Return how hard the parts are, here and in the paper: means over the methods of both of the medians."""
     import pandas as pd
 
     lines = []
     for part, own in rows.groupby("part"):
         for condition in study.shown:
             at = own[own[study.column] == condition].groupby("method")[list(COMPARED)].median()
-            for measure, name in COMPARED.items():
+            levels = []
+            for measure in COMPARED:
                 paper = study.paper(measure, condition)
                 known = at[measure].dropna()
                 pairs = [
                     (level, paper[method, part]) for method, level in known.items() if (method, part) in paper
                 ]
-                if pairs:
-                    here, theirs = np.mean(pairs, axis=0)
-                    shown = [f"{here:.3f}", f"{theirs:.3f}", f"{here - theirs:+.3f}"]
-                    word = "easier" if here > theirs else "harder"
-                    lines.append([part, f"`{write_condition(condition)}`", name, *shown, word])
-    heading = ["part", _heading(study), "measure", "here", "paper", "difference", "ours is"]
-    return pd.DataFrame(lines, columns=heading)
+                levels.append("{:.3f} ({:.3f})".format(*np.mean(pairs, axis=0)) if pairs else "-")
+            if set(levels) != {"-"}:
+                lines.append([part, f"`{write_condition(condition)}`", *levels])
+    return pd.DataFrame(lines, columns=["part", _heading(study), *COMPARED.values()])
 
 
 def _heading(study: _Study) -> str:
