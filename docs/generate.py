@@ -7,7 +7,8 @@ tree, mqtt.md from the payload models.
 import inspect
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -34,8 +35,18 @@ NOTICE: Final = "<!-- Printed from the program by `make docs`; change the progra
 
 def cli_page() -> str:
     """Every verb with its arguments, options and defaults, and the exit codes."""
-    sections = (_section(path, verb) for path, verb in verbs())
-    return "\n".join([NOTICE, "# Command line\n", *_exit_codes(), *sections])
+    every = {path: [one for one in parameters(verb) if not one.is_hidden] for path, verb in verbs()}
+    shared = _shared(chain.from_iterable(every.values()))
+    common = ["## Options of several verbs\n", _OPTION_HEADING, *(one.row() for one in shared), ""]
+    sections = (_section(path, verb, every[path], shared) for path, verb in verbs())
+    return "\n".join([NOTICE, "# Command line\n", *_exit_codes(), *common, *sections])
+
+
+def _shared(every: Iterable["Parameter"]) -> list["Parameter"]:
+    """Return the options that mean the same in at least three verbs, one of a name."""
+    counts = Counter(one for one in every if not one.is_argument and one.default != "required")
+    found = {one.names[0]: one for one, count in reversed(counts.most_common()) if count >= 3}
+    return [found[name] for name in sorted(found)]
 
 
 def verbs() -> Iterator[tuple[str, Callable[..., None]]]:
@@ -85,6 +96,10 @@ class Parameter:
         value = "" if is_flag or is_argument else info.metavar or _type_words(kind, info)
         return cls(names, value, _default(default), info.help or "", is_argument, info.hidden)
 
+    def row(self) -> str:
+        names = ", ".join(f"`{name}`" for name in self.names)
+        return _row(f"{names} {self.value}", self.default, self.help)
+
 
 def parameters(verb: Callable[..., None]) -> list[Parameter]:
     """What a verb takes, arguments first."""
@@ -96,17 +111,19 @@ def parameters(verb: Callable[..., None]) -> list[Parameter]:
     return sorted(found, key=lambda one: not one.is_argument)
 
 
-def _section(path: str, verb: Callable[..., None]) -> str:
-    taken = [one for one in parameters(verb) if not one.is_hidden]
+_OPTION_HEADING: Final = "| option | default | what it is |\n| --- | --- | --- |"
+
+
+def _section(
+    path: str, verb: Callable[..., None], taken: Sequence[Parameter], shared: Sequence[Parameter]
+) -> str:
     words = [path, *(one.names[0] for one in taken if one.is_argument)]
     words += ["[OPTIONS]"] * any(not one.is_argument for one in taken)
     lines = [f"## {path}\n\n{_paragraphs(inspect.getdoc(verb))}\n\n```\n{' '.join(words)}\n```\n"]
-    if taken:
-        lines.append("| option | default | what it is |\n| --- | --- | --- |")
-        for one in taken:
-            names = ", ".join(f"`{name}`" for name in one.names)
-            lines.append(_row(f"{names} {one.value}", one.default, one.help))
-        lines.append("")
+    if own := [one for one in taken if one not in shared]:
+        lines += [_OPTION_HEADING, *(one.row() for one in own), ""]
+    if others := [f"`{one.names[0]}`" for one in taken if one in shared]:
+        lines.append(f"Also {', '.join(others)}, as [above](#options-of-several-verbs).\n")
     return "\n".join(lines)
 
 
