@@ -32,7 +32,6 @@ class Disk:
         self.full_since_ns = 0
         self.copy: Path | None = None
         self.killed_at = ""
-        self._connections: list[sqlite3.Connection] = []
         self._new: list[sqlite3.Connection] = []
         self._is_copying = False
 
@@ -53,15 +52,13 @@ class Disk:
         elif event in WRITES:
             self._write_file(arguments[0], event)
 
-    def fill(self, is_full: bool) -> None:
-        """Leave no room, or room again: SQLite may not grow, and no file is made."""
-        self.is_full = is_full
-        for connection in self._connections:
-            self._limit(connection)
+    def fill(self, room: int | None) -> None:
+        """Leave so many bytes for SQLite, and none for another file; None: room again."""
+        assert self.unsynced is not None
+        self.is_full, self.unsynced.room = room is not None, room
 
     def forget(self) -> None:
         """A new process has no connection."""
-        self._connections.clear()
         self._new.clear()
         self.copy, self.kill_in, self.killed_at, self.lost = None, None, "", None
 
@@ -73,15 +70,6 @@ class Disk:
             except sqlite3.Error:
                 continue
             self._new.remove(connection)
-            self._connections.append(connection)
-            self._limit(connection)
-
-    def _limit(self, connection: sqlite3.Connection) -> None:
-        try:
-            pages = connection.execute("PRAGMA page_count").fetchone()[0] if self.is_full else 1 << 30
-            connection.execute(f"PRAGMA max_page_count = {max(1, pages)}")
-        except sqlite3.Error:
-            self._connections.remove(connection)  # it is closed
 
     def _statement(self, statement: str) -> None:
         if not statement.startswith(("SELECT", "PRAGMA", "--")):

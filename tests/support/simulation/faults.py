@@ -140,12 +140,13 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
 def fill_disk(run: "Simulation", rng: random.Random) -> float:
     """No room on the disk, then room again."""
     disk = run.station.disk
-    disk.fill(True)
+    lasts_s, room = rng.uniform(1, 20), rng.choice((0, 0, 30_000))
+    disk.fill(room)
     run.world.may_lack_files = True
     disk.full_since_ns = run.world.clock.now_ns
     if run.station.loop.parts.selection.is_waiting:
         run.world.parts.forget(run.world.clock.now_ns)
-    return run.for_a_while("disk full", rng.uniform(1, 20), lambda: disk.fill(False))
+    return run.for_a_while("disk full", lasts_s, lambda: disk.fill(None))
 
 
 def slow_disk(run: "Simulation", rng: random.Random) -> float:
@@ -319,7 +320,7 @@ def _is_press_waiting(run: "Simulation") -> bool:
     """A press that has ended is not recorded, for the disk is full."""
     press = run.world.hand.presses[-1] if run.world.hand.presses else None
     has_begun = press is not None and press.begin_ns > run.station.disk.full_since_ns + S // 2
-    return run.station.disk.is_full and has_begun and 0 < press.end_ns < run.world.clock.now_ns - 2 * S
+    return run.station.loop.is_halted and has_begun and 0 < press.end_ns < run.world.clock.now_ns - 2 * S
 
 
 MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
@@ -333,5 +334,5 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
 
 NEEDS_ANSWER = {"stop", "lose database", "freeze", *PEOPLE}
 """Faults that need an answer of the process."""
-NEEDS_DISK = {"lose power", "slow disk", "bad disk"}
+NEEDS_DISK = {"fill disk", "lose power", "slow disk", "bad disk"}
 """Faults for which the writes of SQLite are listened to."""

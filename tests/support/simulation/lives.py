@@ -68,6 +68,7 @@ class Station:
         self.seen: list[Seen] = []
         self.began_ns = 0
         self.ended_ns: list[int] = []
+        self.killed_ns: list[int] = []
         self.fed_ns: list[int] = []
         """The times of the frames that this life has looked at."""
         self.answers: list[dict[str, Any]] = []
@@ -217,6 +218,7 @@ class Station:
         copy = self.disk.copy
         assert copy is not None
         self._note_end()
+        self.killed_ns.append(self.world.clock.now_ns)
         self.world.connections.end_turns()
         self.loop.parts.calls.close(self.loop)
         self.hear_answers()

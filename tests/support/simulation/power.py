@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 SECTOR = 512
-IO_ERROR = 10
+IO_ERROR, FULL = 10, 13
 OPEN = CFUNCTYPE(c_int, c_void_p, c_void_p, c_void_p, c_int, c_void_p)
 TRANSFER = CFUNCTYPE(c_int, c_void_p, c_void_p, c_int, c_int64)
 SYNC = CFUNCTYPE(c_int, c_void_p, c_int)
@@ -66,6 +66,8 @@ class Unsynced:
         """Called at each sync: it takes its time."""
         self.fails: Callable[[str], bool] | None = None
         """Tells whether a `read`, `write` or `sync` of the database fails."""
+        self.room: int | None = None
+        """So many bytes of the database are still taken; None: there is room."""
 
     def lose(self, copy: Path, rng: random.Random) -> int:
         """Take from a copy of the folder what a loss of power takes; returns the number of sectors."""
@@ -196,6 +198,10 @@ def _listening_methods(found: Unsynced, names: dict[int, str], address: int, kep
     def write(file: int, data: int, size: int, start: int) -> int:
         if found.fails is not None and found.fails("write"):
             return IO_ERROR
+        if found.room is not None:
+            found.room -= size
+            if found.room < 0:
+                return FULL
         sectors = found.sectors.setdefault(names[file], {})
         for sector in range(start // SECTOR * SECTOR, start + size, SECTOR):
             if sector not in sectors:

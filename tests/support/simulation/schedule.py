@@ -290,8 +290,8 @@ class Simulation:
         except StoreError as error:
             self.note(f"the start failed: {error}")
             self.reach("a start failed, and the next one did not")
-            if "disk errs" in self.ending:
-                self.ending.pop("disk errs")()
+            for fault in {"disk errs", "disk full"} & set(self.ending):
+                self.ending.pop(fault)()
             self.station.open()
         for actor in self._threads.own:
             actor.due_ns = self.world.clock.now_ns
