@@ -1,6 +1,7 @@
 """A shadow: a bundle that scores presses beside the one in use and decides nothing; whether it may take over."""
 
 import json
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 from typing import Final, Self
@@ -15,6 +16,10 @@ LEAST_ON_NEW_GEL: Final = 4
 """Presses of a new gel that people call good: so many must be learnt, and be judged by both, before a shadow may take
 the place of a bundle that is not proven on this gel. Nothing is promised of the latter there, so nothing is lost by the
 shadow but damage, which is compared. Fewer say nothing of a gel: 4 are the fewest that a threshold is found by."""
+
+_MOST_BY_CHANCE: Final = 0.05
+"""A shadow need not wait where the good presses on which the two differ favour it as much as this seldom by chance
+(sign test, McNemar 1947): five of five, or eight of nine."""
 
 # Presses that are named in a sentence of many.
 _MOST_NAMED: Final = 8
@@ -112,6 +117,22 @@ class Weighing:
     def _good(self) -> list[JudgedTwice]:
         return [one for one in self.presses if one.saying in ("good", "gel")]
 
+    @property
+    def is_clear(self) -> bool:
+        """Whether good presses that the bundle in use alone fails show that the shadow is better. Every press that the
+        shadow alone does not pass speaks against it, unless people call it damaged. Nothing is clear where it passes a
+        press that anybody ever called damaged, or where that is not known."""
+        better = sum(
+            one.saying == "good" and one.verdict in ("fail", "unsure") and one.other == "pass"
+            for one in self.presses
+        )
+        worse = sum(
+            one.saying != "damaged" and one.verdict == "pass" and one.other != "pass" for one in self.presses
+        )
+        differing = better + worse
+        by_chance = sum(math.comb(differing, k) for k in range(better, differing + 1)) / 2**differing
+        return by_chance <= _MOST_BY_CHANCE and not self.doubts()
+
     def refusals(self, *, has_promise: bool) -> list[str]:
         """Say why the shadow may not take over; nothing where it may."""
         found: list[str] = []
@@ -122,7 +143,7 @@ class Weighing:
         compared, least, which = len(self.presses), LEAST_COMPARED, ""
         if self.is_new_gel:
             compared, least, which = len(self._good), LEAST_ON_NEW_GEL, " that people call good"
-        if compared < least:
+        if compared < least and not self.is_clear:
             found.append(f"both have judged {compared} presses{which}, at least {least} are needed")
         if self.lost:
             found.append(f"it passes damage that was found: {', '.join(self.lost)}")

@@ -23,7 +23,7 @@ from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
 from edge.store.acts import TAKE_OVER, Act, was_adopted
 from edge.store.database import open_read_only
 from edge.store.gel_ledger import GelRecord
-from edge.store.gel_proofs import GelBundle
+from edge.store.gel_proofs import GelBundle, unproven_since
 from edge.store.person_verdicts import ask_again
 from edge.store.press_archive import ArchiveFolder
 from edge.store.shadow_verdicts import Unjudged, read_judged_twice, read_learnt
@@ -197,13 +197,18 @@ class Shadow(PressStage):
 
     def _adopt_if_no_worse(self, part: PartPosition, in_use: str, other: str, shadow: Inspector) -> Data:
         """Weigh the two, while the loop goes on. Errors: ValueError where the shadow may not take over; StoreError."""
-        names, learnt = shadow.bundle.manifest.provenance.presses, set[str]()
         with open_read_only(self._store.path, "weighing a shadow") as connection:
-            if self._gel is not None:
-                learnt = read_learnt(connection, GelBundle(*self._gel, in_use), names)
-            is_new_gel = len(learnt) >= LEAST_ON_NEW_GEL
-            both, missing = read_judged_twice(connection, part, other, in_use, learnt if is_new_gel else ())
-        more, unknown = self._judge_missing(missing, shadow) if missing else ([], [])
+            learnt = read_learnt(connection, shadow.bundle.manifest.provenance.presses)
+            of_gel = [press_id for press_id, gel in learnt.items() if gel == self._gel]
+            is_unproven = (
+                self._gel is not None
+                and unproven_since(connection, GelBundle(*self._gel, in_use)) is not None
+            )
+            is_new_gel = is_unproven and len(of_gel) >= LEAST_ON_NEW_GEL
+            both, missing = read_judged_twice(
+                connection, part, other, in_use, of_gel if is_new_gel else learnt
+            )
+        more, unknown = self._judge_missing(missing, shadow, None if is_new_gel else in_use)
         weighing = Weighing([*both, *more], unknown, is_new_gel=is_new_gel)
         doubts = "; ".join(weighing.doubts())
         refusals = weighing.refusals(has_promise=shadow.bundle.manifest.threshold.n > 0)
@@ -230,17 +235,24 @@ class Shadow(PressStage):
         self._exchange = exchange
 
     def _judge_missing(
-        self, missing: list[Unjudged], shadow: Inspector
+        self, missing: list[Unjudged], shadow: Inspector, failed_by: str | None
     ) -> tuple[list[JudgedTwice], list[str]]:
-        """Judge presses of before the shadow from the archive; return what damage is gone as sentences."""
+        """Judge presses of before the shadow from the archive; return what damage is gone as sentences. failed_by: of
+        good ones only those that this bundle did not pass."""
         from edge.features.black_box.replay import judge_again  # few stations have such damage
 
+        if not missing:
+            return [], []
         archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
         inspector = Inspector(shadow.scorer.copy(), self._clock)  # the loop scores with the other one
         judged, unknown = list[JudgedTwice](), list[str]()
         for one in missing:
             try:
-                now = judge_again(archive.press(one.press_id, one.evidence), archive, inspector).now
+                press = archive.press(one.press_id, one.evidence)
+                has_failed = one.verdict != "pass" and press.bundle_id == failed_by
+                if failed_by is not None and not one.was_damaged and not has_failed:
+                    continue
+                now = judge_again(press, archive, inspector).now
                 words = one.saying, one.was_damaged
                 judged.append(JudgedTwice(one.press_id, one.verdict, now.word, *words))
             except ArchiveError as error:
@@ -266,7 +278,7 @@ class Shadow(PressStage):
             _adopt,
             "let the shadow of the part inspected now take the place of its bundle, once the gel is free. Refused "
             "where it promises no rate of false alarms, passes damage that was found, fails more of what people call "
-            "good, or too few presses were judged by both",
+            "good, or where too few presses show that it is no worse",
             "the bundle that inspects",
         ),
         Command(

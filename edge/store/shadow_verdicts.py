@@ -11,15 +11,14 @@ from typing import NamedTuple
 from edge.core.part_position import PartPosition
 from edge.core.person_verdict import PersonVerdict, settle
 from edge.core.shadow import JudgedTwice
-from edge.store.gel_proofs import GelBundle, unproven_since
 from edge.store.person_verdicts import read_verdicts
 
 __all__ = ["Unjudged", "read_judged_twice", "read_learnt"]
 
 
 class Unjudged(NamedTuple):
-    """A press that somebody called damaged, or a good one of the mounted gel, that the shadow has not judged. saying:
-    what holds of it now."""
+    """A press that somebody called damaged, or a good one that the shadow has learnt, and that it has not judged.
+    saying: what holds of it now."""
 
     press_id: str
     verdict: str
@@ -63,15 +62,14 @@ def read_judged_twice(
     return both, missing
 
 
-def read_learnt(connection: sqlite3.Connection, key: GelBundle, names: Iterable[str]) -> set[str]:
-    """Read which presses of a gel, that people call good, a bundle has learnt; nothing where the bundle in use is
-    proven on this gel. key: of the bundle in use. names: of the presses of the other one's fit."""
-    if unproven_since(connection, key) is None:
-        return set()
+def read_learnt(connection: sqlite3.Connection, names: Iterable[str]) -> dict[str, tuple[str, str]]:
+    """Read which presses that people call good a bundle has learnt, with sensor and gel of each. names: of the presses
+    of its fit."""
     said, known = read_verdicts(connection), {PurePath(name).stem for name in names}
-    good = {press_id for press_id in known & said.keys() if _settle(said[press_id]) == "good"}
-    query = "SELECT press_id FROM presses WHERE serial = ? AND gel_id = ?"
-    return {row[0] for row in connection.execute(query, key[:2])} & good
+    good = [press_id for press_id in known & said.keys() if _settle(said[press_id]) == "good"]
+    query = "SELECT serial, gel_id FROM presses WHERE press_id = ?"
+    rows = {press_id: connection.execute(query, (press_id,)).fetchone() for press_id in good}
+    return {press_id: row for press_id, row in rows.items() if row is not None}
 
 
 def _settle(words: Sequence[PersonVerdict]) -> str | None:

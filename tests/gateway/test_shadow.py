@@ -266,6 +266,41 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
     assert asked[0] == ids[2]
 
 
+def test_a_shadow_that_has_learnt_false_alarms_need_not_wait(
+    tmp_path: Path, presses: Path, bundle: Path
+) -> None:
+    """Five good presses that the bundle in use fails and the shadow, judged from the archive, does not; with four, and
+    where another bundle had failed them, it waits for 100 presses."""
+    provenance = json.loads((bundle / "manifest.json").read_text())["provenance"]
+    strict, folder = limit(bundle, **FIVE, value=1e-9), tmp_path / "station"
+    in_use = variant(bundle, tmp_path / "strict", threshold=strict)
+    with SteppedStation(station_config(folder, presses, f'bundle = "{in_use}"')) as station:
+        station.play_presses(8)
+        say(station, dict.fromkeys((0, 1, 3, 4, 6), "good"))
+        ids = [one.press_id for one in station.results]
+
+    def ask(beside: Path, *learnt: int) -> str:
+        names = [*provenance["presses"], *(f"confirmed/{ids[number]}.jpg" for number in learnt)]
+        changes = {"threshold": limit(bundle, **FIVE), "provenance": {**provenance, "presses": names}}
+        other = variant(bundle, tmp_path / f"{beside.name} {len(learnt)}", revision=3, **changes)
+        with SteppedStation(configure(folder, presses, beside, other)) as later:
+            try:
+                return adopt(later)["why"]
+            except ValueError as refusal:
+                return str(refusal)
+
+    stricter = variant(bundle, tmp_path / "stricter", threshold=strict, revision=2)
+
+    waits = ask(in_use, 0, 1, 3, 4)
+    of_another = ask(stricter, 0, 1, 3, 4, 6)
+    taken = ask(in_use, 0, 1, 3, 4, 6)
+
+    assert station.verdicts == ["fail"] * 8
+    assert "both have judged 4 presses, at least 100 are needed" in waits
+    assert "both have judged 0 presses, at least 100 are needed" in of_another
+    assert taken.startswith("5 presses judged by both: 0 pass the bundle in use alone, 5 the shadow alone")
+
+
 def test_known_damage_of_before_the_shadow_is_judged_from_the_archive(
     tmp_path: Path, presses: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
