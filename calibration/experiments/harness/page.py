@@ -1,4 +1,4 @@
-"""What the pages of the studies have in common: setups, tables, what was not scored, what it cost."""
+"""What the pages of the studies have in common: setups, tables, what was not scored."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -23,7 +23,6 @@ __all__ = [
     "by_setup",
     "figure_file",
     "list_cells",
-    "list_costs",
     "make_page",
     "only_scored",
     "percent",
@@ -72,22 +71,18 @@ def make_page(
     condition: str,
     describe: Callable[["pd.DataFrame"], Mapping[str, Any]],
     draw: Callable[["pd.DataFrame"], Figures] = lambda rows: {},
-    name: Callable[[Any], str] = str,
-    costed: "pd.DataFrame | None" = None,
     **more: Any,
 ) -> Page:
-    """Make the page of a study from its template: cells, every setup with its figures, both splits, refusals and cost.
+    """Make the page of a study from its template: cells, every setup with its figures, both splits, refusals.
 
     rows: of the study. condition: the column that it varies. describe: the template's values for one backbone, mode and
-    split. name: of a value of the condition. costed: the rows whose cost is listed, None is all that are scored.
-    more: further values.
+    split. more: further values.
     """
     scored, figures, setups = only_scored(rows), dict[str, Callable[[], "Figure"]](), []
     for title, group in by_setup(scored):
         drawn = draw(group)
         figures |= drawn
         setups.append({"title": title, "figures": list(drawn), **describe(group)})
-    timed = scored if costed is None else costed
     keys = ["method", "mode", "backbone"]
     refused = rows.reindex(columns=[*keys, "error"]).dropna().groupby([*keys, "error"]).size()
     values = {
@@ -98,9 +93,8 @@ def make_page(
         "setups": setups,
         "splits": compare_splits(scored, condition),
         "refused": refused.reset_index(name="cells")[[*keys, "cells", "error"]],
-        "costs": list_costs(timed, condition, name) if len(timed) else None,
-        "minutes": round(timed[list(TIMES)].sum().sum() / 60),
-        "timed": len(timed),
+        "minutes": round(scored[list(TIMES)].sum().sum() / 60),
+        "timed": len(scored),
     }
     return Page(render(study, **(values | more)), figures)
 
@@ -212,18 +206,3 @@ def compare_splits(rows: "pd.DataFrame", condition: str, measure: str = "aupro_0
     for split in ("press", "specimen"):
         found[split] = found[split].map("{:.4f}".format)
     return found.rename(columns={"press": "by press", "specimen": "by specimen"}).reset_index()
-
-
-def list_costs(rows: "pd.DataFrame", condition: str, name: Callable[[Any], str] = str) -> "pd.DataFrame":
-    """Return median processor seconds of a cell by its stages, and the bank, for each condition and method."""
-    groups = rows.groupby([condition, "method"])
-    found = groups[["presses", *TIMES, "bank_bytes"]].median().astype({"presses": int})
-    found.insert(0, "cells", groups.size())
-    found["bank_bytes"] = (found["bank_bytes"] / 1e6).map("{:.1f}".format)
-    for stage in TIMES:
-        found[stage] = found[stage].map("{:.2f}".format)
-    found = found.reset_index()
-    found[condition] = found[condition].map(name)
-    return found.set_axis(
-        [condition, "method", "cells", "presses", "fit s", "score s", "measures s", "bank MB"], axis=1
-    )

@@ -92,7 +92,7 @@ def study_bad_presses(options: Options) -> Rows:
 
 def page(rows: "pd.DataFrame") -> Page:
     """Make the page. rows: of this study."""
-    return make_page(STUDY, rows, "bad", _describe, name=percent)
+    return make_page(STUDY, rows, "bad", _describe)
 
 
 def _describe(rows: "pd.DataFrame") -> dict[str, Any]:

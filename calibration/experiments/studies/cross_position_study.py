@@ -167,7 +167,7 @@ def page(rows: "pd.DataFrame") -> Page:
     """Make the page. rows: of this study."""
     pairs = sorted(set(zip(rows["part"], rows["position"], rows["target"], strict=True)))
     where = "; ".join(f"{part}: {source} to {target}" for part, source, target in pairs)
-    return make_page(STUDY, rows, "target_fraction", _describe, _draw, percent, where=where)
+    return make_page(STUDY, rows, "target_fraction", _describe, _draw, where=where)
 
 
 def _draw(rows: "pd.DataFrame") -> Figures:

@@ -105,19 +105,14 @@ def page(rows: "pd.DataFrame") -> Page:
     where = ", ".join(sorted(set(rows["part"] + " " + rows["position"])))
     sizes = [name for name in ("fraction", "shots") if name in rows]
     known = rows if "fraction" in rows else rows.assign(fraction=np.nan)
-    # Shots are as many presses in both splits, of other specimens: fractions alone are compared, and cost.
-    quarters = only_scored(known).dropna(subset=["fraction"])
-    quarters = quarters[quarters["fraction"].isin(_spread(sorted(quarters["fraction"].unique())))]
     return make_page(
         STUDY,
         known,
         "fraction",
         _describe,
         _draw,
-        percent,
         where=where,
         cells=[list_cells(rows[rows[size].notna()], size) for size in sizes],
-        costed=quarters,
         complete=_estimate_complete(only_scored(known)),
         fractions=Options.fractions,
         all_seeds=SEEDS,
