@@ -118,8 +118,7 @@ def _section(
     path: str, verb: Callable[..., None], taken: Sequence[Parameter], shared: Sequence[Parameter]
 ) -> str:
     words = [path, *(one.names[0] for one in taken if one.is_argument)]
-    words += ["[OPTIONS]"] * any(not one.is_argument for one in taken)
-    lines = [f"## {path}\n\n{_paragraphs(inspect.getdoc(verb))}\n\n```\n{' '.join(words)}\n```\n"]
+    lines = [f"## {' '.join(words)}\n\n{_paragraphs(inspect.getdoc(verb))}\n"]
     if own := [one for one in taken if one not in shared]:
         lines += [_OPTION_HEADING, *(one.row() for one in own), ""]
     if others := [f"`{one.names[0]}`" for one in taken if one in shared]:
