@@ -1,4 +1,4 @@
-"""The alarms: every id with its meaning and what to do, payload and messages."""
+"""The alarms: every id with what to do, payload and messages."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -19,7 +19,6 @@ __all__ = ["ALARMS", "Alarm", "AlarmPayload", "alarm_cleared", "list_alarms"]
 class Alarm:
     """One kind of alarm."""
 
-    meaning: str
     what_to_do: str = ""
     """Backquotes are around what is typed. Empty where the text of each alarm says it."""
     stays: bool = False
@@ -28,133 +27,101 @@ class Alarm:
 
 ALARMS: Final[Mapping[str, Alarm]] = {
     "device": Alarm(
-        "the sensor is missing, stalled or blind: its frames are broken, black, of one colour or frozen",
         "check cable and hub; `gelgate devices` lists what is plugged in; another program may hold the "
         "sensor; move it to a port of its own; a blind one: check its light and gel. Count the parts made "
         "since the time it names",
     ),
     "contact": Alarm(
-        "something has pressed the gel much longer than usual; nothing over it is seen, and inspection halts",
         "lift the part; wipe off what stays on the gel; press the parts made meanwhile again",
     ),
     "store": Alarm(
-        "the database or its disk refuses writes; inspection halts",
         "free space on its disk; check the rights of its folder; `gelgate db check`; then it goes on by "
         "itself",
     ),
     "disk": Alarm(
-        "the disk of the database has little room left; when it is full, inspection halts",
         "free space: old logs, backups, recordings. Until the disk is full nothing is lost",
     ),
     "archive": Alarm(
-        "presses are judged, and what their verdicts are made from is not kept: no room, or a fault of the "
-        "disk",
         "free space, or lower `archive.mb`; check the rights of the folder; `archive.presses = 0` turns it "
         "off",
     ),
     "outbox_full": Alarm(
-        "unsent messages were dropped: too old, or no room; heatmaps first, passes next, fails last",
         "find out why the receiver is away; raise `store.outbox_mb` or `outbox_days`; dropped results stay "
         "in `gelgate history`; then acknowledge it",
         stays=True,
     ),
     "refused": Alarm(
-        "a receiver refused a message; it is kept and offered again within a minute",
         "the text has its reason: correct the broker's rules or size limit; they are offered again within "
         "a minute",
     ),
     "receiver": Alarm(
-        "a receiver works, with a fault that a person should correct: denied topics, its MQTT level, "
-        "client id",
         'correct the broker\'s rules; set `protocol = "5"`; give each station its own name',
     ),
     "counts": Alarm(
-        "the database knew less than the second record of the counts: it was removed, damaged or replaced",
         "look for the lost database file; if it is gone the count is right and only unsent results are "
         "lost; then acknowledge it",
         stays=True,
     ),
     "free_gel": Alarm(
-        "the free gel was learnt while something pressed; nothing is scored until the free gel is seen at "
-        "rest",
         "lift the part for a second",
     ),
     "bundle": Alarm(
-        "a configured bundle cannot be used, or is older than one that was; the ones in use go on inspecting",
         "the text names the file and its fault: make the bundle again or copy it again, then `systemctl "
         "reload gelgate`",
     ),
     "shadow": Alarm(
-        "a bundle that is to be scored beside the one in use cannot be, or gave no score; presses are inspected "
-        "without it",
         "the text names the file and its fault: make the bundle again or copy it again, then `systemctl reload "
         "gelgate`",
     ),
     "takeover": Alarm(
-        "another bundle inspects than before: a shadow has taken over, or was taken back; the text says why",
         "read why, then acknowledge it; `restore_bundle` brings the configured bundle back",
         stays=True,
     ),
     "golden": Alarm(
-        "the golden frames of the bundle in use score otherwise than at its fit; no press has a verdict",
         "`gelgate bundle verify` on the bundle; exchange it, or the computer; look for a changed version "
         "of onnxruntime",
     ),
     "overview": Alarm(
-        "the overview camera gives no pictures: presses are refused where it must see the part",
         "check its cable; `gelgate station overview` takes a still; presses are refused meanwhile where it "
         "must see the part",
     ),
     "overload": Alarm(
-        "this machine is too slow for its frames: some were dropped or judged too late, presses may be "
-        "missed",
         "end other programs; use a faster bundle (`gelgate lab tradeoff`); check presses against parts made",
     ),
     "press_again": Alarm(
-        "a second press of a piece was asked for and did not come; the piece has no verdict",
         "find the piece, and treat it as not inspected or press it twice again; it ends with the next press",
     ),
     "gel": Alarm(
-        "the gel is due or must be replaced",
         "order a gel; change it while nothing presses, and record the new one on the page or with `gelgate "
         "gel replace`",
     ),
     "gel_proof": Alarm(
-        "the bundle in use is not yet proven on the mounted gel; with `refuse` parts are rejected meanwhile",
         "press as many sound parts as the text says, then `gelgate gel prove`; or say what its presses were "
         "and learn from them (`gelgate bundle learn`), or fit a bundle on this gel: see Gel change",
     ),
     "reference": Alarm(
-        "a reference press is due, out of limits or waited for; with `refuse` parts are rejected meanwhile",
         "`gelgate station reference press`, then press the master piece; where it is out of limits, the "
         "text names what to check first",
     ),
     "gel_scar": Alarm(
-        "scars of the gel hide more of what is pressed than is accepted; presses do not pass",
         "wipe the gel; if the alarm comes back at the next press, change it: see Gel change",
     ),
     "gel_mark": Alarm(
-        "one place of the gel exceeds the limit in five presses in a row; the text says where",
         "wipe the gel at that place and press a part that is known to be good; if the alarm stays, change "
         "the gel",
     ),
     "drift": Alarm(
-        "passing presses are no longer as they were: score, strength, place, noise or light has shifted; stays until "
-        "acknowledged",
         "the text names what has shifted, since when, and what to check; acknowledge it where that is right: the chart "
         "then begins again",
         stays=True,
     ),
     "trigger_device": Alarm(
-        "a pedal or button cannot be used",
         "check its cable; `gelgate check` tries each; it is opened again when it is back",
     ),
     "actuator": Alarm(
-        "a light or relay cannot be used, or its watchdog has put it into its safe state",
         "check its cable and its supply; stop the line where a reject gate depends on it",
     ),
     "pulse": Alarm(
-        "a pulse was not given in time: a part may have passed; stays until acknowledged, or a restart",
         "find the part, then acknowledge it, with the button, on the page or with the request",
         stays=True,
     ),

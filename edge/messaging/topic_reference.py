@@ -47,7 +47,7 @@ def reference(commands: Iterable[DescribedCommand]) -> str:
         secret=_EXAMPLE_SECRET,
         text=text.decode(),
         request=json.dumps(request),
-        alarms="\n".join(f"| `{alarm}` | {kind.meaning} |" for alarm, kind in ALARMS.items()),
+        alarms=_list(ALARMS),
         payloads="\n".join(_payloads()),
     )
 

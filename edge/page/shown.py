@@ -136,7 +136,7 @@ class Shown:
 
     def _see_alarm(self, name: str, payload: bytes) -> None:
         """Show it; one of a newer station, or of a feature that is not installed here, without what to do."""
-        known, kind = self._known_alarms, self._known_alarms.get(topic_level(name), Alarm(""))
+        known, kind = self._known_alarms, self._known_alarms.get(topic_level(name), Alarm())
         content = readable("alarm", payload) if payload else None
         with self._changed:
             if content is None:

@@ -98,11 +98,11 @@ def test_a_request_is_served_by_one(config: Path, monkeypatch: pytest.MonkeyPatc
     ("declared", "sentence"),
     [
         (
-            {"gel": Alarm("the gel is wet")},
+            {"gel": Alarm()},
             "the feature 'lamp' declares the alarm 'gel', which is another's; rename it",
         ),
         (
-            {"too bright": Alarm("the lamp")},
+            {"too bright": Alarm()},
             "the feature 'lamp' declares the alarm 'too bright': a topic level has",
         ),
         (["lamp_lost"], "declares the alarms .'lamp_lost'., expected a mapping of each id to an Alarm"),
@@ -122,8 +122,8 @@ class Lamp(PressStage):
     """Has one alarm that stays, one that ends by itself, and forgot a third."""
 
     alarms: ClassVar = {
-        "lamp_lost": Alarm("a lamp is lost", "find it", stays=True),
-        "lamp_dim": Alarm("it is dim"),
+        "lamp_lost": Alarm("find it", stays=True),
+        "lamp_dim": Alarm(),
     }
 
 
