@@ -2,13 +2,22 @@
 
 import math
 from collections import Counter
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal, get_args
 
 from edge.core.binomial import rate_limits
 
-__all__ = ["SAYINGS", "Agreement", "Asked", "PersonVerdict", "Saying", "choose_questions", "settle"]
+__all__ = [
+    "SAYINGS",
+    "Agreement",
+    "Asked",
+    "PersonVerdict",
+    "Saying",
+    "choose_questions",
+    "find_broken_promise",
+    "settle",
+]
 
 Saying = Literal["good", "damaged", "gel", "cannot_tell"]
 """The part is good; it is damaged; a mark of the gel shows, and the part is good; a person cannot tell."""
@@ -128,3 +137,25 @@ def choose_questions(
     drawn = sorted(is_drawn, key=lambda one: one.press_id[::-1])[:share]
     close = sorted((one for one in open_ if one not in drawn), key=lambda one: (-one.doubt, one.press_id))
     return sorted([*drawn, *close[: max(0, most - len(drawn))]], key=lambda one: one.press_id)
+
+
+def find_broken_promise(
+    presses: Sequence[Asked], said: Mapping[str, Sequence[PersonVerdict]], promised: float
+) -> str | None:
+    """Say that more sound presses fail than `promised`, a rate; None where what people said does not show it.
+
+    Nobody looks at all that fails. So the rate of fails, and the share of good ones among those that people looked at,
+    are each taken as low as they may be.
+    """
+    failed = [one.press_id for one in presses if one.verdict != "pass"]
+    settled = [settle(said.get(press_id, ())) for press_id in failed]
+    words = [one.saying for one in settled if one is not None and one.saying != "cannot_tell"]
+    good = words.count("good")
+    if not good:
+        return None
+    if rate_limits(len(failed), len(presses))[0] * rate_limits(good, len(words))[0] <= promised:
+        return None
+    return (
+        f"more sound parts fail than the bundle promises ({promised:.0%}): people call {good} of {len(words)} presses "
+        "of the last day good that did not pass; learn from them (`gelgate bundle learn`)"
+    )

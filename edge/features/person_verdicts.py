@@ -1,20 +1,20 @@
 """What people say of presses: an act of the ledger each, and the presses that a page asks about."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from datetime import date, datetime
 from functools import partial
 from typing import Final, Self
 
 from pydantic import Field, model_validator
 
-from edge.core.person_verdict import Asked, Saying, choose_questions
+from edge.core.person_verdict import Asked, PersonVerdict, Saying, choose_questions, find_broken_promise
 from edge.core.ports import Clock, Message
 from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.payload_base import PressId
 from edge.messaging.status_payloads import Question, QuestionsPayload
-from edge.press_stage import Command, Data, Mounted, PressStage, StageParts
+from edge.press_stage import Alarms, Command, Data, Mounted, PressStage, Selection, StageParts
 from edge.store.acts import CONFIRM
-from edge.store.gel_proofs import GelBundle, unproven_since
+from edge.store.gel_proofs import GelBundle, unproven_since, used_since
 from edge.store.person_verdicts import (
     find_table,
     newest_acts,
@@ -55,13 +55,21 @@ class PersonVerdicts(PressStage):
     """Takes what people say, and asks for it. per_day: questions of a day at most; 0: none is asked."""
 
     def __init__(
-        self, per_day: int, store: Store, announce: Callable[[Message], object], clock: Clock
+        self,
+        per_day: int,
+        store: Store,
+        announce: Callable[[Message], object],
+        alarms: Alarms,
+        selection: Selection,
+        clock: Clock,
     ) -> None:
         self._per_day, self._store, self._announce, self._clock = per_day, store, announce, clock
+        self._alarms, self._selection = alarms, selection
         self._after = 0
         self._acts = (0, 0)
         self._presses: list[Asked] = []
         self._shown: tuple[object, ...] | None = None
+        self._broken: str | None = None
         self._day: date | None = None
         self._next_look_ns = 0
 
@@ -71,7 +79,7 @@ class PersonVerdicts(PressStage):
         table, archive = parts.config.commands, parts.config.archive
         is_served = CONFIRM in (*table.unsigned, *table.signed, *table.page)
         per_day = parts.config.confirm.questions_per_day if is_served and archive.presses else 0
-        stage = cls(per_day, parts.store, parts.announce, parts.clock)
+        stage = cls(per_day, parts.store, parts.announce, parts.alarms, parts.selection, parts.clock)
         stage._show(0, [])  # a question of an earlier start is no longer asked
         return stage
 
@@ -97,6 +105,29 @@ class PersonVerdicts(PressStage):
         questions = [*again, *choose_questions(self._presses, known, most - len(again), new_gel_ns)]
         if (answered, questions) != self._shown:
             self._show(answered, questions)
+        if mounted is not None:
+            is_proven = new_gel_ns is None  # else the alarm `gel_proof` says the same
+            broken = self._find_broken_promise(mounted, said) if is_proven else None
+            if broken != self._broken:
+                self._broken = broken
+                self._alarms.say("false_alarms", broken, "warning")
+
+    def _find_broken_promise(
+        self, mounted: Mounted, said: Mapping[str, Sequence[PersonVerdict]]
+    ) -> str | None:
+        """Say where the bundle in use fails more sound presses of this gel than it promises."""
+        limit = self._selection.inspector.bundle.manifest.threshold
+        key = GelBundle(mounted.serial, mounted.gel_id, mounted.bundle_id)
+        since_ns = self._store.read("reading when the bundle was first used", partial(used_since, key=key))
+        if not limit.n or since_ns is None:
+            return None
+        promised = limit.by_press.rate if limit.by_press is not None else max(limit.alpha, limit.alpha_floor)
+        judged = [
+            one
+            for one in self._presses
+            if (one.part, one.position) == mounted.part and one.time_ns >= since_ns
+        ]
+        return find_broken_promise(judged, said, promised)
 
     def _find_new_gel(self, mounted: Mounted) -> int | None:
         """Find since when the bundle in use is used on a gel on which it is not proven; None where it is proven."""

@@ -115,6 +115,10 @@ ALARMS: Final[Mapping[str, Alarm]] = {
         "then begins again",
         stays=True,
     ),
+    "false_alarms": Alarm(
+        "learn from them: `gelgate bundle learn`, and name the new bundle as the shadow; where a word was wrong, say "
+        "what the press was",
+    ),
     "trigger_device": Alarm(
         "check its cable; `gelgate check` tries each; it is opened again when it is back",
     ),

@@ -25,6 +25,7 @@ __all__ = [
     "see",
     "unproven_gel",
     "unproven_since",
+    "used_since",
 ]
 
 
@@ -65,6 +66,12 @@ def see(
         (*key, *part, None if proof.proven is None else proof.proven.value, proof.known_from, time_ns),
     )
     return proof
+
+
+def used_since(connection: sqlite3.Connection, key: GelBundle) -> int | None:
+    """Find the moment at which the bundle was first used on this gel; None where it was not."""
+    row = connection.execute(f"SELECT time_ns FROM gel_proofs WHERE {_OF}", key).fetchone()
+    return None if row is None else int(row[0])
 
 
 def unproven_since(connection: sqlite3.Connection, key: GelBundle) -> int | None:

@@ -4,7 +4,14 @@ import math
 
 import pytest
 
-from edge.core.person_verdict import Agreement, Asked, PersonVerdict, choose_questions, settle
+from edge.core.person_verdict import (
+    Agreement,
+    Asked,
+    PersonVerdict,
+    choose_questions,
+    find_broken_promise,
+    settle,
+)
 
 
 def said(person: str, saying: str, kind: str | None = None) -> PersonVerdict:
@@ -115,3 +122,41 @@ def test_on_a_gel_on_which_nothing_is_proven_its_presses_are_drawn_whatever_thei
 
 def test_a_score_without_a_ratio_is_asked_for_last() -> None:
     assert asked(1, "fail", math.inf).doubt == asked(1, "pass", 0.0).doubt == -math.inf
+
+
+@pytest.mark.parametrize(
+    ("failed", "words", "is_broken"),
+    [
+        (10, ["good"], True),
+        (10, ["damaged"], False),
+        (10, ["gel", "cannot_tell"], False),
+        (10, ["good", "damaged", "damaged"], False),
+        (3, ["good", "good"], True),
+        (3, ["good"], False),
+        (1, ["good"], False),
+        (0, ["good"], False),
+    ],
+)
+def test_a_promise_is_broken_where_good_presses_fail_more_often(
+    failed: int, words: list[str], is_broken: bool
+) -> None:
+    """Of ten presses, 3 % are promised. One good of three fails shows a tenth of .12, two of two a third of it."""
+    presses = [asked(n, "fail" if n < failed else "pass", 1.1) for n in range(10)]
+    said = {f"{n:04d}": [PersonVerdict(f"{n:04d}", 1, "kim", word)] for n, word in enumerate(words)}
+
+    sentence = find_broken_promise(presses, said, 0.03)
+
+    assert (sentence is not None) == is_broken
+
+
+def test_a_broken_promise_says_by_how_many_words() -> None:
+    presses = [asked(n, "fail", 1.1) for n in range(10)]
+    said = {
+        "0001": [PersonVerdict("0001", 1, "kim", "good")],
+        "0002": [PersonVerdict("0002", 1, "lee", "gel")],
+    }
+
+    assert find_broken_promise(presses, said, 0.03) == (
+        "more sound parts fail than the bundle promises (3%): people call 1 of 2 presses of the last day good that did "
+        "not pass; learn from them (`gelgate bundle learn`)"
+    )

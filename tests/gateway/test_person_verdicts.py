@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 from command_line import gelgate
-from station import Motion, press_recording, station_config
+from shadow_station import FIVE, limit
+from station import Motion, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
 from edge.config.tables import ConfirmTable
@@ -239,6 +240,43 @@ def test_on_a_new_gel_its_presses_alone_are_asked_about(tmp_path: Path, presses:
         ids = [one.press_id for one in station.results]
 
     assert sorted(asked) == sorted(ids[1:])
+
+
+def test_more_false_alarms_than_promised_are_an_alarm_until_another_bundle_inspects(
+    tmp_path: Path, presses: Path, bundle: Path
+) -> None:
+    """A fifth is promised, and three of four fails are good. On a new gel the alarm of the proof says it."""
+    promised = limit(bundle, **FIVE, by_press=None)
+    strict = variant(bundle, tmp_path / "strict", threshold={**promised, "value": 1e-9})
+    other = variant(bundle, tmp_path / "other", threshold=promised)
+
+    def open_with(inspecting: Path) -> SteppedStation:
+        return SteppedStation(station_config(tmp_path, presses, f'bundle = "{inspecting}"'))
+
+    def look(station: SteppedStation) -> str | None:
+        settle(station)
+        return station.alarm("false_alarms")
+
+    with open_with(strict) as station:
+        station.play_presses(4)
+        answer, texts = say(station), []
+        for number in (0, 1, 3):
+            answer(press_id=station.results[number].press_id, verdict="good")
+            texts.append(look(station))
+    with open_with(other) as station:
+        station.play_presses(1)
+        of_other = look(station)
+    with open_with(strict) as station:
+        station.play_presses(1)
+        again = look(station)
+        station.ask("replace_gel")
+        station.play_presses(2)
+        on_new_gel = look(station)
+
+    assert texts[0] is texts[1] is of_other is on_new_gel is None
+    assert texts[2] is not None
+    assert "people call 3 of 3 presses of the last day good that did not pass" in texts[2]
+    assert again == texts[2]
 
 
 def test_a_word_that_stands_in_the_way_is_asked_for_once_more(played: SteppedStation) -> None:
