@@ -121,7 +121,7 @@ class Weighing:
     def is_clear(self) -> bool:
         """Whether good presses that the bundle in use alone fails show that the shadow is better. Every press that the
         shadow alone does not pass speaks against it, unless people call it damaged. Nothing is clear where it passes a
-        press that anybody ever called damaged, or where that is not known."""
+        press that the other one found and anybody ever called damaged, or where that is not known."""
         better = sum(
             one.saying == "good" and one.verdict in ("fail", "unsure") and one.other == "pass"
             for one in self.presses
@@ -131,7 +131,10 @@ class Weighing:
         )
         differing = better + worse
         by_chance = sum(math.comb(differing, k) for k in range(better, differing + 1)) / 2**differing
-        return by_chance <= _MOST_BY_CHANCE and not self.doubts()
+        is_lost = any(
+            one.was_damaged and one.verdict != "pass" and one.other == "pass" for one in self.presses
+        )
+        return by_chance <= _MOST_BY_CHANCE and not is_lost and not self.unknown
 
     def refusals(self, *, has_promise: bool) -> list[str]:
         """Say why the shadow may not take over; nothing where it may."""

@@ -69,7 +69,7 @@ DOUBTED = JudgedTwice("P9", "fail", "pass", "cannot_tell", was_damaged=True)
         ([*FALSE, press(9, "pass", "fail")], False),
         ([*FALSE, press(9, "pass", "error")], False),
         ([*FALSE, DOUBTED], False),
-        ([*FALSE, press(9, "pass", "pass", "damaged")], False),
+        ([*FALSE, press(9, "pass", "pass", "damaged")], True),
         ([*FALSE, press(9, "fail", "pass", "damaged")], False),
     ],
 )
