@@ -51,8 +51,8 @@ not: the gel, the parts and the operator are the simulator's; the station has no
 messages go to memory; an answer is written as the page's request writes it, without the page; of a press of an earlier
 day, about which the station asks again, the person knows as much. A press that the station asks for again is made, up
 to three of a piece. The new bundle is a shadow the next day; in the morning and in the evening it is asked to take
-over, which the station refuses before 100 presses, on a [new gel](operations.md#gel-change) before four good ones of
-it, and where it is worse. As long as it waits no other one is learnt, but on a new gel.
+over, which the station refuses where it is worse, or has to [wait](operations.md#the-page-at-the-station). As long as
+it waits no other one is learnt, unless the station asks for it.
 
 A piece counts by the verdict of its last press. A *false alarm* is a sound piece that does not pass in the end,
 whatever the verdict is. An *escape* is a damaged piece, or one of another part, that passes.

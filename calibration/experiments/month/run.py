@@ -24,8 +24,8 @@ __all__ = ["ARMS", "NOT_ASKED", "PASSES_DAMAGE", "Row", "find_key", "is_early", 
 ARMS: Final[Mapping[str, str]] = {
     "frozen": "the bundle of the first day, all month",
     "learning": (
-        "`gelgate bundle learn` in each fifth night, and in each while the bundle is not proven on the gel or the "
-        "station asks again; its bundle is a shadow until it may take over"
+        "`gelgate bundle learn` in each fifth night, and in each in which the station asks for it; its bundle is a "
+        "shadow until it may take over"
     ),
 }
 
@@ -97,7 +97,8 @@ def _run_day(month: Month, arm: str, day: int, here: Path, trunks: TrunkSessions
         next_shadow = None
     not_learnt: str | None = NOT_ASKED
     is_due = next_shadow is None and (day % _LEARN_EVERY == 0 or AGAIN in str(yesterday.get("not_learnt")))
-    if arm == "learning" and (is_due or opened.counts.unproven is not None):
+    is_asked = opened.counts.must_learn or opened.counts.unproven is not None
+    if arm == "learning" and (is_due or is_asked):
         new = learnt / f"night-{day:02d}"
         shutil.rmtree(new, ignore_errors=True)
         not_learnt = learn_from_day(next_bundle, fit, station, new, opened.date)

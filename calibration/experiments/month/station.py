@@ -110,6 +110,8 @@ class DayCounts:
     """What the station blames for its false alarms."""
     needs_gel: bool = False
     """Whether the station still asks for another gel at the end of the day: it was wiped, and scars hide too much."""
+    must_learn: bool = False
+    """Whether the station says at the end of the day that it is time to learn."""
     unproven: str | None = None
     """Why the bundle is not proven on the gel, at the end of the day."""
 
@@ -210,6 +212,8 @@ class DayStation:
         state = self._said("state")
         self.counts.unproven = None if state is None else state.get("unproven")
         self._turn(1.5)
+        self._note_alarms()
+        self.counts.must_learn = "false_alarms" in self._raised
 
     def adopt_shadow(self) -> str | None:
         """Let the shadow take over; return why it does not, None where it does."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import cv2
 import pytest
+from shadow_station import FIVE, limit
 from station import variant
 from tiny import TINY, tiny_trunk
 
@@ -56,6 +57,25 @@ def test_a_day_counts_every_piece_and_keeps_every_answer(bundle: Path, tmp_path:
     assert counts.escapes == counts.not_sound == sum(press.truth != "sound" for press in presses)
     with open_read_only(tmp_path / "gelgate.db", "reading it") as connection:
         assert len(read_verdicts(connection)) == counts.asked == 4
+
+
+def test_a_day_of_false_alarms_ends_with_the_wish_to_learn(bundle: Path, tmp_path: Path) -> None:
+    """The person says that what failed was good, and the bundle had promised a twentieth."""
+    promised = limit(bundle, **FIVE | {"alpha": 0.05, "alpha_floor": 0.05}, by_press=None)
+    wishes = []
+    for name, value in (("lenient", 1e6), ("strict", 1e-9)):
+        used = variant(bundle, tmp_path / name, threshold={**promised, "value": value})
+        (tmp_path / f"station {name}").mkdir()
+        config = write_config(tmp_path / f"station {name}", used, 100)
+        day = DayStation(config, 0, MountedGel(MONTH), TrunkSessions(1))
+        with day.open() as opened:
+            opened.begin(MONTH.day(0)[0], is_new_gel=False)
+            for press in MONTH.day(0):
+                opened.press(press)
+            opened.end()
+        wishes.append(day.counts.must_learn)
+
+    assert wishes == [False, True]
 
 
 def test_another_gel_is_recorded_and_not_proven(bundle: Path, tmp_path: Path) -> None:
