@@ -26,6 +26,9 @@ def month(
         str, typer.Option("--set", help="development, or judgement: parts apart.")
     ] = "development",
     parts: Annotated[int, typer.Option(help="Parts, each with a month of its own.", min=1, max=100)] = 1,
+    first: Annotated[
+        int, typer.Option(help="The first part: rows of parts that ran apart may stand in one file.", min=0)
+    ] = 0,
     presses: Annotated[int, typer.Option(help="Presses of a month.", min=DAYS, max=100_000)] = FULL,
     page: Annotated[
         Path | None, typer.Option(help="Write the page to this file, its figure into `images` beside it.")
@@ -47,14 +50,15 @@ def month(
             done += 1
             show(done)
 
-        for part in range(parts):
+        for part in range(first, first + parts):
             run_month(Month(which, part, presses), output, rows, advance)
     wanted = [
         row
         for row in rows.read()
-        if (row["set"], row["month_presses"]) == (which, presses) and row["part"] < parts
+        if (row["set"], row["month_presses"]) == (which, presses) and first <= row["part"] < first + parts
     ]
-    command = f"gelgate lab month --set {which} --parts {parts} --presses {presses}"
+    span = f"--first {first} --parts {parts}" if first else f"--parts {parts}"
+    command = f"gelgate lab month --set {which} {span} --presses {presses}"
     target = page or output / PAGE
     write_page(wanted, target, (target.parent / "images" if page else output) / FIGURE, command)
     typer.echo(f"{len(wanted)} days in {rows.path}; the page is {target}")

@@ -4,10 +4,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import gelgate
 
-from calibration.experiments.harness.rows import read_rows
+from calibration.experiments.harness.rows import Rows, read_rows
 from calibration.experiments.month.page import page
-from calibration.experiments.month.run import ARMS, NOT_ASKED
+from calibration.experiments.month.plan import DAYS, Month
+from calibration.experiments.month.run import ARMS, NOT_ASKED, find_key
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -90,3 +92,24 @@ def test_the_page_names_its_parts_and_what_they_took() -> None:
         "`gelgate lab month --presses 100`: development parts 0: 100 presses in 5 days each; 10 minutes"
         in text
     )
+
+
+def test_rows_of_parts_that_ran_apart_give_one_page(tmp_path: Path) -> None:
+    """Files of rows one after the other; nothing runs again."""
+    lines = []
+    for part in (2, 3):
+        month = Month("development", part, 300)
+        rows = Rows(tmp_path / f"{part}.jsonl")
+        for arm in ARMS:
+            for day in range(DAYS):
+                facts = {"days": DAYS, "month_presses": 300, "part": part, "key": find_key(month, arm, day)}
+                rows.append(row(arm, day + 1, **facts))
+        lines.append(rows.path.read_bytes())
+    (tmp_path / "all").mkdir()
+    (tmp_path / "all" / "month.jsonl").write_bytes(b"".join(lines))
+
+    ran = gelgate("lab", "month", "-o", tmp_path / "all", "--first", 2, "--parts", 2, "--presses", 300)
+
+    assert ran.out.startswith(f"{4 * DAYS} days in")
+    text = (tmp_path / "all" / "month.md").read_text()
+    assert "--set development --first 2 --parts 2 --presses 300`: development parts 2, 3: 300 presses" in text
