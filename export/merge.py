@@ -3,25 +3,25 @@
 Its inputs and outputs are those of a bundle's pair of graphs, so the gateway also accepts it as `detector.onnx`.
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from pydantic import TypeAdapter
 
+from calibration.fitting.bundle_measurements import score_again
 from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.imaging.tiles import TILES_KEY, Tiles
-from edge.model.bundle import Bundle, GoldenFrame, Graphs
+from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files, facts_of, write_bundle, write_file
 from edge.model.manifest import Manifest
 from edge.model.pipe import SCORE, SCORE_MAP
-from edge.model.scorer import Scorer, map_peaks
+from edge.model.scorer import Scorer
 from export.onnx_values import join, rename
 from plugins.backbones.tiled import plain_trunk, read_model, tap_shapes
 from plugins.onnx_builder import Graph
 
-__all__ = ["merge_bundle", "merged_graph", "mosaic_trunk", "score_again", "single_graph_bundle"]
+__all__ = ["merge_bundle", "merged_graph", "mosaic_trunk", "single_graph_bundle"]
 
 MERGED_RELATIVE = 1e-4
 """How far the merged graph may differ from the pair, relative to the largest map value: with a constant bank the
@@ -151,11 +151,6 @@ def single_graph_bundle(bundle: Bundle, graph: bytes) -> tuple[Manifest, dict[st
     return bundle_files(
         facts_of(bundle.manifest), Graphs(detector=graph), golden=golden, nominal_pictures=pictures
     )
-
-
-def score_again(frame: GoldenFrame, scorer: Scorer) -> GoldenFrame:
-    scored = scorer.score_in_pose(frame.rgb)
-    return replace(frame, score=scored.anomaly_score, map_peaks=map_peaks(scored.score_map))
 
 
 def _largest_difference(bundle: Bundle, graph: bytes) -> float:

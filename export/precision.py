@@ -14,18 +14,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.bundle_measurements import cost_card, measure_tolerance
+from calibration.fitting.bundle_measurements import cost_card, measure_tolerance, score_again
 from calibration.metrics import aupro
 from calibration.quantise import halved, layers, quantise_graph
-from edge.core.detector import Bank
 from edge.core.errors import BundleMismatch, FitError
-from edge.model.bundle import Bundle, GoldenFrame, Graphs
-from edge.model.bundle_writer import bundle_files, facts_of
-from edge.model.manifest import Facts, Manifest
+from edge.model.bundle import Bundle
+from edge.model.bundle_writer import facts_of, rewrite_files
+from edge.model.manifest import Manifest
 from edge.model.scorer import Scorer
 from edge.model.session import saturates
 from export.finish import paint_square
-from export.merge import score_again
 from export.parity import score_frames, show_frames
 
 __all__ = [
@@ -162,7 +160,7 @@ def in_precision(
             f"in {choice.precision} the score maps differ by {choice.map_difference:.3g}, {allowed:g} is allowed; keep "
             "float32, or raise --limit and evaluate the bundle on damaged presses"
         )
-    graphs = _with_network(bundle, choice.graph)
+    network = _with_network(bundle, choice.graph)
     manifest = bundle.manifest
     threshold = manifest.threshold
     if choice.rise > 0:
@@ -175,13 +173,13 @@ def in_precision(
     }
     changed = {"threshold": threshold, "facts": {**manifest.facts, "precision": card}}
     facts = facts_of(manifest).model_copy(update=changed)
-    scorer = Scorer(_files(bundle, facts, graphs, ()), threads)
+    scorer = Scorer(Bundle.in_memory(*rewrite_files(bundle, facts, (), **network), bundle.where), threads)
     golden = [score_again(frame, scorer) for frame in bundle.golden]
     measured_facts = {
         "tolerance": measure_tolerance(scorer, golden, threads) if golden else facts.tolerance,
         "cost": cost_card(scorer, frames, threads, {}),
     }
-    return _bundle_files(bundle, facts.model_copy(update=measured_facts), graphs, golden)
+    return rewrite_files(bundle, facts.model_copy(update=measured_facts), golden, **network)
 
 
 def _int8(network: bytes, comparison: "_Comparison", limit: float, report: Report) -> Measured:
@@ -244,9 +242,9 @@ class _Comparison:
         return _relative(maps, self._maps[:count])
 
     def _scorer(self, graph: bytes) -> Scorer:
-        facts = facts_of(self._bundle.manifest)
-        changed = _files(self._bundle, facts, _with_network(self._bundle, graph), ())
-        return Scorer(changed, self._threads, is_skipping=False)
+        bundle = self._bundle
+        files = rewrite_files(bundle, facts_of(bundle.manifest), (), **_with_network(bundle, graph))
+        return Scorer(Bundle.in_memory(*files, bundle.where), self._threads, is_skipping=False)
 
     def _aupro_of(self, scorer: Scorer) -> float | None:
         frames, masks = self._masked
@@ -286,27 +284,7 @@ def _network(bundle: Bundle) -> bytes:
     return graph
 
 
-def _with_network(bundle: Bundle, graph: bytes) -> Graphs:
-    return replace(bundle.graphs, **{"trunk" if bundle.manifest.backbone else "detector": graph})
-
-
-def _files(bundle: Bundle, facts: Facts, graphs: Graphs, golden: Sequence[GoldenFrame]) -> Bundle:
-    return Bundle.in_memory(*_bundle_files(bundle, facts, graphs, golden), where=bundle.where)
-
-
-def _bundle_files(
-    bundle: Bundle, facts: Facts, graphs: Graphs, golden: Sequence[GoldenFrame]
-) -> tuple[Manifest, dict[str, bytes]]:
-    entries, backbone = bundle.manifest.bank, bundle.manifest.backbone
-    bank = Bank(bundle.bank, {name: entry.packing for name, entry in entries.items()}) if entries else None
-    return bundle_files(
-        facts,
-        graphs,
-        bank,
-        golden,
-        backbone=backbone.id if backbone else "",
-        free_gel=bundle.free_gel,
-        free_view=bundle.free_view,
-        registration=bundle.registration,
-        nominal_pictures=bundle.nominal_pictures,
-    )
+def _with_network(bundle: Bundle, graph: bytes) -> dict[str, Any]:
+    """Return what a bundle with another network changes; it holds that network itself."""
+    changed = {"trunk" if bundle.manifest.backbone else "detector": graph}
+    return {"graphs": replace(bundle.graphs, **changed), "with_trunk": True}

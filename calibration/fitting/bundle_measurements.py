@@ -5,6 +5,7 @@ import importlib.metadata
 import math
 import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import onnxruntime as ort
@@ -32,6 +33,7 @@ __all__ = [
     "placeholders",
     "provenance",
     "rate_warnings",
+    "score_again",
     "state_threshold",
     "warnings",
 ]
@@ -82,6 +84,12 @@ def _paint(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
     painted, half = rgb.copy(), max(1, min(h, w) // 16)
     painted[h // 2 - half : h // 2 + half, w // 2 - half : w // 2 + half] = PAINTED_LEVEL
     return painted
+
+
+def score_again(frame: GoldenFrame, scorer: Scorer) -> GoldenFrame:
+    """Return a golden frame with the score and map that this scorer gives it."""
+    scored = scorer.score_in_pose(frame.rgb)
+    return replace(frame, score=scored.anomaly_score, map_peaks=map_peaks(scored.score_map))
 
 
 def measure_tolerance(scorer: Scorer, golden: Sequence[GoldenFrame], threads: int) -> ToleranceEntry:

@@ -18,11 +18,10 @@ from calibration.fitting.presses.colours import nominal_colours
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.contact.wear import wear
-from edge.core.detector import Bank
 from edge.core.errors import FitError, PoseNotFound
 from edge.core.imaging.sensor_check import colour_cells, is_other_kind
-from edge.model.bundle import Bundle, GoldenFrame
-from edge.model.bundle_writer import bundle_files
+from edge.model.bundle import Bundle
+from edge.model.bundle_writer import facts_of, rewrite_files
 from edge.model.detectability import CARD
 from edge.model.manifest import DotsEntry, Facts, ThresholdEntry, ToleranceEntry
 from edge.model.manifest_facts import gel_facts
@@ -70,8 +69,9 @@ def carry_bundle(bundle: Bundle, presses: NominalPresses, config: CarryConfig) -
     golden = golden_frames(scorer, presses.frames) if bundle.registration is None else list(bundle.golden)
     tolerance = measure_tolerance(scorer, golden, config.threads)
     threshold = _threshold(bundle.manifest.threshold, presses, scores, tolerance)
-    facts = _facts(bundle, presses, config, threshold, tolerance)
-    fitted = Fitted(*_files(bundle, presses, facts, golden))
+    facts, free = _facts(bundle, presses, config, threshold, tolerance), presses.no_contact
+    free_gel = most_typical(free) if bundle.free_gel is not None and free is not None else None
+    fitted = Fitted(*rewrite_files(bundle, facts, golden, free_gel=free_gel, free_view=presses.free_view))
     Scorer(fitted.bundle(), config.threads).check_golden()
     return fitted
 
@@ -206,7 +206,7 @@ def _facts(
     said = provenance(config.created, presses, old.provenance.seed, old.provenance.warnings)
     return Facts(
         **{
-            **{name: getattr(old, name) for name in Facts.model_fields},
+            **dict(facts_of(old)),
             "revision": config.revision or (old.revision or 0) + 1,
             "facts": {**facts, **presses.facts, "gel": {**known, **came}},
             "threshold": threshold,
@@ -216,24 +216,4 @@ def _facts(
             "accuracy": None,
             "provenance": said,
         }
-    )
-
-
-def _files(
-    bundle: Bundle, presses: NominalPresses, facts: Facts, golden: Sequence[GoldenFrame]
-) -> tuple[Any, dict[str, bytes]]:
-    manifest = bundle.manifest
-    packing = {name: entry.packing for name, entry in manifest.bank.items()}
-    free = presses.no_contact
-    return bundle_files(
-        facts,
-        bundle.graphs,
-        Bank(dict(bundle.bank), packing, {}) if manifest.bank else None,
-        golden,
-        backbone=manifest.backbone.id if manifest.backbone else "",
-        with_trunk=manifest.backbone is None or manifest.backbone.in_bundle,
-        free_gel=most_typical(free) if bundle.free_gel is not None and free is not None else None,
-        free_view=presses.free_view,
-        registration=bundle.registration,
-        nominal_pictures=bundle.nominal_pictures,
     )

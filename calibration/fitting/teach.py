@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.bundle_measurements import measure_tolerance
+from calibration.fitting.bundle_measurements import measure_tolerance, score_again
 from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append
@@ -22,9 +22,9 @@ from edge.core.detector import Bank
 from edge.core.errors import FitError, NotScorable, PoseNotFound
 from edge.core.registration.pose import warp
 from edge.model.bundle import Bundle, GoldenFrame
-from edge.model.bundle_writer import bundle_files
-from edge.model.manifest import Facts, ThresholdEntry, ToleranceEntry
-from edge.model.scorer import Scorer, map_peaks
+from edge.model.bundle_writer import facts_of, rewrite_files
+from edge.model.manifest import ThresholdEntry, ToleranceEntry
+from edge.model.scorer import Scorer
 
 __all__ = [
     "BEARABLE",
@@ -304,29 +304,14 @@ def _rewrite(lesson: Lesson, what: str, limit: ThresholdEntry, weights: F32 | No
     }
 
     def pack(golden: Sequence[GoldenFrame], tolerance: ToleranceEntry) -> Fitted:
-        values = {name: getattr(manifest, name) for name in Facts.model_fields}
-        return Fitted(
-            *bundle_files(
-                Facts(**values | changes | {"tolerance": tolerance}),
-                graphs,
-                Bank(arrays, packing),
-                golden,
-                backbone=manifest.backbone.id if manifest.backbone else "",
-                with_trunk=not golden or (manifest.backbone is not None and manifest.backbone.in_bundle),
-                free_gel=old.free_gel,
-                free_view=old.free_view,
-                registration=old.registration,
-                nominal_pictures=old.nominal_pictures,
-            )
+        measured = {"graphs": graphs, "bank": Bank(arrays, packing)} | (
+            {} if golden else {"with_trunk": True}
         )
+        said = facts_of(manifest).model_copy(update=changes | {"tolerance": tolerance})
+        return Fitted(*rewrite_files(old, said, golden, **measured))
 
     scorer = Scorer(pack((), manifest.tolerance).bundle(), lesson.config.threads)
-    golden = [_score_golden(scorer, one) for one in old.golden]
+    golden = [score_again(one, scorer) for one in old.golden]
     return pack(
         golden, measure_tolerance(scorer, golden, lesson.config.threads) if golden else manifest.tolerance
     )
-
-
-def _score_golden(scorer: Scorer, golden: GoldenFrame) -> GoldenFrame:
-    scored = scorer.score_in_pose(golden.rgb)
-    return replace(golden, score=scored.anomaly_score, map_peaks=map_peaks(scored.score_map))

@@ -20,13 +20,21 @@ from edge.core.errors import FitError
 from edge.core.registration.pose import GEL_LIMIT_STEPS
 from edge.core.registration.registrar import PartInPose
 from edge.model.archive import MANIFEST, ZipArchive, open_archive
-from edge.model.bundle import DETECTOR, FREE_GEL, FREE_VIEW, HEAD, TRUNK, GoldenFrame, Graphs
+from edge.model.bundle import DETECTOR, FREE_GEL, FREE_VIEW, HEAD, TRUNK, Bundle, GoldenFrame, Graphs
 from edge.model.manifest import ArrayEntry, BackboneEntry, Facts, FileEntry, GoldenEntry, Manifest
 from edge.model.manifest_files import PicturesEntry, RegistrationEntry
 from edge.model.packing import pack
 from edge.pictures.nominal_pictures import NominalPictures
 
-__all__ = ["add_file", "bundle_files", "facts_of", "manifest_bytes", "write_bundle", "write_file"]
+__all__ = [
+    "add_file",
+    "bundle_files",
+    "facts_of",
+    "manifest_bytes",
+    "rewrite_files",
+    "write_bundle",
+    "write_file",
+]
 
 # Zip knows no time zone and no year before 1980: every member carries this time, so equal content gives equal bytes.
 ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -92,6 +100,28 @@ def bundle_files(
     manifest = Manifest(**{name: getattr(facts, name) for name in Facts.model_fields}, **parts)
     files[MANIFEST] = manifest_bytes(manifest)
     return manifest, files
+
+
+def rewrite_files(
+    bundle: Bundle, facts: Facts, golden: Sequence[GoldenFrame], **changes: Any
+) -> tuple[Manifest, dict[str, bytes]]:
+    """Return the manifest and files of a bundle with other facts and golden frames.
+
+    changes: what else is not the bundle's, as arguments of `bundle_files`.
+    """
+    entries, backbone = bundle.manifest.bank, bundle.manifest.backbone
+    packing = {name: entry.packing for name, entry in entries.items()}
+    kept = {
+        "graphs": bundle.graphs,
+        "bank": Bank(bundle.bank, packing) if entries else None,
+        "backbone": backbone.id if backbone else "",
+        "with_trunk": backbone is None or backbone.in_bundle,
+        "free_gel": bundle.free_gel,
+        "free_view": bundle.free_view,
+        "registration": bundle.registration,
+        "nominal_pictures": bundle.nominal_pictures,
+    }
+    return bundle_files(facts, golden=golden, **kept | changes)
 
 
 def manifest_bytes(manifest: Manifest) -> bytes:

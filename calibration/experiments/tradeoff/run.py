@@ -7,28 +7,31 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from calibration.experiments.harness.rows import ROW_FORMAT, ROWS_FILE, Rows
 from calibration.experiments.harness.runner import Show
 from calibration.experiments.tradeoff.accuracy import Truth, measure_accuracy
 from calibration.experiments.tradeoff.fitting import FittedPoint, content_sha256, fit_points
 from calibration.experiments.tradeoff.floor import Work, floor_ms
+from calibration.experiments.tradeoff.front import WAITED
 from calibration.experiments.tradeoff.machine import best, fingerprint, probe
 from calibration.experiments.tradeoff.memory import peak_bytes
 from calibration.experiments.tradeoff.plan import LEAST_ROUNDS, Run, RunSettings
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
 from calibration.experiments.tradeoff.presses import Chosen, on_common_grid, see
 from calibration.experiments.tradeoff.rows import Row, read_rows, write_rows
-from calibration.experiments.tradeoff.statistics import stage_times
-from calibration.experiments.tradeoff.timing import Lane, bundle_lanes, camera_frames, measure_rounds
+from calibration.experiments.tradeoff.timing import Lane, Samples, bundle_lanes, camera_frames, measure_rounds
 from calibration.threads import one_blas_thread
 from edge.core.errors import ConfigError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.frames import CameraFrame
 from edge.model.bundle_writer import write_bundle
 
-__all__ = ["measure", "read_or_measure", "require_same_run"]
+__all__ = ["measure", "read_or_measure", "require_same_run", "stage_times"]
 
 Others = Callable[[Run, Mapping[str, Sequence[CameraFrame]]], list[tuple[Row, Lane]]]
 """Gives rows without times, and what is timed for them; camera frames are by the name of their profile."""
@@ -219,3 +222,32 @@ def _frames(points: Sequence[OperatingPoint], chosen: Chosen) -> dict[str, list[
     views = {VIEWS[point.view].profile_name: VIEWS[point.view] for point in points}
     last = replace(chosen, fitted=chosen.fitted[:1], scored=chosen.scored[-CAMERA_FRAMES:])
     return {name: camera_frames(view, see(last, view).frames) for name, view in views.items()}
+
+
+def stage_times(samples: Samples) -> list[dict[str, Any]]:
+    """Return the columns with the times of every point.
+
+    Medians are pooled over points, so a percentile is the median and how far above their median the point's own rounds
+    reach.
+    """
+    ms = _medians(samples.stages, samples.groups)
+    tails = np.percentile(samples.stages, 95, axis=1) - np.median(samples.stages, axis=1)
+    return [
+        {
+            "stages": {
+                name: {"median": float(ms[stage, k]), "p95": float(ms[stage, k] + tails[stage, k])}
+                for stage, name in enumerate(WAITED)
+            },
+            "rounds": samples.stages.shape[1],
+        }
+        for k in range(samples.groups.shape[1])
+    ]
+
+
+def _medians(values: NDArray[np.float64], groups: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the median of each stage and point over rounds, (stages, points), pooled over points of one group."""
+    found = np.empty((values.shape[0], values.shape[2]))
+    for stage, of_point in enumerate(groups):
+        for group in np.unique(of_point):
+            found[stage, of_point == group] = np.median(values[stage][:, of_point == group])
+    return found

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.experiments.tradeoff.front import WAITED
-from calibration.experiments.tradeoff.statistics import stage_times
+from calibration.experiments.tradeoff.run import stage_times
 from calibration.experiments.tradeoff.timing import Samples
 
 STAGE_MS = np.array([[8.0, 8.0], [3.0, 6.0], [1.0, 2.0]])
