@@ -20,7 +20,6 @@ import typer
 from calibration.fitting.command import fit
 from edge import registry
 from edge.cli import EXIT_MEANINGS, exit_code, place
-from edge.cli.run import example
 from edge.config import Config
 from edge.core import errors
 from edge.gateway.command_table import every_command
@@ -171,8 +170,8 @@ def _config() -> Iterator[str]:
         "# Configuration\n\n"
         "A reference. One TOML file describes a station. It is read at the start, and its `[inspection]` again at a\n"
         "reload; every fault is in one report (`gelgate check`). Relative paths, those in plugin options too, are\n"
-        "taken from the file's own folder. `gelgate check --example` prints this one:\n\n"
-        f"```toml\n{example()}```\n"
+        "taken from the file's own folder. `gelgate check --example` prints\n"
+        "[one with every table](../edge/service/example.toml).\n"
     )
     schema = Config.model_json_schema()
     yield "## The complete file\n"

@@ -168,9 +168,15 @@ def _list_orders(rows: "pd.DataFrame", study: _Study) -> tuple["pd.DataFrame", l
         ]
         ours = {method: float(by_method[method][_MEASURE].median()) for method in theirs}
         orders = [_write_order(one) for one in (ours, theirs)]
-        lines.append([part, f"`{write_condition(condition)}`", *orders, count_agreements(pairs)])
+        lines.append([part, f"`{write_condition(condition)}`", *orders, _count_shortly(pairs)])
         every += pairs
-    return pd.DataFrame(lines, columns=["part", _heading(study), "here", "paper", "pairs"]), every
+    return pd.DataFrame(
+        lines, columns=["part", _heading(study), "here", "paper", "agree/differ/undecided"]
+    ), every
+
+
+def _count_shortly(pairs: list[str]) -> str:
+    return "/".join(str(pairs.count(word)) for word in ("agree", "differ", "undecided"))
 
 
 def _write_order(values: Mapping[str, float]) -> str:

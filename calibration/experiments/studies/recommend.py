@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from calibration.experiments.harness.evidence import Sample, Standing, rank, sample, subtract
-from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.page import Page, by_setup, only_scored, render
 from calibration.experiments.harness.published import read_published
 from calibration.fitting.options import DEFAULT_METHOD
@@ -92,19 +91,15 @@ class Answer:
         return f"undecided{between}: {found.why}"
 
     @property
-    def table(self) -> str:
-        """The methods with their means, the best first."""
+    def means(self) -> list[str]:
+        """The methods with their means, the best first, with intervals and the paper's word where there are any."""
         assert self.standing is not None
-        lines = [
-            [
-                name,
-                f"{mean.value:.4f}{self.question.unit}",
-                f"{mean.low:.4f} to {mean.high:.4f}" if mean.has_interval else "-",
-                self.question.judgements.get(name, "-"),
-            ]
-            for name, mean in self.standing.means.items()
-        ]
-        return markdown_table(["method", "mean", "95 % interval", "the paper"], lines)
+        lines, words = [], self.question.judgements
+        for name, mean in self.standing.means.items():
+            interval = f" [{mean.low:.4f}, {mean.high:.4f}]" if mean.has_interval else ""
+            paper = f"; paper: {words[name]}" if name in words else ""
+            lines.append(f"{name} {mean.value:.4f}{self.question.unit}{interval}{paper}")
+        return lines
 
     @property
     def then(self) -> str:
