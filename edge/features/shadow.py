@@ -241,10 +241,8 @@ class Shadow(PressStage):
         good ones only those that this bundle did not pass."""
         from edge.features.black_box.replay import judge_again  # few stations have such damage
 
-        if not missing:
-            return [], []
         archive = ArchiveFolder(self._store.path.with_suffix(".archive"))
-        inspector = Inspector(shadow.scorer.copy(), self._clock)  # the loop scores with the other one
+        inspector: Inspector | None = None
         judged, unknown = list[JudgedTwice](), list[str]()
         for one in missing:
             try:
@@ -252,6 +250,8 @@ class Shadow(PressStage):
                 has_failed = one.verdict != "pass" and press.bundle_id == failed_by
                 if failed_by is not None and not one.was_damaged and not has_failed:
                     continue
+                # The loop scores with the other one.
+                inspector = inspector or Inspector(shadow.scorer.copy(), self._clock)
                 now = judge_again(press, archive, inspector).now
                 words = one.saying, one.was_damaged
                 judged.append(JudgedTwice(one.press_id, one.verdict, now.word, *words))
