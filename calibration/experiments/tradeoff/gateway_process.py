@@ -145,11 +145,14 @@ def measure_packages(mapped_bytes: Mapping[str, float]) -> dict[str, Package]:
 
 
 def _list_needed(name: str, known: frozenset[str] = frozenset()) -> set[str]:
-    """The distributions that this one needs without its extras, and those that they need; not itself."""
+    """The distributions that this one needs without its extras, and those that they need; not itself.
+
+    One that is not installed, as where a system's packages give its modules another way, is left out.
+    """
     found: set[str] = set()
     for requirement in Distribution.from_name(name).requires or ():
         needed = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
-        if ";" in requirement or needed in known | found:
+        if ";" in requirement or needed in known | found or not any(Distribution.discover(name=needed)):
             continue
         found |= {needed} | _list_needed(needed, known | found)
     return found

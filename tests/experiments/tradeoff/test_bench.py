@@ -11,6 +11,7 @@ from station import HEADER, Motion, gel, jpeg, press_recording, small_bundle
 
 from calibration.experiments.tradeoff.bench import STAGES
 from calibration.experiments.tradeoff.bench_command import read_medians
+from calibration.experiments.tradeoff.gateway_process import _list_needed
 from edge.recording.format import RecordingWriter
 
 
@@ -84,3 +85,14 @@ def test_a_recording_of_another_mode_is_refused(station: tuple[Path, Path], tmp_
     ended = gelgate("lab", "bench", station[0], tmp_path / "small", "--idle", 8)
     assert ended.code == 3
     assert "use a bundle made for this sensor's mode" in ended.sentence()
+
+
+def test_a_needed_package_that_is_not_installed_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    described = tmp_path / "lone-1.0.dist-info"
+    described.mkdir()
+    needs = "Requires-Dist: nowhere-to-be-found\nRequires-Dist: numpy\n"
+    (described / "METADATA").write_text(f"Name: lone\nVersion: 1.0\n{needs}")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert _list_needed("lone") == {"numpy"}
