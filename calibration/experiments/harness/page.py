@@ -90,6 +90,7 @@ def make_page(
         "parts": ", ".join(sorted(rows["part"].unique())),
         "seeds": _count_seeds(rows, condition),
         "cells": [list_cells(rows, condition)],
+        "weights": rows.reindex(columns=["backbone", "weights"]).dropna().drop_duplicates(),
         "setups": setups,
         "splits": compare_splits(scored, condition),
         "refused": refused.reset_index(name="cells")[[*keys, "cells", "error"]],
@@ -115,11 +116,9 @@ def only_scored(rows: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def by_setup(rows: "pd.DataFrame") -> Iterator[tuple[str, "pd.DataFrame"]]:
-    """Give the rows of each backbone, mode and split, with a heading; weights that are random are called so."""
+    """Give the rows of each backbone, mode and split, with a heading."""
     for (backbone, mode, split), group in rows.assign(drawn=are_drawn(rows)).groupby(SETUP):
-        weights = set(group["weights"].dropna()) if "weights" in group else set()
-        said = f" ({', '.join(sorted(weights))})" if weights else ""
-        yield f"{backbone}{said}, {mode} mode, split by {split}", group
+        yield f"{backbone}, {mode} mode, split by {split}", group
 
 
 def figure_file(rows: "pd.DataFrame", *more: str) -> str:
@@ -134,10 +133,7 @@ def list_cells(rows: "pd.DataFrame", condition: str) -> "pd.DataFrame":
     groups = rows.groupby(keys)
     found = groups.agg(
         methods=("method", lambda own: ", ".join(sorted(set(own)))),
-        condition=(
-            condition,
-            lambda own: ", ".join(_write(value) for value in sorted(own.dropna().unique())),
-        ),
+        condition=(condition, lambda own: _list_values(sorted(own.dropna().unique()))),
     )
     found["seeds"] = [_count_seeds(group, condition) for _, group in groups]
     found["cells"] = groups.size()
@@ -150,8 +146,9 @@ def _count_seeds(rows: "pd.DataFrame", condition: str) -> str:
     return f"{counts.min()}" if counts.min() == counts.max() else f"{counts.min()} to {counts.max()}"
 
 
-def _write(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+def _list_values(values: list[Any]) -> str:
+    texts = [f"{value:g}" if isinstance(value, float) else str(value) for value in values]
+    return ", ".join(texts) if len(texts) < 7 else f"{len(texts)} from {texts[0]} to {texts[-1]}"
 
 
 def share_of(rows: "pd.DataFrame") -> str:

@@ -5,10 +5,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from calibration.experiments.harness.evidence import (
-    COMPARED,
     compare_directions,
     count_agreements,
     direction,
@@ -37,7 +34,7 @@ class _Study:
     column: str
     """What it varies."""
     shown: tuple[str | float, ...]
-    """The conditions of ours at which orders and levels are compared."""
+    """The conditions of ours at which orders are compared."""
     steps: tuple[tuple[str | float, str | float, str], ...]
     """The effects that are compared, as pairs of our conditions."""
     names: Mapping[str, str] = field(default_factory=dict)
@@ -86,8 +83,8 @@ def page(rows: "pd.DataFrame") -> Page:
             _compare(own, study) for study in _STUDIES if len(own := group[group["study"] == study.name])
         ]
         if any(found["is_known"] for found in studies):
-            setups.append({"title": title, "name": _name(group), "studies": studies})
-    counts = [[setup["name"], *_count([setup])] for setup in setups]
+            setups.append({"title": title, "studies": studies})
+    counts = [[setup["title"], *_count([setup])] for setup in setups]
     counts.append(["**all**", *(f"**{text}**" for text in _count(setups))])
     heading = ["setup", "orders of two methods", "directions of an effect"]
     summary, levels = pd.DataFrame(counts, columns=heading), _span_levels(scored)
@@ -102,13 +99,8 @@ def _count(setups: list[dict[str, Any]]) -> list[str]:
     ]
 
 
-def _name(rows: "pd.DataFrame") -> str:
-    """Return the name of a setup without its weights."""
-    return ", ".join(str(rows[name].iloc[0]) for name in SETUP)
-
-
 def _compare(rows: "pd.DataFrame", study: _Study) -> dict[str, Any]:
-    """Compare the rows of one study and setup with the paper: orders of methods, levels of parts, directions."""
+    """Compare the rows of one study and setup with the paper: orders of methods, directions."""
     orders, pairs = _list_orders(rows, study)
     steps = []
     for before, after, title in study.steps:
@@ -119,15 +111,13 @@ def _compare(rows: "pd.DataFrame", study: _Study) -> dict[str, Any]:
             steps.append(
                 {"title": title, "directions": list(known["direction"]), "differing": list(differing)}
             )
-    levels = _list_levels(rows, study)
     return {
         "name": study.name,
         "orders": orders,
         "pairs": pairs,
-        "levels": levels,
         "steps": steps,
         "directions": [word for step in steps for word in step["directions"]],
-        "is_known": bool(len(orders) or len(levels) or steps),
+        "is_known": bool(len(orders) or steps),
     }
 
 
@@ -182,27 +172,6 @@ def _count_shortly(pairs: list[str]) -> str:
 def _write_order(values: Mapping[str, float]) -> str:
     ranked = sorted(values, key=lambda method: -values[method])
     return ", ".join(f"{method} {values[method]:.3f}" for method in ranked)
-
-
-def _list_levels(rows: "pd.DataFrame", study: _Study) -> "pd.DataFrame":
-    """Return how hard the parts are, here and in the paper: means over the methods of both of the medians."""
-    import pandas as pd
-
-    lines = []
-    for part, own in rows.groupby("part"):
-        for condition in study.shown:
-            at = own[own[study.column] == condition].groupby("method")[list(COMPARED)].median()
-            levels = []
-            for measure in COMPARED:
-                paper = study.paper(measure, condition)
-                known = at[measure].dropna()
-                pairs = [
-                    (level, paper[method, part]) for method, level in known.items() if (method, part) in paper
-                ]
-                levels.append("{:.3f} ({:.3f})".format(*np.mean(pairs, axis=0)) if pairs else "-")
-            if set(levels) != {"-"}:
-                lines.append([part, f"`{write_condition(condition)}`", *levels])
-    return pd.DataFrame(lines, columns=["part", _heading(study), *COMPARED.values()])
 
 
 def _heading(study: _Study) -> str:
