@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 
 import pytest
+from hypothesis import event, given
+from hypothesis import strategies as st
 
 from edge.core.shadow import LEAST_COMPARED, JudgedTwice, ShadowVerdict, Weighing
 
@@ -80,6 +82,31 @@ def test_it_need_not_wait_where_good_presses_show_that_it_is_better(
     refusals = Weighing(presses).refusals(has_promise=True)
 
     assert (refusals == []) == is_clear
+
+
+@given(
+    st.lists(
+        st.builds(
+            JudgedTwice,
+            st.just("P"),
+            st.sampled_from(("pass", "fail", "fail", "unsure")),
+            st.sampled_from(("pass", "pass", "fail")),
+            st.sampled_from(("good", "good", "damaged", "cannot_tell", None)),
+            st.booleans(),
+        ),
+        max_size=40,
+    ),
+    st.integers(5, 12),
+)
+def test_whatever_people_answer_no_damage_that_was_found_passes_before_100_presses(
+    presses: list[JudgedTwice], false: int
+) -> None:
+    """Not even one of which a word that was wrong says that it is good."""
+    weighing = Weighing([*presses, *(press(number, "fail", "pass", "good") for number in range(false))])
+    lost = [one for one in presses if one.was_damaged and one.verdict != "pass" and one.other == "pass"]
+
+    event(f"takes over: {not weighing.refusals(has_promise=True)}")
+    assert not (lost and not weighing.refusals(has_promise=True))
 
 
 def test_it_waits_where_it_is_not_known_whether_it_finds_a_damage() -> None:
