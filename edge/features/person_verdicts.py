@@ -121,13 +121,12 @@ class PersonVerdicts(PressStage):
         since_ns = self._store.read("reading when the bundle was first used", partial(used_since, key=key))
         if not limit.n or since_ns is None:
             return None
-        promised = limit.by_press.rate if limit.by_press is not None else max(limit.alpha, limit.alpha_floor)
         judged = [
             one
             for one in self._presses
             if (one.part, one.position) == mounted.part and one.time_ns >= since_ns
         ]
-        return find_broken_promise(judged, said, promised)
+        return find_broken_promise(judged, said, max(limit.alpha, limit.alpha_floor))
 
     def _find_new_gel(self, mounted: Mounted) -> int | None:
         """Find since when the bundle in use is used on a gel on which it is not proven; None where it is proven."""

@@ -246,7 +246,7 @@ def test_more_false_alarms_than_promised_are_an_alarm_until_another_bundle_inspe
     tmp_path: Path, presses: Path, bundle: Path
 ) -> None:
     """A fifth is promised, and three of four fails are good. On a new gel the alarm of the proof says it."""
-    promised = limit(bundle, **FIVE, by_press=None)
+    promised = limit(bundle, **FIVE)
     strict = variant(bundle, tmp_path / "strict", threshold={**promised, "value": 1e-9})
     other = variant(bundle, tmp_path / "other", threshold=promised)
 
