@@ -322,23 +322,27 @@ def _fit() -> Iterator[str]:
 
 
 def _detectors() -> Iterator[str]:
-    for name in registry.names("detectors"):
-        corrected, paper = (registry.detector(name).parameters(mode) for mode in ("corrected", "paper"))
-        schema = paper.model_json_schema()
-        yield f"## {name}\n\n| name | value | corrected | paper | what it is |\n| --- | --- | --- | --- | --- |"
-        for field, about in schema["properties"].items():
-            if field == "mode":
-                continue
-            ours = f"`{_json(getattr(corrected, field))}`" if field in type(corrected).model_fields else ""
-            null = " or `null`" if {"type": "null"} in about.get("anyOf", ()) else ""
-            yield _row(
-                f"`{field}`",
-                _value(about) + null,
-                ours,
-                f"`{_json(getattr(paper, field))}`",
-                about["description"],
-            )
-        yield ""
+    heading = "| name | value | corrected | paper | what it is |\n| --- | --- | --- | --- | --- |"
+    tables = {name: dict(_parameter_rows(name)) for name in registry.names("detectors")}
+    counts = Counter(chain.from_iterable(table.items() for table in tables.values()))
+    shared = dict(item for item, count in counts.items() if count >= 3)
+    yield "\n".join(["## Of several detectors\n", heading, *shared.values(), ""])
+    for name, table in tables.items():
+        own = [row for row in table.values() if row not in shared.values()]
+        yield "\n".join([f"## {name}\n", heading, *own, ""])
+        if others := [f"`{field}`" for field, row in table.items() if row in shared.values()]:
+            yield f"Also {', '.join(others)}, as [above](#of-several-detectors).\n"
+
+
+def _parameter_rows(detector: str) -> Iterator[tuple[str, str]]:
+    """Every parameter of a detector and its row, with the defaults of both modes."""
+    corrected, paper = (registry.detector(detector).parameters(mode) for mode in ("corrected", "paper"))
+    for field, about in paper.model_json_schema()["properties"].items():
+        ours = f"`{_json(getattr(corrected, field))}`" if field in type(corrected).model_fields else ""
+        null = " or `null`" if {"type": "null"} in about.get("anyOf", ()) else ""
+        value, default = _value(about) + null, f"`{_json(getattr(paper, field))}`"
+        if field != "mode":
+            yield field, _row(f"`{field}`", value, ours, default, about["description"])
 
 
 def _json(value: object) -> str:
