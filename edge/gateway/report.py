@@ -6,7 +6,7 @@ Frames that are not processed in time are dropped, and a press in them is missed
 import logging
 import shutil
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -244,7 +244,7 @@ class Report:
         self._dropped_before = 0
         self._was_held_up = False
         self._started_ns = clock.monotonic_ns()
-        self._drops_before = self._drops_now = publisher.outbox_status()
+        self._outbox = publisher.outbox_status()
 
     def count_frame(self, frame: CameraFrame, *, has_contact: bool) -> None:
         """Count a frame for which this machine was too slow."""
@@ -307,13 +307,12 @@ class Report:
         status.counts(self._store.findings)
 
     def note_drops(self, outbox: OutboxStatus) -> None:
-        """Raise an alarm for messages dropped since this process started; older ones were published before."""
-        self._drops_now = outbox
-        aged = _subtract(self._drops_before.aged, outbox.aged)
-        crowded = _subtract(aged, _subtract(self._drops_before.dropped, outbox.dropped))
+        """Raise an alarm for dropped messages until a person acknowledges them, over a restart too."""
+        self._outbox = outbox
+        crowded = {kind: number - outbox.aged.get(kind, 0) for kind, number in outbox.unseen.items()}
         words = [
             f"{number} of kind {kind} ({why})"
-            for counts, why in ((aged, "too old"), (crowded, "no room"))
+            for counts, why in ((outbox.aged, "too old"), (crowded, "no room"))
             for kind, number in counts.items()
             if number
         ]
@@ -321,8 +320,8 @@ class Report:
             self._status.say("outbox_full", f"unsent messages were dropped: {', '.join(words)}")
 
     def acknowledge_drops(self) -> None:
-        """A person has seen the alarm `outbox_full`: it is raised again by the next drop."""
-        self._drops_before = self._drops_now
+        """A person has seen the alarm `outbox_full`: it is raised again by the next drop. Errors: StoreError."""
+        self._publisher.acknowledge_drops(self._outbox)
         self._status.say("outbox_full", None)
 
     def _say_load(self) -> None:
@@ -340,10 +339,6 @@ class Report:
             now_ns, step = self._clock.time_ns(), {"seconds": seconds}
             act = Act(now_ns, "the gateway", "clock_step", arguments=step, outcome="done")
             self._store.begin_act(act, within_s=0)
-
-
-def _subtract(before: Mapping[str, int], now: Mapping[str, int]) -> dict[str, int]:
-    return {kind: n - before.get(kind, 0) for kind, n in now.items()}
 
 
 def _describe(sink: SinkCounters) -> str:

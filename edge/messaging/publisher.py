@@ -148,6 +148,10 @@ class Publisher:
     def outbox_status(self) -> OutboxStatus:
         return self._outbox.status()
 
+    def acknowledge_drops(self, status: OutboxStatus) -> None:
+        """A person has seen the drops that this status has. Errors: StoreError."""
+        self._outbox.acknowledge_drops(status)
+
     def stop(self, drain_s: float = 2.0) -> None:
         """Send as much as possible in that time, then close the sinks; the rest stays in the outbox.
 

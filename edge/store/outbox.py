@@ -73,13 +73,15 @@ class OutboxRow:
 
 @dataclass(frozen=True)
 class OutboxStatus:
-    """rows, bytes: waiting now. refused: rows that a sink refused and that are kept. dropped: the number of
-    `heatmap`, `pass` and `fail` rows dropped since the database was made; aged: those of them dropped for their age."""
+    """rows, bytes: waiting now. refused: rows that a sink refused and that are kept. dropped: the number of `heatmap`,
+    `pass` and `fail` rows dropped since the database was made. unseen: those of them that nobody has acknowledged;
+    aged: those of the unseen that were dropped for their age."""
 
     rows: int
     bytes: int
     refused: int
     dropped: Mapping[str, int]
+    unseen: Mapping[str, int] = field(default_factory=dict)
     aged: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -180,7 +182,7 @@ def _drop(connection: sqlite3.Connection, victims: Sequence[tuple[int, int, int]
 
 def _count_drops(connection: sqlite3.Connection, table: str, victims: Iterable[tuple[int, int, int]]) -> None:
     connection.executemany(
-        f"INSERT INTO {table} VALUES (?, 1, ?) "
+        f"INSERT INTO {table} (worth, rows, bytes) VALUES (?, 1, ?) "
         "ON CONFLICT (worth) DO UPDATE SET rows = rows + 1, bytes = bytes + excluded.bytes",
         [(priority, size) for _, priority, size in victims],
     )
@@ -283,9 +285,19 @@ class Outbox:
             refused = connection.execute(
                 "SELECT count(DISTINCT row_id) FROM settled WHERE refusal IS NOT NULL"
             ).fetchone()[0]
-            dropped = dict(connection.execute("SELECT worth, rows FROM dropped").fetchall())
-            aged = dict(connection.execute("SELECT worth, rows FROM dropped_by_age").fetchall())
-        return OutboxStatus(rows, size, refused, _by_name(dropped), _by_name(aged))
+            dropped = connection.execute("SELECT worth, rows FROM dropped").fetchall()
+            unseen = connection.execute("SELECT worth, rows - acknowledged FROM dropped").fetchall()
+            aged = connection.execute("SELECT worth, rows - acknowledged FROM dropped_by_age").fetchall()
+        return OutboxStatus(rows, size, refused, _by_name(dropped), _by_name(unseen), _by_name(aged))
+
+    def acknowledge_drops(self, status: OutboxStatus) -> None:
+        """A person has seen the drops that this status has; those after it stay unseen."""
+        with self._database.writing("acknowledging drops") as connection:
+            for table, counts in (("dropped", status.unseen), ("dropped_by_age", status.aged)):
+                connection.executemany(
+                    f"UPDATE {table} SET acknowledged = acknowledged + ? WHERE worth = ?",
+                    [(number, DropPriority[name.upper()]) for name, number in counts.items()],
+                )
 
     def close(self) -> None:
         self._database.close()
@@ -312,9 +324,10 @@ class Outbox:
         )
 
 
-def _by_name(counts: Mapping[int, int]) -> dict[str, int]:
-    dropped = (DropPriority.HEATMAP, DropPriority.PASS, DropPriority.FAIL)
-    return {kind.name.lower(): counts.get(kind, 0) for kind in dropped}
+def _by_name(counts: Iterable[tuple[int, int]]) -> dict[str, int]:
+    known = dict(counts)
+    kinds = (DropPriority.HEATMAP, DropPriority.PASS, DropPriority.FAIL)
+    return {kind.name.lower(): known.get(kind, 0) for kind in kinds}
 
 
 def _rename(connection: sqlite3.Connection, before: Mapping[str, str]) -> None:

@@ -1,6 +1,7 @@
 """The self-test of a station, and the acknowledgement of alarms that stay."""
 
 import json
+import sqlite3
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -11,11 +12,12 @@ import pytest
 from station import station_config
 from stepped_station import SteppedStation
 
+from edge.core.ports import Message
 from edge.core.press import Press
 from edge.core.verdict import decide
 from edge.features.outputs.stage import Outputs
 from edge.messaging.alarm_payload import ALARMS
-from edge.store.outbox import OutboxStatus
+from edge.store import outbox
 
 PEDAL = '\n[[triggers]]\nplugin = "virtual_hid"\naction = "acknowledge"\n'
 
@@ -69,22 +71,35 @@ def test_a_self_test_ends_with_the_station(station: SteppedStation) -> None:
     assert golden["text"].endswith("were not scored: the station ends")
 
 
-def dropped(station: SteppedStation, heatmaps: int) -> None:
-    """The report of a station whose outbox has dropped that many heatmaps so far."""
-    status = OutboxStatus(0, 0, 0, {"heatmap": heatmaps, "pass": 0, "fail": 0})
-    station.loop.report.note_drops(status)
+def drop(station: SteppedStation, pictures: int) -> None:
+    """Drop that many pictures from an outbox that holds nothing."""
+
+    def fill(connection: sqlite3.Connection) -> None:
+        messages = [Message("heatmap/1", b"png", content_type="image/png")] * pictures
+        outbox.put(connection, messages, "pass", 0, 0)
+        outbox.enforce(connection, outbox.Bounds(max_bytes=1), 0)
+
+    station.parts.store.write("dropping", fill)
 
 
-def test_dropped_messages_are_acknowledged_until_more_are_dropped(station: SteppedStation) -> None:
-    """The alarm of a drop stays over reports, ends by the request, and comes back with the next drop."""
-    for count in (1, 1):  # the first is already in the station's first report
-        dropped(station, count)
-    assert station.raised == ["outbox_full"]
-    assert station.ask("acknowledge_alarm", alarm="outbox_full") == {"alarms": []}
-    dropped(station, 1)
-    assert station.raised == []
-    dropped(station, 2)
-    assert station.raised == ["outbox_full"]
+def test_dropped_messages_are_acknowledged_until_more_are_dropped(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """The alarm of a drop stays over reports and restarts, also where the process ended before it could say so; it
+    ends by the request, and comes back with the next drop."""
+    config = station_config(tmp_path, recording, bundle)
+    with SteppedStation(config) as station:
+        drop(station, 1)
+    for number, has_acknowledged in ((1, False), (1, True), (2, False)):
+        with SteppedStation(config) as station:
+            station.loop.publish_stats()
+            station.loop.publish_stats()
+            assert f"{number} of kind heatmap (no room)" in (station.alarm("outbox_full") or "")
+            if has_acknowledged:
+                assert station.ask("acknowledge_alarm", alarm="outbox_full") == {"alarms": []}
+                station.loop.publish_stats()
+                assert station.raised == []
+                drop(station, 2)
 
 
 def test_corrected_counts_are_acknowledged(station: SteppedStation) -> None:
