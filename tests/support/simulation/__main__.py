@@ -114,9 +114,12 @@ def main() -> int:
             for run in _plays(0, given, bundles, folder):
                 total.add(run)
         else:
-            with multiprocessing.Pool(given.jobs) as pool:
+            from simulation.__main__ import play_all  # a process that is spawned knows it by this name
+
+            # A fork would not have the threads that OpenCV has begun for the bundles, and would wait for them.
+            with multiprocessing.get_context("spawn").Pool(given.jobs) as pool:
                 parts = pool.imap_unordered(
-                    partial(_all, given=given, bundles=bundles, folder=folder), range(given.jobs)
+                    partial(play_all, given=given, bundles=bundles, folder=folder), range(given.jobs)
                 )
                 for part in parts:
                     for run in part:
@@ -128,7 +131,8 @@ def main() -> int:
     return 1 if total.failed else 0
 
 
-def _all(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder: Path) -> list[Run]:
+def play_all(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder: Path) -> list[Run]:
+    """Play the seeds of one process."""
     return list(_plays(job, given, bundles, folder))
 
 

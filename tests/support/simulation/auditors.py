@@ -116,9 +116,9 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from station.found
     yield from _audit_sight(station)
     without = [press for press in world.hand.presses if press.number not in found]
-    more = sum(bool(press.why & AGAIN) for press in world.hand.presses if press.number in found)
     must = sum(press.must_count for press in without)
-    yield from _audit_ledger(station, 0 if station.lost_rows else must, len(without) + more)
+    most = sum(press.may_count for press in world.hand.presses)
+    yield from _audit_ledger(station, 0 if station.lost_rows else must, most)
     yield from _audit_requests(station)
     for broker in world.brokers.values():
         yield from _audit_subscriber(broker, station)
@@ -216,7 +216,8 @@ def _audit_judged(station: Station) -> Iterator[str]:
 
 
 def _audit_ledger(station: Station, least: int, most: int) -> Iterator[str]:
-    """Every row is a press of its gel, and between `least` and `most` presses without a row are counted too."""
+    """Every row is a press of its gel, and between `least` and `most` presses without a row are counted too: those that
+    were made while the database refused writes (docs/operations.md)."""
     total, path = 0, station.disk.folder / "gelgate.db"
     rows = Counter(gel for _, _, _, gel in station.rows())
     with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:

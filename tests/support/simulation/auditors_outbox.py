@@ -22,6 +22,7 @@ REPORTED_S = 12.0
 def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
     """A full outbox keeps to its room, drops pictures first, passes next and fails last, and says so."""
     if station.config.store.outbox_mb != SMALL_MB or station.is_disk_disturbed:
+        station.so_since("a drop is not said", False)
         return
     path = station.disk.folder / "gelgate.db"
     with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
@@ -29,17 +30,14 @@ def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
             "SELECT row_id, topic, content_type, payload FROM outbox WHERE retain = 0"
         ).fetchall()
         size = sum(len(payload) for *_, payload in rows)
-    is_first = station.so_since("its outbox is looked at", True) == world.clock.now_ns
     before = station.waiting
     station.waiting = {row_id: _describe(*row) for row_id, *row in rows}
     dropped = station.loop.parts.publisher.outbox_status().dropped
-    has_dropped = not is_first and sum(dropped.values()) > sum(station.dropped.values())
+    station.is_drop_open |= sum(dropped.values()) > sum(station.dropped.values())
     station.dropped = dropped
     if size > SMALL_MB * 1e6:
         yield f"{size} bytes wait in an outbox of {SMALL_MB} MB"
-    has_said = "outbox_full" in station.loop.parts.status.view().alarms
-    is_unsaid = not has_said and (has_dropped or station.is_unsaid) and not is_first
-    station.is_unsaid = is_unsaid
+    is_unsaid = station.is_drop_open and "outbox_full" not in station.loop.parts.status.view().alarms
     unsaid_ns = station.so_since("a drop is not said", is_unsaid and not station.is_frozen)
     if unsaid_ns is not None and world.clock.now_ns - unsaid_ns > REPORTED_S * S:
         yield f"messages were dropped {REPORTED_S} s ago, and no alarm says so"

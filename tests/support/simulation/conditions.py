@@ -47,7 +47,7 @@ SOMETIMES = (
     "restarted",
     "restarted during a press",
     "restarted with the sinks in another order",
-    *(f"killed at {statement}" for statement in ("BEGIN", "COMMIT", "INSERT", "UPDATE", "DELETE", "a file")),
+    *(f"killed at {statement}" for statement in ("BEGIN", "COMMIT", "a file")),
     "killed during a press",
     "writes were lost with the power",
     "killed while a broker was away",

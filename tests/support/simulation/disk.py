@@ -15,6 +15,7 @@ from typing import Any
 
 from simulation.power import Unsynced
 
+TRANSACTION = ("BEGIN", "COMMIT", "ROLLBACK")
 WRITES = {"os.rename", "os.remove", "os.mkdir", "os.link", "os.truncate"}
 
 
@@ -72,8 +73,9 @@ class Disk:
             self._new.remove(connection)
 
     def _statement(self, statement: str) -> None:
-        if not statement.startswith(("SELECT", "PRAGMA", "--")):
-            self._point(statement.partition(" ")[0])
+        """Between these the files stay as they are: what a transaction writes comes with its COMMIT."""
+        if (word := statement.partition(" ")[0]) in TRANSACTION:
+            self._point(word)
 
     def _write_file(self, path: object, event: str) -> None:
         if not isinstance(path, str | Path) or not str(path).startswith(str(self.folder)):

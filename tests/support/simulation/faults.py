@@ -216,6 +216,7 @@ def stop(run: "Simulation", rng: random.Random, meanwhile: Callable[[], None] = 
     run.reach_here("restarted")
     if run.station.disk.is_full:
         run.reach("restarted while the disk was full")
+        run.note_uncounted()
     try:
         run.station.stop()
     except StoreError as error:
@@ -254,8 +255,8 @@ def lose_power(run: "Simulation", rng: random.Random) -> float:
 
 
 def _next_writes(run: "Simulation", rng: random.Random) -> int:
-    """On a full disk a station only tries now and then, and has room again before it has tried 60 times."""
-    return rng.randint(1, 4 if run.station.disk.is_full else 60)
+    """One press and its answers take some 25; of a verdict that comes next, and of a full disk, the first are meant."""
+    return rng.randint(1, 4 if run.station.disk.is_full or _is_pressed_unjudged(run) else 25)
 
 
 def freeze(run: "Simulation", rng: random.Random) -> float:
@@ -323,11 +324,16 @@ def _is_press_waiting(run: "Simulation") -> bool:
     return run.station.loop.is_halted and has_begun and 0 < press.end_ns < run.world.clock.now_ns - 2 * S
 
 
+def _is_press_unrecorded(run: "Simulation") -> bool:
+    """A press has no row: it waits for room on the disk, or its verdict comes next."""
+    return _is_press_waiting(run) if "fill disk" in run.chosen.rates else _is_pressed_unjudged(run)
+
+
 MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "select part": _is_pressed_unjudged,
     "replace gel": _is_pass_shown,
-    "kill": _is_press_waiting,
-    "lose power": _is_press_waiting,
+    "kill": _is_press_unrecorded,
+    "lose power": _is_press_unrecorded,
     "stop": _is_press_waiting,
 }
 """When a fault does most harm: every other one waits for it."""

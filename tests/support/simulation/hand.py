@@ -32,6 +32,8 @@ class MadePress:
     what: str
     way: str = "steady"
     end_ns: int = 0
+    may_count: bool = False
+    """It was made while the disk refused, so it may count on the gel without a row."""
     must_count: bool = False
     """It was made on a full disk, and counts on the gel although the process was killed."""
     is_asked: bool = True

@@ -95,8 +95,8 @@ class Station:
         self.dropped: Mapping[str, int] = {}
         """Messages that the station says it has dropped, by what they were; of databases before `dropped_before`."""
         self.dropped_before = Counter[str]()
-        self.is_unsaid = False
-        """The outbox was full, and no alarm has said so yet."""
+        self.is_drop_open = False
+        """Messages were dropped from a full outbox, and nobody has acknowledged it."""
         self.waiting: dict[int, tuple[str, str]] = {}
         """Rows of the outbox as last looked at: what each is (`picture`, `pass`, `fail`), and its press."""
         self._asked = 0
@@ -202,7 +202,7 @@ class Station:
         self.unseen_in.clear()
         self.must_say_lost = bool(self.lost_rows)
         self.dropped_before += Counter(self.dropped)
-        self.dropped = {}
+        self.dropped, self.is_drop_open = {}, False
         for name in (path, path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")):
             name.unlink(missing_ok=True)
 

@@ -83,10 +83,13 @@ def request(run: "Simulation", rng: random.Random) -> float:
 
 def acknowledge(run: "Simulation", rng: random.Random) -> float:
     """A person acknowledges what stays."""
-    raised = sorted({"pulse", "counts", "outbox_full"} & run.station.loop.parts.status.view().alarms)
+    station = run.station
+    raised = sorted({"pulse", "counts", "outbox_full"} & station.loop.parts.status.view().alarms)
     for alarm in raised:
-        run.station.ask("acknowledge_alarm", alarm=alarm)
+        station.ask("acknowledge_alarm", alarm=alarm)
         run.reach(f"the alarm {alarm} was acknowledged")
+    station.must_say_lost &= "counts" not in raised
+    station.is_drop_open &= "outbox_full" not in raised
     return 0.0 if raised else 0.5
 
 

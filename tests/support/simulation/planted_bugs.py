@@ -159,4 +159,12 @@ BUGS = (
         "owes_picture = False",
         "have no picture message",
     ),
+    Bug(
+        "what was dropped before a start is forgotten",
+        "edge/store/outbox.py",
+        '            connection.execute("DELETE FROM sinks")\n',
+        '            connection.execute("DELETE FROM sinks")\n'
+        '            connection.execute("UPDATE dropped SET acknowledged = rows")\n',
+        "were dropped .* no alarm says so",
+    ),
 )

@@ -269,17 +269,19 @@ class Simulation:
             self.reach("killed while a broker was away")
         if disk.is_full:
             self.reach("killed while the disk was full")
-            self._note_uncounted()
+            self.note_uncounted()
         self.world.sensor.disturb("the gateway was killed")
         self.station.bury()
         self.open_again()
 
-    def _note_uncounted(self) -> None:
-        """Presses that wait for room on the disk count on the gel at the next start (docs/operations.md)."""
+    def note_uncounted(self) -> None:
+        """The process ends, and presses that wait for room on the disk with it; they count on the gel at the next start
+        (docs/operations.md)."""
         disk, now_ns = self.station.disk, self.world.clock.now_ns
         for press in self.world.hand.presses:
             is_waiting = press.begin_ns > disk.full_since_ns + S // 2 and 0 < press.end_ns < now_ns - 2 * S
             press.must_count |= is_waiting and not press.why - {"the station said 'halted'"}
+        self.world.sensor.disturb("it waited for room", (now_ns - disk.full_since_ns) / S + 2)
 
     def open_again(self) -> None:
         """Begin the next life, with the station's own sensor; the service manager starts again what cannot start."""

@@ -80,6 +80,9 @@ class Threads:
         if press is not before and press is not None:
             self._run.note(f"press {press.number} begins, {press.what}, {press.way}")
             press.is_asked = self._run.chosen.trigger == "automatic"
+        if self._run.station.is_disk_disturbed or self._run.station.loop.is_halted:
+            for made in hand.presses[-2:]:
+                made.may_count = True
         self._wake(self._reader)
         return (sensor.next_ns - self._run.world.clock.now_ns) / S
 
