@@ -124,9 +124,7 @@ def _text(
     return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
 
 
-def station_at(
-    broker: Broker, topic_filter: str, wait_s: float = WAIT_S
-) -> tuple[DescribedStation, Mapping[str, Any]]:
+def station_at(broker: Broker, topic_filter: str) -> tuple[DescribedStation, Mapping[str, Any]]:
     """Find the one station with these topics, and its AsyncAPI document.
 
     topic_filter: as of `station_filter`. Errors: SinkUnavailable without a broker; ConfigError where no station
@@ -134,7 +132,7 @@ def station_at(
     """
     documents: dict[str, Mapping[str, Any]] = {}
     with listening(broker, topic_filter.removesuffix("#") + "asyncapi") as (_, inbox):
-        end = time.monotonic() + wait_s
+        end = time.monotonic() + WAIT_S
         while (message := next_message(inbox, max(0.0, end - time.monotonic()))) is not None:
             try:
                 content = json.loads(message.payload)

@@ -15,7 +15,7 @@ from calibration.fitting.presses.nominal_presses import gather_presses
 from calibration.simulator import parts as analogues
 from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.plan import PressPlan, dataset_plan, place_damage
-from calibration.simulator.pose import HeightField, Jitter, Pose, sample
+from calibration.simulator.pose import HeightField, Pose, sample
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
@@ -71,8 +71,6 @@ class Condition:
     """Each press has the residual imprint of one at another place."""
     slide_mm_s: float = 0.0
     """The speed of scored presses, sideways, in any direction."""
-    anywhere_mm: float = 0.0
-    """The part is put down by hand up to this far off in any direction, and turned by any angle."""
 
 
 CONDITIONS: Mapping[str, Condition] = {
@@ -85,7 +83,6 @@ CONDITIONS: Mapping[str, Condition] = {
     "residual imprint": Condition(effects=("residual_imprint",), is_remembering=True),
     # More than the 3 mm/s that a recorded press slides at the end of its stroke: 0.09 mm in an exposure.
     "sliding press": Condition(slide_mm_s=5.0),
-    "parts anywhere": Condition(anywhere_mm=3.0),
 }
 
 
@@ -97,10 +94,7 @@ def part_trial(part: str, condition: str = "plain", sizes: Sizes | None = None) 
 
 
 def random_part_trial(
-    number: int,
-    sizes: Sizes | None = None,
-    condition: str = "plain",
-    seeds: tuple[int, int] = _DEVELOPMENT_SEEDS,
+    number: int, sizes: Sizes | None = None, seeds: tuple[int, int] = _DEVELOPMENT_SEEDS
 ) -> Trial:
     """Press the random part with that number: odd ones lie by hand, even ones in a fixture.
 
@@ -114,15 +108,10 @@ def random_part_trial(
             "part": f"RP{number}",
             "positions": ("pos1",),
             "depth_mm": DEVELOPMENT_DEPTH_MM,
-            "jitter": Jitter(
-                shift_mm=jitter.shift_mm,
-                turn_deg=jitter.turn_deg,
-                tilt_deg=jitter.tilt_deg,
-                depth_fraction=jitter.depth_fraction,
-            ),
+            "jitter": jitter,
         }
     )
-    return _Rendered(shape, scene, CONDITIONS[condition], of_presses, sizes or Sizes()).trial()
+    return _Rendered(shape, scene, CONDITIONS["plain"], of_presses, sizes or Sizes()).trial()
 
 
 class _Rendered:
@@ -175,7 +164,7 @@ class _Rendered:
         """Render a press, and where it shows damage, all False on a sound piece."""
         condition, scene = self.condition, self.scene
         piece = analogues.specimen(self.shape, self.streams("specimen", scene.part, plan.specimen))
-        placed, depth = self.gel.place(self._put_down(plan), plan.key), scene.press_depth_mm
+        placed, depth = self.gel.place(Pose(), plan.key), scene.press_depth_mm
         if plan.kind:
             rng = self.streams("defect", scene.part, plan.position, plan.specimen)
             defect = place_damage(self.shape, plan.kind, plan.severity, depth, scene.mask_depth_mm, rng)
@@ -195,15 +184,6 @@ class _Rendered:
             return None
         angle = float(self.streams("slide", *plan.key).uniform(0, 2 * math.pi))
         return self.condition.slide_mm_s * math.cos(angle), self.condition.slide_mm_s * math.sin(angle)
-
-    def _put_down(self, plan: PressPlan) -> Pose:
-        """Draw where the part lies: at its place, or anywhere within a circle and at any angle."""
-        if not self.condition.anywhere_mm:
-            return Pose()
-        rng = self.streams("anywhere", *plan.key)
-        away = self.condition.anywhere_mm * math.sqrt(rng.uniform())
-        towards, turn = rng.uniform(0, 2 * math.pi, 2).tolist()
-        return Pose((away * math.cos(towards), away * math.sin(towards)), turn)
 
     def _earlier_imprint(self, plan: PressPlan) -> F32:
         """The imprint of a press at another place of the part; at the same place the next press would hide it."""

@@ -188,13 +188,13 @@ def _both(ours: float | None, paper: float | None) -> str:
     return text if paper is None else f"{text} ({paper:.4f})"
 
 
-def compare_splits(rows: "pd.DataFrame", condition: str, measure: str = "aupro_001") -> "pd.DataFrame | None":
-    """Return how much higher a measure is if presses, not specimens, are held out; None without rows of both splits.
+def compare_splits(rows: "pd.DataFrame", condition: str) -> "pd.DataFrame | None":
+    """Return how much higher AU-PRO is if presses, not specimens, are held out; None without rows of both splits.
 
     condition: the column that the study varies. Only cells that both splits have are compared.
     """
     keys = ["backbone", "mode", "method", "part"]
-    by = rows.pivot_table(measure, [*keys, condition, "seed"], "split", aggfunc="mean")
+    by = rows.pivot_table("aupro_001", [*keys, condition, "seed"], "split", aggfunc="mean")
     if set(by) != {"press", "specimen"} or (both := by.dropna()).empty:
         return None
     found = both.groupby(level=keys).mean()
