@@ -14,7 +14,7 @@ from edge.store.integrity import check_database
 from edge.store.press_archive import ArchiveFolder
 from simulation.alarms import audit_alarms
 from simulation.auditors_brokers import audit_availability, audit_levels
-from simulation.auditors_outbox import audit_file, audit_full_outbox
+from simulation.auditors_outbox import ARCHIVED, audit_archive, audit_file, audit_full_outbox, audit_memory
 from simulation.auditors_outputs import audit_lamp, audit_outputs
 from simulation.auditors_retained import audit_late, audit_outbox, audit_retained, audit_serials
 from simulation.brokers import Broker
@@ -33,9 +33,6 @@ CALM_S = 60
 
 OLDEST_S = 1.0
 """An older frame is refused (docs/operations.md)."""
-
-ARCHIVED = 8
-"""So many presses are kept in the archive, rejected ones among them."""
 
 LEARNS_S = (0.3, 0.6)
 """When the picture of a new gel is being learnt, after its replacement."""
@@ -113,6 +110,8 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from audit_serials(station)
     yield from audit_levels(world)
     yield from audit_file(station)
+    yield from audit_archive(station)
+    yield from audit_memory()
     yield from station.found
     yield from _audit_sight(station)
     without = [press for press in world.hand.presses if press.number not in found]
@@ -158,12 +157,19 @@ def audit_replay(world: World, station: Station, bundles: Sequence[Path]) -> Ite
 
 
 def find_rows(world: World, station: Station) -> dict[int | None, list[Row]]:
-    """Find the rows of each press of the hand by its number; None: those of no press."""
-    rows = station.rows()
+    """Find the rows of each press of the hand by its number; None: those of no press.
+
+    A commit whose sync fails may be on the disk. The next try finds it, or a kill comes first: then no process has
+    reported the press, one for each kill.
+    """
+    rows, unreported = station.rows(), len(station.killed_ns)
     found: dict[int | None, list[Row]] = {}
     times = {seen.press_id: seen.frame_ns or seen.noted_ns for seen in station.seen}
     for row in rows:
         seen_ns = times.get(row[0])
+        if seen_ns is None and unreported:
+            unreported -= 1
+            continue
         made = [one for one in world.hand.presses if seen_ns and one.begin_ns <= seen_ns]
         if not made or (seen_ns > made[-1].end_ns + LATEST_S * S and not made[-1].why):
             found.setdefault(None, []).append(row)

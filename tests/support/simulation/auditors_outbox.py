@@ -1,11 +1,14 @@
-"""What holds of the room for unsent messages, and of the file sink (docs/operations.md, What grows, and its limit)."""
+"""What holds of what grows: unsent messages, the file sink, the archive, memory (docs/operations.md)."""
 
+import gc
 import json
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 
+from edge.core.imaging.frames import CameraFrame
+from edge.core.press import Press
 from simulation.chosen import SMALL_MB
 from simulation.lives import Station
 from simulation.options import MESSAGES
@@ -14,6 +17,12 @@ from simulation.surroundings import World
 
 WORTH = {"picture": 0, "pass": 1, "fail": 2}
 """What is dropped first."""
+
+ARCHIVED = 8
+"""So many presses are kept in the archive, rejected ones among them."""
+
+MOST_HELD = 8
+"""Frames and presses in memory when none waits: the newest ones."""
 
 REPORTED_S = 12.0
 """A station reports every ten seconds, and then says what it has dropped."""
@@ -79,3 +88,24 @@ def audit_file(station: Station) -> Iterator[str]:
         yield f"the file: {len(lacking)} results lack"
     if found != [one for one in ids if one in found]:
         yield "the file: the results are in another order than they were made, or of no row"
+
+
+def audit_archive(station: Station) -> Iterator[str]:
+    """The newest presses are kept, as many as are configured, and what these need (docs/security.md).
+
+    A kill may leave one more, until the next press; a full disk files of a press that has none there.
+    """
+    folder = station.disk.folder / "gelgate.archive"
+    records = [path.read_text() for path in folder.glob("presses/*.json")]
+    if len(records) > ARCHIVED + bool(station.killed_ns):
+        yield f"{len(records)} presses are in an archive of {ARCHIVED}"
+    left = [path.name for path in folder.glob("objects/*") if not any(path.name in text for text in records)]
+    if left and not station.disk.full_since_ns:
+        yield f"the archive has {len(left)} files that no press needs"
+
+
+def audit_memory() -> Iterator[str]:
+    """What has been inspected is let go."""
+    gc.collect()
+    held = Counter(type(one).__name__ for one in gc.get_objects() if type(one) in (CameraFrame, Press))
+    yield from (f"{number} of {name} are in memory" for name, number in held.items() if number > MOST_HELD)

@@ -167,4 +167,25 @@ BUGS = (
         '            connection.execute("UPDATE dropped SET acknowledged = rows")\n',
         "were dropped .* no alarm says so",
     ),
+    Bug(
+        "the archive keeps every press",
+        "edge/store/press_archive.py",
+        "            len(self._presses) > self.most_presses or",
+        "            False or",
+        "presses are in an archive",
+    ),
+    Bug(
+        "the archive keeps the files of removed presses",
+        "edge/store/press_archive.py",
+        "if uses == 0]",
+        "if uses < 0]",
+        "files that no press needs",
+    ),
+    Bug(
+        "what was scored ahead is never let go",
+        "edge/model/inspector.py",
+        "        return self._ahead[-1][2]\n",
+        '        self.__dict__.setdefault("all", []).append(self._ahead[-1])\n        return self._ahead[-1][2]\n',
+        "are in memory",
+    ),
 )

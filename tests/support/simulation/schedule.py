@@ -14,7 +14,8 @@ from pathlib import Path
 
 from edge.config import Config, load_config
 from edge.core.errors import StoreError
-from simulation.auditors import ARCHIVED, CALM_S, audit_end, audit_now, audit_replay
+from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
+from simulation.auditors_outbox import ARCHIVED
 from simulation.auditors_retained import audit_retained
 from simulation.chosen import Chosen, Fault
 from simulation.conditions import reached_at_end
