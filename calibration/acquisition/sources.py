@@ -95,7 +95,7 @@ def _of_recording(folder: Path, profile: SensorProfile) -> Iterator[Found]:
     frames = ((recorded.frame, (recorded.label or {}).get("specimen")) for recorded in recording)
     yield from from_frames(frames, finder, profile, folder.name)
     if finder.detector.newest is None:
-        raise FitError(f"no press was found: {why_unread(folder, recording, finder.detector)}")
+        raise FitError(f"no press was found: {why_unread(folder, finder.detector)}")
 
 
 def from_frames(

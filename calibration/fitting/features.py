@@ -84,7 +84,7 @@ def extract(
     runner = None if grid.tiles is None else TileRunner(session, grid.tiles, grid.taps)
     for start in range(0, len(frames), size):
         batch = frames[start : start + size]
-        found = _run(session, taps, batch) if runner is None else _of_tiles(runner, batch[0], grid)
+        found = _run(session, taps, batch) if runner is None else _of_tiles(runner, batch[0])
         for tap, maps in zip(taps, found, strict=True):
             if not np.isfinite(maps).all():
                 raise FitError(f"the trunk gives features that are not finite at {tap}; use another backbone")
@@ -127,7 +127,7 @@ def _spread(maps: NDArray[np.float32], cells: NDArray[np.bool_]) -> tuple[float,
     return power, variance
 
 
-def _of_tiles(runner: TileRunner, frame: NDArray[np.uint8], grid: Grid) -> list[NDArray[np.float32]]:
+def _of_tiles(runner: TileRunner, frame: NDArray[np.uint8]) -> list[NDArray[np.float32]]:
     """The mosaics (1, c, h, w) of one frame, every tile run."""
     mosaics = TiledMaps(runner, 1)
     try:

@@ -62,8 +62,6 @@ class Prediction:
     """float32 (3, rows, cols), the light that shadows leave."""
     offset: F32
     """float32 (3, rows, cols), the change that does not depend on the response."""
-    height_mm: F32
-    """The height of the ball above the free gel."""
     changed: Mask
     """bool (rows, cols), where the gel is lifted."""
 
@@ -90,7 +88,6 @@ def predict(ball: Ball, ball_radius_mm: float, gel: Gel, free: F32, window: Wind
         _columns(nx, ny, surface, lens, window),
         kept,
         (here + camera.lens_blur(gloss, LR)) * kept - here,
-        height,
         np.asarray(np.hypot(x - ball.x_mm, y - ball.y_mm) < reach),
     )
 

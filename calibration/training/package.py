@@ -64,7 +64,7 @@ def package(run: Path, out: Path) -> dict[str, Any]:
         "before": list(saved.before),
         "pairs_seen": sum(run["steps"] * run["recipe"]["pairs"] for run in saved.history),
         "last_entry": _last_entry(run),
-        "variants": {name: _facts(name, graph, plain) for name, graph in variants.items()},
+        "variants": {name: _facts(graph, plain) for name, graph in variants.items()},
     }
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -92,7 +92,7 @@ def _last_entry(run: Path) -> dict[str, Any]:
     return entry
 
 
-def _facts(name: str, graph: bytes, plain: bytes) -> dict[str, Any]:
+def _facts(graph: bytes, plain: bytes) -> dict[str, Any]:
     return {
         "sha256": hashlib.sha256(graph).hexdigest(),
         "bytes": len(graph),

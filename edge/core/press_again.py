@@ -131,7 +131,7 @@ def plan(known: KnownScores, threshold: float, rate: float, costs: Costs) -> Pla
     above = [scores[scores > threshold] for scores in damaged]
     if not any(len(scores) for scores in above):
         return Plan("no rendered damage of the fit lies above the threshold, so what is risked is not known")
-    sound = _Tail(threshold, rate, _scale(known.sound, threshold), correlation)
+    sound = _Tail(threshold, rate, _scale(known.sound), correlation)
     highest = max(float(scores.max()) for scores in above if len(scores))
     bounds = np.linspace(threshold, highest, _BOUNDS + 1)
     plans = [_at(bound, sound, damaged, costs) for bound in bounds]
@@ -195,7 +195,7 @@ def _cost(one: Plan, costs: Costs) -> float:
     return wrong + costs.press * (one.presses - 1)
 
 
-def _scale(sound: Sequence[Sequence[float]], threshold: float) -> float:
+def _scale(sound: Sequence[Sequence[float]]) -> float:
     """The mean excess of the highest nominal scores over the next one below."""
     ordered = np.sort(np.concatenate([np.asarray(scores, np.float64) for scores in sound]))[::-1]
     count = min(max(_TAIL_FEWEST, math.ceil(_TAIL_SHARE * len(ordered))), len(ordered) - 1)

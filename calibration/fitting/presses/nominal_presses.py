@@ -284,7 +284,7 @@ def _read_recording(folder: Path, gathered: _Gathered) -> None:
             elif len(gathered.free) < MAX_NO_CONTACT:
                 gathered.free.append(decode(found, gathered.profile))
     if finder.detector.newest is None:
-        gathered.refused.append(why_unread(folder, recording, finder.detector))
+        gathered.refused.append(why_unread(folder, finder.detector))
     gathered.faults += _incomplete(recording, finder.settled, finder.detector)
 
 
@@ -303,7 +303,7 @@ def _incomplete(recording: Recording, settled: int, detector: PressDetector) -> 
     return found
 
 
-def why_unread(folder: Path, recording: Recording, detector: PressDetector) -> str:
+def why_unread(folder: Path, detector: PressDetector) -> str:
     """Say why no frame of a recording was looked at."""
     if detector.first_fault is None:
         return f"{folder} has no frames"
