@@ -23,6 +23,7 @@ __all__ = [
     "fingerprint_bytes",
     "how_they_differ",
     "open_session",
+    "read_cpu",
     "saturates",
 ]
 
@@ -122,7 +123,7 @@ _LIBRARIES: Final = ("gelgate", "onnxruntime", "numpy", "opencv-contrib-python-h
 
 def fingerprint(threads: int) -> dict[str, Any]:
     """Plain JSON. threads: that score one press. flags: of the processor, as the system names them."""
-    cpu = _cpu()
+    cpu = read_cpu()
     return {
         **{name: version(name) for name in _LIBRARIES},
         "python": platform.python_version(),
@@ -154,8 +155,8 @@ def how_they_differ(then: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator
             yield f"{name} {before} then, {after} now"
 
 
-def _cpu() -> dict[str, str]:
-    """The first processor of /proc/cpuinfo; empty where there is none."""
+def read_cpu() -> dict[str, str]:
+    """Read the first processor of /proc/cpuinfo; empty where there is none."""
     entries: dict[str, str] = {}
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()

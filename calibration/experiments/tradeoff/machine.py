@@ -11,9 +11,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from edge.model.session import open_session
+from edge.model.session import open_session, read_cpu
 
-__all__ = ["Peak", "best", "busy", "fingerprint", "probe"]
+__all__ = ["Peak", "best", "busy", "fastest", "fingerprint", "probe"]
 
 SIDE: Final = 512
 """Of the square matrices that are multiplied: they stay in the cache, and a product is over within a time slice."""
@@ -42,7 +42,7 @@ class Peak:
 
 def fingerprint(threads: int) -> dict[str, Any]:
     """Everything known to change a time: processor, its flags, threads, libraries, governor, system."""
-    cpu = _cpu()
+    cpu = read_cpu()
     return {
         "processor": cpu.get("model name", platform.processor() or platform.machine()),
         "flags": sorted(cpu.get("flags", "").split()),
@@ -65,14 +65,6 @@ def busy(machine: dict[str, Any]) -> str:
     return (
         f"The machine was busy (load {load:g} on {cores} cores): milliseconds are longer than on a quiet one."
     )
-
-
-def _cpu() -> dict[str, str]:
-    lines = (line.partition(":") for line in _read("/proc/cpuinfo").splitlines())
-    found: dict[str, str] = {}
-    for name, _, value in lines:
-        found.setdefault(name.strip(), value.strip())
-    return found
 
 
 def _read(path: str) -> str:
@@ -122,17 +114,18 @@ def _product(kind: str, left: Any, right: Any, threads: int, repeats: int, **att
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
     session = open_session(model.SerializeToString(), threads, "the probe")
-    return _fastest(lambda: session.run(None, {"a": left}), repeats)
+    return fastest(lambda: session.run(None, {"a": left}), repeats)
 
 
 def _copy(repeats: int) -> float:
     source, target = np.ones(COPIED, np.uint8), np.empty(COPIED, np.uint8)
-    return _fastest(lambda: np.copyto(target, source), repeats)
+    return fastest(lambda: np.copyto(target, source), repeats)
 
 
-def _fastest(work: Callable[[], object], repeats: int) -> float:
+def fastest(work: Callable[[], object], repeats: int) -> float:
+    """Return the seconds of the fastest of some runs, after one that warms up."""
     seconds = []
-    for _ in range(repeats + 1):  # the first one warms up
+    for _ in range(repeats + 1):
         start = time.perf_counter()
         work()
         seconds.append(time.perf_counter() - start)
