@@ -5,7 +5,7 @@ Parts that are good are learnt; parts that are damaged are kept apart, to show t
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,9 +16,13 @@ import numpy as np
 
 from calibration.fitting.carry import MOST_CHANGE
 from edge.clock import SystemClock
-from edge.core.errors import ArchiveError, FitError
+from edge.core.errors import ArchiveError, FitError, NotScorable, PoseNotFound
+from edge.core.imaging.decode import decode
 from edge.core.imaging.followed_light import FollowedLight
+from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
+from edge.core.imaging.quality import Reason
+from edge.core.imaging.sensor_check import colour_cells, is_other_kind
 from edge.core.part_position import PartPosition
 from edge.core.person_verdict import PersonVerdict, settle
 from edge.core.press import Press
@@ -38,6 +42,7 @@ __all__ = [
     "compare",
     "judge_presses",
     "read_confirmed",
+    "score_refused",
     "write_picture",
     "write_pictures",
 ]
@@ -61,15 +66,22 @@ class ConfirmedPress:
     press: ArchivedPress
     said: PersonVerdict
     frame: bytes
+    refused_score: float | None = None
+    """The score that the bundle would have given, had it not refused it for its colours."""
+
+    @property
+    def score(self) -> float | None:
+        """Its score, also where it was refused for its colours."""
+        return self.press.score if self.refused_score is None else self.refused_score
 
     @property
     def ratio(self) -> float:
         """Score by threshold; 0 where there is none."""
-        return (self.press.score or 0.0) / (self.press.threshold or math.inf)
+        return (self.score or 0.0) / (self.press.threshold or math.inf)
 
     def describe(self) -> str:
         """Name it for a person: id, score, and who said what."""
-        ratio = f", {self.ratio:.2f} of the threshold" if self.press.score is not None else ""
+        ratio = f", {self.ratio:.2f} of the threshold" if self.score is not None else ""
         what = " ".join(filter(None, (self.said.saying, self.said.kind)))
         return f"{self.press.press_id} ({self.press.verdict}{ratio}; {self.said.person}: {what})"
 
@@ -95,12 +107,11 @@ class ConfirmedPresses:
 
     def add(self, one: ConfirmedPress) -> None:
         """Sort it in."""
-        score, threshold = one.press.score, one.press.threshold
         if one.said.saying == "damaged":
             self.damaged.append(one)
         elif one.said.saying != "good":
             self.others.append(one.press)
-        elif score is None or not threshold:
+        elif one.score is None or not one.press.threshold:
             self.left_out.append(f"{one.describe()} has no score")
         else:
             self.good.append(one)
@@ -145,8 +156,34 @@ class ConfirmedPresses:
             )
 
 
-def read_confirmed(database: Path, part: PartPosition, bundle_id: str) -> ConfirmedPresses:
-    """Read them with their frames. bundle_id: of the bundle that learns. Errors: StoreError."""
+def score_refused(scorer: Scorer, press: ArchivedPress, frame: bytes) -> float | None:
+    """Score a press that this bundle refused for its colours; None for other presses, for another kind of sensor, and
+    for what cannot be scored."""
+    bundle = scorer.bundle
+    colours = bundle.manifest.colours
+    if colours is None or not (press.reason or "").startswith(f"{Reason.OTHER_SENSOR}:"):
+        return None
+    rgb = np.ascontiguousarray(
+        bundle.region.crop(decode(CameraFrame(frame, 0, 0, is_on_demand=True), bundle.profile))
+    )
+    lit = rgb if press.light is None else FollowedLight(*press.light).restore(rgb)
+    nominal = colours.nominal()
+    if is_other_kind(colour_cells(lit, nominal.cells.shape[:2]), nominal):
+        return None
+    try:
+        return scorer.score(lit).anomaly_score
+    except (PoseNotFound, NotScorable):
+        return None
+
+
+def read_confirmed(
+    database: Path,
+    part: PartPosition,
+    bundle_id: str,
+    score_anyway: Callable[[ArchivedPress, bytes], float | None] = lambda press, frame: None,
+) -> ConfirmedPresses:
+    """Read them with their frames. bundle_id: of the bundle that learns. score_anyway: scores presses of a new gel that
+    it refused. Errors: StoreError."""
     found, archive = ConfirmedPresses(), ArchiveFolder(database.with_suffix(".archive"))
     with open_read_only(database, "reading what people said") as connection:
         said = read_verdicts(connection)
@@ -177,7 +214,8 @@ def read_confirmed(database: Path, part: PartPosition, bundle_id: str) -> Confir
             unknown = "; whether the new bundle finds this damage is not known" if is_doubted else ""
             found.left_out.append(f"{error}{unknown}")
             continue
-        found.add(ConfirmedPress(press, verdict, frame))
+        is_here = press_id in found.on_new_gel and verdict.saying == "good"
+        found.add(ConfirmedPress(press, verdict, frame, score_anyway(press, frame) if is_here else None))
     found.leave_out_far()
     return found
 

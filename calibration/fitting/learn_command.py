@@ -1,6 +1,7 @@
 """`gelgate bundle learn`: a bundle, its nominal presses and what people said at the station in, a new bundle out."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -68,7 +69,7 @@ def learn(given: LearnArguments) -> None:
     check_present(given.sources)
     old = Bundle.load(given.bundle)
     manifest, database = old.manifest, database_path(given.config, given.database)
-    confirmed = _read_words(database, PartPosition(manifest.part, manifest.position), old.digest)
+    confirmed = _read_words(database, PartPosition(manifest.part, manifest.position), old)
     config = configure_again(old, given.alpha, given.threads, given.gel)
     with tempfile.TemporaryDirectory() as folder:
         pictures = Path(folder) / "confirmed"
@@ -117,12 +118,13 @@ def _ask_again(error: "FitError", comparison: "Comparison", database: Path) -> "
     return FitError(f"{error}; {said}") if said else error
 
 
-def _read_words(database: Path, part: "PartPosition", bundle_id: str) -> "ConfirmedPresses":
+def _read_words(database: Path, part: "PartPosition", old: "Bundle") -> "ConfirmedPresses":
     """Read what people said of a part, and say what of it is left out. Errors: FitError where nothing can be learnt."""
-    from calibration.fitting.learn import read_confirmed
+    from calibration.fitting.learn import read_confirmed, score_refused
     from edge.core.errors import FitError
+    from edge.model.scorer import Scorer
 
-    confirmed = read_confirmed(database, part, bundle_id)
+    confirmed = read_confirmed(database, part, old.digest, partial(score_refused, Scorer(old)))
     for sentence in confirmed.left_out:
         typer.echo(f"warning: left out: {sentence}", err=True)
     words = ", ".join(f"{number} {word}" for word, number in sorted(confirmed.words.items())) or "nothing"

@@ -108,15 +108,16 @@ class Asked:
     press_id: str
     time_ns: int
     verdict: str
-    score_ratio: float
-    """Score by threshold."""
+    score_ratio: float | None
+    """Score by threshold; None where its colours were refused, as those of another gel."""
     part: str
     position: str | None = None
 
     @property
     def doubt(self) -> float:
         """Say how little is known of it, the larger the less: how close the score is to the threshold."""
-        return -abs(math.log(self.score_ratio)) if 0 < self.score_ratio < math.inf else -math.inf
+        ratio = self.score_ratio or 0.0
+        return -abs(math.log(ratio)) if 0 < ratio < math.inf else -math.inf
 
 
 def choose_questions(
@@ -127,10 +128,12 @@ def choose_questions(
     Without the latter nobody would ever look at a damage that the machine does not see at all. Which pass it is, is
     drawn by its id, so the choice stays the same until something changes. new_gel_ns: since then another gel is
     mounted, on which the bundle is not proven. Then its presses alone are asked for, drawn whatever their score: those
-    close to a threshold of another gel would be the lowest. Oldest first.
+    close to a threshold of another gel would be the lowest, and its colours may be refused. Oldest first.
     """
     open_ = [press for press in presses if press.press_id not in answered]
-    if new_gel_ns is not None:
+    if new_gel_ns is None:
+        open_ = [press for press in open_ if press.score_ratio is not None]
+    else:
         open_ = [press for press in open_ if press.time_ns >= new_gel_ns]
     is_drawn = [one for one in open_ if new_gel_ns is not None or one.verdict == "pass"]
     share = most // 5 if new_gel_ns is None else most

@@ -7,13 +7,16 @@ from typing import Final, Self
 
 from pydantic import Field, model_validator
 
+from edge.core.imaging.quality import Reason
 from edge.core.person_verdict import Asked, PersonVerdict, Saying, choose_questions, find_broken_promise
 from edge.core.ports import Clock, Message
+from edge.core.press import Press
 from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.payload_base import PressId
 from edge.messaging.status_payloads import Question, QuestionsPayload
 from edge.press_stage import Alarms, Command, Data, Mounted, PressStage, Selection, StageParts
 from edge.store.acts import CONFIRM
+from edge.store.gel_ledger import GelRecord
 from edge.store.gel_proofs import GelBundle, unproven_since, used_since
 from edge.store.person_verdicts import (
     find_table,
@@ -68,6 +71,7 @@ class PersonVerdicts(PressStage):
         self._after = 0
         self._acts = (0, 0)
         self._presses: list[Asked] = []
+        self._of_other_colours: set[str] = set()
         self._shown: tuple[object, ...] | None = None
         self._broken: str | None = None
         self._day: date | None = None
@@ -93,6 +97,11 @@ class PersonVerdicts(PressStage):
         if self._read() or today != self._day:
             self._day = today
             self._ask(today, mounted)
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        """Remember what was refused for its colours: on a new gel it is asked about."""
+        if (press.reason or "").startswith(f"{Reason.OTHER_SENSOR}:"):
+            self._of_other_colours.add(press.press_id)
 
     def _ask(self, today: date, mounted: Mounted | None) -> None:
         since_ns = self._clock.time_ns() - DAY_NS
@@ -124,7 +133,9 @@ class PersonVerdicts(PressStage):
         judged = [
             one
             for one in self._presses
-            if (one.part, one.position) == mounted.part and one.time_ns >= since_ns
+            if (one.part, one.position) == mounted.part
+            and one.time_ns >= since_ns
+            and one.score_ratio is not None
         ]
         return find_broken_promise(judged, said, max(limit.alpha, limit.alpha_floor))
 
@@ -145,12 +156,16 @@ class PersonVerdicts(PressStage):
         """Read the presses since the last look, and forget those of yesterday. Return whether there are others, or a
         new act: a pedal's word too is one."""
         query = partial(read_askable, after=self._after, most=MOST_REMEMBERED)
-        new = self._store.read("reading the newest presses", query)
-        self._after = max([self._after, *(number for number, _ in new)])
-        now_ns, before = self._clock.time_ns(), self._presses
-        recent = [
-            one for one in (*before, *(press for _, press in new)) if 0 <= now_ns - one.time_ns < DAY_NS
+        newest = self._store.read("reading the newest presses", query)
+        self._after = max([self._after, *(number for number, _ in newest)])
+        new = [
+            press
+            for _, press in newest
+            if press.score_ratio is not None or press.press_id in self._of_other_colours
         ]
+        self._of_other_colours.clear()
+        now_ns, before = self._clock.time_ns(), self._presses
+        recent = [one for one in (*before, *new) if 0 <= now_ns - one.time_ns < DAY_NS]
         self._presses = sorted(recent, key=lambda one: one.time_ns)[-MOST_REMEMBERED:]
         acts, self._acts = self._acts, self._store.read("reading the newest acts", newest_acts)
         return self._presses != before or self._acts != acts

@@ -142,7 +142,9 @@ class Question(BaseModel):
     time_ns: int = Field(ge=0)
     time_ms: int = Field(ge=0)
     verdict: str
-    score_ratio: float = Field(description="score divided by threshold")
+    score_ratio: float | None = Field(
+        description="score divided by threshold; null for colours of another gel, which have no score"
+    )
     part: str
     position: str | None = None
 

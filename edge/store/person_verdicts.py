@@ -84,11 +84,13 @@ def find_table(connection: sqlite3.Connection, press_id: str) -> Found | None:
 
 
 def read_askable(connection: sqlite3.Connection, after: int, most: int) -> list[tuple[int, Asked]]:
-    """Read those of the newest `most` presses after this number that are scored and archived, with their numbers."""
+    """Read those of the newest `most` presses after this number that are archived, and scored or rejected, with their
+    numbers."""
     rows = connection.execute(
         f"SELECT {_ASKED} FROM presses "
         "WHERE number > max(?, (SELECT coalesce(max(number), 0) FROM presses) - ?) AND evidence IS NOT NULL "
-        "AND score > 0 AND threshold > 0 AND verdict IN ('pass', 'fail', 'unsure') ORDER BY number",
+        "AND (score > 0 AND threshold > 0 AND verdict IN ('pass', 'fail', 'unsure') OR verdict = 'rejected') "
+        "ORDER BY number",
         (after, most),
     )
     return [(number, Asked(*row)) for number, *row in rows]

@@ -1,5 +1,6 @@
 """`gelgate bundle learn`: what people said at a station becomes a new bundle, or a sentence."""
 
+import json
 import sqlite3
 from collections.abc import Mapping
 from contextlib import closing
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 from command_line import Outcome, gelgate
 from confirmed_station import PLAIN, fit, say
+from station import station_config, variant
+from stepped_station import SteppedStation
 
 from calibration.fitting.fit_again import configure_again
 from calibration.fitting.learn import Comparison, ConfirmedPress, ConfirmedPresses, write_picture
@@ -270,6 +273,39 @@ def test_on_a_new_gel_four_good_presses_of_it_are_needed(
     )
     assert done.code == 0, done.err
     assert "12 nominal presses, 4 of them from the station\n" in done.out
+
+
+@pytest.mark.parametrize("is_of_this_kind", [True, False])
+def test_presses_of_a_new_gel_that_were_refused_for_their_colours_are_learnt(
+    inspected: tuple[Path, list[str]], tmp_path: Path, is_of_this_kind: bool
+) -> None:
+    """They are scored for that alone; colours that no sensor of this kind shows are not."""
+    known = json.loads((inspected[0] / "old" / "manifest.json").read_text())["colours"]
+    cells = known["cells"] if is_of_this_kind else (255 - np.array(known["cells"])).tolist()
+    strict = variant(
+        inspected[0] / "old", tmp_path / "strict", colours={**known, "cells": cells, "limit": 1e-9}
+    )
+    with SteppedStation(station_config(tmp_path, inspected[0] / "presses", strict)) as station:
+        station.play_presses(1)
+        station.clock.sleep(1)
+        station.ask("replace_gel")
+        station.play_presses(6)
+        ids = [result.press_id for result in station.results]
+        assert station.verdicts == ["rejected"] * 6
+    say(tmp_path, dict.fromkeys((ids[1], ids[3], ids[5]), "good"))
+    early = learn(inspected, tmp_path, bundle=strict)
+    say(tmp_path, {ids[2]: "good"})
+    done = learn(inspected, tmp_path, bundle=strict)
+
+    if is_of_this_kind:
+        assert "people call 3 of its presses good, at least 4 are needed" in early.sentence()
+        assert done.code == 0, done.err
+        assert "4 of them from the station\n" in done.out
+        assert Bundle.load(tmp_path / "new").manifest.colours.limit > 0.01
+    else:
+        assert f"left out: {ids[1]} (rejected; kim: good) has no score" in done.err
+        assert done.code == 3
+        assert not (tmp_path / "new").exists()
 
 
 def test_on_a_new_gel_a_good_press_is_far_where_it_is_far_from_the_others() -> None:

@@ -242,6 +242,28 @@ def test_on_a_new_gel_its_presses_alone_are_asked_about(tmp_path: Path, presses:
     assert sorted(asked) == sorted(ids[1:])
 
 
+@pytest.mark.parametrize("is_new", [True, False])
+def test_what_a_new_gel_has_refused_for_its_colours_is_asked_about(
+    tmp_path: Path, presses: Path, bundle: Path, is_new: bool
+) -> None:
+    """It has no score, and nothing else could be learnt of such a gel. On a known gel it is another sensor's."""
+    known = json.loads((bundle / "manifest.json").read_text())["colours"]
+    strict = variant(bundle, tmp_path / "strict", colours={**known, "limit": 1e-9})
+    with SteppedStation(station_config(tmp_path, presses, strict)) as station:
+        station.play_presses(1)
+        station.clock.sleep(1)
+        if is_new:
+            station.ask("replace_gel")
+        station.play_presses(4)
+        settle(station)
+        asked = station.said("questions")["presses"]
+        ids = [one.press_id for one in station.results]
+
+    assert station.verdicts == ["rejected"] * 4
+    assert sorted(one["press_id"] for one in asked) == (sorted(ids[1:]) if is_new else [])
+    assert {one["score_ratio"] for one in asked} <= {None}
+
+
 def test_more_false_alarms_than_promised_are_an_alarm_until_another_bundle_inspects(
     tmp_path: Path, presses: Path, bundle: Path
 ) -> None:

@@ -109,7 +109,8 @@ def likely_cause(cells: F64, nominal: NominalColours) -> str:
     if pattern >= _SAME_KIND:
         return (
             "most likely the gel was changed, or this is another unit of the same kind: record a change with "
-            "`gelgate gel replace`, and fit again on the new gel"
+            "`gelgate gel replace`, then say what the presses are that the station asks about, for `gelgate bundle "
+            "learn`; or fit again on the new gel"
         )
     return (
         "gel, light or sensor is another one: check that this is the sensor that was learnt and that all its lights "

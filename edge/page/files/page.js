@@ -154,7 +154,7 @@ function showQuestions(questions, pictures) {
   put("asked", asked.length ? `${asked.length} presses would teach most today`
     + (mayAnswer ? ": say what they were." : "; unlock to say what they were.") : "");
   draw("ask", [asked, pictures, mayAnswer], () => asked.map((press) => {
-    const item = element("li", ""), button = element("button", `${clock(press)} ${named(press)}: ${press.verdict} at ${ratio(press)}`);
+    const item = element("li", ""), button = element("button", `${clock(press)} ${named(press)}: ${press.verdict} ${ratio(press) ? `at ${ratio(press)}` : "for its colours"}`);
     button.disabled = !mayAnswer;
     button.onclick = () => askWhat(press, pictures.includes(press.press_id));
     item.append(button);
