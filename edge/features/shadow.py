@@ -310,6 +310,7 @@ def _score(press: Press, shadow: Inspector, inspector: Inspector) -> Press:
 def _follow_light(press: Press, shadow: Inspector, inspector: Inspector) -> None:
     """Have the shadow follow the light that the press was scored under; it may be fitted under another one."""
     fits = [one.bundle.free_reference for one in (inspector, shadow)]
+    shadow.new_gel = inspector.new_gel
     if fits[0] is not None and fits[1] is not None and np.array_equal(fits[0].view, fits[1].view):
         shadow.set_light(press.light)
     elif press.light is not None and fits[0] is not None:

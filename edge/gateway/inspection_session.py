@@ -23,6 +23,7 @@ from edge.core.contact.events import (
     TriggerWithoutContact,
 )
 from edge.core.contact.press_detector import PressDetector
+from edge.core.contact.reference import View
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.wear import foreign_start, wear
 from edge.core.imaging.frames import CameraFrame
@@ -298,13 +299,23 @@ class InspectionSession:
         learnt of the free gel may be hours old where no pause is long, so the view just before it counts."""
         before, tracker = self.inspector.light, self._detector.tracker
         if not is_press:
-            self.inspector.follow_light(None if tracker.reference is None else tracker.reference.view)
+            free = None if tracker.reference is None else tracker.reference.view
+            self.inspector.new_gel = self._load_new_gel(free)
+            self.inspector.follow_light(free)
         self.inspector.follow_light(tracker.newest_free, is_doubtful=True)
         light = self.inspector.light
         if (light is None) != (before is None):
             log.info(
                 "%s", "the light is that of the fit" if light is None else f"the light is followed: {light}"
             )
+
+    def _load_new_gel(self, free: View | None) -> View | None:
+        """Return the first picture of the mounted gel, by default this one of now; None for the first gel."""
+        serial, gel_id = self.gel.serial, self.gel.gel_id
+        if not self._references.has_others(serial, gel_id):
+            return None
+        first = self._references.load_picture(serial, gel_id, "first")
+        return free if first is None else first.view
 
     def _measure_wear(self) -> None:
         """The gel is free: keep its picture, and compare it with the first of this gel."""

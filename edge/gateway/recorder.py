@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from edge.core.defects import find_defects
 from edge.core.errors import ArchiveError
 from edge.core.imaging.decode import decode
-from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, Message
 from edge.core.press import Press, ScarFindings
@@ -195,7 +194,7 @@ def press_drawing(
 
     def draw() -> PressFiles:
         is_asked = press.word != Kind.PASS.value  # why a press passes nobody asks
-        lit = rgb if press.light is None else press.light.restore(rgb)
+        lit = rgb if press.light is None else press.light.restore(rgb, bundle.region, bundle.profile.size)
         compared = compare_press(bundle, lit, score_map, press.registered) if is_asked else None
         return PressFiles(sheet(compared), encode_scores(score_map, caption))
 
@@ -220,8 +219,8 @@ def draw_archived(press_id: str, store: Store, bundles: Iterable[Bundle], heatma
     rgb = np.ascontiguousarray(bundle.region.crop(picture))
     dots, part = bundle.manifest.dots, bundle.registration
     filled = rgb if dots is None else dots.open().fill(rgb)
-    light = None if then.light is None else FollowedLight(*then.light)
-    filled = filled if light is None else light.restore(filled)
+    light = then.followed_light
+    filled = filled if light is None else light.restore(filled, bundle.region, bundle.profile.size)
     blame = Blame(Cause.UNSURE, "see the recorded result")
     press = Press(
         press_id=press_id,

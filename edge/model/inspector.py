@@ -37,13 +37,15 @@ MOST_AHEAD: Final = 4
 class Inspector:
     """Judges settled frames with one bundle.
 
-    light: how presses are brought to the light of the fit; None scores them as they are. fault: why its scores cannot
-    be trusted now; then a press gives this error and no verdict. expected: where nominal presses reach, bool (h, w) of
-    the region in the bank's pose; None where the bundle does not show it. took_s: how long the last score took, from
-    the camera's bytes on; without end before the first.
+    light: how presses are brought to the light of the fit; None scores them as they are. new_gel: the first picture of
+    a gel that was mounted in place of an earlier one, whose shading is followed; None for the first gel. fault: why its
+    scores cannot be trusted now; then a press gives this error and no verdict. expected: where nominal presses reach,
+    bool (h, w) of the region in the bank's pose; None where the bundle does not show it. took_s: how long the last
+    score took, from the camera's bytes on; without end before the first.
     """
 
     light: FollowedLight | None = None
+    new_gel: View | None = None
     fault: str | None = None
     took_s: float = math.inf
 
@@ -98,7 +100,7 @@ class Inspector:
         """Bring presses from now on from the light of this free gel to that of the fit, where it is proven.
         is_doubtful: the view may show what a press has left behind, and changes nothing where it proves nothing."""
         reference = self.bundle.free_reference
-        light, is_proven = find_light(free, None if reference is None else reference.view)
+        light, is_proven = find_light(free, None if reference is None else reference.view, self.new_gel)
         if is_proven or not is_doubtful:
             self.set_light(light)
 
@@ -110,7 +112,8 @@ class Inspector:
 
     def restore_light(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return a picture of the region under the light of the fit; the same array where it is that light."""
-        return rgb if self.light is None else self.light.restore(rgb)
+        bundle = self.bundle
+        return rgb if self.light is None else self.light.restore(rgb, bundle.region, bundle.profile.size)
 
     def warm_up(self, frame: CameraFrame) -> None:
         """Score a frame for nothing before the first press: once for memory, once for the time that a score takes."""

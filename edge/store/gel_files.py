@@ -43,6 +43,11 @@ class GelFiles:
             self.save(serial, gel_id, "first", reference.view)
             self._remove_old(serial)
 
+    def has_others(self, serial: str, gel_id: str) -> bool:
+        """Tell whether another gel was on this sensor before, as far as its files are still there."""
+        own = self._path(serial, gel_id, "first")
+        return any(path != own for path in own.parent.glob("*.first.npy"))
+
     def forget(self, serial: str, gel_id: str, *names: Name) -> None:
         """Remove what proved to be wrong of this gel; it is learnt again."""
         for path in (self._path(serial, gel_id, name) for name in names):

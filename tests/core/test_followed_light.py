@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from edge.core.imaging.followed_light import FollowedLight, find_light
+from edge.core.imaging.region import Region
 
 VIEW = tuple[float, float, float]
 
@@ -70,3 +71,61 @@ def test_all_levels_are_those_of_float64() -> None:
         light = FollowedLight(tuple(gain.tolist()), tuple(offset.tolist()))
         expected = np.clip(np.rint(every.astype(np.float64) * gain + offset), 0, 255)
         assert np.array_equal(light.restore(every), expected)
+
+
+NEW = free_gel(seed=3, tint=12.0)
+"""Another gel, as it was when it was mounted."""
+
+
+@pytest.mark.parametrize("light", [(1.0, 1.0, 1.0), (0.8, 0.85, 0.8)])
+def test_a_press_on_a_new_gel_comes_back_to_the_gel_of_the_fit(light: VIEW) -> None:
+    """Within two levels, also where its light has fallen since; what is pressed into it keeps its depth."""
+    followed, is_proven = find_light(free_gel(light, 4, tint=12.0), free_gel(), NEW)
+    imprint = np.zeros((120, 160, 3), np.float32)
+    imprint[50:60, 70:80] = (20, -15, 25)
+    seen = np.clip(np.rint((free_gel(seed=5, tint=12.0) + imprint) * np.array(light)), 0, 255).astype(
+        np.uint8
+    )
+
+    assert is_proven
+    assert followed is not None
+    off = followed.restore(seen) - (free_gel() + imprint)
+    assert np.quantile(np.abs(off), 0.99) < 3.5
+    part = Region(60, 40, 50, 40)
+    assert np.array_equal(
+        part.crop(followed.restore(seen)), followed.restore(part.crop(seen), part, (160, 120))
+    )
+    assert np.abs(followed.undo(free_gel()) - free_gel(light, 4, tint=12.0)).mean() < 1.5
+
+
+def test_a_mark_of_a_new_gel_stays() -> None:
+    """A cut is not shading: it is seen in every press, and nothing that is pressed there is hidden by it."""
+    cut = NEW.copy()
+    cut[30:33, 20:60] -= 40
+    followed, _ = find_light(cut, free_gel(), cut)
+    assert followed is not None
+    restored = followed.restore(np.rint(cut).astype(np.uint8)).astype(float)
+    assert (restored - free_gel())[30:33, 25:55].mean() < -30
+
+
+@pytest.mark.parametrize(
+    ("new", "why"),
+    [
+        (free_gel(seed=1)[:, ::-1].copy(), "another kind of sensor: its colours run otherwise"),
+        (free_gel(seed=1, tint=60.0), "further from the fit than any unit of this kind"),
+        (free_gel(seed=1) + 30 * np.sign(np.sin(np.arange(160)))[:, None].astype(np.float32), "no shading"),
+        (np.zeros((120, 160, 3), np.float32), "no light"),
+        (NEW[:60], "a view of another size"),
+        (None, "it is the first gel of the sensor"),
+    ],
+)
+def test_what_is_no_gel_of_this_kind_is_not_followed(new: np.ndarray | None, why: str) -> None:
+    now = NEW if new is None or new.shape != NEW.shape else new
+    assert find_light(now, free_gel(), new) == (None, False), why
+
+
+def test_a_lamp_that_fails_on_a_new_gel_is_not_followed_by_its_shading() -> None:
+    """The shading is that of the day on which it was mounted; what comes later shows in score and chart."""
+    ramp = np.linspace(0.8, 1, 160, dtype=np.float32)[:, None]
+    mounted, failed = find_light(NEW, free_gel(), NEW), find_light(NEW * ramp, free_gel(), NEW)
+    assert failed == (mounted[0], False)

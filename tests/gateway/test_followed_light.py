@@ -1,15 +1,18 @@
 """A station under less light than at the fit judges as under the light of the fit, and says that it follows it."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import gelgate
-from station import Motion, press_recording, station_config
+from station import Motion, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
 from edge.core.contact.tracker import ContactTracker
+from edge.messaging.result_payload import ResultPayload
 from edge.model import inspector as module
+from edge.store.gel_files import GelFiles
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +52,7 @@ def test_without_it_sound_presses_fail(
     tmp_path: Path, films: dict[float, Path], bundle: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is guarded: with the light taken as it is, every press of the film fails."""
-    monkeypatch.setattr(module, "find_light", lambda now, at_fit: (None, False))
+    monkeypatch.setattr(module, "find_light", lambda now, at_fit, new_gel: (None, False))
     assert {verdict for verdict, _, _ in scores(station_config(tmp_path, films[0.8], bundle))} == {"fail"}
 
 
@@ -84,3 +87,66 @@ def test_its_verdicts_are_made_again_bit_for_bit(
     replayed = gelgate("station", "replay", "--all", "-c", str(config))
 
     assert replayed.code == 0, replayed.err
+
+
+@pytest.fixture
+def new_gel(tmp_path: Path, films: dict[float, Path], bundle: Path) -> Path:
+    """The configuration of a station that has pressed on the gel of the fit, with a film of another one."""
+    strict = with_strict_limit(bundle, tmp_path)
+    with SteppedStation(station_config(tmp_path, films[1.0], strict)) as station:
+        station.play()
+    shaded = press_recording(tmp_path / "shaded", 3, dented=[1], motion=Motion(free=80), shading=SHADING)
+    return station_config(tmp_path, shaded, strict)
+
+
+SHADING = 8.0
+
+
+def with_strict_limit(bundle: Path, folder: Path) -> Path:
+    """A bundle that fails sound presses of a gel with this shading."""
+    limit = json.loads((bundle / "manifest.json").read_text())["threshold"]
+    return variant(bundle, folder / "strict", threshold=limit | {"value": 0.03})
+
+
+def press_on_new_gel(config: Path) -> list[ResultPayload]:
+    """Say that the gel was changed, and press; the station says that its bundle is not proven there."""
+    with SteppedStation(config) as station:
+        station.play_until(lambda: station.loop.session is not None)
+        station.ask("replace_gel")
+        station.play()
+        assert "is not yet proven on gel" in (station.alarm("gel_proof") or "")
+        return [report.result for report in station.reports]
+
+
+def test_the_shading_of_a_new_gel_changes_no_verdict(
+    new_gel: Path, films: dict[float, Path], bundle: Path, tmp_path: Path
+) -> None:
+    """Scores within a tenth of the limit of those on the gel of the fit, and made again bit for bit."""
+    before = scores(station_config(tmp_path / "before", films[1.0], bundle))
+    results = press_on_new_gel(new_gel)
+    replayed = gelgate("station", "replay", "--all", "-c", str(new_gel))
+
+    assert [result.verdict for result in results] == ["pass", "fail", "pass"]
+    assert [result.score for result in results] == pytest.approx(
+        [score for _, score, _ in before], abs=0.01, rel=0.1
+    )
+    assert replayed.code == 0, replayed.err
+
+
+def test_without_it_a_new_gel_passes_nothing(new_gel: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is guarded: sound presses fail, or their colours are refused."""
+    monkeypatch.setattr(GelFiles, "has_others", lambda *_: False)
+    assert {result.verdict for result in press_on_new_gel(new_gel)} <= {"fail", "rejected"}
+
+
+def test_it_is_followed_again_after_a_restart(new_gel: Path) -> None:
+    press_on_new_gel(new_gel)
+    assert [verdict for verdict, _, _ in scores(new_gel)] == ["pass", "fail", "pass"]
+
+
+def test_a_gel_that_nobody_recorded_is_not_followed(tmp_path: Path, bundle: Path) -> None:
+    """The first one of a sensor may be that of another unit."""
+    shaded = press_recording(tmp_path / "shaded", 2, motion=Motion(free=80), shading=SHADING)
+    config = station_config(tmp_path, shaded, with_strict_limit(bundle, tmp_path))
+    verdicts = {verdict for verdict, _, _ in scores(config)}
+    assert verdicts <= {"fail", "rejected"}

@@ -80,18 +80,22 @@ def press_recording(
     fps: float = FPS,
     light: float = 1.0,
     light_at_end: float | None = None,
+    shading: float = 0.0,
 ) -> Path:
     """Untouched gel, then so many presses of one part; those numbered in `dented` are damaged. Labels number them.
-    light, light_at_end: of the lamps, as a share; the first throughout where there is no other."""
+    light, light_at_end: of the lamps, as a share; the first throughout where there is no other. shading: of another
+    gel, in levels."""
     motion = motion or Motion()
     rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]] / SIZE[0]
+    added = shading * np.sin(6 * x + 4 * y)[..., None] * np.array([1.0, -0.6, 0.4])
     phases: list[tuple[float, int | None]] = [(0.0, None)] * motion.free
     for press in range(presses):
         phases += [(0.5, press)] + [(1.0, press)] * motion.hold + [(0.3, press)] + [(0.0, None)] * motion.idle
     with RecordingWriter(folder, replace(HEADER, nominal_fps=fps)) as writer:
         for number, (depth, press) in enumerate(phases):
             now = light + ((light_at_end or light) - light) * number / len(phases)
-            frame = np.rint(now * gel(rng, depth, press in dented)).astype(np.uint8)
+            frame = np.rint(now * (gel(rng, depth, press in dented) + added)).astype(np.uint8)
             writer.add(jpeg(frame), round(number * 1e9 / fps), {"press": press})
     return folder
 

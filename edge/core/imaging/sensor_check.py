@@ -19,6 +19,7 @@ __all__ = [
     "colour_cells",
     "colour_distance",
     "is_other_kind",
+    "is_same_kind",
     "likely_cause",
 ]
 
@@ -26,6 +27,8 @@ __all__ = [
 # that kind and five others -0.38 to 0.35, and 0.63 to 0.78 for one that has the same lamps.
 _SAME_KIND: Final = 0.7
 _OTHER_KIND: Final = 0.5
+# Between units of one kind colours differ by 3 to 21 % (docs/bundle.md), between kinds by 25 % and more.
+_FARTHEST_OF_KIND: Final = 0.22
 _COLOURS: Final = ("red", "green", "blue")
 
 F64 = NDArray[np.float64]
@@ -115,6 +118,16 @@ def likely_cause(cells: F64, nominal: NominalColours) -> str:
     return (
         "gel, light or sensor is another one: check that this is the sensor that was learnt and that all its lights "
         "burn, or fit again on it"
+    )
+
+
+def is_same_kind(view: NDArray[np.float32], known: NDArray[np.float32]) -> bool:
+    """Tell whether two pictures of a free gel, float32 (h, w, 3), may be of units of one kind of sensor."""
+    cells, nominal = (
+        np.asarray(cv2.resize(one, (8, 8), interpolation=cv2.INTER_AREA), np.float64) for one in (view, known)
+    )
+    return (
+        _common_pattern(cells, nominal) >= _SAME_KIND and colour_distance(cells, nominal) <= _FARTHEST_OF_KIND
     )
 
 

@@ -111,7 +111,7 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from audit_levels(world)
     yield from audit_file(station)
     yield from audit_archive(station)
-    yield from audit_memory()
+    yield from audit_memory(world)
     yield from station.found
     yield from _audit_sight(station)
     without = [press for press in world.hand.presses if press.number not in found]

@@ -1,19 +1,16 @@
 """What holds of what grows: unsent messages, the file sink, the archive, memory (docs/operations.md)."""
 
-import gc
 import json
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 
-from edge.core.imaging.frames import CameraFrame
-from edge.core.press import Press
 from simulation.chosen import SMALL_MB
 from simulation.lives import Station
 from simulation.options import MESSAGES
 from simulation.sensor import S
-from simulation.surroundings import World
+from simulation.surroundings import World, count_held
 
 WORTH = {"picture": 0, "pass": 1, "fail": 2}
 """What is dropped first."""
@@ -104,8 +101,7 @@ def audit_archive(station: Station) -> Iterator[str]:
         yield f"the archive has {len(left)} files that no press needs"
 
 
-def audit_memory() -> Iterator[str]:
+def audit_memory(world: World) -> Iterator[str]:
     """What has been inspected is let go."""
-    gc.collect()
-    held = Counter(type(one).__name__ for one in gc.get_objects() if type(one) in (CameraFrame, Press))
+    held = count_held() - world.held_before
     yield from (f"{number} of {name} are in memory" for name, number in held.items() if number > MOST_HELD)

@@ -3,12 +3,16 @@
 So the station opens sensor, brokers, relay and pedal as it opens any other.
 """
 
+import gc
 import random
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 from edge import registry
+from edge.core.imaging.frames import CameraFrame
+from edge.core.press import Press
 from simulation.brokers import Broker
 from simulation.bundles import PARTS
 from simulation.chosen import Chosen
@@ -66,10 +70,18 @@ class Selected:
         return None in (before, *soon) or name in (before, *soon)
 
 
+def count_held() -> Counter[str]:
+    """Count the frames and presses in memory, by the name of their type."""
+    gc.collect()
+    return Counter(type(one).__name__ for one in gc.get_objects() if type(one) in (CameraFrame, Press))
+
+
 class World:
     """The surroundings of the run that is on."""
 
     def __init__(self, seed: int, chosen: Chosen) -> None:
+        self.held_before = count_held()
+        """Of other tests in this process."""
         self.clock = SimulatedClock()
         self.sensor = Sensor.now = Sensor(random.Random(f"{seed} sensor"), self.clock, chosen.fps)
         self.hand = self.sensor.hand
