@@ -18,6 +18,7 @@ from calibration.fitting.carry import MOST_CHANGE
 from edge.clock import SystemClock
 from edge.core.errors import ArchiveError, FitError, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
+from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
 from edge.core.imaging.quality import Reason
@@ -165,8 +166,9 @@ def score_refused(scorer: Scorer, press: ArchivedPress, frame: bytes) -> float |
     rgb = np.ascontiguousarray(
         bundle.region.crop(decode(CameraFrame(frame, 0, 0, is_on_demand=True), bundle.profile))
     )
-    light = press.followed_light
-    lit = rgb if light is None else light.restore(rgb, bundle.region, bundle.profile.size)
+    lit = rgb
+    if press.light is not None:
+        lit = FollowedLight(*press.light).restore(rgb, bundle.region, bundle.profile.size)
     nominal = colours.nominal()
     if is_other_kind(colour_cells(lit, nominal.cells.shape[:2]), nominal):
         return None
@@ -231,10 +233,10 @@ def write_picture(press: ArchivedPress, frame: bytes, folder: Path) -> Path:
     """Write the camera's bytes as a picture with the name of its press, and return its path. Where the light was
     followed, it is the picture under the light of the fit: nominal presses are of that light."""
     ending = "png" if kind(frame) == "png" else "jpg"
-    if (light := press.followed_light) is not None:
+    if press.light is not None:
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
         bgr = np.asarray(cv2.imdecode(np.frombuffer(frame, np.uint8), flags), np.uint8)
-        lit = light.restore(np.ascontiguousarray(bgr[..., ::-1]))
+        lit = FollowedLight(*press.light).restore(np.ascontiguousarray(bgr[..., ::-1]))
         frame, ending = cv2.imencode(".png", np.ascontiguousarray(lit[..., ::-1]))[1].tobytes(), "png"
     path = folder / f"{press.press_id}.{ending}"
     path.write_bytes(frame)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from edge.core.defects import find_defects
 from edge.core.errors import ArchiveError
 from edge.core.imaging.decode import decode
+from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, Message
 from edge.core.press import Press, ScarFindings
@@ -219,7 +220,7 @@ def draw_archived(press_id: str, store: Store, bundles: Iterable[Bundle], heatma
     rgb = np.ascontiguousarray(bundle.region.crop(picture))
     dots, part = bundle.manifest.dots, bundle.registration
     filled = rgb if dots is None else dots.open().fill(rgb)
-    light = then.followed_light
+    light = None if then.light is None else FollowedLight(*then.light)
     filled = filled if light is None else light.restore(filled, bundle.region, bundle.profile.size)
     blame = Blame(Cause.UNSURE, "see the recorded result")
     press = Press(

@@ -9,7 +9,6 @@ Nothing here stops an inspection: a press that cannot be archived is recorded wi
 `ArchiveFolder` reads an archive, and says what is gone or damaged.
 """
 
-import base64
 import hashlib
 import logging
 import os
@@ -26,7 +25,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from edge.core.errors import ArchiveError
-from edge.core.imaging.followed_light import FollowedLight
 from edge.store.database import open_read_only
 from edge.store.ledger_chain import head
 from edge.store.ulid import is_ulid
@@ -54,6 +52,7 @@ PRESSES: Final = "presses"
 _DIGEST: Final = re.compile(rb"\b[0-9a-f]{64}\b")
 _MAP: Final = np.dtype("<f4")
 
+_Colour = tuple[float, float, float]
 Digest = str
 """SHA-256 in hexadecimal digits."""
 
@@ -97,10 +96,9 @@ class ArchivedPress(BaseModel):
     """The score of the first press, for a second one."""
     masked: Digest | None = None
     """Places that were not judged, under scars or beyond the part, one bit each, row by row."""
-    light: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    """Gain and offset of red, green and blue, where it was brought to the light of the fit."""
-    shading: str = ""
-    """Of a new gel, as `FollowedLight.shading`, in base64."""
+    light: tuple[_Colour, _Colour] | tuple[_Colour, _Colour, str] | None = None
+    """Gain and offset of red, green and blue, where it was brought to the light of the fit, and the shading of a new
+    gel, as `FollowedLight` has them."""
     is_too_blind: bool = False
     """More lay under scars than was accepted, so a pass became unsure."""
 
@@ -109,11 +107,6 @@ class ArchivedPress(BaseModel):
         """Everything that it needs."""
         named = (self.frame, self.reference, self.score_map, self.machine, self.masked)
         return tuple(digest for digest in named if digest)
-
-    @property
-    def followed_light(self) -> FollowedLight | None:
-        """How it was brought to the light of the fit; None where it was not."""
-        return None if self.light is None else FollowedLight(*self.light, base64.b64decode(self.shading))
 
     def encode(self) -> bytes:
         """The record's file."""

@@ -13,6 +13,7 @@ of its light, all colours or one; 5.4 where it falls by a tenth on one side; 11 
 pixels is taken out first.
 """
 
+import base64
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -41,6 +42,7 @@ _SMOOTH_SHARE: Final = 0.0375
 _SAME, _NOTHING = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
 U8 = NDArray[np.uint8]
+_Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,15 @@ class FollowedLight:
     """How a press is brought to the light and the gel of the fit: gain * level + offset + shading, of red, green and
     blue."""
 
-    gain: tuple[float, float, float]
-    offset: tuple[float, float, float]
-    shading: bytes = field(default=b"", repr=False)
-    """By how much the gel of the fit is lighter than a new one, over the whole picture: int8 (15, 20, 3), half levels;
-    empty for the gel of the fit."""
+    gain: _Colour
+    offset: _Colour
+    shading: str = field(default="", repr=False)
+    """By how much the gel of the fit is lighter than a new one, over the whole picture: int8 (15, 20, 3), half levels,
+    in base64; empty for the gel of the fit."""
+
+    def record(self) -> tuple[_Colour, _Colour] | tuple[_Colour, _Colour, str]:
+        """Return what makes it again, as short as it may be."""
+        return (self.gain, self.offset, self.shading) if self.shading else (self.gain, self.offset)
 
     def restore(self, rgb: U8, region: Region | None = None, size: tuple[int, int] | None = None) -> U8:
         """Return a picture, uint8 (h, w, 3), under the light of the fit. region: the part of the camera's picture, of
@@ -73,7 +79,10 @@ class FollowedLight:
 
     def spread(self, size: tuple[int, int]) -> View:
         """Return the shading over a picture of this size (width, height), levels, float32 (h, w, 3)."""
-        cells = np.frombuffer(self.shading, np.int8).reshape(*_CELLS, 3).astype(np.float32) * _STEP
+        cells = (
+            np.frombuffer(base64.b64decode(self.shading), np.int8).reshape(*_CELLS, 3).astype(np.float32)
+            * _STEP
+        )
         return np.asarray(cv2.resize(cells, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
@@ -117,8 +126,8 @@ def _differ(one: View, other: View) -> float:
     return float(np.quantile(far, 0.9))
 
 
-def _shade(difference: View) -> bytes:
+def _shade(difference: View) -> str:
     """Keep what varies slowly of a difference of two views, float32 (h, w, 3)."""
     smooth = cv2.GaussianBlur(difference, (0, 0), _SMOOTH_SHARE * difference.shape[1])
     cells = cv2.resize(smooth, _CELLS[::-1], interpolation=cv2.INTER_AREA)
-    return bytes(np.clip(np.rint(cells / _STEP), -127, 127).astype(np.int8).tobytes())
+    return base64.b64encode(np.clip(np.rint(cells / _STEP), -127, 127).astype(np.int8)).decode()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
 from edge.core.errors import ArchiveError, BundleError
+from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock
 from edge.core.press import Press, ScarFindings
@@ -96,11 +97,11 @@ def judge_again(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspect
 def _light_as_then(press: ArchivedPress, archive: ArchiveFolder, inspector: Inspector) -> None:
     """Follow the light as it was followed then; a bundle of another fit follows it by the free gel of then."""
     if inspector.bundle.digest == press.bundle_id or press.reference is None:
-        inspector.set_light(press.followed_light)
+        inspector.set_light(None if press.light is None else FollowedLight(*press.light))
     else:
         data = archive.read(press.reference, f"the free gel of press {press.press_id}")
         free = np.load(io.BytesIO(data), allow_pickle=False)
-        inspector.new_gel = free if press.shading else None
+        inspector.new_gel = free if press.light is not None and len(press.light) > 2 else None
         inspector.follow_light(free)
 
 

@@ -1,6 +1,5 @@
 """What each verdict was made from goes into the archive, so that it can be made again."""
 
-import base64
 import hashlib
 import io
 from dataclasses import replace
@@ -104,8 +103,7 @@ class BlackBox(PressStage):
             first_score=again.first_score if again else None,
             map_shape=None if press.score_map is None else press.score_map.shape,
             masked=masked[0] if masked else None,
-            light=None if press.light is None else (press.light.gain, press.light.offset),
-            shading="" if press.light is None else base64.b64encode(press.light.shading).decode(),
+            light=None if press.light is None else press.light.record(),
             is_too_blind=scars is not None and scars.is_too_blind,
         )
         kept = (frame, machine, reference, score_map, masked)
