@@ -65,7 +65,7 @@ BUGS = (
         "edge/core/contact/press_detector.py",
         "GAP_S: Final = 0.27",
         "GAP_S: Final = 9.0",
-        "before an interruption",
+        " an interruption",
     ),
     Bug(
         "press recorded under the next part",
