@@ -9,6 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from calibration.fitting.presses.colours import nominal_colours
+from edge.core.contact.reference import View
+from edge.core.imaging.decode import VIEW_SIZE
+from edge.core.imaging.followed_light import find_light
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.quality import Reason
 from edge.core.imaging.region import Region
@@ -101,3 +104,33 @@ def test_the_unit_is_known_on_another_day(real_tactile: Path) -> None:
     colours = learnt([home / f"{name}.png" for name in ("bead", "key", "seed", "background")])
 
     assert check_sensor(region(real_tactile / "rpl-cmu__normalflow/background.png"), colours) is None
+
+
+MINIS = (
+    "rpl-cmu__gelslam/background.png",
+    "joehjhuang__gs_sdk/background.png",
+    "skleff1994__gs_sdk/background.png",
+    "rpl-cmu__normalflow/background.png",
+    "FabPrez__Taxim/gsmini_ball5.0/frame_0.jpg",
+)
+"""The free gel of five sensors of one kind."""
+
+
+def view(path: Path) -> View:
+    bgr = cv2.imread(str(path))
+    assert bgr is not None, path
+    return np.asarray(cv2.resize(bgr[..., ::-1], VIEW_SIZE, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def test_the_shading_of_any_gel_of_this_kind_is_followed_and_of_no_other(
+    real_tactile: Path, others: dict[Path, NDArray[np.uint8]]
+) -> None:
+    """Five units, each as the new gel of each other one; pictures of other kinds, whichever is the gel of the fit."""
+    minis = [view(real_tactile / name) for name in MINIS]
+    for at_fit in minis:
+        for new in minis:
+            light, is_proven = find_light(new, at_fit, new)
+            assert is_proven or light is not None
+    strangers = [view(path) for path in others]
+    followed = [find_light(new, at_fit, new) for new in strangers for at_fit in minis]
+    assert followed == [(None, False)] * len(followed)
