@@ -4,12 +4,11 @@ import math
 from collections import Counter
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal, get_args
+from typing import Literal
 
 from edge.core.binomial import rate_limits
 
 __all__ = [
-    "SAYINGS",
     "Agreement",
     "Asked",
     "PersonVerdict",
@@ -21,8 +20,6 @@ __all__ = [
 
 Saying = Literal["good", "damaged", "gel", "cannot_tell"]
 """The part is good; it is damaged; a mark of the gel shows, and the part is good; a person cannot tell."""
-
-SAYINGS: Final[tuple[str, ...]] = get_args(Saying)
 
 
 @dataclass(frozen=True)

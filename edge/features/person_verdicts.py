@@ -100,7 +100,7 @@ class PersonVerdicts(PressStage):
 
     def record(self, press: Press, gel: GelRecord) -> None:
         """Remember what was refused for its colours: on a new gel it is asked about."""
-        if (press.reason or "").startswith(f"{Reason.OTHER_SENSOR}:"):
+        if self._per_day and (press.reason or "").startswith(f"{Reason.OTHER_SENSOR}:"):
             self._of_other_colours.add(press.press_id)
 
     def _ask(self, today: date, mounted: Mounted | None) -> None:

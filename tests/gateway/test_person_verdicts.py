@@ -16,6 +16,7 @@ from stepped_station import SteppedStation
 from edge.config.tables import ConfirmTable
 from edge.core.press import ReferenceLabel
 from edge.features.outputs.stage import Outputs
+from edge.features.person_verdicts import PersonVerdicts
 from edge.gateway.commands import Change, CommandPolicy, Commands
 from edge.messaging.status_payloads import Question, QuestionsPayload
 from edge.page.shown import readable
@@ -262,6 +263,18 @@ def test_what_a_new_gel_has_refused_for_its_colours_is_asked_about(
     assert station.verdicts == ["rejected"] * 4
     assert sorted(one["press_id"] for one in asked) == (sorted(ids[1:]) if is_new else [])
     assert {one["score_ratio"] for one in asked} <= {None}
+
+
+def test_where_nobody_is_asked_nothing_is_remembered(tmp_path: Path, presses: Path, bundle: Path) -> None:
+    """A station that refuses every press for its colours may do so for months."""
+    known = json.loads((bundle / "manifest.json").read_text())["colours"]
+    strict = variant(bundle, tmp_path / "strict", colours={**known, "limit": 1e-9})
+    config = station_config(tmp_path, presses, strict, tables="[confirm]\nquestions_per_day = 0")
+    with SteppedStation(config) as station:
+        station.play_presses(4)
+        (stage,) = (one for one in station.parts.stages if isinstance(one, PersonVerdicts))
+        assert station.verdicts == ["rejected"] * 4
+        assert not stage._of_other_colours
 
 
 def test_more_false_alarms_than_promised_are_an_alarm_until_another_bundle_inspects(
