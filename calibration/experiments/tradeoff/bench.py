@@ -20,8 +20,10 @@ import numpy as np
 
 from calibration.experiments.tradeoff.floor import Work, floor_ms, trunk_work, work_of
 from calibration.experiments.tradeoff.gateway_process import (
+    Bare,
     Package,
     Taken,
+    measure_bare,
     measure_packages,
     measure_sensor,
     time_help,
@@ -116,6 +118,8 @@ class Measured:
     """A gateway that looks at the free gel; None where the system does not show it, as for the next."""
     pressing: Taken | None
     """One that judges the recording's presses."""
+    bare: Bare | None
+    """A process of the same packages and trunk alone."""
     sensor_share: float
     """Of one core, of the simulated sensor that both have."""
     help_s: float
@@ -159,6 +163,7 @@ def bench(settings: BenchSettings, folder: Path) -> Measured:
         {**frame, "fps": fps},
         idle,
         pressing,
+        _measure_bare(bundle, folder, settings.threads),
         measure_sensor(settings.recording, settings.idle_s),
         time_help(),
         measure_packages(pressing.mapped_bytes if pressing else {}),
@@ -236,16 +241,26 @@ def _since(start: float) -> float:
     return 1e3 * (time.perf_counter() - start)
 
 
+def _seen(bundle: Bundle) -> tuple[int, int]:
+    """Rows and columns of what the trunk sees at once."""
+    assert bundle.grid is not None
+    tiles = bundle.grid.tiles
+    return bundle.grid.frame if tiles is None else (tiles.size, tiles.size)
+
+
+def _measure_bare(bundle: Bundle, folder: Path, threads: int) -> Bare | None:
+    assert bundle.graphs.trunk is not None
+    trunk = folder / "trunk.onnx"
+    trunk.write_bytes(bundle.graphs.trunk)
+    return measure_bare(trunk, _seen(bundle), threads)
+
+
 def _play(
     config: Config, bundle: Bundle, settings: BenchSettings, broker: LocalBroker
 ) -> dict[str, list[float]]:
-    assert bundle.grid is not None
     assert bundle.graphs.trunk is not None
     session = open_session(bundle.graphs.trunk, settings.threads, "the bare trunk")
-    seen = (
-        bundle.grid.frame if bundle.grid.tiles is None else (bundle.grid.tiles.size, bundle.grid.tiles.size)
-    )
-    picture = np.random.default_rng(0).integers(0, 256, (1, *seen, 3), np.uint8)
+    picture = np.random.default_rng(0).integers(0, 256, (1, *_seen(bundle), 3), np.uint8)
     session.run(None, {"frames": picture})
     watch = _Watch(lambda: session.run(None, {"frames": picture}))
     level: Level = "5" if broker.speaks_mqtt5 else "3.1.1"

@@ -140,8 +140,12 @@ def _whole(measured: Measured) -> Iterator[list[str]]:
             f"{pressing.press_cpu_ms:.0f} ms, {of_sensor:.0f} of them the simulated sensor's",
         ]
     if pressing is not None:
-        yield ["memory at its peak, with presses", f"{pressing.memory_bytes / 1e6:.0f} MB"]
+        memory = f"{pressing.memory_bytes / 1e6:.0f} MB"
         start = f"{pressing.start_s:.2f} s, at least {pressing.warm_up_s:.2f} of them frames of the free gel"
+        if bare := measured.bare:
+            memory += f", {bare.memory_bytes / 1e6:.0f} of them its packages and the trunk"
+            start += f" and {bare.imports_s:.2f} imports of its packages"
+        yield ["memory at its peak, with presses", memory]
         yield ["start to `ready`", start]
     yield ["the help, from start to end", f"{measured.help_s:.2f} s"]
     sizes = list(measured.packages.items())

@@ -22,10 +22,33 @@ from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Level, Received
 from edge.messaging.mqtt_connection import Connection
 
-__all__ = ["Package", "Taken", "measure_packages", "measure_sensor", "time_help", "watch_gateway"]
+__all__ = [
+    "Bare",
+    "Package",
+    "Taken",
+    "measure_bare",
+    "measure_packages",
+    "measure_sensor",
+    "time_help",
+    "watch_gateway",
+]
 
 READY_S: Final = 60.0
 HELPS: Final = 5
+BARE: Final = """\
+import sys, time
+start = time.perf_counter()
+import cv2, numpy, onnxruntime, paho.mqtt.client, pydantic, sqlite3
+imports_s = time.perf_counter() - start
+options = onnxruntime.SessionOptions()
+options.intra_op_num_threads, options.enable_mem_pattern = int(sys.argv[2]), False
+session = onnxruntime.InferenceSession(sys.argv[1], options, providers=["CPUExecutionProvider"])
+for _ in range(2):
+    session.run(None, {"frames": numpy.zeros((1, int(sys.argv[3]), int(sys.argv[4]), 3), numpy.uint8)})
+status = open("/proc/self/status").read()
+print(status.partition("VmHWM:")[2].split()[0], imports_s)
+"""
+"""A program of the packages alone: it runs the trunk of the file that is given, with the threads and frame size."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +77,27 @@ class Package:
 
     installed: float
     in_memory: float
+
+
+@dataclass(frozen=True)
+class Bare:
+    """The least that a gateway of these packages takes."""
+
+    memory_bytes: float
+    """With the trunk, which has run."""
+    imports_s: float
+
+
+def measure_bare(trunk: Path, shape: tuple[int, int], threads: int) -> Bare | None:
+    """Measure a process that imports a gateway's packages and runs the trunk, and nothing else; None without /proc.
+
+    shape: rows and columns of what the trunk sees.
+    """
+    if not Path("/proc/self/status").is_file():
+        return None
+    words = [sys.executable, "-c", BARE, str(trunk), str(threads), *map(str, shape)]
+    kilobytes, imports_s = subprocess.run(words, capture_output=True, check=True).stdout.split()
+    return Bare(float(int(kilobytes) << 10), float(imports_s))
 
 
 def watch_gateway(config: Path, seconds: float, broker: LocalBroker, fps: float) -> Taken | None:

@@ -40,6 +40,8 @@ def test_every_stage_of_every_press_has_its_time(station: tuple[Path, Path], tmp
     assert found["pressing"]["presses"] > 0
     assert found["pressing"]["press_cpu_ms"] > 0
     assert found["pressing"]["start_s"] > found["pressing"]["warm_up_s"] > 0.5
+    assert 0 < found["bare"]["memory_bytes"] < found["pressing"]["memory_bytes"]
+    assert 0 < found["bare"]["imports_s"] < found["pressing"]["start_s"]
     cv2 = found["packages"]["opencv-contrib-python-headless"]
     assert cv2["installed"] > cv2["in_memory"] > 1e6
     assert "torch" not in found["packages"]
