@@ -29,6 +29,7 @@ from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.status_payloads import GelPayload
 from edge.press_stage import Command, Data, PressStage
 from edge.store.gel_ledger import GelRecord
+from edge.store.press_counts import acknowledge_corrections
 
 __all__ = ["describe_station", "every_command", "station_commands", "station_handlers", "trigger_by_pedal"]
 
@@ -100,7 +101,7 @@ def _acknowledge_alarm(loop: StationLoop, arguments: AcknowledgeAlarmArguments) 
     if alarm == "outbox_full":
         loop.report.acknowledge_drops()
     elif alarm == "counts":
-        loop.parts.store.findings.clear()
+        loop.parts.store.write("acknowledging corrected counts", acknowledge_corrections)
     loop.parts.status.say(alarm, None)  # first: what a stage's own thread raises from here on stays
     for stage in loop.parts.stages:
         stage.acknowledge(alarm)

@@ -272,6 +272,7 @@ class Report:
             if session is not None:
                 session.see_gel(self._store.gel(session.gel.serial, self._clock.time_ns()))
             outbox, head = self._publisher.outbox_status(), str(self._store.ledger_head())
+            findings = self._store.findings()
         except StoreError as error:
             self.note_store_fault(error)
             return
@@ -304,7 +305,7 @@ class Report:
         status.say("refused", refused if outbox.refused else None)
         faults = [f"{name}: {fault}" for name, sink in counters.items() for fault in sink.faults]
         status.say("receiver", "; ".join(faults) or None, "warning")
-        status.counts(self._store.findings)
+        status.counts(findings)
 
     def note_drops(self, outbox: OutboxStatus) -> None:
         """Raise an alarm for dropped messages until a person acknowledges them, over a restart too."""

@@ -209,7 +209,7 @@ class StationLoop:
             raise DeviceNotFound("a frame arrived from a sensor without an identity")
         check_mode(parts.selection.inspector.bundle, identity)
         gel = parts.store.gel(identity.serial, parts.clock.time_ns())
-        parts.status.counts(parts.store.findings)
+        parts.status.counts(parts.store.findings())
         parts.status.clear_fault("store")
         self._say_info()
         self.session = InspectionSession(

@@ -200,6 +200,6 @@ class StationStatus:
             return StationView(self._state()[0], alarms=frozenset(self._raised))
 
     def counts(self, findings: Sequence[str]) -> None:
-        """An alarm for counts that had to be corrected; it stays until a person acknowledges it, or a restart."""
+        """An alarm for counts that had to be corrected; it stays until a person acknowledges it, over a restart too."""
         if findings:
             self.say("counts", "; ".join(findings))

@@ -19,7 +19,7 @@ from typing import Final
 
 from edge.store import gel_ledger, ledger_chain
 
-__all__ = ["Count", "PressCounts", "recover"]
+__all__ = ["Count", "PressCounts", "acknowledge_corrections", "list_corrections", "recover"]
 
 log = logging.getLogger(__name__)
 
@@ -121,15 +121,27 @@ def _copy(data: bytes) -> tuple[int, dict[str, Count]] | None:
         return None
 
 
-def recover(connection: sqlite3.Connection, known: Count | None, serial: str, time_ns: int) -> list[str]:
-    """Correct the ledger inside the caller's transaction; one sentence for each correction.
+def list_corrections(connection: sqlite3.Connection) -> list[str]:
+    """Return what was corrected, one sentence each, until a person acknowledges it."""
+    return [text for (text,) in connection.execute("SELECT sentence FROM corrected_counts ORDER BY rowid")]
+
+
+def acknowledge_corrections(connection: sqlite3.Connection) -> None:
+    """Forget them: a person has seen them."""
+    connection.execute("DELETE FROM corrected_counts")
+
+
+def recover(
+    connection: sqlite3.Connection, path: Path, known: Count | None, serial: str, time_ns: int
+) -> bool:
+    """Correct the ledger of this database inside the caller's transaction; return whether something was corrected.
 
     known: the second record of this sensor. A database with a newer press than the record is right about its gel; one
     with older presses only was removed, emptied, cut or replaced by an old copy. The higher count is used: a gel that
     is replaced too early costs less than one that is worn out and trusted.
     """
     if known is None:
-        return []
+        return False
     sentences = []
     (newest,) = connection.execute(
         "SELECT coalesce(max(seq), 0) FROM sqlite_sequence WHERE name = 'presses'"
@@ -148,7 +160,9 @@ def recover(connection: sqlite3.Connection, known: Count | None, serial: str, ti
             f"{known.uncounted} presses of sensor {serial} were made while it refused writes; they are counted on the "
             "gel now, and their results are lost"
         )
-    return sentences
+    rows = [(f"database {path}: {sentence}",) for sentence in sentences]
+    connection.executemany("INSERT INTO corrected_counts (sentence) VALUES (?)", rows)
+    return bool(rows)
 
 
 def _continue_numbers(connection: sqlite3.Connection, sequence: int) -> None:

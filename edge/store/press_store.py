@@ -24,7 +24,7 @@ from edge.store.database import Database, RunningTime, insert
 from edge.store.gel_ledger import GelRecord
 from edge.store.ledger_chain import KIND_OF
 from edge.store.outbox import Bounds
-from edge.store.press_counts import Count, PressCounts, recover
+from edge.store.press_counts import Count, PressCounts, list_corrections, recover
 from edge.store.ulid import is_ulid
 
 __all__ = [
@@ -148,9 +148,7 @@ class Store:
     """The gateway's side of the database. Any thread may use it, one at a time.
 
     bounds: of the outbox. limit_presses, warn_fraction: limit of a gel that is not registered, warning of every gel.
-    monotonic_ns: by which messages age. findings: what a comparison with the second record of the counts
-    (edge.store.press_counts) has found and corrected, one sentence each.
-    Errors of every method: StoreError; earlier commits stay.
+    monotonic_ns: by which messages age. Errors of every method: StoreError; earlier commits stay.
     """
 
     def __init__(
@@ -167,7 +165,6 @@ class Store:
         self._warn_fraction = warn_fraction
         self._counts = PressCounts(path)
         self._compared: set[str] = set()
-        self.findings: list[str] = []
         self._newest = 0  # the number of the newest press, as of the last change
         self._database = Database(path)
 
@@ -237,6 +234,10 @@ class Store:
         """The result of a change of one of the other tables, in a transaction of its own."""
         with self._database.writing(doing) as connection:
             return change(connection)
+
+    def findings(self) -> list[str]:
+        """What the second record of the counts has corrected, one sentence each, until a person acknowledges it."""
+        return self.read("reading corrected counts", list_corrections)
 
     def ledger_head(self) -> ledger_chain.Head:
         """The newest link of the ledger: who keeps it can prove later that nothing before it was changed."""
@@ -369,10 +370,9 @@ class Store:
         if serial in self._compared:
             return
         with self._database.writing(f"comparing the counts of sensor {serial}") as connection:
-            sentences = recover(connection, self._counts.read().get(serial), serial, time_ns)
-            if sentences:  # an earlier count that still waits for a receiver would be retained over this one
+            # An earlier count that still waits for a receiver would be retained over one that is corrected.
+            if recover(connection, self.path, self._counts.read().get(serial), serial, time_ns):
                 outbox.forget(connection, "gel")
-        self.findings += [f"database {self.path}: {sentence}" for sentence in sentences]
         self._compared.add(serial)
 
     def _count(self, connection: sqlite3.Connection, press: PressRecord) -> GelRecord:

@@ -12,12 +12,14 @@ import pytest
 from station import station_config
 from stepped_station import SteppedStation
 
+from edge.config import load_config
 from edge.core.ports import Message
 from edge.core.press import Press
 from edge.core.verdict import decide
 from edge.features.outputs.stage import Outputs
 from edge.messaging.alarm_payload import ALARMS
 from edge.store import outbox
+from edge.store.press_counts import Count, PressCounts
 
 PEDAL = '\n[[triggers]]\nplugin = "virtual_hid"\naction = "acknowledge"\n'
 
@@ -102,15 +104,26 @@ def test_dropped_messages_are_acknowledged_until_more_are_dropped(
                 drop(station, 2)
 
 
-def test_corrected_counts_are_acknowledged(station: SteppedStation) -> None:
-    """And the next report does not raise the alarm again."""
-    station.parts.store.findings.append("database gelgate.db: it knew fewer presses")
-    station.loop.publish_stats()
-    assert station.raised == ["counts"]
-    station.ask("acknowledge_alarm", alarm="counts")
-    station.loop.publish_stats()
-
-    assert station.raised == []
+def test_corrected_counts_are_an_alarm_until_a_person_acknowledges_it(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """Over a restart too, and before the first frame; then no report raises it again."""
+    config = station_config(tmp_path, recording, bundle)
+    counts = PressCounts(load_config(config).store.path)
+    with SteppedStation(config):
+        pass
+    counts.write("SIM00001", Count("SIM00001-1", 50, 1000, 7))
+    with SteppedStation(config) as station:
+        station.parts.store.gel("SIM00001", 0)  # as with the first frame
+    for lives in range(2):
+        with SteppedStation(config) as station:
+            station.loop.publish_stats()
+            assert station.raised == ["counts"][lives:]
+            if not lives:
+                assert "SIM00001-1" in (station.alarm("counts") or "")
+                assert station.ask("acknowledge_alarm", alarm="counts") == {"alarms": []}
+                station.loop.publish_stats()
+                assert station.raised == []
 
 
 def test_pulses_that_were_not_given_are_acknowledged_without_the_verdict(

@@ -12,7 +12,7 @@ import pytest
 from page_messages import ROOT, TOKEN, ask, asked
 from ports import free_port
 from station import station_config, two_parts
-from stepped_station import SteppedStation
+from stepped_station import SteppedStation, correct_counts
 
 from edge.clock import ManualClock
 from edge.core.sink_context import PageRequests, Station
@@ -92,7 +92,7 @@ def test_what_a_person_changes_at_the_page(bench: tuple[Bench, SteppedStation]) 
     page, station = bench
     verbs = ["acknowledge_alarm", "confirm_press", "replace_gel", "select_part"]
     assert asked(page.port, "/station.json")["changes"] == {"verbs": verbs, "why_not": None}
-    station.parts.store.findings.append("database gelgate.db: it knew fewer presses")
+    correct_counts(station.parts.store, "database gelgate.db: it knew fewer presses")
     station.loop.publish_stats()
 
     status, selected = page.post("select_part", by="kim", arguments={"name": "PZ1/pos1"})

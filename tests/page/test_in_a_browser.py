@@ -10,6 +10,7 @@ from chromium import BROWSER_MS, wait_until
 from page_messages import PICTURE, T0_NS, TOKEN, drift, gel, info, press, state, stats
 from ports import free_port
 from station import MQTT, Motion, press_recording, station_config, two_parts
+from stepped_station import correct_counts
 
 from edge.clock import SystemClock
 from edge.config import load_config
@@ -265,7 +266,7 @@ def test_a_shift_at_the_page(changing: Any, running: tuple[StationLoop, int]) ->
     wait_until(changing, "document.getElementById('selected').textContent === 'PZ1/pos1'")
 
     def raise_alarm(loop: Any) -> None:
-        store.findings.append("database gelgate.db: it knew fewer presses")
+        correct_counts(store, "database gelgate.db: it knew fewer presses")
         loop.publish_stats()
 
     gateway.parts.calls.post(raise_alarm)

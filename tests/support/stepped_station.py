@@ -16,6 +16,7 @@ from edge.gateway.command_table import every_command
 from edge.gateway.recorder import PressReport
 from edge.messaging.result_payload import ResultPayload
 from edge.press_stage import PressStage
+from edge.store.press_store import Store
 
 S = TypeVar("S", bound=PressStage)
 
@@ -145,6 +146,12 @@ class SteppedStation:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._closing.close()
+
+
+def correct_counts(store: Store, sentence: str) -> None:
+    """As after a database was lost."""
+    statement = "INSERT INTO corrected_counts (sentence) VALUES (?)"
+    store.write("correcting counts", lambda connection: connection.execute(statement, (sentence,)))
 
 
 def _execute(path: Path, statement: str) -> None:

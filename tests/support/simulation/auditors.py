@@ -70,10 +70,8 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     yield from audit_availability(world, station)
     yield from _audit_new_gel(world, station)
     yield from audit_alarms(world, station)
-    station.must_say_lost &= "counts" not in station.loop.parts.status.view().alarms
-    lost_ns = station.so_since(
-        "a loss is not said", station.must_say_lost and station.loop.session is not None
-    )
+    is_unsaid = station.is_loss_open and "counts" not in station.loop.parts.status.view().alarms
+    lost_ns = station.so_since("a loss is not said", is_unsaid and station.loop.session is not None)
     now_ns = world.clock.now_ns
     since_ns = station.so_since(
         "a request waits", bool(station.loop.parts.calls._waiting) and not station.is_frozen

@@ -90,8 +90,8 @@ class Station:
         self.asking: list[threading.Thread] = []
         self.lost_rows: list[Row] = []
         """Of databases that were removed."""
-        self.must_say_lost = False
-        """The database was removed, and no alarm has said so yet."""
+        self.is_loss_open = False
+        """The database was removed, and nobody has acknowledged it."""
         self.dropped: Mapping[str, int] = {}
         """Messages that the station says it has dropped, by what they were; of databases before `dropped_before`."""
         self.dropped_before = Counter[str]()
@@ -200,7 +200,7 @@ class Station:
         path = self.disk.folder / "gelgate.db"
         self.lost_rows += self.rows()[len(self.lost_rows) :]
         self.unseen_in.clear()
-        self.must_say_lost = bool(self.lost_rows)
+        self.is_loss_open = bool(self.lost_rows)
         self.dropped_before += Counter(self.dropped)
         self.dropped, self.is_drop_open = {}, False
         for name in (path, path.with_name(f"{path.name}-wal"), path.with_name(f"{path.name}-shm")):

@@ -4,7 +4,7 @@ import random
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from edge.core.errors import GelgateError
+from edge.core.errors import GelgateError, StoreError
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
 from simulation.bundles import PARTS
 from simulation.options import SECRET
@@ -86,10 +86,13 @@ def acknowledge(run: "Simulation", rng: random.Random) -> float:
     station = run.station
     raised = sorted({"pulse", "counts", "outbox_full"} & station.loop.parts.status.view().alarms)
     for alarm in raised:
-        station.ask("acknowledge_alarm", alarm=alarm)
+        try:
+            station.ask("acknowledge_alarm", alarm=alarm)
+        except StoreError:  # the answer is an error, and the alarm stays
+            return 0.5
         run.reach(f"the alarm {alarm} was acknowledged")
-    station.must_say_lost &= "counts" not in raised
-    station.is_drop_open &= "outbox_full" not in raised
+        station.is_loss_open &= alarm != "counts"
+        station.is_drop_open &= alarm != "outbox_full"
     return 0.0 if raised else 0.5
 
 

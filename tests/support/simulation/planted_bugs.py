@@ -148,8 +148,8 @@ BUGS = (
     Bug(
         "an earlier count replaces one that was corrected",
         "edge/store/press_store.py",
-        "            if sentences:  # an earlier",
-        "            if False:  # an earlier",
+        "if recover(connection, self.path, self._counts.read().get(serial), serial, time_ns):",
+        "if recover(connection, self.path, self._counts.read().get(serial), serial, time_ns) and False:",
         "went back",
     ),
     Bug(
