@@ -284,7 +284,7 @@ def test_acts_that_go_leave_a_sound_chain(used: Path, monkeypatch: pytest.Monkey
 def test_a_gel_restored_from_the_second_record_is_chained(used: Path) -> None:
     """What the recovery writes is no change from outside."""
     with closing(sqlite3.connect(used)) as connection, connection:
-        said = recover(connection, Count("S-1-9", 700, 1000, 50), "S-1", T0)
+        said = recover(connection, used, Count("S-1-9", 700, 1000, 50), "S-1", T0)
 
     assert said
     assert ledger(used) == []
