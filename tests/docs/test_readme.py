@@ -49,7 +49,9 @@ def fault(line: str) -> str | None:
     """Why the program has no such command, None if it has."""
     words = shlex.split(line.partition(" > ")[0])
     if words[0] == "make":
-        return None if all(word in TARGETS or word.startswith("--") for word in words[1:]) else "no such target"
+        return (
+            None if all(word in TARGETS or word.startswith("--") for word in words[1:]) else "no such target"
+        )
     command, words = APP, words[1:]
     while hasattr(command, "commands"):
         if not words or words[0] in ("VERB", *(name for one in command.params for name in one.opts)):
