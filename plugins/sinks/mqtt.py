@@ -16,7 +16,7 @@ import json
 import logging
 import random
 import threading
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Final, Self
@@ -75,6 +75,9 @@ class MqttSink:
         self._why_down = f"not yet connected to broker {broker}"
         self._strikes = Strikes()
         self._faults: dict[str, str] = {}
+        # Why the broker refuses messages of the birth, by topic; they are offered again, never beside newer ones.
+        self._refused: dict[str, str] = {}
+        self._publishing = threading.Lock()
         self._connected_ns = 0
         self._short_ones = 0
         self.look_again_s = AGAIN_FIRST_S
@@ -106,8 +109,17 @@ class MqttSink:
     @property
     def faults(self) -> Sequence[str]:
         """Faults to correct although messages pass, one sentence each."""
-        second = self._availability.fault
-        return [*dict(self._faults).values(), *self._strikes.faults, *([second] if second else [])]
+        faults = [
+            *dict(self._faults).values(),
+            self._say_refused(),
+            *self._strikes.faults,
+            self._availability.fault,
+        ]
+        return [fault for fault in faults if fault is not None]
+
+    def _say_refused(self) -> str | None:
+        refused = list(dict(self._refused).values())
+        return f"{len(refused)} of the station's own messages are refused: {refused[0]}" if refused else None
 
     def send(self, message: Message) -> None:
         """Publish, and return on the broker's acknowledgement. Errors: SinkUnavailable, SinkRejected.
@@ -126,12 +138,14 @@ class MqttSink:
         elif will is not None and message.topic == will.topic:
             self._is_end_sent = self._is_offline_sent
         try:
-            connection.publish(self._outgoing(message))
+            with self._publishing:
+                connection.publish(self._outgoing(message))
         except SinkUnavailable as error:
             if not (connection.is_up or self._closing.is_set()):
                 self._strikes.lost(message, connection, error)
             raise
         self._strikes.delivered(message)
+        self._refused.pop(message.topic, None)
 
     def close(self) -> None:
         """Disconnect from the broker, so that it does not publish the will; harmless when repeated.
@@ -188,6 +202,7 @@ class MqttSink:
         self.look_again_s = min(2 * self.look_again_s, AGAIN_LAST_S) if is_in_vain else AGAIN_FIRST_S
         self.find_level()
         self.find_availability()
+        self.offer_refused()
 
     @property
     def _is_at_lower_level(self) -> bool:
@@ -209,6 +224,18 @@ class MqttSink:
         if connection is not None and self._availability.is_missing:
             self._availability.open(connection.level, self._lost.set)
             self._say_availability(connection)
+
+    def offer_refused(self) -> None:
+        """Ask again for what the broker refused at the birth, as it is now: its rules may be others."""
+        connection = self._connection
+        if connection is None:
+            return
+        with suppress(SinkUnavailable):  # a lost connection is seen in the next turn
+            if "commands" in self._faults:
+                self._subscribe(connection)
+            if self._refused:
+                with self._publishing:
+                    self._offer(connection, set(self._refused))
 
     def answer(self, request: Received) -> None:
         """Do what a request asks and publish the response: one turn of the answering thread."""
@@ -294,33 +321,25 @@ class MqttSink:
         """The first messages of a connection; those published. What the broker refuses stops nothing else."""
         if self._station.on_command is not None:
             self._subscribe(connection)
-        birth = self._station.birth()
-        born: dict[str, Message] = {}
-        refusals: list[SinkRejected] = []
-        for message in birth:
-            try:
-                connection.publish(self._outgoing(message))
-                born[message.topic] = message
-            except SinkRejected as error:
-                refusals.append(error)
-        refusals += self._announce(connection)
+        born = self._offer(connection)
         self._strikes.has_proof = bool(born)
-        self._faults.pop("birth", None)
-        if refusals:
-            self._faults["birth"] = (
-                f"{len(refusals)} of the station's own messages are refused: {refusals[0]}"
-            )
-            log.warning("%s", self._faults["birth"])
+        if self._refused:
+            log.warning("%s", self._say_refused())
         return born
 
-    def _announce(self, connection: Connection) -> list[SinkRejected]:
-        refusals: list[SinkRejected] = []
-        for announcement in self._announcements:
-            try:
-                connection.publish(announcement)
-            except SinkRejected as error:
-                refusals.append(error)
-        return refusals
+    def _offer(self, connection: Connection, topics: Container[str] | None = None) -> dict[str, Message]:
+        """Publish the station's own messages, or those of these topics; those that the broker takes, by topic."""
+        taken: dict[str, Message] = {}
+        self._refused.clear()
+        own = [(message, self._outgoing(message)) for message in self._station.birth()]
+        for message, outgoing in [*own, *((one, one) for one in self._announcements)]:
+            if topics is None or message.topic in topics:
+                try:
+                    connection.publish(outgoing)
+                    taken[message.topic] = message
+                except SinkRejected as error:
+                    self._refused[message.topic] = str(error)
+        return taken
 
     def _subscribe(self, connection: Connection) -> None:
         self._faults.pop("commands", None)

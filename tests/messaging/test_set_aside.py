@@ -95,6 +95,11 @@ def test_a_denied_retained_topic_stops_nothing_else(scripted: ScriptedBroker, st
     assert "1 of the station's own messages are refused" in fault
     assert "state: Not authorized" in fault
 
+    scripted.topics = {}
+    sink.look_again()
+    assert sink.faults == []
+    assert scripted.published[-1] == (f"{ROOT}/state", STATE.payload)
+
 
 @pytest.mark.parametrize("protocol", ["5", "3.1.1"])
 def test_a_denied_subscription_to_commands_is_reported_and_results_pass(
@@ -110,6 +115,10 @@ def test_a_denied_subscription_to_commands_is_reported_and_results_pass(
 
     (fault,) = sink.faults
     assert "no request can arrive" in fault
+
+    scripted.topics = {}
+    sink.look_again()
+    assert sink.faults == []
 
 
 def test_closings_while_nothing_waits_suggest_a_second_client_with_the_same_id(
