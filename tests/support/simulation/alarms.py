@@ -71,17 +71,15 @@ RULES = (
 
 def audit_alarms(world: World, station: Station) -> Iterator[str]:
     """Compare what is so with the alarms that the station raises. A process that gets no time says nothing."""
-    now_ns = world.clock.now_ns
+    now_ns, is_held_up = world.clock.now_ns, station.is_frozen or station.is_disk_slow
     view = station.loop.parts.status.view()
     raised = view.alarms
     for rule in RULES:
         is_so, may = rule.is_so(world, station), rule.may_be(world, station)
         # A sensor that is opened again may be well, until it is found that it is not; a frozen one stays the same.
         again = world.sensor.given if world.sensor.is_frozen else world.sensor.openings
-        so_since_ns = station.so_since(f"{rule.alarm} is so {again}", is_so and not station.is_frozen)
-        well_since_ns = station.so_since(
-            f"{rule.alarm} is well", not (is_so or may) and not station.is_frozen
-        )
+        so_since_ns = station.so_since(f"{rule.alarm} is so {again}", is_so and not is_held_up)
+        well_since_ns = station.so_since(f"{rule.alarm} is well", not (is_so or may or is_held_up))
         is_late = so_since_ns is not None and now_ns - so_since_ns > rule.raised_s * S
         if is_late and rule.alarm not in raised:
             yield f"the alarm {rule.alarm} is not raised {rule.raised_s} s after its reason came"

@@ -162,7 +162,7 @@ def find_rows(world: World, station: Station) -> dict[int | None, list[Row]]:
     """
     rows, unreported = station.rows(), len(station.killed_ns)
     found: dict[int | None, list[Row]] = {}
-    times = {seen.press_id: seen.frame_ns or seen.noted_ns for seen in station.seen}
+    times = {seen.press_id: seen.frame_ns or seen.judged_ns for seen in station.seen}
     for row in rows:
         seen_ns = times.get(row[0])
         if seen_ns is None and unreported:

@@ -152,6 +152,11 @@ class Station:
         """No room, or errors."""
         return self.disk.is_full or (self.disk.unsynced is not None and self.disk.unsynced.fails is not None)
 
+    @property
+    def is_disk_slow(self) -> bool:
+        """Each flush takes its time. In this world every thread waits for it, and not one alone."""
+        return self.disk.unsynced is not None and self.disk.unsynced.at_sync is not None
+
     def expect_act(self) -> None:
         """A time without sight ends now: it must be in the acts, unless the process ends before it sees again."""
         if not self.is_disk_disturbed and not self.is_frozen:
@@ -184,8 +189,7 @@ class Station:
         self.world.connections.pump()
         for broker in connected:
             state = json.loads(broker.retained["state"])["state"]
-            is_slow = self.disk.unsynced is not None and self.disk.unsynced.at_sync is not None
-            may_be_lost = is_slow or broker.name in unheard  # then the broker publishes its will
+            may_be_lost = self.is_disk_slow or broker.name in unheard  # then the broker publishes its will
             if state not in ("stopped", "lost" if may_be_lost else "") and not self.disk.is_dead:
                 self.found.append(f"{broker.name} retains {state} of a station that ended in order")
         self.disk.forget()
