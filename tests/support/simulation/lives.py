@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from edge.config import Config
+from edge.core.contact.events import PressSettled
 from edge.core.errors import StoreError
+from edge.core.press import Press
 from edge.features.outputs.stage import Outputs
 from edge.gateway.build import open_station
 from edge.gateway.command_table import every_command
@@ -27,9 +29,9 @@ from edge.gateway.preflight import Preflight
 from edge.gateway.recorder import PressReport
 from edge.gateway.station_loop import StationLoop
 from edge.messaging.command_payloads import signature_of, signed_text
+from edge.model.inspector import Inspector
 from edge.model.session import TrunkSessions
 from edge.press_stage import PressStage
-from simulation.connections import Connections
 from simulation.disk import Disk, hear_audits
 from simulation.options import SECRET
 from simulation.sensor import SERIAL, S
@@ -52,7 +54,6 @@ class Seen:
     """Of the judged frame, or of the rest that it stands for; None without one."""
     word: str
     judged_ns: int
-    """By the wall clock of now: wrong where it was set since."""
     is_over_gap: bool
     """Frames are missing between the judged frame and the verdict."""
     after_gap_s: float
@@ -66,6 +67,7 @@ class Station:
         self.world, self.disk = world, Disk(folder)
         self.lives = 0
         self.seen: list[Seen] = []
+        self.judged_ns: dict[str, int] = {}
         self.began_ns = 0
         self.ended_ns: list[int] = []
         self.killed_ns: list[int] = []
@@ -124,8 +126,7 @@ class Station:
             self._trunks
         )  # the same file in each life: opening it again would find nothing
         checked.open_bundles(self.config)
-        draining = Draining(self.world.connections)
-        opened = open_station(self.config, clock, self._note, checked, stages={"draining": draining})
+        opened = open_station(self.config, clock, self._note, checked, stages={"witness": Witness(self)})
         self.loop = self._closing.enter_context(opened)
         self.loop.parts.pictures.recall()
 
@@ -307,10 +308,7 @@ class Station:
     def _note(self, report: PressReport) -> None:
         """Note what was seen of a press, also by a dead process that has written before."""
         press, now_ns = report.press, self.world.clock.now_ns
-        judged_ns = self.world.clock.running_ns(press.time_ns)
-        frame_ns, set_ns = press.judged_ns or now_ns, self.world.clock.set_ns
-        if not (press.judged_ns or 0) <= judged_ns <= now_ns or set_ns > min(frame_ns, judged_ns):
-            judged_ns = frame_ns  # the wall clock was set since
+        judged_ns, frame_ns = self.judged_ns[press.press_id], press.judged_ns or now_ns
         gaps = [(then, later) for then, later in pairwise(self.fed_ns[-200:]) if later - then > GAP_NS]
         is_over = any(later >= frame_ns and then <= judged_ns for then, later in gaps)
         ended_ns = max((later for _, later in gaps if later <= judged_ns), default=0)
@@ -320,14 +318,19 @@ class Station:
         )
 
 
-class Draining(PressStage):
-    """Closes when the station has said its last word, and lets it out, as its threads would."""
+class Witness(PressStage):
+    """Notes when presses are judged; closes when the station has said its last word, and lets it out, as its threads
+    would."""
 
-    def __init__(self, connections: Connections) -> None:
-        self._connections = connections
+    def __init__(self, station: Station) -> None:
+        self._station = station
+
+    def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
+        self._station.judged_ns[press.press_id] = self._station.world.clock.now_ns
+        return press
 
     def close(self) -> None:
-        self._connections.drain()
+        self._station.world.connections.drain()
 
 
 STAYS = {
