@@ -30,6 +30,8 @@ def audit_lamp(world: World, station: Station) -> Iterator[str]:
         return
     if is_lost is not None and now_ns - is_lost > (UNSEEN_S + 2 / station.fps) * S:
         yield f"nothing is seen for {(now_ns - is_lost) / S:.1f} s, and a pass is shown"
+    if press is None and [seen.word for seen in station.seen[-1:]] != ["pass"]:
+        yield "a pass is shown, and the last press has none"
     if press is None or press.why:
         return
     if now_ns - press.begin_ns > (world.noticed_s + SHOWN_S) * S:
@@ -68,11 +70,12 @@ def audit_outputs(world: World, station: Station) -> Iterator[str]:
         own = [
             seen for seen in presses if 0 <= one.told_ns - (seen.frame_ns or seen.judged_ns) < LONGEST_S * S
         ]
-        if not own:
-            noted = [*(seen.noted_ns for seen in station.seen if seen.noted_ns >= one.told_ns), 1 << 62][0]
-            if not any(one.told_ns <= ended <= noted for ended in station.ended_ns):  # before it was recorded
-                yield f"the pulse on channel {one.channel} {when} belongs to no press"
-            continue
-        presses.remove(own[-1])
-        if own[-1].frame_ns is not None and one.told_ns - own[-1].frame_ns > DEADLINE_S * S:
-            yield f"the pulse on channel {one.channel} {when} was given after its deadline"
+        noted = [*(seen.noted_ns for seen in station.seen if seen.noted_ns >= one.told_ns), 1 << 62][0]
+        is_unrecorded = any(one.told_ns <= ended <= noted for ended in station.ended_ns)
+        if own:
+            presses.remove(own[-1])
+            frame_ns = own[-1].frame_ns
+            if frame_ns is not None and one.told_ns - frame_ns > DEADLINE_S * S and not is_unrecorded:
+                yield f"the pulse on channel {one.channel} {when} was given after its deadline"
+        elif not is_unrecorded:
+            yield f"the pulse on channel {one.channel} {when} belongs to no press"

@@ -24,6 +24,9 @@ MEETINGS = (
     ("select part", "replace gel"),
     ("hang up", "kill"),
     ("hang up", "stop"),
+    ("hang up", "lose database"),
+    ("select part", "stop"),
+    ("request", "relay"),
 )
 """Faults that do most harm together."""
 
@@ -52,7 +55,8 @@ class Chosen:
         """Draw. Each kind of fault is left out of half of the runs or more, so that others meet alone."""
         share = rng.choice((0.15, 0.5))
         rates = {name: rng.choice((1.0, 4.0)) for name in names if rng.random() < share}
-        rates |= dict.fromkeys(rng.choice(MEETINGS), 4.0)
+        for meeting in rng.sample(MEETINGS, 2):
+            rates |= dict.fromkeys(meeting, 4.0)
         return cls(
             rng.choice((1, 1, 2)),
             rng.random() < 0.5,

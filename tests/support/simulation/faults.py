@@ -63,7 +63,7 @@ def blind(run: "Simulation", rng: random.Random) -> float:
             lasted_s > LONG_UNSEEN_S
             and lives == run.station.lives
             and not others
-            and run.station.loop.session
+            and any(fed_ns < begun_ns for fed_ns in run.station.fed_ns[:1])
         ):
             run.station.expect_act()
         sensor.is_frozen = sensor.is_covered = False

@@ -75,7 +75,7 @@ class Station:
         """The times of the frames that this life has looked at."""
         self.answers: list[dict[str, Any]] = []
         """Of requests that people have sent, in order."""
-        self.was_waiting = False
+        self.was_waiting = self.has_selected_late = False
         """The last life ended while a selection waited."""
         self.is_frozen = False
         """No thread of it gets a turn."""
@@ -197,7 +197,9 @@ class Station:
 
     def _note_end(self) -> None:
         self.ended_ns.append(self.world.clock.now_ns)
-        self.was_waiting = self.loop.parts.selection.is_waiting
+        # A process that is killed while it records a selection that waited does not know any more that it did.
+        is_unsure = self.disk.is_dead and self.has_selected_late
+        self.was_waiting = self.loop.parts.selection.is_waiting or is_unsure
         self.unseen_in = [one for one in self.unseen_in if one[0] != self.lives]
 
     def lose_database(self) -> None:

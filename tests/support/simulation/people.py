@@ -47,7 +47,7 @@ def select_part(run: "Simulation", rng: random.Random) -> float:
     parts.select(run.world.clock.now_ns, part)
     if run.station.disk.is_dead:
         parts.forget(run.world.clock.now_ns)  # it may have died before that was recorded
-    is_waiting = answer["is_waiting"]
+    run.station.has_selected_late = is_waiting = answer["is_waiting"]
     run.reach("a part change came during a press, and waited" if is_waiting else "the part was changed")
     if run.world.hand.press and not is_waiting:
         run.reach("a part change came as a press began, or after its verdict")
@@ -67,6 +67,8 @@ def request(run: "Simulation", rng: random.Random) -> float:
     """A request comes over MQTT: signed, forged, repeated, or of nobody."""
     kind = rng.choice(("signed", "forged", "unsigned", "repeated", "too large", "elsewhere"))
     verb = rng.choice(("self_test", "reload", "acknowledge_alarm", "trigger"))
+    if run.chosen.trigger == "command" and verb == "trigger":
+        verb = "reload"  # the person at the station asks, and who knows for which press this one would ask
     arguments = {"alarm": "pulse"} if verb == "acknowledge_alarm" else {}
     secret = {"signed": SECRET, "forged": "another secret of nobody here, and long", "repeated": SECRET}.get(
         kind
