@@ -75,9 +75,8 @@ class MqttSink:
         self._why_down = f"not yet connected to broker {broker}"
         self._strikes = Strikes()
         self._faults: dict[str, str] = {}
-        # Why the broker refuses messages of the birth, by topic; they are offered again, never beside newer ones.
-        self._refused: dict[str, str] = {}
-        self._publishing = threading.Lock()
+        self._refused: dict[str, str] = {}  # by topic of the birth, and why
+        self._publishing = threading.Lock()  # what is offered again comes never after what is newer
         self._connected_ns = 0
         self._short_ones = 0
         self.look_again_s = AGAIN_FIRST_S
@@ -329,8 +328,7 @@ class MqttSink:
 
     def _offer(self, connection: Connection, topics: Container[str] | None = None) -> dict[str, Message]:
         """Publish the station's own messages, or those of these topics; those that the broker takes, by topic."""
-        taken: dict[str, Message] = {}
-        self._refused.clear()
+        taken, refused = dict[str, Message](), dict[str, str]()
         own = [(message, self._outgoing(message)) for message in self._station.birth()]
         for message, outgoing in [*own, *((one, one) for one in self._announcements)]:
             if topics is None or message.topic in topics:
@@ -338,16 +336,19 @@ class MqttSink:
                     connection.publish(outgoing)
                     taken[message.topic] = message
                 except SinkRejected as error:
-                    self._refused[message.topic] = str(error)
+                    refused[message.topic] = str(error)
+        self._refused = refused  # at once: a fault that goes for a moment would end its alarm
         return taken
 
     def _subscribe(self, connection: Connection) -> None:
-        self._faults.pop("commands", None)
         try:
             connection.subscribe(f"{self._station.root}/cmd/+", wants_retained=False)
+            self._faults.pop("commands", None)
         except SinkRejected as error:
-            self._faults["commands"] = f"no request can arrive: {error}"
-            log.warning("%s", self._faults["commands"])
+            fault = f"no request can arrive: {error}"
+            if self._faults.get("commands") != fault:
+                log.warning("%s", fault)
+            self._faults["commands"] = fault
 
     def _down(self, why: str) -> None:
         if why != self._why_down and not self._closing.is_set():

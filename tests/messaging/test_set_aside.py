@@ -103,7 +103,7 @@ def test_a_denied_retained_topic_stops_nothing_else(scripted: ScriptedBroker, st
 
 @pytest.mark.parametrize("protocol", ["5", "3.1.1"])
 def test_a_denied_subscription_to_commands_is_reported_and_results_pass(
-    scripted: ScriptedBroker, stepped: Stepped, protocol: str
+    scripted: ScriptedBroker, stepped: Stepped, protocol: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Otherwise no one learns that requests never arrive. At 3.1.1 the one code of a refusal is 0x80."""
     scripted.topics = {"cmd": "deny"}
@@ -115,6 +115,8 @@ def test_a_denied_subscription_to_commands_is_reported_and_results_pass(
 
     (fault,) = sink.faults
     assert "no request can arrive" in fault
+    sink.look_again()
+    assert caplog.text.count("no request can arrive") == 1, "said once, and asked for again"
 
     scripted.topics = {}
     sink.look_again()
