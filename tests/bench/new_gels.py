@@ -8,6 +8,7 @@ the same presses on a fresh gel like that of the fit. Half a minute of one core 
 import argparse
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -44,12 +45,13 @@ def judge(part: int, bundle: Bundle, way: str) -> Iterator[Words]:
         free = decode_view(_frame(list(mounted.free(sound[0], 1.0))[-1]), bundle.profile)
         inspector.new_gel = free if way == FOLLOWED else None
         inspector.follow_light(free)
-
-        def verdict(press: PlannedPress) -> str:
-            frames = list(mounted.press(press, 0))  # noqa: B023
-            return inspector._examine(_frame(frames[len(frames) // 2]), None).word  # noqa: B023
-
+        verdict = partial(_judge_press, inspector, mounted)
         yield tuple(map(verdict, sound)), tuple(map(verdict, others))
+
+
+def _judge_press(inspector: Inspector, mounted: MountedGel, press: PlannedPress) -> str:
+    frames = list(mounted.press(press, 0))
+    return inspector._examine(_frame(frames[len(frames) // 2]), None).word
 
 
 def _frame(payload: bytes) -> CameraFrame:
