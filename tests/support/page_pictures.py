@@ -123,7 +123,9 @@ def picture_of(browser: Any, scene: Scene) -> bytes:
             tab.fill("#token", TOKEN)
             tab.press("#token", "Enter")
             tab.wait_for_selector("#new-gel", state="visible")
-            tab.evaluate("scrollTo(0, 0); document.activeElement.blur()")
+            tab.evaluate(
+                "document.querySelector('aside').scrollTo(0, 0); scrollTo(0, 0); document.activeElement.blur()"
+            )
         shot = bytes(tab.screenshot())
         tab.close()
     return _small(shot)

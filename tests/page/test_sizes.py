@@ -1,0 +1,55 @@
+"""The page on a phone, a desk and a television: press and heatmap are whole."""
+
+from typing import Any
+
+import pytest
+from chromium import BROWSER_MS, wait_until
+from page_messages import PICTURE, T0_NS, drift, gel, info, press, state, stats
+
+from edge.core.gel_life import GelState
+from edge.core.verdict import Cause, Kind
+from edge.messaging.alarm_payload import AlarmPayload
+from plugins.sinks.page import PageSink
+
+WHOLE = """(() => { const image = document.getElementById('picture'), box = image.getBoundingClientRect();
+  return image.naturalWidth > 0 && box.width > 150 && box.height > 150 && box.top >= 0 && box.left >= 0
+    && box.bottom <= innerHeight && box.right <= innerWidth; })()"""
+
+
+@pytest.mark.parametrize(
+    "size",
+    [(390, 844), (1024, 768), (1280, 800), (1920, 1080)],
+    ids=["phone", "tablet", "desk", "television"],
+)
+def test_press_and_heatmap_are_whole_without_scrolling(
+    browser: Any, sink: PageSink, size: tuple[int, int]
+) -> None:
+    """Also below three alarms and above a long reason; nothing is wider than the window."""
+    alarms = [
+        AlarmPayload(time_ns=T0_NS, alarm=name, text=f"{name}: a sentence of eight words says why").message()
+        for name in ("gel", "outbox_full", "disk")
+    ]
+    failed = press(
+        1, picture=PICTURE, verdict=Kind.FAIL, cause=Cause.GEL, cause_text="a mark at the same place"
+    )
+    for message in (
+        state("ready"),
+        info(),
+        gel(801, GelState.DUE),
+        stats(mqtt="up"),
+        drift(-1),
+        *alarms,
+        *failed,
+    ):
+        sink.send(message)
+    tab = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    tab.set_default_timeout(BROWSER_MS)
+    tab.goto(f"http://127.0.0.1:{sink.port}/")
+    tab.wait_for_selector("#charts li.shifted")
+    wait_until(tab, "document.getElementById('picture').complete")
+
+    assert tab.evaluate(WHOLE), tab.evaluate(
+        "JSON.stringify(document.getElementById('picture').getBoundingClientRect())"
+    )
+    assert tab.evaluate("document.scrollingElement.scrollWidth <= innerWidth")
+    tab.close()
