@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from edge.config.overview_table import OverviewTable
 from edge.config.plugin_tables import ActuatorTable, PlainText, PluginTable, SinkTable, Table, TriggerTable
 from edge.config.reference_table import ReferenceTable
+from edge.config.request_tables import CommandTable, ConfirmTable, MetricsTable
 from edge.core.contact.settings import ContactSettings
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, MOST_PRESSES
 from edge.core.sink_context import Place, topic_level
@@ -17,7 +18,6 @@ from edge.core.sink_context import Place, topic_level
 __all__ = [
     "ArchiveTable",
     "BundleTable",
-    "CommandTable",
     "Config",
     "ContactTable",
     "InspectionTable",
@@ -289,57 +289,6 @@ class ArchiveTable(Table):
         le=100_000_000,
         description="room for them; a press of a Mini is about 1 MB: camera frame, free gel, score map",
     )
-
-
-class ConfirmTable(Table):
-    """What people are asked about, where `confirm_press` is served: see operations.md."""
-
-    questions_per_day: int = Field(
-        default=10,
-        ge=0,
-        le=100,
-        description="presses that a person is asked about on one day, at most; 0: none",
-    )
-
-
-class MetricsTable(Table):
-    """Counters for Prometheus, on this machine alone: http://127.0.0.1:<port>/metrics. Needs the extra `metrics`."""
-
-    port: int | None = Field(default=None, ge=1024, le=65535, description="TCP port; none: not served")
-
-
-class CommandTable(Table):
-    """Which requests are served, and from whom; all others are refused. mqtt.md has the verbs."""
-
-    unsigned: tuple[str, ...] = Field(
-        default=("trigger",),
-        description="verbs for everybody whom the broker lets publish on `cmd/<verb>`: its access rules decide",
-    )
-    signed: tuple[str, ...] = Field(
-        default=(),
-        description="verbs that need a signature with the secret, such as `relearn` and `replace_gel`",
-    )
-    secret_file: Path | None = Field(
-        default=None, description="file that holds only the secret, at least 16 bytes, rights 0640"
-    )
-    page: tuple[str, ...] = Field(
-        default=("select_part", "acknowledge_alarm", "replace_gel", "confirm_press"),
-        description="verbs for a person at the sink `page` who has its token; without a token none is served there",
-    )
-    requests_per_minute: int = Field(
-        default=60,
-        ge=1,
-        le=6000,
-        description="of signed, unsigned and page requests each, of all verbs together; more are refused",
-    )
-
-    @model_validator(mode="after")
-    def _secret_for_signed(self) -> "CommandTable":
-        if self.signed and self.secret_file is None:
-            raise ValueError("signed verbs need secret_file")
-        if both := sorted(set(self.signed) & set(self.unsigned)):
-            raise ValueError(f"{', '.join(both)}: a verb is signed or unsigned, not both")
-        return self
 
 
 class Config(Table):
