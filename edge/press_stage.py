@@ -11,6 +11,7 @@ from edge.config import Config
 from edge.core.contact.events import Event, PressSettled
 from edge.core.contact.press_detector import Look
 from edge.core.contact.reference import View
+from edge.core.contact_state import ContactState
 from edge.core.digital_io import StationView
 from edge.core.imaging.frames import CameraFrame
 from edge.core.part_position import PartPosition
@@ -53,6 +54,9 @@ class Alarms(Protocol):
 
     def set_unproven(self, sentence: str | None) -> None:
         """Say why the bundle in use is not yet proven on the mounted gel; None where it is."""
+
+    def show_contact(self, contact: ContactState) -> None:
+        """Say what the contact is now."""
 
 
 class Selection(Protocol):

@@ -57,7 +57,8 @@ class OutputTable(Table):
     when: tuple[Condition, ...] = Field(
         min_length=1,
         description="what switches it on: a state (starting, ready, halted, stopped), the last verdict while the "
-        "station is ready (pass, fail, unsure, rejected, error), `alarm` for any alarm, `gel` for a gel that is due",
+        "station is ready (pass, fail, unsure, rejected, error), the contact (unknown, free, touching, pressing, "
+        "deep_enough, at_rest, judged, lift, overload), `alarm` for any alarm, `gel` for a gel that is due",
     )
     safe: bool = Field(
         default=False,

@@ -329,6 +329,7 @@ class Config(Table):
         served = {*commands.unsigned, *commands.signed, *commands.page}
         return {
             "sensing_watch": True,
+            "contact_state": True,
             "reference_press": bool(self.reference.pieces) or "reference_press" in served,
             "gel_proof": True,
             "overview": self.overview is not None,

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Final, Literal, Protocol, get_args, runtime_checkable
 
+from edge.core.contact_state import ContactState
+
 __all__ = [
     "VERDICTS",
     "Actuator",
@@ -15,8 +17,9 @@ __all__ = [
 
 State = Literal["starting", "ready", "halted", "stopped"]
 Word = Literal["pass", "fail", "unsure", "rejected", "error"]
-Condition = Literal[State, Word, "alarm", "gel"]
-"""What an output can show: a state of the station, the verdict on the last press, any alarm, a gel that is due."""
+Condition = Literal[State, Word, ContactState, "alarm", "gel"]
+"""What an output can show: a state of the station, the verdict on the last press, the contact, any alarm, a gel that is
+due."""
 
 VERDICTS: Final[tuple[str, ...]] = get_args(Word)
 
@@ -127,10 +130,12 @@ class StationView:
     verdict: str | None = None
     """The verdict of the last press; None before the first one and after an acknowledgement."""
     alarms: frozenset[str] = frozenset()
+    contact: ContactState = "unknown"
 
     def conditions(self) -> frozenset[str]:
-        """Every condition that is true now. A verdict counts only while the station inspects."""
+        """Every condition that is true now. A verdict and the contact count only while the station inspects."""
         found = {self.state, *(["alarm"] if self.alarms else []), *(self.alarms & {"gel"})}
         if self.state == "ready" and self.verdict is not None:
             found.add(self.verdict)
+        found.add(self.contact if self.state == "ready" else "unknown")
         return frozenset(found)

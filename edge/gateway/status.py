@@ -7,6 +7,7 @@ from importlib.metadata import version
 from typing import Literal
 
 from edge.acquisition import AcquisitionState, AcquisitionStatus
+from edge.core.contact_state import ContactState
 from edge.core.digital_io import StationView
 from edge.core.gel_life import GelState
 from edge.core.ports import Clock, DeviceIdentity, Message
@@ -40,6 +41,7 @@ class StationStatus:
         self._waiting_for: str | None = None
         self._is_stopped = False
         self._unproven: str | None = None
+        self._contact: ContactState = "unknown"
         self._said: tuple[str, str | None, str | None] | None = None
 
     def set_waiting_for(self, what: str | None) -> None:
@@ -172,6 +174,11 @@ class StationStatus:
             self._unproven = sentence
             self._say_state()
 
+    def show_contact(self, contact: ContactState) -> None:
+        """Take what the contact is now."""
+        with self._lock:
+            self._contact = contact
+
     def info(self, bundle: Bundle, identity: DeviceIdentity, parts: Sequence[str] = ()) -> None:
         """The installed software and the connected sensor. parts: that can be selected."""
         manifest = bundle.manifest
@@ -195,9 +202,11 @@ class StationStatus:
         self.announce(payload.message())
 
     def view(self) -> StationView:
-        """The state and the raised alarms, for lights and relays."""
+        """The state, the raised alarms and the contact, for lights and relays."""
         with self._lock:
-            return StationView(self._state()[0], alarms=frozenset(self._raised))
+            state = self._state()[0]
+            contact = self._contact if state == "ready" else "unknown"
+            return StationView(state, alarms=frozenset(self._raised), contact=contact)
 
     def counts(self, findings: Sequence[str]) -> None:
         """An alarm for counts that had to be corrected; it stays until a person acknowledges it, over a restart too."""

@@ -44,6 +44,7 @@ def test_what_is_not_configured_is_not_loaded(config: Path, monkeypatch: pytest.
     few = load_config(config)
     assert list(load_features(few)) == [
         "sensing_watch",
+        "contact_state",
         "gel_proof",
         "shadow",
         "scars",

@@ -137,6 +137,56 @@ def test_a_pulse_that_is_too_late_is_an_alarm_until_a_person_acknowledges_it(
         assert (3, True) not in switched(tmp_path)
 
 
+LIFT_NOW = """
+[[actuators]]
+plugin = "virtual_hid"
+options = { log = "switched.jsonl" }
+outputs = [
+  { channel = 1, when = ["lift"] },
+  { channel = 2, when = ["free"] },
+  { channel = 3, when = ["unknown"] },
+  { channel = 4, when = ["touching", "pressing", "deep_enough", "at_rest", "judged"] },
+]
+"""
+
+
+def test_a_relay_says_when_the_part_may_be_lifted(tmp_path: Path, configure: Make) -> None:
+    """From the recorded verdict to the free gel, once a press; and never two of the four at once."""
+    with IoStation(configure(LIFT_NOW)) as station:
+        while not station.has_ended:
+            station.play(1)
+            assert len(on(tmp_path)) <= 1
+            if 1 in on(tmp_path):
+                assert station.loop.session is not None
+                assert station.loop.session.has_contact
+                assert station.loop.session.unrecorded == 0
+        assert len(station.reports) == 3
+    assert [one for one in switched(tmp_path) if one[0] == 1] == [(1, True), (1, False)] * 3
+    assert on(tmp_path) == {3}, "a station that has ended sees nothing"
+
+
+def test_no_part_is_lifted_whose_verdict_is_not_recorded(tmp_path: Path, configure: Make) -> None:
+    with IoStation(configure(LIFT_NOW)) as station, station.refusing("presses"):
+        station.play()
+        assert station.loop.session is not None
+        assert station.loop.session.unrecorded
+    assert (1, True) not in switched(tmp_path)
+
+
+def test_without_frames_nothing_is_said_of_the_contact(tmp_path: Path, configure: Make) -> None:
+    """The sensor goes while a part is held whose verdict is recorded: `lift` does not stay."""
+    with IoStation(configure(LIFT_NOW)) as station:
+        station.play(1)
+        station.play_until(lambda: on(tmp_path) == {1})
+        station.turn()
+        station.switch()
+        assert on(tmp_path) == {1}
+        station.clock.sleep(0.3)
+        station.turn()
+        station.switch()
+        assert on(tmp_path) == {3}
+
+
 def test_a_pass_is_shown_only_when_it_is_recorded_and_a_fail_at_once(tmp_path: Path, configure: Make) -> None:
     """While the database refuses, no press is published as a pass; the gate still rejects."""
     config = configure(ANDON)

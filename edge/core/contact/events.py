@@ -118,6 +118,8 @@ class PressSettled:
     """The time of `PressBegan`."""
     touch: Touch
     strength: float = 0.0
+    is_held: bool = True
+    """False for one that is judged at its peak, after it was lifted."""
     findings: Findings | None = None
     """What the tracker adds to the event."""
     frame: CameraFrame | None = None

@@ -13,8 +13,9 @@ from edge.core.contact.events import Event, PressSettled
 from edge.core.contact.mask import Touch
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.settings import ContactSettings
+from edge.core.contact.settled_frame import Observation
 from edge.core.contact.sight import Sight
-from edge.core.contact.signals import IDLE
+from edge.core.contact.signals import IDLE, Phase
 from edge.core.contact.table import State
 from edge.core.contact.tracker import ContactTracker
 from edge.core.errors import FrameCorrupt
@@ -80,6 +81,10 @@ class Look:
     """Its view at the level of the free gel, float32 (h, w, 3); None for a frame that was not decoded, or is blind."""
     interruption_s: float = 0.0
     """How long nothing was seen before it, where that was an interruption."""
+    phase: Phase = "unseen"
+    """What it shows of the contact."""
+    seen: Observation | None = None
+    """It in numbers; None as `level` is."""
 
 
 @final
@@ -121,7 +126,10 @@ class PressDetector:
             for event in events
         )
         state, interruption_s = self.tracker.state, self._interruption_s
-        return Look(frame.timestamp_ns, found, state, self.sight, level, interruption_s)
+        seen = None if level is None else self.tracker.seen
+        return Look(
+            frame.timestamp_ns, found, state, self.sight, level, interruption_s, self.tracker.phase, seen
+        )
 
     @property
     def probable(self) -> tuple[CameraFrame, Touch] | None:

@@ -238,7 +238,7 @@ def _events_for(
                 return PressNotSettled(now, sequence, began, NotSettledReason.NOT_TRIGGERED), ended
             peak = track.window.choose_peak(track.wanted_ns, track.strength_peak)
             if peak is not None:
-                return _settle(track, peak, now), ended
+                return replace(_settle(track, peak, now), is_held=False), ended
             return PressNotSettled(now, sequence, began, NotSettledReason.RELEASED), ended
         case State.RELEASE, State.RECOVERY:
             return (PressEnded(now, sequence, began),) if track.is_counted else (ReferenceReady(now),)

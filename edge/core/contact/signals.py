@@ -1,7 +1,7 @@
 """The memory of contact detection between frames, and which signal of the table one frame gives."""
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Literal
 
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import CLEARLY_INVERSE, Observation, Window
@@ -15,8 +15,10 @@ __all__ = [
     "RESIDUE_SHARE",
     "UNJUDGED",
     "WATCHED",
+    "Phase",
     "Track",
     "level_of",
+    "phase_of",
     "seconds",
     "signal_of",
 ]
@@ -76,6 +78,31 @@ class Track:
     def has_contact(self) -> bool:
         """True from `PressBegan` to `PressEnded`, and for a part that was there at the start."""
         return self.state in PRESSED
+
+
+Phase = Literal["unseen", "free", "touching", "pressed", "resting", "decided"]
+"""What a view shows of the present contact. unseen: nothing that can be trusted; touching: not yet, or hardly any more,
+a press; resting: a press without a verdict that is at rest; decided: one whose frame is chosen, or that has none."""
+
+
+def phase_of(track: Track, settings: ContactSettings) -> Phase:
+    """Return what the last view shows. A press that shows nothing in two views is over, a moment before its end."""
+    if track.is_interrupted or (track.last_ns or 0) < track.blind_until_ns or not track.is_counted:
+        return "unseen"
+    match track.state:
+        case State.NO_CONTACT | State.RECOVERY:
+            return "free"
+        case State.APPROACH:
+            return "touching"
+        case State.EARLY_RELEASE:
+            return "free" if track.frames > 1 else "touching"
+        case State.SETTLING:
+            return "resting" if track.window.is_at_rest(settings) else "pressed"
+        case State.CONTACT:
+            return "decided"
+        case State.RELEASE:
+            return "free" if track.frames > 1 else "decided"
+    return "unseen"
 
 
 # A log ratio of structure (`Relief.gain`): a part that presses adds some, a reference learnt from a pressed gel has

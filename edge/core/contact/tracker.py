@@ -21,7 +21,7 @@ from edge.core.contact.reference import Reference, View
 from edge.core.contact.relief import Relief, ReliefOfReference, with_relief
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
-from edge.core.contact.signals import ADDS_STRUCTURE, IDLE, LEARNING, PRESSED, WATCHED, Track
+from edge.core.contact.signals import ADDS_STRUCTURE, IDLE, LEARNING, PRESSED, WATCHED, Phase, Track, phase_of
 from edge.core.contact.table import State
 
 __all__ = ["ContactTracker"]
@@ -104,6 +104,8 @@ class ContactTracker:
         """Area and centroid of `mask`."""
         self.relief: Relief | None = None
         """The fine structure that the last view adds."""
+        self.seen: Observation | None = None
+        """The last view in numbers."""
 
     @property
     def state(self) -> State:
@@ -113,6 +115,11 @@ class ContactTracker:
     def has_contact(self) -> bool:
         """True from `PressBegan` to `PressEnded`, and for a part that was there at the start."""
         return self._track.has_contact
+
+    @property
+    def phase(self) -> Phase:
+        """What the last view shows, for a robot or a hand."""
+        return phase_of(self._track, self.settings)
 
     @property
     def candidates(self) -> frozenset[int]:
@@ -148,7 +155,7 @@ class ContactTracker:
         """Take a view: float32 (h, w, 3), 0 to 255. Errors: ValueError for a wrong shape or an earlier time."""
         if view.dtype != np.float32 or view.ndim != 3 or view.shape[2] != 3:
             raise ValueError(f"a view is float32 (h, w, 3), found {view.dtype} {view.shape}")
-        seen, level = self._observe(view, timestamp_ns, sequence)
+        self.seen, level = seen, _ = self._observe(view, timestamp_ns, sequence)
         before = self.state
         self._recent[sequence] = _Seen(level, self.mask, self.relief)
         self._track, stepped = contact.step(self._track, seen, self.settings)
