@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers clean
+.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -84,6 +84,10 @@ $(VENV)-subscribers/.made:
 test-plain: $(VENV)/.test
 	$(BIN)/pytest tests/project -m plain
 
+# What outside tools say of the repository: its shape, its workflows, its words.
+test-trust: $(VENV)/.test $(VENV)-trust/.made
+	GELGATE_TRUST=$(abspath $(VENV)-trust/bin) $(BIN)/pytest tests/project/test_trust.py -m trust
+
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -156,11 +160,17 @@ $(VENV)/.demo: pyproject.toml | $(VENV)/bin/python
 	touch $@
 
 $(VENV)/.test: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet -e '.[test]'
+	$(BIN)/python -m pip install --quiet -e . --group test
 	touch $@ $(VENV)/.demo
 
 $(VENV)/.train: pyproject.toml | $(VENV)/.test
-	$(BIN)/python -m pip install --quiet -e '.[test,train]' '$(TORCH)'
+	$(BIN)/python -m pip install --quiet -e '.[train]' --group test '$(TORCH)'
+	touch $@
+
+$(VENV)-trust/.made: pyproject.toml
+	$(PYTHON) -m venv $(VENV)-trust
+	$(VENV)-trust/bin/python -m pip install --quiet --upgrade pip
+	$(VENV)-trust/bin/python -m pip install --quiet --group trust
 	touch $@
 
 # anomalib brings another OpenCV, which shares its folder with ours, so it has an environment of its own.
@@ -187,4 +197,4 @@ debian:
 	[ -z "$$missing" ] || echo "where it is absent: without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor, without chromium the page of a trade-off"
 
 clean:
-	rm -rf $(VENV) $(VENV)-importers $(VENV)-subscribers build dist *.egg-info
+	rm -rf $(VENV) $(VENV)-importers $(VENV)-subscribers $(VENV)-trust build dist *.egg-info
