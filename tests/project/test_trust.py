@@ -24,6 +24,8 @@ def run_judge(*words: str) -> subprocess.CompletedProcess[str]:
         ("zizmor", "--offline", "."),
         ("codespell",),
         ("pre-commit", "validate-config"),
+        ("reuse", "lint"),
+        ("cffconvert", "--validate"),
     ],
     ids=lambda words: words[0],
 )
