@@ -2,10 +2,10 @@
 
 import threading
 import time
-from datetime import UTC, datetime, tzinfo
+from datetime import UTC, date, datetime, tzinfo
 from typing import Final
 
-__all__ = ["ManualClock", "SystemClock", "local_time"]
+__all__ = ["ManualClock", "SystemClock", "local_day", "local_time"]
 
 # 1 January 2262: the last year that nanoseconds in 64 bits reach, as the database keeps them, ends on 11 April.
 _LATEST_NS: Final = 9_214_646_400 * 10**9
@@ -52,3 +52,8 @@ def local_time(time_ns: int, zone: tzinfo | None = None) -> str:
     zone: None for that of this machine. What programs read has UTC (`edge.messaging.payload_base.iso_time`).
     """
     return datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).astimezone(zone).isoformat(" ")
+
+
+def local_day(time_ns: int) -> date:
+    """Give the day of a wall-clock moment, by this machine's local time."""
+    return datetime.fromtimestamp(time_ns // 1_000_000_000).date()

@@ -4,6 +4,7 @@ import dataclasses
 import getpass
 import json
 import time
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -11,10 +12,11 @@ from typing import Annotated
 import typer
 
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
-from edge.clock import local_time
+from edge.clock import local_day, local_time
 from edge.config import load_config
 from edge.config.tables import GelTable
 from edge.core.errors import ConfigError
+from edge.core.gel_life import GelLabel, is_past
 from edge.core.part_position import PartPosition
 from edge.core.printable import printable
 from edge.core.suggest import suggestion
@@ -65,15 +67,26 @@ def replace(
         typer.Option(help="Presses allowed on it; the configured limit by default.", min=1, max=10_000_000),
     ] = None,
     note: Annotated[str, typer.Option(help="Why, or which batch.")] = "",
+    gel_serial: Annotated[
+        str | None, typer.Option(help="The new gel's own serial; one that was mounted before counts on.")
+    ] = None,
+    gel_type: Annotated[str | None, typer.Option(help="Its type, such as plain or markers.")] = None,
+    use_by: Annotated[str | None, typer.Option(help="Its last day of use, YYYY-MM-DD.")] = None,
     config: ConfigOption = CONFIG,
     database: DatabaseOption = None,
     as_json: AsJson = False,
 ) -> None:
     """Record that a new gel is mounted.
 
-    Its count starts at 0; the count of the old gel stays as history."""
+    Its count starts at 0, unless it was mounted before; the count of the old gel stays as history. What the package
+    does not name is left out."""
     now_ns = time.time_ns()
     asked = {"serial": serial, "gel_id": gel_id, "limit_presses": limit, "note": note}
+    try:
+        label = GelLabel.of(gel_serial, gel_type, use_by)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    asked |= dataclasses.asdict(label)
     with _open(config, database) as store:
         known = sorted({record.serial for record in store.gels()})
         record = store.replace_gel(
@@ -84,8 +97,11 @@ def replace(
             note,
             lambda gel: [GelPayload.of(gel, now_ns).message()],
             Act(now_ns, f"{user()}, command line", "replace_gel", outcome="done", arguments=asked),
+            label,
         )
     print(json.dumps(_plain(record), indent=2) if as_json else _line(record))
+    for remark in record.list_remarks(local_day(now_ns)):
+        typer.echo(printable(remark), err=True)
 
 
 @gel.command()
@@ -164,9 +180,12 @@ def _line(record: GelRecord) -> str:
     mark = "*" if record.removed_ns is None else " "
     wear = "" if record.wear_index is None else f"  wear {record.wear_index:.2f}"
     last = "never used" if record.last_use_ns is None else f"last used {local_time(record.last_use_ns)}"
+    past = " (past)" if is_past(record.use_by, date.today()) else ""
+    package = {"serial": record.gel_serial, "type": record.gel_type, "use by": record.use_by}
+    words = "".join(f"  {name} {text}" for name, text in package.items() if text is not None)
     note = f"  ({record.note})" if record.note else ""
     return printable(
-        f"{mark} {record.gel_id}  sensor {record.serial}  {record.presses}/{record.limit_presses} presses"
+        f"{mark} {record.gel_id}{words}{past}  sensor {record.serial}  {record.presses}/{record.limit_presses} presses"
         f"  {record.state}{wear}  mounted {local_time(record.installed_ns)}, {last}{note}"
     )
 

@@ -41,7 +41,7 @@ def history(
     part: Annotated[str | None, typer.Option(help="This part only.")] = None,
     position: Annotated[str | None, typer.Option(help="This position only.")] = None,
     serial: Annotated[str | None, typer.Option(help="This sensor only.")] = None,
-    gel: Annotated[str | None, typer.Option(help="This gel only.")] = None,
+    gel: Annotated[str | None, typer.Option(help="This gel only: its id, or its own serial.")] = None,
     verdict: Annotated[
         list[str] | None,
         typer.Option(

@@ -331,6 +331,7 @@ class Config(Table):
             "sensing_watch": True,
             "contact_state": True,
             "reference_press": bool(self.reference.pieces) or "reference_press" in served,
+            "gel_date": True,
             "gel_proof": True,
             "overview": self.overview is not None,
             "shadow": True,

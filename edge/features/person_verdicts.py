@@ -1,12 +1,13 @@
 """What people say of presses: an act of the ledger each, and the presses that a page asks about."""
 
 from collections.abc import Callable, Mapping, Sequence
-from datetime import date, datetime
+from datetime import date
 from functools import partial
 from typing import Final, Self
 
 from pydantic import Field, model_validator
 
+from edge.clock import local_day
 from edge.core.imaging.quality import Reason
 from edge.core.person_verdict import Asked, PersonVerdict, Saying, choose_questions, find_broken_promise
 from edge.core.ports import Clock, Message
@@ -93,7 +94,7 @@ class PersonVerdicts(PressStage):
         if not self._per_day or now_ns < self._next_look_ns:
             return
         self._next_look_ns = now_ns + round(LOOK_S * 1e9)
-        today = _day_of(self._clock.time_ns())
+        today = local_day(self._clock.time_ns())
         if self._read() or today != self._day:
             self._day = today
             self._ask(today, mounted)
@@ -106,7 +107,7 @@ class PersonVerdicts(PressStage):
     def _ask(self, today: date, mounted: Mounted | None) -> None:
         since_ns = self._clock.time_ns() - DAY_NS
         said = self._store.read("reading what people said", partial(read_verdicts, since_ns=since_ns))
-        answered = sum(any(_day_of(one.time_ns) == today for one in verdicts) for verdicts in said.values())
+        answered = sum(any(local_day(one.time_ns) == today for one in verdicts) for verdicts in said.values())
         again = self._store.read("reading what is asked again", read_asked_again)
         most = max(0, self._per_day - answered)
         again, known = again[:most], {one.press_id for one in again} | said.keys()
@@ -202,8 +203,3 @@ class PersonVerdicts(PressStage):
             "what the bundle in use is trusted with on a new gel",
         ),
     )
-
-
-def _day_of(time_ns: int) -> date:
-    """Give the day of a moment, by this machine's local time."""
-    return datetime.fromtimestamp(time_ns / 1e9).date()

@@ -8,6 +8,7 @@ from functools import partial
 from importlib.metadata import version
 from typing import Any, Final
 
+from edge.clock import local_day
 from edge.config import Config
 from edge.core.errors import ConfigError, DeviceNotFound
 from edge.core.ports import Message
@@ -63,14 +64,20 @@ def _relearn(loop: StationLoop, arguments: NoArguments) -> Data:
 def _replace_gel(loop: StationLoop, arguments: ReplaceGelArguments) -> Data:
     session, parts = loop.need_session(), loop.parts
     given, now_ns = (arguments.gel_id, arguments.limit_presses, arguments.note), parts.clock.time_ns()
+    label = arguments.label
 
     def say(gel: GelRecord) -> list[Message]:
         """The new gel takes the place of the old one's count that waits for a receiver."""
         return [GelPayload.of(gel, now_ns).message()]
 
-    session.see_gel(parts.store.replace_gel(session.gel.serial, now_ns, *given, make_messages=say))
-    gel = session.gel
-    return {"gel_id": gel.gel_id, "presses": gel.presses, "limit_presses": gel.limit_presses}
+    gel = parts.store.replace_gel(session.gel.serial, now_ns, *given, make_messages=say, label=label)
+    session.see_gel(gel)
+    return {
+        "gel_id": gel.gel_id,
+        "presses": gel.presses,
+        "limit_presses": gel.limit_presses,
+        "remarks": gel.list_remarks(local_day(now_ns)),
+    }
 
 
 def _select_part(loop: StationLoop, arguments: SelectPartArguments) -> Data:
@@ -126,7 +133,8 @@ COMMANDS: Final[Sequence[LoopCommand]] = (
         "replace_gel",
         ReplaceGelArguments,
         _replace_gel,
-        "record that a new gel is mounted, count from 0 and learn its picture",
+        "record that a new gel is mounted, count from 0 and learn its picture; one with the serial of an earlier gel "
+        "counts on. `remarks`: sentences for the person who mounts it",
         "the record of wear",
     ),
     Command(

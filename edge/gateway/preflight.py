@@ -10,6 +10,7 @@ import socket
 import sqlite3
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import date
 from functools import partial
 from typing import Self, TypeVar
 
@@ -22,6 +23,7 @@ from edge.core.errors import (
     GelgateError,
     StoreError,
 )
+from edge.core.gel_life import is_past
 from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
 from edge.gateway.bundle_set import BundleSet, OpenBundle
@@ -214,11 +216,17 @@ def _database(config: Config) -> str:
         raise StoreError(f"{damage}; move it away to keep it for repair; a new one is made")
     with open_read_only(path, "reading the gel ledger", any_version=True) as connection:
         version = schema_version(connection)
-        known = gel_ledger.history(connection, None, config.gel.warn_fraction) if version else []
+        is_readable = version == SCHEMA_VERSION
+        known = gel_ledger.history(connection, None, config.gel.warn_fraction) if is_readable else []
         gels = [
             gel_ledger.find_mounted(connection, serial, 1.0) for serial in sorted({g.serial for g in known})
         ]
-    words = [f"gel {g.gel_id}: {g.presses} of {g.limit_presses} presses" for g in gels if g is not None]
+    words = [
+        f"gel {g.gel_id}: {g.presses} of {g.limit_presses} presses"
+        + (f", past its use-by date {g.use_by}" if is_past(g.use_by, date.today()) else "")
+        for g in gels
+        if g is not None
+    ]
     if 0 < version < SCHEMA_VERSION:
         words.append(
             f"of version {version}: a start migrates it to version {SCHEMA_VERSION}, after a copy next to it"

@@ -292,6 +292,7 @@ def _result(waiting: WaitingPress, recorded: Recorded) -> ResultPayload:
         **waiting.result,
         sequence=recorded.sequence if waiting.press.label is None else None,
         gel_id=gel.gel_id,
+        gel_serial=gel.gel_serial,
         gel_presses=gel.presses,
         gel_limit_presses=gel.limit_presses,
         ledger_head=str(recorded.head),

@@ -95,6 +95,10 @@ ALARMS: Final[Mapping[str, Alarm]] = {
         "order a gel; change it while nothing presses, and record the new one on the page or with `gelgate "
         "gel replace`",
     ),
+    "gel_expired": Alarm(
+        "mount another gel, and record it with its own date; where the date was mistyped, record this gel once more "
+        "with its serial: its count goes on",
+    ),
     "gel_proof": Alarm(
         "press as many sound parts as the text says, then `gelgate gel prove`; or say what its presses were "
         "and learn from them (`gelgate bundle learn`), or fit a bundle on this gel: see Gel change",

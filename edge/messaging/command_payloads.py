@@ -16,7 +16,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
-from edge.core.gel_life import MOST_PRESSES
+from edge.core.gel_life import MOST_PRESSES, GelLabel
 from edge.messaging.payload_base import Payload
 
 __all__ = [
@@ -95,6 +95,16 @@ class ReplaceGelArguments(CommandArguments):
     gel_id: PlainText | None = Field(default=None, min_length=1, max_length=64)
     limit_presses: int | None = Field(default=None, ge=1, le=MOST_PRESSES)
     note: PlainText = Field(default="", max_length=1000)
+    gel_serial: str | None = Field(
+        default=None, description="the gel's own, from its package; a gel that was mounted before counts on"
+    )
+    gel_type: str | None = Field(default=None, description="such as `plain` or `markers`")
+    use_by: str | None = Field(default=None, description="its last day of use, YYYY-MM-DD")
+
+    @property
+    def label(self) -> GelLabel:
+        """What the package says. Errors: ValueError."""
+        return GelLabel.of(self.gel_serial, self.gel_type, self.use_by)
 
 
 class SelectPartArguments(CommandArguments):

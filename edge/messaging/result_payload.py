@@ -212,6 +212,7 @@ class ResultPayload(Payload):
     bundle_id: str | None = None
     sensor_serial: str
     gel_id: str
+    gel_serial: str | None = Field(default=None, description="the gel's own, as in `gel`")
     gel_presses: int = Field(ge=0, description="presses of this gel, including this one")
     gel_limit_presses: int = Field(ge=1)
     latency_ms: dict[str, float] = Field(

@@ -125,11 +125,18 @@ class GelPayload(Payload):
     wear_index: float | None = Field(default=None, description="optical wear: 0 as new, 1 to be replaced")
     first_use_ns: int | None = None
     last_use_ns: int | None = None
+    gel_serial: str | None = Field(
+        default=None, description="the gel's own, from its package; null where nobody wrote it down"
+    )
+    gel_type: str | None = Field(default=None, description="likewise, such as `plain` or `markers`")
+    use_by: str | None = Field(
+        default=None, description="likewise: its last day of use, YYYY-MM-DD; `alarm/gel_expired` after it"
+    )
 
     @classmethod
     def of(cls, gel: GelRecord, time_ns: int) -> Self:
-        names = ("gel_id", "presses", "limit_presses", "state", "wear_index", "first_use_ns", "last_use_ns")
-        fields = {name: getattr(gel, name) for name in names}
+        counted = ("gel_id", "presses", "limit_presses", "state", "wear_index", "first_use_ns", "last_use_ns")
+        fields = {name: getattr(gel, name) for name in (*counted, "gel_serial", "gel_type", "use_by")}
         return cls(time_ns=time_ns, sensor_serial=gel.serial, **fields)
 
 

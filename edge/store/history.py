@@ -53,6 +53,7 @@ COLUMNS: Final = tuple(field.name for field in fields(HistoryRow))
 
 # Those of the table of presses; the others come from the acts.
 _STORED: Final = ("shadow", *COLUMNS[: COLUMNS.index("person_verdict")])
+_OF_GEL_SERIAL: Final = "SELECT serial, gel_id FROM gels WHERE gel_serial = ? COLLATE NOCASE"
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,8 @@ class HistoryQuery:
     part: str | None = None
     position: str | None = None
     serial: str | None = None
-    gel_id: str | None = None
+    gel: str | None = None
+    """Its id, or its own serial."""
     verdicts: tuple[str, ...] = ()
     """One of these."""
     newest: int | None = None
@@ -75,9 +77,12 @@ class HistoryQuery:
     def where(self) -> tuple[str, list[object]]:
         """The SQL condition and its values."""
         asked: list[tuple[str, object]] = [("time_ns >= ?", self.since_ns), ("time_ns < ?", self.until_ns)]
-        asked += [(f"{name} = ?", getattr(self, name)) for name in ("part", "position", "serial", "gel_id")]
+        asked += [(f"{name} = ?", getattr(self, name)) for name in ("part", "position", "serial")]
         terms = [(term, value) for term, value in asked if value is not None]
         words, values = [term for term, _ in terms], [value for _, value in terms]
+        if self.gel is not None:
+            words.append(f"(gel_id = ? OR (serial, gel_id) IN ({_OF_GEL_SERIAL}))")
+            values += [self.gel, self.gel]
         if self.verdicts:
             words.append(f"verdict IN ({', '.join('?' * len(self.verdicts))})")
             values += self.verdicts

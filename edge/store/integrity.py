@@ -100,8 +100,9 @@ def _gels(connection: sqlite3.Connection) -> Iterator[Finding]:
     """A gel has been pressed at least as often as the history says, and as often unless there is a reason."""
     oldest = _count(connection, "SELECT coalesce(min(number), 1) FROM presses")
     rows = connection.execute(
-        f"SELECT gel_id, serial, presses, (SELECT count(*) FROM ({_EVERY_PRESS}) AS p WHERE p.serial = gels.serial "
-        "AND p.gel_id = gels.gel_id) FROM gels ORDER BY serial, gels.rowid"
+        "SELECT gel_id, serial, presses - coalesce(presses_before, 0), "
+        f"(SELECT count(*) FROM ({_EVERY_PRESS}) AS p WHERE p.serial = gels.serial AND p.gel_id = gels.gel_id) "
+        "FROM gels ORDER BY serial, gels.rowid"
     )
     for gel_id, serial, counted, recorded in rows:
         where = f"gel {gel_id} of sensor {serial} counts {counted} presses, the history has {recorded}"

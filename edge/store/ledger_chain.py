@@ -39,7 +39,10 @@ __all__ = [
 
 NO_HASH: Final = bytes(32)
 
-_GEL: Final = "serial, gel_id, limit_presses, installed_ns, removed_ns, note"
+_GEL: Final = (
+    "serial, gel_id, limit_presses, installed_ns, removed_ns, note, gel_serial, gel_type, use_by, presses_before, "
+    "wear_before"
+)
 KINDS: Final = {
     "press": "SELECT * FROM presses WHERE number = ?",
     "reference": "SELECT * FROM reference_presses WHERE number = ?",

@@ -1,4 +1,5 @@
-"""A second record of the counts, in a small file next to the database: the mounted gel, and how often it was pressed.
+"""A second record of the counts, in a small file next to the database: the mounted gel, its last day of use, and how
+often it was pressed.
 
 A database may be removed, emptied, cut, or replaced by an old copy; then the wear of the gel would start again at 0.
 This file has a fixed size and is overwritten in place, so it can be written on a full disk too, where the database
@@ -15,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 from edge.store import gel_ledger, ledger_chain
 
@@ -43,6 +44,16 @@ class Count:
     """Presses that no database has counted yet."""
     order: int = 0
     """Rises with every change."""
+    gel_serial: str | None = None
+    """The gel's own."""
+    use_by: str | None = None
+    """Its last day of use, YYYY-MM-DD."""
+
+    @classmethod
+    def of(cls, gel: gel_ledger.GelRecord, sequence: int) -> Self:
+        """Take the count of a gel."""
+        known = (gel.gel_id, gel.presses, gel.limit_presses, sequence)
+        return cls(*known, gel_serial=gel.gel_serial, use_by=gel.use_by)
 
 
 class PressCounts:
@@ -178,7 +189,8 @@ def _restore_gel(connection: sqlite3.Connection, known: Count, serial: str, time
         (time_ns, serial, known.gel_id),
     )
     connection.execute(
-        "INSERT INTO gels (serial, gel_id, presses, limit_presses, installed_ns, note) VALUES (?, ?, ?, ?, ?, ?) "
+        "INSERT INTO gels (serial, gel_id, presses, limit_presses, installed_ns, note, gel_serial, use_by) "
+        "VALUES (?, ?, ?, ?, ?, ?, ?, ?) "
         "ON CONFLICT (serial, gel_id) DO UPDATE SET presses = max(presses, excluded.presses), removed_ns = NULL",
         (
             serial,
@@ -187,6 +199,8 @@ def _restore_gel(connection: sqlite3.Connection, known: Count, serial: str, time
             known.limit_presses,
             time_ns,
             "restored from the second record",
+            known.gel_serial,
+            known.use_by,
         ),
     )
     ledger_chain.append_gels(connection, serial)

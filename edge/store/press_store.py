@@ -14,7 +14,7 @@ from typing import Final, Protocol, Self, TypeVar
 
 from edge.core.digital_io import VERDICTS
 from edge.core.errors import StoreError
-from edge.core.gel_life import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION
+from edge.core.gel_life import DEFAULT_LIMIT_PRESSES, DEFAULT_WARN_FRACTION, NO_LABEL, GelLabel
 from edge.core.part_position import PartPosition
 from edge.core.ports import Message
 from edge.store import acts as act_table
@@ -270,15 +270,15 @@ class Store:
         note: str = "",
         make_messages: Callable[[GelRecord], Sequence[Message]] | None = None,
         act: act_table.Act | None = None,
+        label: GelLabel = NO_LABEL,
     ) -> GelRecord:
-        """Record that a new gel was mounted; its count starts at 0, and that of the old gel stays as history.
+        """Record that another gel was mounted, as `gel_ledger.mount` does; act: recorded with it, both or neither.
 
-        gel_id None makes the id `<serial>-<n>`. act: recorded with it, both or neither.
-        Errors: StoreError for an id that this sensor already had.
+        Errors: StoreError for an id that this sensor already had, and for a gel that is on another sensor.
         """
         self._compare(serial, time_ns)
         with self._database.writing(f"replacing the gel of sensor {serial}") as connection:
-            ledger.mount(connection, serial, gel_id, limit_presses or self._limit_presses, note, time_ns)
+            ledger.mount(connection, serial, gel_id, limit_presses, self._limit_presses, note, time_ns, label)
             gel, self._newest = self._require_mounted(connection, serial), _newest_number(connection)
             if act is not None:
                 act_table.begin(connection, act, self._running.store(connection))
@@ -297,7 +297,7 @@ class Store:
 
     def keep_count(self, gel: GelRecord) -> None:
         """Write its count into the second record. gel: of the last change. Never raises."""
-        self._counts.write(gel.serial, Count(gel.gel_id, gel.presses, gel.limit_presses, self._newest))
+        self._counts.write(gel.serial, Count.of(gel, self._newest))
 
     def note_uncounted(self, serial: str, presses: int) -> None:
         """Presses of this sensor that are made while the database refuses writes. They are counted when it accepts
@@ -385,7 +385,7 @@ class Store:
 
     def _mount_first(self, connection: sqlite3.Connection, serial: str, time_ns: int) -> None:
         if ledger.find_mounted(connection, serial, self._warn_fraction) is None:
-            ledger.mount(connection, serial, None, self._limit_presses, "first seen", time_ns)
+            ledger.mount(connection, serial, None, None, self._limit_presses, "first seen", time_ns, NO_LABEL)
 
     def _require_mounted(self, connection: sqlite3.Connection, serial: str) -> GelRecord:
         gel = ledger.find_mounted(connection, serial, self._warn_fraction)

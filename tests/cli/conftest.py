@@ -1,7 +1,5 @@
-"""A working station in a new folder, which is also the working folder; a machine in Tokyo."""
+"""A working station in a new folder, which is also the working folder."""
 
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,13 +15,3 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Bench:
     write_recording(tmp_path / "presses", 4, size=tiny.PROFILE.size)
     made.bundle("bundle")
     return made
-
-
-@pytest.fixture
-def tokyo(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Local time is nine hours ahead of UTC."""
-    with monkeypatch.context() as patch:
-        patch.setenv("TZ", "JST-9")
-        time.tzset()
-        yield
-    time.tzset()

@@ -8,7 +8,8 @@ import pytest
 import typer
 
 from edge.cli.gel import prove, replace, show
-from edge.core.errors import ConfigError
+from edge.core.errors import ConfigError, GelgateError
+from edge.core.gel_life import GelLabel
 from edge.core.gel_proof import MadeOn
 from edge.core.part_position import PartPosition
 from edge.store import gel_proofs
@@ -118,3 +119,45 @@ def test_prove_of_a_part_that_was_not_used_names_those_that_were(database: Path)
         ConfigError, match="no bundle of part 'nut' was used on the mounted gel; used were: bolt"
     ):
         prove(database=database, part="nut")
+
+
+def test_what_the_package_says_is_recorded_shown_and_remarked(
+    database: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A gel that is past its date and was mounted before may be mounted, and it is said at once."""
+    replace(database=database, gel_serial="G7 ", gel_type="markers", use_by="2001-01-31")
+    replace(database=database, gel_serial="G7")
+    said = capsys.readouterr().err.splitlines()
+    show(database=database)
+    with Store(database) as store:
+        asked = store.acts(2)[-1].arguments
+
+    assert (
+        "* 2BNN4ZE7-3  serial G7  type markers  use by 2001-01-31 (past)  sensor 2BNN4ZE7  0/1000 presses"
+        in (capsys.readouterr().out)
+    )
+    past = "gel 2BNN4ZE7-{} is past its use-by date 2001-01-31: mount another one"
+    assert said[:2] == [past.format(2), past.format(3)]
+    assert said[2] == "gel serial 'G7' was mounted before: its count goes on from 0 of 1000 presses"
+    assert (asked["gel_serial"], asked["gel_type"], asked["use_by"]) == ("G7", "markers", "2001-01-31")
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"use_by": "2026-02-30"}, "no day of the calendar"),
+        ({"use_by": "1/2/2027"}, "not written as YYYY-MM-DD"),
+        ({"gel_serial": "G\x07"}, "control characters"),
+        ({"gel_type": "m" * 65}, "at most 64"),
+        ({"gel_serial": "G9"}, "is on sensor OTHER123"),
+        ({"gel_id": "G" * 9000}, "at most 64"),
+    ],
+)
+def test_a_package_that_cannot_be_is_refused(database: Path, given: dict[str, str], sentence: str) -> None:
+    """The old gel stays in the ledger."""
+    with Store(database) as store:
+        store.replace_gel("OTHER123", T0, label=GelLabel("G9"))
+    with pytest.raises(GelgateError, match=sentence):
+        replace(serial="2BNN4ZE7", database=database, **given)
+    with Store(database) as store:
+        assert store.gel("2BNN4ZE7", T0).gel_id == "2BNN4ZE7-1"

@@ -66,7 +66,10 @@ def test_a_triggered_press_has_one_verdict_and_a_new_gel_starts_from_nothing(
         ({"gel_id": ["x"]}, "gel_id: Input should be a valid string"),
         ({"limit_presses": 10**30}, "limit_presses: Input should be less than or equal to"),
         ({"limit_presses": True}, "limit_presses: Input should be a valid integer"),
-        ({"serial": "x"}, "serial: Extra inputs .* \\(known arguments: gel_id, limit_presses, note\\)"),
+        (
+            {"serial": "x"},
+            "serial: Extra inputs .* \\(known arguments: gel_id, limit_presses, note, gel_serial",
+        ),
     ],
 )
 def test_arguments_that_cannot_be_are_refused(arguments: dict[str, object], words: str) -> None:

@@ -1,10 +1,16 @@
 """The gel ledger: which gel is mounted, how often it was pressed, and the gels before it."""
 
+from datetime import date
+from pathlib import Path
+from typing import Any
+
 import pytest
 from recorded_presses import count, make_press
 
 from edge.core.errors import StoreError
-from edge.core.gel_life import GelState
+from edge.core.gel_life import GelLabel, GelState
+from edge.store.gel_ledger import GelRecord
+from edge.store.integrity import check_database
 from edge.store.press_store import Store
 
 SERIAL = "2BNN4ZE7"
@@ -90,3 +96,67 @@ def test_a_gel_change_can_be_published_with_the_act(store: Store) -> None:
     store.replace_gel(SERIAL, 1, make_messages=lambda gel: seen.append(gel.gel_id) or [])  # type: ignore[func-returns-value]
 
     assert seen == ["2BNN4ZE7-1"]
+
+
+def mount(store: Store, gel_serial: str | None, serial: str = SERIAL, **more: Any) -> GelRecord:
+    return store.replace_gel(serial, 9, label=GelLabel(gel_serial, **more))
+
+
+def test_a_gel_that_is_mounted_again_goes_on(store: Store, path: Path) -> None:
+    """By its own serial, in other capitals too and on another sensor: count, limit, type, date and wear. It is another
+    row, so what is compared with its first picture adds up; the ledger stays sound."""
+    store.replace_gel(SERIAL, 1, limit_presses=4, label=GelLabel("G7", "markers", "2027-01-31"))
+    count(store, make_press(1, wear_index=0.5), make_press(2), make_press(3))
+    mount(store, "G8")
+    again = mount(store, "g7", "OTHER")
+    other = mount(store, "G8")
+    gel = count(store, make_press(4, wear_index=0.25, serial="OTHER")).gel
+
+    assert (again.presses, again.presses_before, again.limit_presses, again.wear_index) == (3, 3, 4, 0.5)
+    assert (again.gel_type, again.use_by, again.first_use_ns) == ("markers", "2027-01-31", None)
+    assert again.list_remarks(date(2027, 1, 31)) == [
+        "gel serial 'g7' was mounted before: its count goes on from 3 of 4 presses"
+    ]
+    assert (gel.presses, gel.wear_index, gel.state) == (4, 0.75, "replace")
+    assert (other.presses, other.presses_before) == (0, 0)
+    assert check_database(path) == []
+
+
+def test_what_is_said_anew_holds(store: Store) -> None:
+    """A mistyped date is corrected by recording the gel once more: nothing of its wear is forgotten."""
+    mount(store, "G7", use_by="2017-01-31")
+    count(store, make_press(1))
+    gel = store.replace_gel(SERIAL, 3, limit_presses=20, label=GelLabel("G7", use_by="2027-01-31"))
+
+    assert (gel.gel_id, gel.presses, gel.limit_presses) == (f"{SERIAL}-2", 1, 20)
+    assert gel.use_by == "2027-01-31"
+
+
+def test_a_gel_is_on_one_sensor(store: Store) -> None:
+    """The sentence says where it is, and what to record first; then it may move."""
+    mount(store, "G7", "OTHER")
+    with pytest.raises(
+        StoreError, match=r"gel serial 'G7' is on sensor OTHER, as its gel OTHER-1; correct .* OTHER"
+    ):
+        mount(store, "G7")
+    mount(store, "G8", "OTHER")
+    assert mount(store, "G7").presses_before == 0
+
+
+def test_gels_without_a_serial_are_all_new(store: Store) -> None:
+    count(store, make_press(1))
+    assert [mount(store, None).presses for _ in range(2)] == [0, 0]
+
+
+def test_a_lowered_count_of_a_gel_that_goes_on_is_found(store: Store, path: Path) -> None:
+    """The presses of before are chained, so they hide nothing."""
+    mount(store, "G7")
+    count(store, make_press(1), make_press(2))
+    mount(store, "G7")
+    count(store, make_press(3))
+    store.write(
+        "lowering it",
+        lambda connection: connection.execute("UPDATE gels SET presses = 2 WHERE gel_id LIKE '%-2'"),
+    )
+
+    assert "the count was lowered" in str(check_database(path))

@@ -10,6 +10,7 @@ from pyarrow import parquet
 from recorded_presses import SERIAL, T0, count, make_press
 
 from edge.core.errors import StoreError
+from edge.core.gel_life import GelLabel
 from edge.store.backup import migrate
 from edge.store.database import APPLICATION_ID, MIGRATIONS, SCHEMA_VERSION, open_read_only
 from edge.store.history import COLUMNS, HistoryQuery, HistoryRow, read_history, write_history
@@ -40,7 +41,7 @@ def numbers(path: Path, query: HistoryQuery) -> list[int]:
         (HistoryQuery(verdicts=("pass", "error")), [1, 3, 6]),
         (HistoryQuery(verdicts=("pass",), newest=1), [3]),
         (HistoryQuery(part="nut"), [6]),
-        (HistoryQuery(part="bolt", serial=SERIAL, gel_id=f"{SERIAL}-1", verdicts=("fail",)), [2]),
+        (HistoryQuery(part="bolt", serial=SERIAL, gel=f"{SERIAL}-1", verdicts=("fail",)), [2]),
         (HistoryQuery(position="left"), []),
     ],
 )
@@ -49,6 +50,16 @@ def test_a_query_gives_the_presses_that_fit_oldest_first(
 ) -> None:
     """Every condition holds; a moment `since` is in, a moment `until` is not; the newest of those that fit."""
     assert numbers(six, query) == expected
+
+
+def test_a_gel_is_found_by_its_own_serial(store: Store, path: Path) -> None:
+    """With the presses of each time that it was mounted."""
+    count(store, make_press(1))
+    for number, serial in enumerate(("G7", "G8", "g7"), 2):
+        store.replace_gel(SERIAL, 9, label=GelLabel(serial))
+        count(store, make_press(number))
+
+    assert numbers(path, HistoryQuery(gel="G7")) == [2, 4]
 
 
 def test_a_row_has_what_was_recorded(six: Path) -> None:

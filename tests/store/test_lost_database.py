@@ -12,6 +12,7 @@ import pytest
 from recorded_presses import count, make_press
 
 from edge.core.errors import StoreError
+from edge.core.gel_life import LONGEST_ID, GelLabel
 from edge.core.ports import Message
 from edge.store.outbox import Outbox
 from edge.store.press_counts import COPY_BYTES, Count, PressCounts
@@ -93,10 +94,10 @@ os._exit(0)
 
 
 def test_a_gel_that_was_replaced_stays_replaced(path: Path) -> None:
-    """The second record knows the new gel, with its limit; the worn one does not come back."""
+    """The second record knows the new gel, with its limit, serial and date; the worn one does not come back."""
     record(path, 1, 2)
     with Store(path) as store:
-        store.replace_gel(SERIAL, 5, "new", 700)
+        store.replace_gel(SERIAL, 5, "new", 700, label=GelLabel("G7", use_by="2027-01-31"))
         count(store, make_press(3))
     remove(path)
 
@@ -104,6 +105,7 @@ def test_a_gel_that_was_replaced_stays_replaced(path: Path) -> None:
         gel = store.gel(SERIAL, 0)
 
     assert (gel.gel_id, gel.presses, gel.limit_presses) == ("new", 1, 700)
+    assert (gel.gel_serial, gel.use_by) == ("G7", "2027-01-31")
 
 
 def test_a_sound_database_is_believed(path: Path) -> None:
@@ -191,8 +193,11 @@ def test_uncounted_presses_do_not_stop_a_new_gel_from_taking_the_place_of_an_imp
 
 def test_the_sensors_used_last_are_remembered(path: Path) -> None:
     """With ids of the greatest length all of them fit; the file does not grow."""
-    counts = PressCounts(path)
+    counts, most = PressCounts(path), 10_000_000
     for n in range(20):
-        counts.write(f"S{n}" + "\u3042" * 60, Count("\u3042" * 64, n, 1000, n))
+        label = {"gel_serial": '"' * LONGEST_ID, "use_by": "2027-01-31"}
+        counts.write(
+            f"S{n}" + "\u3042" * 60, Count("\u3042" * LONGEST_ID, n, most, most, most, most, **label)
+        )
 
     assert [count.presses for count in counts.read().values()] == list(range(12, 20))

@@ -64,7 +64,8 @@ function showAlarm(alarm) {
 function showGel(gel) {
   if (!gel) { put("gel", "not known yet"); return; }
   const left = Math.max(0, gel.limit_presses - gel.presses), share = Math.min(100, 100 * gel.presses / gel.limit_presses);
-  put("gel", `${gel.gel_id}: ${gel.presses} of ${gel.limit_presses} presses, ${left} left: ${gel.state}`);
+  put("gel", `${gel.gel_id}: ${gel.presses} of ${gel.limit_presses} presses, ${left} left: ${gel.state}`
+    + [["serial", gel.gel_serial], ["type", gel.gel_type], ["use by", gel.use_by]].map(([name, said]) => said ? `, ${name} ${said}` : "").join(""));
   at("worn").style.width = `${share}%`;
   at("worn").className = gel.state;
   at("life").setAttribute("aria-valuenow", Math.round(share));
@@ -306,9 +307,13 @@ at("select").onsubmit = (event) => {
 at("new-gel").onclick = () => { at("gel-form").reset(); at("confirm").showModal(); at("cancel").focus(); };
 at("cancel").onclick = () => at("confirm").close();
 at("gel-form").onsubmit = () => {
-  const limit = at("limit").valueAsNumber, note = at("note").value.trim();
-  const wanted = { ...(Number.isInteger(limit) ? { limit_presses: limit } : {}), ...(note ? { note } : {}) };
-  change(at("new-gel"), "replace_gel", wanted, (data) => `Gel ${data.gel_id} counts from now on. Leave it free until the station is ready.`);
+  const limit = at("limit").valueAsNumber, wanted = Number.isInteger(limit) ? { limit_presses: limit } : {};
+  for (const [name, field] of [["gel_serial", "gel-serial"], ["gel_type", "gel-type"], ["use_by", "use-by"], ["note", "note"]]) {
+    const said = at(field).value.trim();
+    if (said) { wanted[name] = said; }
+  }
+  change(at("new-gel"), "replace_gel", wanted, (data) => [`Gel ${data.gel_id} counts from now on.`,
+    ...data.remarks.map((said) => `${said[0].toUpperCase()}${said.slice(1)}.`), "Leave it free until the station is ready."].join(" "));
 };
 
 // Enter in the field would press the first button, "good".
