@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from calibration.acquisition.sources import Found
     from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["acquire", "alpha", "fit_command", "fit_now"]
+__all__ = ["acquire", "alpha", "fit_command", "fit_now", "summarise", "take_presses"]
 
 
 @flatten
@@ -28,12 +28,27 @@ def acquire(given: AcquireArguments) -> None:
     After each press: what is new on it, and what its number promises. Every press is kept at once; after Ctrl-C the
     same command continues.
     """
-    from calibration.acquisition.acquiring import Acquiring
-    from calibration.fitting.command import choose_profile, refuse_existing
+    from calibration.fitting.command import refuse_existing
 
-    _check(given)
     if given.fit is not None:
         refuse_existing(given.fit, overwrite=False)
+    acquiring, plan, limit = take_presses(given)
+    summarise(acquiring, limit)
+    if plan.fit is None:
+        typer.echo(f"fit them with:\n  {fit_command(acquiring.folder.root, plan, acquiring.standing)}")
+    else:
+        fit_now(acquiring.folder.root, plan, acquiring.standing, plan.fit)
+
+
+def take_presses(given: AcquireArguments) -> tuple["Acquiring", AcquireArguments, int]:
+    """Take presses until they are enough or Ctrl-C; return them, what they are of, and how many the gel is rated for.
+
+    Errors: as the sources'.
+    """
+    from calibration.acquisition.acquiring import Acquiring
+    from calibration.fitting.command import choose_profile
+
+    _check(given)
     sensor = choose_profile(given.profile, given.sources or [])
     stream, part, position, limit = _stream(given, sensor)
     plan = replace(given, part=part, position=position, profile=sensor.name)
@@ -44,7 +59,7 @@ def acquire(given: AcquireArguments) -> None:
         _run(acquiring, stream, limit, given.most, given.go_on)
     except KeyboardInterrupt:
         typer.echo("stopped with Ctrl-C", err=True)
-    _finish(acquiring, plan, limit)
+    return acquiring, plan, limit
 
 
 def _check(given: AcquireArguments) -> None:
@@ -120,8 +135,8 @@ def _run(acquiring: "Acquiring", stream: Stream, limit: int, most: int, go_on: b
             typer.echo(f"put in piece {acquiring.pieces.next}")
 
 
-def _finish(acquiring: "Acquiring", plan: AcquireArguments, limit: int) -> None:
-    """The summary, the map, and the fit or its command. Errors: FitError where no press was taken."""
+def summarise(acquiring: "Acquiring", limit: int) -> None:
+    """Print the summary and draw the map. Errors: FitError where no press was taken."""
     from calibration.acquisition.report import summary_lines
     from edge.core.errors import FitError
 
@@ -132,10 +147,6 @@ def _finish(acquiring: "Acquiring", plan: AcquireArguments, limit: int) -> None:
     typer.echo("\n".join(summary_lines(standing, limit)))
     if (picture := acquiring.map()) is not None:
         typer.echo(f"where something is still new: {picture}")
-    if plan.fit is None:
-        typer.echo(f"fit them with:\n  {fit_command(acquiring.folder.root, plan, standing)}")
-    else:
-        fit_now(acquiring.folder.root, plan, standing, plan.fit)
 
 
 USUAL_ALPHA = 0.05

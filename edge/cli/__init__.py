@@ -56,11 +56,11 @@ _SECTIONS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
         "Station": {
             "demo": "Simulate a bolt, fit a bundle, inspect, publish.",
+            "new-part": "Guide from a sensor and good pieces to a running station.",
             "devices": "List the plugged-in cameras, pedals and relays.",
             "check": "Check all that `run` needs; report every fault.",
             "run": "Run the gateway: inspect every press and publish.",
             "watch": "Print verdicts as they arrive, each press once.",
-            "page": "Serve the page of a station from a broker.",
             "gel": "Show the wear of gels, or record a replacement.",
             "history": "Show which presses were made.",
             "db": "Check, back up or migrate the gateway's database.",
@@ -81,6 +81,7 @@ _SECTIONS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
 _GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
     {
         "station": {
+            "page": "Serve the page of a station from a broker.",
             "overview": "Print what one still of the overview camera shows.",
             "reference": "Press a master piece, or show its control charts.",
             "acts": "Show who asked the station for what.",

@@ -1,4 +1,4 @@
-"""`gelgate page`: the page of a station on another machine, such as a tablet or a PC in the office."""
+"""`gelgate station page`: the page of a station on another machine, such as a tablet or a PC in the office."""
 
 import threading
 from pathlib import Path

@@ -3,7 +3,7 @@
 Paths are relative to the file. Plugin options are validated by the plugin's own `Options` model, in the same report.
 """
 
-from edge.config.loading import load_config, sink_names
+from edge.config.loading import load_config, root_options, sink_names
 from edge.config.overview_table import OverviewTable
 from edge.config.plugin_tables import ActuatorTable, PluginTable, TriggerTable
 from edge.config.tables import BundleTable, Config, ContactTable, InspectionTable
@@ -18,5 +18,6 @@ __all__ = [
     "PluginTable",
     "TriggerTable",
     "load_config",
+    "root_options",
     "sink_names",
 ]

@@ -15,7 +15,7 @@ from edge.core.errors import ConfigError
 from edge.core.plugins import HasIdentity
 from edge.validation_messages import numbered, sentences, types_in
 
-__all__ = ["load_config", "sink_names"]
+__all__ = ["load_config", "root_options", "sink_names"]
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -120,11 +120,11 @@ def _root_paths(folder: Path, value: Any, kind: registry.PluginGroup | None = No
         return value
     rooted = {name: _root_paths(folder, inner, _KINDS.get(name)) for name, inner in value}
     if isinstance(value, PluginTable) and kind is not None:
-        rooted["options"] = _root_options(folder, registry.options(kind, value.plugin), value.options)
+        rooted["options"] = root_options(folder, registry.options(kind, value.plugin), value.options)
     return value.model_copy(update=rooted)
 
 
-def _root_options(folder: Path, model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, Any]:
+def root_options(folder: Path, model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, Any]:
     """Take each path among the options, which are not validated yet, from the folder."""
     rooted = dict(options)
     for name, value in options.items():
@@ -133,5 +133,5 @@ def _root_options(folder: Path, model: type[BaseModel], options: Mapping[str, An
         if Path in kinds and isinstance(value, str):
             rooted[name] = str(folder / value)
         elif inner is not None and isinstance(value, dict):
-            rooted[name] = _root_options(folder, inner, value)
+            rooted[name] = root_options(folder, inner, value)
     return rooted

@@ -1,4 +1,4 @@
-"""Where the page is served, to whom, and with which token: the same for the sink `page` and for `gelgate page`."""
+"""Where the page is served, to whom, and with which token, by the sink `page` and by `gelgate station page`."""
 
 import os
 from ipaddress import ip_address, ip_network

@@ -42,6 +42,12 @@ VERBS: list[tuple[str, int, str]] = [
     ("bundle wrap theirs.onnx nominal -o theirs --part PZ0 --licence MIT", 0, "written"),
     ("bundle carry pz0 nominal -o carried --gel G2", 3, "expected 4 to 8"),
     ("bundle acquire nominal -o pressed --part PZ0", 0, "gelgate fit"),
+    (
+        "new-part PZ0 -c new/station.toml --device usb_mock --option recording=nominal --option pace=0 --promise 0.2 "
+        "--yes",
+        0,
+        "PZ0 is ready after",
+    ),
     ("evaluate pz0 dataset --part * --position * --bootstrap 20 --sheet sheet.png", 0, "image_auroc"),
     ("check --config gelgate.toml", 0, "ok"),
     ("run --config gelgate.toml", 0, "12 presses"),
@@ -59,7 +65,7 @@ VERBS: list[tuple[str, int, str]] = [
         3,
         "",
     ),
-    ("page --allow-from 10.0.0.1", 3, "bind"),
+    ("station page --allow-from 10.0.0.1", 3, "bind"),
     ("gel show --config gelgate.toml", 0, "12"),
     ("gel prove --config gelgate.toml", 0, "is proven on it"),
     ("history --config gelgate.toml", 0, "12 presses"),
