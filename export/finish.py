@@ -21,6 +21,7 @@ from calibration.fitting.bundle_measurements import (
     provenance,
     rate_warnings,
     state_threshold,
+    strength_range,
     warnings,
 )
 from calibration.fitting.fit import Fitted
@@ -144,6 +145,7 @@ def finish_bundle(
             threshold=threshold,
             tolerance=tolerance,
             contact=contact_range(presses),
+            strength=strength_range(presses),
             colours=colours,
             provenance=provenance(created, presses, None, said),
         )

@@ -16,7 +16,7 @@ from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPres
 from calibration.fitting.presses.strangers import find_copies
 from edge.core.detector import Detector, KeepsMean
 from edge.core.errors import FitError, NotScorable
-from edge.core.imaging.quality import NominalContact
+from edge.core.imaging.quality import NominalContact, NominalStrength
 from edge.model.bundle import GoldenFrame
 from edge.model.manifest import CostCard, Provenance, ThresholdEntry, ToleranceEntry
 from edge.model.manifest_facts import GIVEN
@@ -35,6 +35,7 @@ __all__ = [
     "rate_warnings",
     "score_again",
     "state_threshold",
+    "strength_range",
     "warnings",
 ]
 
@@ -152,6 +153,13 @@ def contact_range(presses: NominalPresses) -> NominalContact | None:
         y=around([t.y for t in touches]),
         area=(max(low, LEAST_AREA_SHARE * smallest), high),
     )
+
+
+def strength_range(presses: NominalPresses) -> NominalStrength | None:
+    """The lowest, middle and highest strength; None where it is not known, or an imprint has none."""
+    if not presses.strengths or min(presses.strengths) <= 0:
+        return None
+    return NominalStrength(*(float(np.quantile(presses.strengths, rank)) for rank in (0, 0.5, 1)))
 
 
 def warnings(presses: NominalPresses, frame: tuple[int, int], alpha: float | None) -> list[str]:

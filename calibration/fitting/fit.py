@@ -23,6 +23,7 @@ from calibration.fitting.bundle_measurements import (
     provenance,
     rate_warnings,
     state_threshold,
+    strength_range,
     warnings,
 )
 from calibration.fitting.damage.damaged_presses import DamagedPresses, render_damage
@@ -392,6 +393,7 @@ def _facts(learnt: _Learnt, created: str) -> Facts:
         threshold=threshold,
         tolerance=tolerance,
         contact=contact_range(plan.presses),
+        strength=strength_range(plan.presses),
         colours=plan.colours,
         dots=None if plan.presses.dots is None else DotsEntry.of(plan.presses.dots),
         provenance=provenance(created, plan.presses, config.seed, learnt.warnings),

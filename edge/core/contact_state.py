@@ -1,13 +1,13 @@
 """What a robot or a hand beside the sensor needs to know of the contact, after every frame."""
 
-from dataclasses import dataclass
 from typing import Final, Literal, final
 
 from edge.core.contact.events import Event, PressBegan, PressEnded, PressSettled
 from edge.core.contact.press_detector import Look
 from edge.core.contact.signals import Phase
+from edge.core.imaging.quality import NominalStrength
 
-__all__ = ["OVERLOAD_TIMES", "ContactFollower", "ContactState", "NominalStrength"]
+__all__ = ["OVERLOAD_TIMES", "ContactFollower", "ContactState"]
 
 ContactState = Literal[
     "unknown",
@@ -29,21 +29,10 @@ than those at fit; until the gel is free."""
 OVERLOAD_TIMES: Final = 2.0
 """A press of more than this many times the largest strength at fit is an overload."""
 
+# The gateway's reduced views show a twentieth less or more than the pictures of the fit.
+_DEEP_SHARE: Final = 0.9
 # The strength of an imprint grows faster than its depth.
 _DEPTH_POWER: Final = 0.75
-
-
-@dataclass(frozen=True)
-class NominalStrength:
-    """How strong the imprints of the nominal presses are, levels, as `PressSettled.strength`."""
-
-    lowest: float
-    middle: float
-    highest: float
-
-    def __post_init__(self) -> None:
-        if not 0 < self.lowest <= self.middle <= self.highest:
-            raise ValueError(f"0 < lowest <= middle <= highest is needed, found {self}")
 
 
 @final
@@ -106,7 +95,7 @@ class ContactFollower:
             self._is_overloaded = True
         is_known = nominal is not None and not is_free
         self.depth_share = (strength / nominal.middle) ** _DEPTH_POWER if nominal and is_known else None
-        is_deep = nominal is not None and strength >= nominal.lowest
+        is_deep = nominal is not None and strength >= _DEEP_SHARE * nominal.lowest
         if self._is_overloaded:
             self.state = "overload"
         elif self._is_doubtful:

@@ -27,6 +27,9 @@ class ContactWatch(PressStage):
     def open(cls, parts: StageParts) -> Self:
         return cls(parts.alarms, parts.clock)
 
+    def use(self, inspector: Inspector) -> None:
+        self.follower.nominal = inspector.bundle.manifest.strength
+
     def see(self, event: Event) -> None:
         self.follower.see(event)
         self._say()

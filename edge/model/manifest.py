@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from edge.core.detector import Grid, Mode
-from edge.core.imaging.quality import NominalContact
+from edge.core.imaging.quality import NominalContact, NominalStrength
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_check import NominalColours
 from edge.core.imaging.sensor_profile import SensorProfile
@@ -266,6 +266,7 @@ class Facts(Entry):
     threshold: ThresholdEntry
     tolerance: ToleranceEntry
     contact: NominalContact | None = None
+    strength: NominalStrength | None = None
     colours: ColourEntry | None = None
     dots: DotsEntry | None = None
     cost: CostCard | None = None

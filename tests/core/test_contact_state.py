@@ -9,8 +9,9 @@ from edge.core.contact.events import PressSettled
 from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.reference import Reference
 from edge.core.contact.settings import ContactSettings
-from edge.core.contact_state import ContactFollower, ContactState, NominalStrength
+from edge.core.contact_state import ContactFollower, ContactState
 from edge.core.imaging.decode import decode_view
+from edge.core.imaging.quality import NominalStrength
 
 FREE, HELD = [0.0] * 45, [0.2, 0.3, 0.4, 0.5, 0.6, 0.8, *[1.0] * 12]
 LIFT = [0.5, 0.2, *[0.0] * 6]

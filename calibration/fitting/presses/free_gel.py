@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.presses.sheared_dots import dot_light, find_common_dots
-from edge.core.contact.mask import squared_distance, touched_mask
+from edge.core.contact.mask import imprint_strength, mask_beyond, squared_distance, touched_mask
 from edge.core.contact.reference import Reference, View, fit_levels
 from edge.core.contact.relief import fine_structure
 from edge.core.contact.settings import ContactSettings
 from edge.core.imaging.decode import VIEW_SIZE
 
-__all__ = ["FreeGel", "estimate_free_gel", "view_of"]
+__all__ = ["FreeGel", "estimate_free_gel", "measure_strengths", "view_of"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -265,3 +265,10 @@ def _rim(shape: tuple[int, ...]) -> Mask:
     down, across = (round(_RIM_SHARE * size) for size in shape[:2])
     rim[down:-down, across:-across] = False
     return rim
+
+
+def measure_strengths(views: Sequence[U8], free: View) -> tuple[float, ...]:
+    """Measure how strong each imprint is, as the gateway does. views: uint8 (120, 160, 3)."""
+    reference = Reference(free)
+    squared = [squared_distance(reference.difference(view.astype(np.float32))) for view in views]
+    return tuple(imprint_strength(one, mask_beyond(one)) for one in squared)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calibration.dataset.files import SUFFIXES, read_rgb
 from calibration.dataset.press import numbered
-from calibration.fitting.presses.free_gel import view_of
+from calibration.fitting.presses.free_gel import measure_strengths, view_of
 from calibration.fitting.presses.gel_choice import MIN_PRESSES, choose_free_gel, contact_finder
 from calibration.fitting.presses.recorded_presses import FoundPress, PressFinder
 from calibration.fitting.presses.sources import check_present
@@ -55,7 +55,7 @@ TOUCHED_MARGIN_MM = 1.0
 _Mask = NDArray[np.bool_] | None
 """Where a press touches in the view, bool (120, 160); None where the free gel is not known."""
 # The fields with one entry per press.
-_EACH = ("names", "specimens", "touches", "guessed")
+_EACH = ("names", "specimens", "touches", "strengths", "guessed")
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,8 @@ class NominalPresses:
     """The piece of each press, None where it is unknown."""
     touches: tuple[Touch, ...] = ()
     """Area and centroid in the picture, empty when there is no free gel to compare with."""
+    strengths: tuple[float, ...] = ()
+    """Of their imprints, levels; empty where the free gel was not seen."""
     guessed: tuple[Touch, ...] = ()
     """The same by an estimate of the free gel that is in doubt: good for a warning alone."""
     touched: NDArray[np.bool_] | None = None
@@ -175,6 +177,7 @@ class _Gathered:
             names=names,
             specimens=tuple(press.specimen for press in presses),
             touches=() if self.is_doubtful else touches,
+            strengths=measure_strengths(views, np.mean(light, axis=0)) if is_seen else (),
             guessed=touches if self.is_doubtful else (),
             touched=touched_union(masks, self.profile, self.region) if is_seen else None,
             no_contact=np.stack([self.region.crop(picture) for picture in free])

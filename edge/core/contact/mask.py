@@ -11,6 +11,7 @@ from edge.core.contact.reference import View
 __all__ = [
     "BLACK_LEVEL",
     "Touch",
+    "imprint_strength",
     "is_black",
     "mask_beyond",
     "measure_change",
@@ -90,6 +91,12 @@ def measure_change(view: View, earlier: View) -> float:
     bound = (CHANGE_LEVELS, CHANGE_LEVELS, CHANGE_LEVELS, CHANGE_LEVELS)
     same = cv2.inRange(cv2.absdiff(view, earlier), (0.0, 0.0, 0.0, 0.0), bound)
     return 1.0 - cv2.countNonZero(same) / same.size
+
+
+def imprint_strength(squared: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
+    """How much an imprint differs from the free gel, averaged over the view, levels; it grows with depth. squared:
+    float32 (h, w), mask: of the same view."""
+    return float(np.sqrt(squared[mask]).sum()) / squared.size
 
 
 def is_black(view: View) -> bool:

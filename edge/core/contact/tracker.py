@@ -10,6 +10,7 @@ from edge.core.contact import rules as contact
 from edge.core.contact.events import Event, Findings, PressSettled, ReferenceCorrected, ReferenceRefreshed
 from edge.core.contact.mask import (
     Touch,
+    imprint_strength,
     is_black,
     mask_beyond,
     measure_change,
@@ -226,7 +227,7 @@ class ContactTracker:
             motion=self._motion(level),
             is_black=is_black(view),
             relief=self.relief.area,
-            strength=float(np.sqrt(squared[self.mask]).sum()) / squared.size,
+            strength=imprint_strength(squared, self.mask),
             texture=self.relief.level,
             imprint=imprint,
             place=self._place(),

@@ -13,6 +13,7 @@ __all__ = [
     "BLACK_LEVEL",
     "MAX_AGE_S",
     "NominalContact",
+    "NominalStrength",
     "Reason",
     "Rejection",
     "check_contact",
@@ -70,6 +71,19 @@ class NominalContact:
             low, high = getattr(self, name)
             if not low <= high:
                 raise ValueError(f"{name} runs from low to high, found {low} to {high}")
+
+
+@dataclass(frozen=True)
+class NominalStrength:
+    """How strong the imprints of nominal presses are, levels (`imprint_strength`)."""
+
+    lowest: float
+    middle: float
+    highest: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.lowest <= self.middle <= self.highest:
+            raise ValueError(f"0 < lowest <= middle <= highest is needed, found {self}")
 
 
 def check_light(rgb: NDArray[np.uint8]) -> Rejection | None:
