@@ -194,6 +194,8 @@ def _config() -> Iterator[str]:
 
 _OWN_TABLES: Final = {
     "[overview]": "OverviewTable",
+    "[piece]": "PieceTable",
+    "[[piece.places]]": "PlaceTable",
     "[[triggers]]": "TriggerTable",
     "[[actuators]]": "ActuatorTable",
     "[[actuators.outputs]]": "OutputTable",

@@ -3,6 +3,7 @@
 Stages enter by the entry points `gelgate.features`, those of gelgate and those of other packages.
 """
 
+import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
@@ -57,6 +58,9 @@ class Alarms(Protocol):
 
     def show_contact(self, contact: ContactState) -> None:
         """Say what the contact is now."""
+
+    def show_piece(self, piece_id: str | None) -> None:
+        """Say which piece of several places is in progress; None where none is."""
 
 
 class Selection(Protocol):
@@ -160,7 +164,8 @@ class PressStage:
     """One concern of a press. Each method does nothing here: a stage has those that it needs. The loop alone calls it.
 
     The calls of a press come in this order: `begin`, `expect` for each frame that is scored ahead, `admit`, the score,
-    `judge`, `keep`, `fields` and `table`, `record`. The others are about what is mounted, what is seen, and time.
+    `judge`, `keep`, `fields` and `table`, `write`, `record`. The others are about what is mounted, what is seen, and
+    time.
     """
 
     commands: ClassVar[Sequence[Command[Any, Any]]] = ()
@@ -234,6 +239,10 @@ class PressStage:
     def table(self, press: Press, row: PressRecord) -> OwnTable | None:
         """Return the table of this press; None for the history of parts."""
         return None
+
+    def write(self, connection: sqlite3.Connection, press: Press) -> None:
+        """Write what the press of a part means beyond itself, inside the transaction that records it: quick, and only
+        what is undone with it."""
 
     def record(self, press: Press, gel: GelRecord) -> None:
         """Take a press that is in the database, with its gel, this press counted. Errors: StoreError."""

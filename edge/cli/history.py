@@ -191,8 +191,9 @@ def _line(row: HistoryRow) -> str:
         score = "  " + " / ".join(score_texts(row.score, row.threshold))
     cause = f" ({row.cause})" if row.cause else ""
     said = " ".join(filter(None, (row.person_verdict, row.damage_kind)))
+    piece = f"  piece {row.piece_id}" if row.piece_id else ""
     shadow = f"  shadow {ShadowVerdict.decode(row.shadow).verdict}" if row.shadow else ""
     return printable(
         f"{row.number}  {local_time(row.time_ns)}  {row.part}/{row.position or '-'}  {row.verdict}{cause}{score}"
-        f"  gel {row.gel_id}{f'  {row.person}: {said}' if said else ''}{shadow}"
+        f"  gel {row.gel_id}{f'  {row.person}: {said}' if said else ''}{shadow}{piece}"
     )

@@ -35,7 +35,8 @@ class OverviewTable(PluginTable):
     apriltag_family: TagFamily = Field(default="36h11", description="the family of the AprilTags")
     part_pattern: Annotated[str, AfterValidator(_check_pattern)] | None = Field(
         default=None,
-        description="regular expression of the complete text of a code; its group `part` is the part, by default all",
+        description="regular expression of the complete text of a code; its group `part` is the part, by default all, "
+        "and its group `piece`, where it has one, the id of the piece",
     )
     parts: dict[str, str] = Field(
         default_factory=dict,
@@ -69,6 +70,11 @@ class OverviewTable(PluginTable):
         le=8192,
         description="larger stills are made smaller before they are read and sent",
     )
+
+    @property
+    def reads_pieces(self) -> bool:
+        """Whether its codes begin pieces."""
+        return self.part_pattern is not None and "piece" in re.compile(self.part_pattern).groupindex
 
     @model_validator(mode="after")
     def _fits_together(self) -> "OverviewTable":

@@ -41,7 +41,7 @@ class CommandTable(Table):
         default=None, description="file that holds only the secret, at least 16 bytes, rights 0640"
     )
     page: tuple[str, ...] = Field(
-        default=("select_part", "acknowledge_alarm", "replace_gel", "confirm_press"),
+        default=("select_part", "begin_piece", "acknowledge_alarm", "replace_gel", "confirm_press"),
         description="verbs for a person at the sink `page` who has its token; without a token none is served there",
     )
     requests_per_minute: int = Field(

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from edge.config.overview_table import OverviewTable
+from edge.config.piece_table import PieceTable
 from edge.config.plugin_tables import ActuatorTable, PlainText, PluginTable, SinkTable, Table, TriggerTable
 from edge.config.reference_table import ReferenceTable
 from edge.config.request_tables import CommandTable, ConfirmTable, MetricsTable
@@ -305,6 +306,7 @@ class Config(Table):
     store: StoreTable = StoreTable()
     archive: ArchiveTable = ArchiveTable()
     press_again: PressAgainTable = PressAgainTable()
+    piece: PieceTable | None = Field(default=None, description="a piece of several places")
     commands: CommandTable = CommandTable()
     confirm: ConfirmTable = ConfirmTable()
     metrics: MetricsTable = MetricsTable()
@@ -338,6 +340,7 @@ class Config(Table):
             "scars": True,
             "press_again": self.inspection.press_again != "never",
             "drift": True,
+            "piece": True,
             "outputs": bool(self.triggers or self.actuators),
             "black_box": self.archive.presses > 0,
             "snapshots": "snapshot" in served,

@@ -131,6 +131,8 @@ class StationView:
     """The verdict of the last press; None before the first one and after an acknowledgement."""
     alarms: frozenset[str] = frozenset()
     contact: ContactState = "unknown"
+    piece_id: str | None = None
+    """The piece of several places that is in progress; None where none is."""
 
     def conditions(self) -> frozenset[str]:
         """Every condition that is true now. A verdict and the contact count only while the station inspects."""

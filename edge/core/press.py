@@ -12,6 +12,7 @@ from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Rejection
 from edge.core.overview.view import OverviewView
+from edge.core.piece import PlacePress
 from edge.core.reference_press.outcome import Imprint
 from edge.core.registration.pose import Registered
 from edge.core.shadow import ShadowVerdict
@@ -125,6 +126,8 @@ class Press:
     """What is known of the gel's scars; None where nothing was scored."""
     shadow: ShadowVerdict | None = None
     """What a bundle that decides nothing says of it; None without one."""
+    piece: PlacePress | None = None
+    """What it means for a piece of several places; None without a plan, and for a press of no piece."""
     press_id: str = ""
     """Its ULID, given when it is judged."""
     time_ns: int = 0
@@ -149,6 +152,11 @@ class Press:
     def word(self) -> str:
         """The verdict, or `error`."""
         return "error" if self.verdict is None else self.verdict.kind.value
+
+    @property
+    def shown(self) -> str | None:
+        """What outputs show: the word, but of a piece of several places a pass only once all of it has passed."""
+        return self.word if self.piece is None else self.piece.show(self.word)
 
     @property
     def reason(self) -> str | None:

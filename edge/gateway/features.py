@@ -15,7 +15,7 @@ Features = Mapping[str, type[PressStage]]
 
 def load_features(config: Config) -> Features:
     """Load the features that are configured, and those of other packages, in the order in which a press goes through
-    them. Others may refuse a press, so they come before the outputs, which show what was decided.
+    them. Others may refuse a press, so they come before the piece and the outputs, which show what was decided.
 
     Errors: ConfigError for a feature that cannot be loaded, or that declares an alarm of another.
     """
@@ -26,7 +26,7 @@ def load_features(config: Config) -> Features:
             "install it again, as with `pip install -e .`"
         )
     others = [name for name in installed if name not in ours]
-    before = list(ours).index("outputs")
+    before = list(ours).index("piece")
     names = [*list(ours)[:before], *others, *list(ours)[before:]]
     features = {name: _load(name) for name in names if ours.get(name, True)}
     list_alarms()

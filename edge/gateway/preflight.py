@@ -16,6 +16,7 @@ from typing import Self, TypeVar
 
 from edge import registry
 from edge.config import Config, PluginTable
+from edge.config.piece_table import PieceTable
 from edge.core.errors import (
     BundleMismatch,
     ConfigError,
@@ -24,6 +25,7 @@ from edge.core.errors import (
     StoreError,
 )
 from edge.core.gel_life import is_past
+from edge.core.piece import check_places
 from edge.core.plugins import HasAddress, HasWarnings
 from edge.core.ports import Clock, Device
 from edge.gateway.bundle_set import BundleSet, OpenBundle
@@ -155,6 +157,8 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     if config.inspection.part is not None and all(finding.error is None for finding in found.findings):
         selected = _describe_store(config, bundles_in_use.read_selected)
         found.try_part("part", lambda: str(first_part(config.inspection, found.bundles, selected)))
+    if config.piece is not None and found.bundles.bundles:
+        found.try_part("piece", partial(_check_places, config.piece, found.bundles))
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     found.try_part("database", lambda: _database(config))
     found.try_part("commands", lambda: _commands(config))
@@ -173,6 +177,12 @@ def _describe_bundles(one: OpenBundle) -> str:
         f"{manifest.threshold.value:.4g}; {len(bundle.golden)} golden frames score as at the fit "
         f"(within {one.golden_difference:.1e}); {bundle.signature}{f'; {licence}' if licence else ''}"
     )
+
+
+def _check_places(table: PieceTable, bundles: BundleSet) -> str:
+    """Check that each place of the plan has a bundle. Errors: ConfigError."""
+    check_places(table.plan, bundles.find_all)
+    return f"{len(table.places)} places, in {table.order} order: {', '.join(map(str, table.plan))}"
 
 
 def _describe_store(config: Config, ask: Callable[[sqlite3.Connection], T]) -> T | None:

@@ -1,5 +1,6 @@
 """From a judged press to a recorded one: its picture, its result, and the one transaction that keeps both."""
 
+import sqlite3
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -121,6 +122,7 @@ class Recorder:
             cause=press.blame.cause.value if press.blame else None,
             evidence=press.evidence,
             shadow=press.shadow.encode() if press.shadow else None,
+            piece_id=press.piece.piece_id if press.piece else None,
         )
         tables = (stage.table(press, row) for stage in self._stages)
         table = next((table for table in tables if table is not None), None)
@@ -155,9 +157,13 @@ class Recorder:
             own, sentences = table.publish(result, recorded.sequence)
             return [*own, GelPayload.of(recorded.gel, result.time_ns).message()]
 
+        def write(connection: sqlite3.Connection) -> None:
+            for stage in self._stages if table is None else ():
+                stage.write(connection, press)
+
         owes_picture = waiting.drawing is not None
         recorded = self._store.record_press(
-            waiting.row, messages, table, owes_picture=owes_picture, owes_count=True
+            waiting.row, messages, table, write, owes_picture=owes_picture, owes_count=True
         )
         return PressReport(press, result or _result(waiting, recorded), recorded.gel, sentences)
 

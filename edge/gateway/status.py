@@ -42,6 +42,7 @@ class StationStatus:
         self._is_stopped = False
         self._unproven: str | None = None
         self._contact: ContactState = "unknown"
+        self._piece_id: str | None = None
         self._said: tuple[str, str | None, str | None] | None = None
 
     def set_waiting_for(self, what: str | None) -> None:
@@ -179,6 +180,11 @@ class StationStatus:
         with self._lock:
             self._contact = contact
 
+    def show_piece(self, piece_id: str | None) -> None:
+        """Show which piece of several places is in progress."""
+        with self._lock:
+            self._piece_id = piece_id
+
     def info(self, bundle: Bundle, identity: DeviceIdentity, parts: Sequence[str] = ()) -> None:
         """The installed software and the connected sensor. parts: that can be selected."""
         manifest = bundle.manifest
@@ -206,7 +212,8 @@ class StationStatus:
         with self._lock:
             state = self._state()[0]
             contact = self._contact if state == "ready" else "unknown"
-            return StationView(state, alarms=frozenset(self._raised), contact=contact)
+            alarms = frozenset(self._raised)
+            return StationView(state, alarms=alarms, contact=contact, piece_id=self._piece_id)
 
     def counts(self, findings: Sequence[str]) -> None:
         """An alarm for counts that had to be corrected; it stays until a person acknowledges it, over a restart too."""

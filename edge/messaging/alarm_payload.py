@@ -91,6 +91,10 @@ ALARMS: Final[Mapping[str, Alarm]] = {
     "press_again": Alarm(
         "find the piece, and treat it as not inspected or press it twice again; it ends with the next press",
     ),
+    "piece": Alarm(
+        "take the unfinished piece away and begin the next one, on the page, with `begin_piece` or with its code; a "
+        "place without a bundle: put the bundle back, and reload",
+    ),
     "gel": Alarm(
         "order a gel; change it while nothing presses, and record the new one on the page or with `gelgate "
         "gel replace`",

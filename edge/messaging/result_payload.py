@@ -239,6 +239,14 @@ class ResultPayload(Payload):
     shadow: ShadowPart | None = Field(
         default=None, description="what the shadow bundle says; null without one"
     )
+    piece_id: str | None = Field(
+        default=None,
+        description="the piece of several places that it is of; its verdict is in `piece_result`, and a pass here is "
+        "that of one place",
+    )
+    place: str | None = Field(
+        default=None, description="the place of the piece, part/position; null for a press that fills none"
+    )
     ledger_head: str | None = Field(
         default=None,
         description="the newest link of the ledger, with this press: `gelgate db check` compares it with the ledger",

@@ -6,6 +6,7 @@ from pydantic import BaseModel
 
 from edge.messaging.alarm_payload import AlarmPayload
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
+from edge.messaging.piece_payloads import PiecePayload, PieceResultPayload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import (
     DriftPayload,
@@ -80,6 +81,15 @@ TOPICS: Final[tuple[Topic, ...]] = (
         "the newest reference press with its control charts; such a press is on no other topic but `heatmap`",
     ),
     Topic("gel", 1, True, GelPayload, "wear of the mounted gel"),
+    Topic(
+        "piece",
+        1,
+        True,
+        PiecePayload,
+        "the piece of several places in progress; only with `[piece]`",
+        may_be_empty=True,
+    ),
+    Topic("piece_result", 1, False, PieceResultPayload, "one message per piece of several places"),
     Topic("questions", 1, True, QuestionsPayload, "presses that a person is asked about"),
     Topic("drift", 1, True, DriftPayload, "control charts of the passing presses"),
     Topic("alarm/<alarm>", 1, True, AlarmPayload, "raised alarms; emptied when over", may_be_empty=True),

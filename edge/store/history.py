@@ -47,12 +47,14 @@ class HistoryRow:
     person: str | None = None
     shadow: str | None = None
     """What the shadow bundle says, JSON (`edge.core.shadow.ShadowVerdict`); None without one."""
+    piece_id: str | None = None
+    """The piece of several places that it is of, each part and position a place; None without one."""
 
 
 COLUMNS: Final = tuple(field.name for field in fields(HistoryRow))
 
 # Those of the table of presses; the others come from the acts.
-_STORED: Final = ("shadow", *COLUMNS[: COLUMNS.index("person_verdict")])
+_STORED: Final = ("shadow", "piece_id", *COLUMNS[: COLUMNS.index("person_verdict")])
 _OF_GEL_SERIAL: Final = "SELECT serial, gel_id FROM gels WHERE gel_serial = ? COLLATE NOCASE"
 
 
@@ -101,10 +103,10 @@ def read_history(path: Path, query: HistoryQuery) -> Iterator[HistoryRow]:
             "ORDER BY number DESC LIMIT ?) ORDER BY number",
             (*values, limit),
         )
-        for shadow, *row in rows:
+        for shadow, piece_id, *row in rows:
             settled = settle(said.get(row[1], ()))
             people = (settled.saying, settled.kind, settled.person) if settled else (None, None, None)
-            yield HistoryRow(*(*row, *people, shadow))
+            yield HistoryRow(*(*row, *people, shadow, piece_id))
 
 
 # Rows of one row group of a Parquet file; all of them are in memory at once.

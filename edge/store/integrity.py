@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 from edge.store.database import open_read_only
 from edge.store.ledger_chain import KIND_OF, KINDS, NO_HASH, Head, canonical, hash_link, read_row
 from edge.store.outbox import ROW_OVERHEAD_BYTES
+from edge.store.pieces import KEPT_PIECES
 from edge.store.press_counts import Count, PressCounts
 from edge.store.reference_presses import KEPT_REFERENCES
 from edge.store.ulid import is_ulid
@@ -249,6 +250,9 @@ def _row_fault(
     if kind == "reference":
         newest = _count(connection, "SELECT coalesce(max(number), 0) FROM reference_presses")
         retired_up_to[kind] = newest - KEPT_REFERENCES
+    if kind == "piece":
+        newest = _count(connection, "SELECT coalesce(max(number), 0) FROM pieces")
+        retired_up_to[kind] = newest - KEPT_PIECES
     if not isinstance(ref, int) or ref > retired_up_to.get(kind, ref - 1):
         yield f"{_name(kind, ref)} was removed"
 
@@ -263,8 +267,14 @@ def _find_unchained(connection: sqlite3.Connection, start: _Start) -> Iterator[s
     acts = (
         f"SELECT act_id FROM acts WHERE act_id > {start.acts_up_to} AND outcome IS NOT 'refused' AND act_id"
     )
+    pieces = "SELECT number FROM pieces WHERE number"
     gels = "SELECT gel_id || ' of sensor ' || serial FROM gels WHERE json_array(serial, gel_id)"
-    for kind, query, order in (*queries, ("act", acts, "act_id"), ("gel", gels, "serial, gel_id")):
+    for kind, query, order in (
+        *queries,
+        ("piece", pieces, "number"),
+        ("act", acts, "act_id"),
+        ("gel", gels, "serial, gel_id"),
+    ):
         unchained = (
             f"{query} NOT IN (SELECT ref FROM ledger_chain WHERE kind = '{kind}') ORDER BY {order} LIMIT 1"
         )

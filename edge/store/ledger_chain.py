@@ -47,6 +47,7 @@ KINDS: Final = {
     "press": "SELECT * FROM presses WHERE number = ?",
     "reference": "SELECT * FROM reference_presses WHERE number = ?",
     "study": "SELECT * FROM study_presses WHERE number = ?",
+    "piece": "SELECT * FROM pieces WHERE number = ?",
     "act": "SELECT * FROM acts WHERE act_id = ?",
     "gel": f"SELECT {_GEL} FROM gels WHERE json_array(serial, gel_id) = ?",
     "start": "SELECT * FROM ledger_start WHERE one = ?",

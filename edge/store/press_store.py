@@ -65,6 +65,8 @@ class PressRecord:
     """Id of the first press of the same piece, where this one was asked for."""
     shadow: str | None = None
     """What the shadow says of it (`ShadowVerdict.encode`); None without one."""
+    piece_id: str | None = None
+    """The piece of several places that it is of."""
 
     def __post_init__(self) -> None:
         if not is_ulid(self.press_id):
@@ -177,18 +179,17 @@ class Store:
         press: PressRecord,
         make_messages: MakeMessages,
         into: PressTable | None = None,
+        write: Callable[[sqlite3.Connection], None] = lambda connection: None,
         *,
         owes_picture: bool = False,
         owes_count: bool = False,
     ) -> Recorded:
         """Number the press, count it and queue its messages, all or nothing.
 
-        into: its table; by default the history of parts. owes_picture, owes_count: `queue_picture` and `keep_count`
-        follow.
-
-        Recording the same press again changes nothing and returns its number and the gel as it is now, so a caller may
-        repeat after an error. Errors: StoreError, also when the id belongs to another press; any error of
-        `make_messages`, and then nothing is recorded.
+        into: its table; by default the history of parts. write: what else is written with it. owes_picture, owes_count:
+        `queue_picture` and `keep_count` follow. Recording the same press again changes nothing and returns its number
+        and the gel as it is now, so a caller may repeat after an error. Errors: StoreError, also when the id belongs to
+        another press; any error of `make_messages` and `write`, and then nothing is recorded.
         """
         self._compare(press.serial, press.time_ns)
         table = into or History()
@@ -203,6 +204,7 @@ class Store:
             recorded = Recorded(gel, number, ledger_chain.append(connection, KIND_OF[table.name], number))
             cut_history(connection)
             outbox.put(connection, make_messages(recorded), press.verdict, press.time_ns, running_ns)
+            write(connection)
             outbox.enforce(connection, self._bounds, running_ns)
             if owes_picture:
                 outbox.owe_picture(connection, press.press_id, press.verdict, press.time_ns)
@@ -216,10 +218,8 @@ class Store:
         return self.read("reading the owed pictures", outbox.owed_pictures)
 
     def queue_picture(self, press_id: str, make_messages: Callable[[bool], Sequence[Message]]) -> None:
-        """Queue the messages of an owed picture; without effect where none is owed.
-
-        make_messages: from whether this is the newest press of a part.
-        """
+        """Queue the messages of an owed picture; without effect where none is owed. make_messages: from whether this is
+        the newest press of a part."""
         with self._database.writing(f"queueing the picture of press {press_id}") as connection:
             running_ns = self._running.store(connection)
             outbox.put_picture(connection, press_id, make_messages, running_ns)

@@ -90,7 +90,7 @@ def test_what_a_person_changes_at_the_page(bench: tuple[Bench, SteppedStation]) 
     """The verbs, each done at the station and written down with the person who gave a name. A browser that asks twice
     for the same gets the first outcome; what the station refuses is admitted, and its answer says how it ended."""
     page, station = bench
-    verbs = ["acknowledge_alarm", "confirm_press", "replace_gel", "select_part"]
+    verbs = ["acknowledge_alarm", "begin_piece", "confirm_press", "replace_gel", "select_part"]
     assert asked(page.port, "/station.json")["changes"] == {"verbs": verbs, "why_not": None}
     correct_counts(station.parts.store, "database gelgate.db: it knew fewer presses")
     station.loop.publish_stats()

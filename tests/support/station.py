@@ -168,15 +168,15 @@ def station_config(
     return path
 
 
-def mark_tried(database: Path, bundle: Path) -> None:
-    """Leave the bundle as tried by an earlier start: a child process for it takes longer than most tests.
+def mark_tried(database: Path, *bundles: Path) -> None:
+    """Leave the bundles as tried by an earlier start: a child process for one takes longer than most tests.
 
     tests/model/test_trial.py has what the child holds.
     """
-    digest = hashlib.sha256((bundle / "manifest.json").read_bytes()).hexdigest()
-    mark = f"{digest} gelgate {version('gelgate')} onnxruntime {version('onnxruntime')}\n"
+    digests = [hashlib.sha256((bundle / "manifest.json").read_bytes()).hexdigest() for bundle in bundles]
+    programs = f"gelgate {version('gelgate')} onnxruntime {version('onnxruntime')}"
     tried = Path(f"{database}.tried")
-    tried.write_text(mark)
+    tried.write_text("".join(f"{digest} {programs}\n" for digest in digests))
     tried.chmod(0o600)
 
 

@@ -47,6 +47,7 @@ class Reason(StrEnum):
     OTHER_PART = "other_part"
     REFERENCE = "reference"
     GEL_PROOF = "gel_proof"
+    NO_PLACE = "no_place"
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,8 @@ class OverviewRules:
     """Kinds to read; without any, no id is asked for."""
     family: TagFamily = "36h11"
     pattern: re.Pattern[str] | None = None
-    """Its group `part` is the part in a code's text; without a pattern the text is the part."""
+    """Its group `part` is the part in a code's text, its group `piece` the id of the piece. Without a
+    pattern the text is the part."""
     parts: Mapping[str, str] = field(default_factory=dict)
     """That text to the part or another name of a bundle, where they differ."""
     select: bool = False
@@ -72,7 +73,13 @@ class OverviewRules:
         seen = np.ascontiguousarray(self.zone.of(grey))
         changed = None if self.empty is None else share_of_change(seen, self.zone.of(self.empty))
         codes = read_codes(seen, self.codes, self.family) if self.codes else ()
-        return OverviewView(jpeg, None, changed, self._is_present(changed, codes), codes)
+        ids = tuple(sorted({one for code in codes if (one := self._piece_in(code))}))
+        return OverviewView(jpeg, None, changed, self._is_present(changed, codes), codes, ids)
+
+    def _piece_in(self, code: Code) -> str | None:
+        """The id of the piece in a code's text, None where the pattern has no group for it, or does not fit."""
+        match = None if self.pattern is None else self.pattern.fullmatch(code.text)
+        return None if match is None else match.groupdict().get("piece")
 
     def _is_present(self, changed: float | None, codes: tuple[Code, ...]) -> bool | None:
         """Tell whether a part is there; a code that can be read is a part."""

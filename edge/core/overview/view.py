@@ -67,6 +67,8 @@ class OverviewView:
     """Whether a part is there, None where nothing says so."""
     codes: tuple[Code, ...] = ()
     """The codes that were read in the region."""
+    piece_ids: tuple[str, ...] = ()
+    """The ids of pieces in these codes, each once."""
 
     def __post_init__(self) -> None:
         if (self.jpeg is None) == (self.fault is None):

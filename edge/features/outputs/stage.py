@@ -47,6 +47,7 @@ class Outputs(PressStage):
         self.drivers: Sequence[ActuatorDriver] = ()
         self._say, self._clock = say, clock
         self._verdict: str | None = None
+        self._piece_id: str | None = None
         self._awaited_ns: int | None = None
         self._seen_ns: int | None = None
         self._judged_id: str | None = None
@@ -132,12 +133,14 @@ class Outputs(PressStage):
         """Show the state without the verdict; it is also the sign that the station's loop is alive.
 
         A station that does not inspect forgets the verdict: when it inspects again, it has judged nothing yet. While a
-        contact does not end, or the sensor shows nothing, another part may lie on it, and no pass is shown.
+        contact does not end, or the sensor shows nothing, another part may lie on it, and no pass is shown. When a
+        piece of several places is begun, nothing of the one before is shown.
         """
         if view.state != "ready":
             self._verdict = None
         is_unseen = self._seen_ns is not None and self._clock.monotonic_ns() - self._seen_ns > UNSEEN_S * 1e9
-        if self._verdict == "pass" and (is_unseen or "contact" in view.alarms):
+        is_other_piece = view.piece_id not in (None, self._piece_id)
+        if is_other_piece or (self._verdict == "pass" and (is_unseen or "contact" in view.alarms)):
             self._verdict = None
         for driver in self.drivers:
             driver.show(replace(view, verdict=self._verdict))
@@ -154,6 +157,8 @@ class Outputs(PressStage):
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         """Show the verdict before it is recorded; a pass has to wait for that."""
         self._judged_id = press.press_id
+        if press.label is None:
+            self._piece_id = None if press.piece is None else press.piece.piece_id
         if press.label is None and press.word == "pass":
             self._awaited_ns = press.judged_ns
         elif press.label is None:
@@ -166,7 +171,7 @@ class Outputs(PressStage):
         self._recorded_id = press.press_id if press.label is None else None
         if press.label is None and press.word == "pass":
             if press.judged_ns == self._awaited_ns:
-                self._verdict = press.word
+                self._verdict = press.shown
             self._pulse(press)
 
     def acknowledge(self, alarm: str) -> None:
@@ -194,8 +199,8 @@ class Outputs(PressStage):
     def _pulse(self, press: Press) -> None:
         """Deadlines count from the judged frame, or from now where there is none."""
         judged_ns = self._clock.monotonic_ns() if press.judged_ns is None else press.judged_ns
-        for driver in self.drivers:
-            driver.pulse(press.word, judged_ns)
+        for driver in self.drivers if press.shown else ():
+            driver.pulse(press.shown or "", judged_ns)
 
 
 def _open_later(plugin: Any, table: PluginTable, clock: Clock) -> Callable[[], Any]:
