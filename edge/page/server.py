@@ -3,7 +3,8 @@
     /                            the page; one file each of HTML, CSS and JavaScript, no other is loaded
     /live.json?after=<version>   everything that is shown; answered when there is another version, or after a while
     /station.json                all of these, alarms with what to do, and what may be changed
-    /state.json, /info.json, /gel.json, /reference.json, /questions.json, /drift.json, /stats.json, /alarms.json    one
+    /state.json, /info.json, /gel.json, /reference.json, /piece.json, /questions.json, /drift.json, /stats.json,
+    /alarms.json                 one of them
     /presses.json                the newest results, newest first
     /pictures/<press id>         JPEG or PNG, as the station draws it
     POST /requests/<verb>        a request as on `cmd/<verb>`, with `Authorization: Bearer <token>`
@@ -35,7 +36,7 @@ _FILES: Final = {
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
 }
 
-_PARTS: Final = ("state", "info", "gel", "reference", "questions", "drift", "stats", "alarms")
+_PARTS: Final = ("state", "info", "gel", "reference", "piece", "questions", "drift", "stats", "alarms")
 
 
 class PageServer:

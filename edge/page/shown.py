@@ -12,6 +12,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import topic_level
 from edge.messaging.alarm_payload import Alarm, AlarmPayload, list_alarms
 from edge.messaging.payload_base import Payload
+from edge.messaging.piece_payloads import PiecePayload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import (
     DriftPayload,
@@ -54,6 +55,7 @@ _MODELS: Final[Mapping[str, type[Payload]]] = {
     "info": InfoPayload,
     "gel": GelPayload,
     "reference": ReferencePayload,
+    "piece": PiecePayload,
     "questions": QuestionsPayload,
     "drift": DriftPayload,
     "stats": StatsPayload,
@@ -61,7 +63,7 @@ _MODELS: Final[Mapping[str, type[Payload]]] = {
     "result": ResultPayload,
 }
 
-_STATUS: Final = ("state", "info", "gel", "reference", "questions", "drift", "stats")
+_STATUS: Final = ("state", "info", "gel", "reference", "piece", "questions", "drift", "stats")
 
 
 class Picture(NamedTuple):
@@ -105,9 +107,9 @@ class Shown:
                 _keep(self._presses, content["press_id"], content, MOST_PRESSES)
                 self._note()
         elif message.topic in _STATUS:
-            content = readable(message.topic, message.payload)
+            status = readable(message.topic, message.payload) if message.payload else None
             with self._changed:
-                self._status[message.topic] = content
+                self._status[message.topic] = status
                 self._note()
 
     def _see_picture(self, press_id: str, data: bytes) -> None:

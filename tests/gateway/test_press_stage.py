@@ -51,13 +51,15 @@ def test_what_is_not_configured_is_not_loaded(config: Path, monkeypatch: pytest.
         "shadow",
         "scars",
         "drift",
+        "piece",
         "black_box",
         "person_verdicts",
     ]
     more = few.model_copy(update={"triggers": [TriggerTable(plugin="virtual_hid")]})
     assert load_with(monkeypatch, more, "edge.press_stage:PressStage") == [
-        *loaded[:-2],
+        *loaded[:-3],
         "lamp",
+        "piece",
         "outputs",
         *loaded[-2:],
     ]

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from chromium import BROWSER_MS, wait_until
-from page_messages import PICTURE, T0_NS, TOKEN, drift, gel, info, press, state, stats
+from page_messages import PICTURE, T0_NS, TOKEN, drift, gel, info, piece, press, state, stats
 from ports import free_port
 from station import MQTT, Motion, press_recording, station_config, two_parts
 from stepped_station import correct_counts
@@ -15,6 +15,7 @@ from stepped_station import correct_counts
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.gel_life import GelState
+from edge.core.ports import Message
 from edge.core.verdict import Cause, Kind
 from edge.gateway.build import open_station
 from edge.gateway.station_loop import StationLoop
@@ -126,6 +127,35 @@ def test_the_reason_of_a_verdict_is_shown(
     assert tab.inner_text("#why") == why
     assert tab.inner_text("#cause") == outcome.get("cause_text", "")
     assert tab.locator("#picture").is_hidden()
+
+
+def test_a_piece_is_no_pass_before_all_of_it_has_passed(tab: Any, sink: PageSink) -> None:
+    """Instead of the pass of a place it says how far it is, and what is to be pressed; a fail is large at once."""
+    sink.send(piece((None, None, None), piece_id=None))
+    tab.wait_for_selector("#pieces", state="visible")
+    assert tab.inner_text("#todo") == "Press: bolt/left or bolt/middle or bolt/right"
+
+    def becomes(said: str, name: str, *messages: Message) -> None:
+        for message in messages:
+            sink.send(message)
+        verdict = "document.getElementById('verdict')"
+        wait_until(tab, f"{verdict}.textContent === '{said}' && {verdict}.classList.contains('{name}')")
+
+    one: dict[str, Any] = {"piece_id": "0042", "place": "bolt/left"}
+    failed = press(2, verdict=Kind.FAIL, score=2.5, score_ratio=2.5, **one)
+    ended = piece((None, None, None), piece_id=None, last=("0042", "pass"))
+    becomes("1 of 3", "none", *press(1, **one), piece(("pass", None, None)))
+    assert tab.locator("#places li").all_inner_texts() == [
+        "bolt/left: pass",
+        "bolt/middle: to be pressed",
+        "bolt/right: to be pressed",
+    ]
+    becomes("fail", "fail", *failed, piece(("pass", "fail", None)))
+    becomes("0 of 3", "none", piece((None, None, None), piece_id="0043"))
+    becomes("fail", "fail", *press(3, **one), piece(("pass", "fail", None)))
+    becomes("pass", "pass", *press(4, **one), ended)
+    assert "0042: pass" in tab.inner_text("#piece")
+    becomes("0 of 3", "none", piece((None, None, None), piece_id="0043"))
 
 
 def test_no_press_is_asked_about_with_the_picture_of_another(tab: Any, sink: PageSink) -> None:

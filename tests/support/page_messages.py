@@ -9,6 +9,7 @@ from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.core.reference_press.charts import ReferencePress, judge
 from edge.core.verdict import Kind
+from edge.messaging.piece_payloads import PiecePayload, PiecePlace
 from edge.messaging.reference_message import describe_reference_press
 from edge.messaging.result_payload import PressFiles, ResultPayload, picture_messages
 from edge.messaging.status_payloads import (
@@ -71,6 +72,27 @@ def info(
         method="padim",
         revision=3,
         warnings=warnings,
+    ).message()
+
+
+def piece(
+    verdicts: tuple[str | None, ...], piece_id: str | None = "0042", last: tuple[str, str] | None = None
+) -> Message:
+    """A piece of so many places."""
+    names = ("left", "middle", "right")[: len(verdicts)]
+    filled = {
+        "places": tuple(
+            PiecePlace(part="bolt", position=name, verdict=verdict)  # type: ignore[arg-type]
+            for name, verdict in zip(names, verdicts, strict=True)
+        ),
+        "expected": tuple(
+            f"bolt/{name}" for name, verdict in zip(names, verdicts, strict=True) if verdict is None
+        ),
+    }
+    last_id, last_verdict = last or (None, None)
+    return PiecePayload.model_validate(
+        {"time_ns": T0_NS, "piece_id": piece_id, "order": "free", **filled}
+        | {"last_id": last_id, "last_verdict": last_verdict}
     ).message()
 
 

@@ -150,7 +150,8 @@ def run_study(plan: StudyPlan, config: Config, say: Callable[[str], None]) -> in
         labels = prepare_labels(plan, store, say, stop.set)
         if not labels.left:
             return 0
-        with open_station(config, SystemClock(), stages={"reference_press": labels}) as station:
+        alone = config.model_copy(update={"piece": None})  # a piece in progress waits until the study is over
+        with open_station(alone, SystemClock(), stages={"reference_press": labels}) as station:
             if sys.stdin is not None and sys.stdin.isatty():  # the thread ends with the process
                 threading.Thread(target=_read_keys, args=(labels.keys,), name="keys", daemon=True).start()
             try:

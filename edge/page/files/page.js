@@ -61,6 +61,26 @@ function showAlarm(alarm) {
   return row;
 }
 
+// A pass is that of one place: what is large is the piece, and what is to be pressed now stands below it.
+const count = (piece) => `${piece.places.filter((place) => place.verdict).length} of ${piece.places.length}`;
+function large(press, piece) {
+  if (piece && piece.piece_id !== null && press.piece_id && press.piece_id !== piece.piece_id) { return count(piece); }
+  if (!piece || word(press) !== "pass") { return word(press); }
+  if (piece.piece_id === null && piece.last_id !== null && piece.last_id === press.piece_id) { return piece.last_verdict; }
+  return piece.places.some((place) => place.verdict === "fail") ? "fail" : count(piece);
+}
+
+function showPiece(piece) {
+  at("pieces").hidden = !piece;
+  at("begin").hidden = !piece || !may("begin_piece");
+  put("todo", piece ? `Press: ${piece.expected.join(" or ")}` : "");
+  if (!piece) { return; }
+  put("piece", piece.piece_id !== null ? `${piece.piece_id}: ${count(piece)} places pressed`
+    : piece.last_id !== null ? `none in progress; ${piece.last_id}: ${piece.last_verdict}` : "none in progress");
+  draw("places", piece.places, () => piece.places.map((place) =>
+    element("li", `${named(place)}: ${place.verdict || "to be pressed"}`, place.verdict || "open")));
+}
+
 function showGel(gel) {
   if (!gel) { put("gel", "not known yet"); return; }
   const left = Math.max(0, gel.limit_presses - gel.presses), share = Math.min(100, 100 * gel.presses / gel.limit_presses);
@@ -100,6 +120,7 @@ function showStation(station) {
   at("away").hidden = !station.away;
   draw("alarms", [alarms, may("acknowledge_alarm")], () => alarms.map(showAlarm));
   showPart(info);
+  showPiece(station.piece);
   showGel(station.gel);
   showQuestions(station.questions, station.pictures || []);
   at("new-gel").hidden = !may("replace_gel") || !station.gel;
@@ -200,13 +221,14 @@ function showDrift(drift, last) {
   put("followed", gain ? `The light has changed since the fit, and is followed: the last press was made ${gain.map((one) => one.toFixed(2)).join(", ")} times brighter in red, green, blue.` : "");
 }
 
-function showPresses(presses) {
+function showPresses(presses, piece) {
   const last = presses[0], newest = presses.slice(0, 12);
   draw("presses", [newest.map((press) => [press.press_id, press.has_picture]), may("confirm_press")], () => newest.map(showRow));
   at("say-head").hidden = !may("confirm_press");
-  at("verdict").className = last ? word(last) : "none";
-  if (!last) { put("verdict", "no press yet"); return; }
-  put("verdict", word(last));
+  const said = last ? large(last, piece) : "no press yet";
+  at("verdict").className = /^(pass|fail|error|unsure|rejected)$/.test(said) ? said : "none";
+  put("verdict", said);
+  if (!last) { return; }
   put("facts", [named(last), ratio(last) && `${ratio(last)} × threshold`, clock(last)].filter(Boolean).join(" · "));
   const why = last.reason || last.error || (last.press_again || {}).reason;
   put("why", [why, last.cause && `cause: ${last.cause}`].filter(Boolean).join(" · "));
@@ -228,7 +250,7 @@ function showPresses(presses) {
 function show() {
   if (shown !== null) {
     showStation(shown);
-    showPresses(shown.presses);
+    showPresses(shown.presses, shown.piece);
     showDrift(shown.drift, shown.presses[0]);
   }
 }
@@ -302,6 +324,15 @@ at("select").onsubmit = (event) => {
   const name = at("parts").value;
   change(event.submitter || at("select").querySelector("button"), "select_part", { name },
     (data) => data.is_waiting ? `${name} is inspected when this press has ended.` : `${name} is inspected from now on.`);
+};
+
+at("begin").onsubmit = (event) => {
+  event.preventDefault();
+  const piece_id = at("piece-id").value.trim();
+  change(event.submitter || at("begin").querySelector("button"), "begin_piece", piece_id ? { piece_id } : {}, (data) => {
+    at("piece-id").value = "";
+    return `The piece ${data.piece_id} has begun. Press ${data.expected.join(" or ")}.`;
+  });
 };
 
 at("new-gel").onclick = () => { at("gel-form").reset(); at("confirm").showModal(); at("cancel").focus(); };
