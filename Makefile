@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust clean
+.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -87,6 +87,16 @@ test-plain: $(VENV)/.test
 # What outside tools say of the repository: its shape, its workflows, its words.
 test-trust: $(VENV)/.test $(VENV)-trust/.made
 	GELGATE_TRUST=$(abspath $(VENV)-trust/bin) $(BIN)/pytest tests/project/test_trust.py -m trust
+
+# What the release workflow publishes, in dist: built twice from the commit and compared, checked, installed alone and tried.
+verify-release: $(VENV)/.test $(VENV)-trust/.made
+	rm -rf dist $(VENV)-release
+	$(BIN)/python .ci/release.py dist
+	$(VENV)-trust/bin/twine check --strict dist/*
+	$(PYTHON) -m venv $(VENV)-release
+	$(VENV)-release/bin/python -m pip install --quiet "$$(echo dist/*.whl)[demo]"
+	$(VENV)-release/bin/gelgate --help >/dev/null
+	$(VENV)-release/bin/gelgate demo -o $(VENV)-release/demo
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
@@ -171,6 +181,8 @@ $(VENV)-trust/.made: pyproject.toml
 	$(PYTHON) -m venv $(VENV)-trust
 	$(VENV)-trust/bin/python -m pip install --quiet --upgrade pip
 	$(VENV)-trust/bin/python -m pip install --quiet --group trust
+	$(VENV)-trust/bin/python -m venv $(VENV)-trust/citation
+	$(VENV)-trust/bin/python -m pip --python $(VENV)-trust/citation install --quiet --group citation
 	touch $@
 
 # anomalib brings another OpenCV, which shares its folder with ours, so it has an environment of its own.
@@ -197,4 +209,4 @@ debian:
 	[ -z "$$missing" ] || echo "where it is absent: without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor, without chromium the page of a trade-off"
 
 clean:
-	rm -rf $(VENV) $(VENV)-importers $(VENV)-subscribers $(VENV)-trust build dist *.egg-info
+	rm -rf $(VENV) $(VENV)-importers $(VENV)-subscribers $(VENV)-trust $(VENV)-release build dist *.egg-info

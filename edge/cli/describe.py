@@ -1,4 +1,4 @@
-"""`gelgate station describe`: a station, as AsyncAPI, Home Assistant, Node-RED and mosquitto read it."""
+"""`gelgate station describe`: a station, as AsyncAPI, Home Assistant, Node-RED, mosquitto and CycloneDX read it."""
 
 import json
 import time
@@ -10,11 +10,13 @@ from typing import Annotated, Any, Final
 
 import typer
 
+from edge.cli.bill_of_materials import bill_of_materials
 from edge.cli.options import CONFIG, ConfigOption
 from edge.config import Config, load_config
 from edge.core.errors import ConfigError
 from edge.core.printable import printable
 from edge.gateway.command_table import describe_station
+from edge.gateway.opening import bundle_tables
 from edge.messaging.descriptions.access_rules import access_rules
 from edge.messaging.descriptions.asyncapi import document
 from edge.messaging.descriptions.dashboards import discovery, flow
@@ -37,6 +39,7 @@ class Format(StrEnum):
     HOME_ASSISTANT = "homeassistant"
     NODE_RED = "node-red"
     MOSQUITTO = "mosquitto"
+    CYCLONEDX = "cyclonedx"
 
 
 def describe(
@@ -47,7 +50,7 @@ def describe(
             "--format",
             metavar="|".join(Format),
             help="asyncapi: topics and schemas; homeassistant: its discovery message; node-red: a flow to import; "
-            "mosquitto: access rules.",
+            "mosquitto: access rules; cyclonedx: a bill of materials.",
         ),
     ] = Format.ASYNCAPI,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Write this file instead.")] = None,
@@ -84,13 +87,19 @@ def text_at(broker: Broker, topic_filter: str, form: Format) -> str:
         raise ConfigError(
             "access rules name the users of the broker, which it does not publish; give the station's --config"
         )
+    if form is Format.CYCLONEDX:
+        raise ConfigError(
+            "what is installed on a station is not published; run it there, with the station's --config"
+        )
     station, document = station_at(broker, topic_filter)
     return _text(form, station, document, broker.host, broker.port, broker.tls is not None)
 
 
 def describe_config(config: Config, form: Format) -> str:
     """Write the file from a configuration, with the broker of its first `mqtt` sink, or the usual one of this machine.
-    Errors: ConfigError."""
+    Errors: ConfigError; BundleError where a bill of materials has a bundle that cannot be read."""
+    if form is Format.CYCLONEDX:
+        return bill_of_materials([one.path for one in bundle_tables(config.inspection)])
     station = describe_station(config)
     broker = next((sink.options for sink in config.sinks if sink.plugin == "mqtt"), {})
     if form is Format.MOSQUITTO:

@@ -55,7 +55,7 @@ def text(config: Path, form: str) -> str:
 
 def test_each_format_is_of_the_configured_station(config: Path) -> None:
     """All that it names may be missing. Served and signed commands, user names, topics of its sinks, its broker."""
-    for form in Format:
+    for form in set(Format) - {Format.CYCLONEDX}:  # which reads the bundles
         assert text(config, form).endswith("\n")
     channels = json.loads(text(config, "asyncapi"))["channels"]
     served = {name for name in channels if name.startswith("cmd_")}

@@ -6,6 +6,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import tiny
+
+from edge.cli.bill_of_materials import bill_of_materials
+from edge.model.bundle_writer import write_bundle
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -25,7 +29,7 @@ def run_judge(*words: str) -> subprocess.CompletedProcess[str]:
         ("codespell",),
         ("pre-commit", "validate-config"),
         ("reuse", "lint"),
-        ("cffconvert", "--validate"),
+        ("../citation/bin/cffconvert", "--validate"),
     ],
     ids=lambda words: words[0],
 )
@@ -34,6 +38,28 @@ def test_a_judge_finds_nothing(words: tuple[str, ...]) -> None:
     done = run_judge(*words)
 
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+VALIDATE = """
+import sys
+from pathlib import Path
+from cyclonedx.schema import SchemaVersion
+from cyclonedx.validation.json import JsonStrictValidator
+sys.exit(str(JsonStrictValidator(SchemaVersion.V1_6).validate_str(Path(sys.argv[1]).read_text()) or "") or None)
+"""
+
+
+@pytest.mark.trust
+def test_a_bill_of_materials_is_as_the_schema_of_cyclonedx_says(tmp_path: Path) -> None:
+    """All packages of this environment, a bundle and its trunk; a wrong word is found."""
+    _, files = tiny.tiny_files(tiny.tiny_bank())
+    bill, wrong = tmp_path / "bill.json", tmp_path / "wrong.json"
+    bill.write_text(bill_of_materials([write_bundle(tmp_path / "bolt", files)]))
+    wrong.write_text(bill.read_text().replace('"library"', '"book"'))
+
+    done = run_judge("python", "-c", VALIDATE, str(bill))
+    assert done.returncode == 0, done.stderr[:500]
+    assert "book" in run_judge("python", "-c", VALIDATE, str(wrong)).stderr
 
 
 def test_three_rules_of_scientific_python_are_not_kept_and_each_has_its_reason() -> None:
