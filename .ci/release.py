@@ -26,12 +26,12 @@ BILL = "sboms/gelgate.cdx.json"
 
 def main(folder: Path) -> None:
     """Write wheel and source archive into the folder. Ends with 1 where two builds differ."""
-    epoch = run_git("log", "-1", "--format=%ct").decode().strip()
+    commit, epoch = run_git("log", "-1", "--format=%H %ct").decode().split()
     os.environ["SOURCE_DATE_EPOCH"] = epoch
     builds = []
     with tempfile.TemporaryDirectory() as home:
         for name, mask in (("one", 0o022), ("the other", 0o077)):
-            built = build(Path(home, name), mask)
+            built = build(commit, Path(home, name), mask)
             builds.append({path.name: level(path, int(epoch)) for path in sorted(built.iterdir())})
     one, other = builds
     if one != other:
@@ -47,12 +47,12 @@ def run_git(*words: str) -> bytes:
     return subprocess.run(["git", *words], check=True, capture_output=True).stdout
 
 
-def build(home: Path, mask: int) -> Path:
+def build(commit: str, home: Path, mask: int) -> Path:
     """Build the commit in a folder of its own. mask: as of the shell of somebody else."""
     previous = os.umask(mask)
     try:
         home.mkdir()
-        with tarfile.open(fileobj=io.BytesIO(run_git("archive", "HEAD"))) as archive:
+        with tarfile.open(fileobj=io.BytesIO(run_git("archive", commit))) as archive:
             archive.extractall(home / "source", filter="data")
         words = ["-m", "build", "--no-isolation", "--outdir", str(home / "dist"), str(home / "source")]
         subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL)
