@@ -311,10 +311,13 @@ def test_a_shift_at_the_page(changing: Any, running: tuple[StationLoop, int]) ->
     assert not changing.locator("#confirm").is_visible()
     changing.click("#new-gel")
     changing.fill("#limit", "700")
+    changing.fill("#gel-serial", "G7")
+    changing.fill("#use-by", "2001-01-31")
     changing.fill("#note", "batch 7")
     changing.click("#sure")
-    said(changing, "counts from now on. Leave it free until the station is ready.")
+    said(changing, "is past its use-by date 2001-01-31: mount another one. Leave it free until the station is ready.")
     wait_until(changing, "document.getElementById('gel').textContent.includes('of 700 presses')")
+    assert "serial G7, use by 2001-01-31" in changing.inner_text("#gel")
 
     changing.click("#lock")
     assert not changing.locator("#new-gel").is_visible()
@@ -326,4 +329,5 @@ def test_a_shift_at_the_page(changing: Any, running: tuple[StationLoop, int]) ->
         ("kim, at the page", "confirm_press", "done"),
         ("page", "unlock", "refused"),
     ]
-    assert acts[0].arguments == {"limit_presses": 700, "note": "batch 7"}
+    package = {"gel_serial": "G7", "use_by": "2001-01-31"}
+    assert acts[0].arguments == {"limit_presses": 700, "note": "batch 7", **package}
