@@ -14,6 +14,7 @@ from edge.store.integrity import check_database
 from edge.store.press_archive import ArchiveFolder
 from simulation.alarms import audit_alarms
 from simulation.auditors_brokers import audit_availability, audit_levels
+from simulation.auditors_contact import audit_contact, audit_lifts
 from simulation.auditors_outbox import ARCHIVED, audit_archive, audit_file, audit_full_outbox, audit_memory
 from simulation.auditors_outputs import audit_lamp, audit_outputs
 from simulation.auditors_retained import audit_late, audit_outbox, audit_retained, audit_serials
@@ -67,6 +68,7 @@ def _audit_results(world: World, station: Station) -> Iterator[str]:
 def audit_now(world: World, station: Station) -> Iterator[str]:
     """What holds at each moment."""
     yield from audit_lamp(world, station)
+    yield from audit_contact(world, station)
     yield from audit_availability(world, station)
     yield from _audit_new_gel(world, station)
     yield from audit_alarms(world, station)
@@ -103,6 +105,7 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from _audit_presses(world, station, found)
     yield from _audit_judged(station)
     yield from audit_outputs(world, station)
+    yield from audit_lifts(world, station)
     yield from audit_retained(world, station)
     yield from audit_late(world, station)
     yield from audit_serials(station)

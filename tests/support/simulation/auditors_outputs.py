@@ -44,7 +44,7 @@ def audit_outputs(world: World, station: Station) -> Iterator[str]:
     """Each output belongs to one press that was judged so, and none comes after its deadline."""
     unused = {REJECT: [one for one in station.seen if one.word != "pass"]}
     unused |= {GATE: [one for one in station.seen if one.word == "pass"]}
-    for one in world.relay.switched:
+    for one in (one for one in world.relay.switched if one.channel in (LAMP, REJECT, GATE)):
         when = f"at {one.told_ns / S:.3f} s"
         if one.channel == LAMP:
             before = [seen.word for seen in station.seen if seen.noted_ns <= one.told_ns]

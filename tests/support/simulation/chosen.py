@@ -49,6 +49,8 @@ class Chosen:
     has_file: bool = False
     """A `jsonl` sink, too."""
     has_shadow: bool = False
+    has_robot: bool = False
+    """It holds each part until the station says that it may be lifted, or its patience ends."""
 
     @classmethod
     def of(cls, rng: random.Random, names: Sequence[str]) -> "Chosen":
@@ -68,4 +70,5 @@ class Chosen:
             rng.choice((512, 512, 512, SMALL_MB)),
             rng.random() < 0.25,
             rng.random() < 0.25,
+            rng.random() < 0.3,
         )

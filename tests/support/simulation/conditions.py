@@ -74,6 +74,8 @@ SOMETIMES = (
     "a file has results",
     "a press was not judged, for nobody asked",
     "a shadow passed what failed",
+    "a robot lifted at the word of the station",
+    "a robot was told nothing, and lifted",
 )
 
 
@@ -99,6 +101,11 @@ def reached_at_end(world: World, station: Station) -> Iterator[str]:
     found["a press was not judged, for nobody asked"] = any(
         not press.is_asked for press in world.hand.presses
     )
+    robots = [
+        press for press in world.hand.presses if world.hand.may_lift and press.way != "brief" and press.end_ns
+    ]
+    found["a robot lifted at the word of the station"] = world.hand.lifted_at_word > 0
+    found["a robot was told nothing, and lifted"] = len(robots) > world.hand.lifted_at_word
     found["a file has results"] = (station.disk.folder / MESSAGES / "messages.jsonl").exists()
     results = [same[0] for broker in world.brokers.values() for same in broker.results.values()]
     found["a shadow passed what failed"] = any(one["shadow"] and one["verdict"] == "fail" for one in results)

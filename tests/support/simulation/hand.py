@@ -2,7 +2,7 @@
 
 import random
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import repeat
@@ -19,6 +19,8 @@ Phase = tuple[float, str]
 FREE: Phase = (0.0, "sound")
 NOT_SETTLED = {"rejected"}
 WAYS = ("steady", "slow", "hesitating", "brief", "long")
+ROBOT_WAITS_S = 2.5
+"""For the word of the station; then it lifts."""
 PATIENCE = 0.9
 """The share of people who wait half a second more for a station that is not ready."""
 
@@ -80,6 +82,10 @@ class Hand:
         self._rng, self._period_s = rng, period_s
         self.presses: list[MadePress] = []
         self.most_presses = 0
+        self.may_lift: Callable[[], bool] | None = None
+        """What a robot looks at; None for a hand."""
+        self.lifted_at_word = 0
+        self._was_off = False
         self._phases: deque[Phase] = deque(repeat(FREE, round(2.2 / period_s)))
 
     @property
@@ -106,11 +112,24 @@ class Hand:
                 self.wait(0.5)
             else:
                 self._begin(now_ns)
-        phase = self._phases.popleft()
-        press = self.press
+        phase, press = self._phases.popleft(), self.press
+        if press and self.may_lift is not None and phase[0] == 1.0 and press.way != "brief":
+            self._hold(press, phase, now_ns)
         if press and phase == FREE:
             press.end_ns = now_ns
         return phase
+
+    def _hold(self, press: MadePress, phase: Phase, now_ns: int) -> None:
+        """A robot holds the part until it may lift it."""
+        assert self.may_lift is not None
+        while self._phases[0] == phase:
+            self._phases.popleft()
+        is_on, was_off = self.may_lift(), self._was_off
+        self._was_off |= not is_on  # a board that is unplugged may stay on
+        if is_on and was_off:
+            self.lifted_at_word += 1
+        elif now_ns - press.begin_ns < ROBOT_WAITS_S * 10**9:
+            self._phases.appendleft(phase)
 
     def wait(self, seconds: float) -> None:
         """Leave the gel free for this long, from the end of the press on."""
@@ -119,6 +138,7 @@ class Hand:
     def _begin(self, now_ns: int) -> None:
         what = self._rng.choices(("sound", "dented", "glaring"), (77, 20, 3))[0]
         way = self._rng.choices(WAYS, (74, 8, 8, 4, 6))[0]
+        self._was_off = False
         self.presses.append(MadePress(len(self.presses), now_ns, what, way))
         self._phases.extend((depth, what) for depth in self._depths(way))
         self._phases.extend(repeat(FREE, self._frames(0.35, 0.75, 4)))

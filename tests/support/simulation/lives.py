@@ -154,6 +154,11 @@ class Station:
         return self.disk.is_full or (self.disk.unsynced is not None and self.disk.unsynced.fails is not None)
 
     @property
+    def is_held_up(self) -> bool:
+        """It gets no time, or each flush of the disk takes its own."""
+        return self.is_frozen or self.is_disk_slow
+
+    @property
     def is_disk_slow(self) -> bool:
         """Each flush takes its time. In this world every thread waits for it, and not one alone."""
         return self.disk.unsynced is not None and self.disk.unsynced.at_sync is not None

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from simulation.surroundings import SimulatedClock
 
 S = 10**9
-LAMP, REJECT, GATE = 1, 2, 3
+LAMP, REJECT, GATE, LIFT, FREE = 1, 2, 3, 4, 5
 DEADLINE_S = 0.5
 """Of both pulses: a part that fails is thrown out, one that passes is let through."""
 
@@ -26,6 +26,8 @@ outputs = [
   {{ channel = {LAMP}, when = ["pass"] }},
   {{ channel = {REJECT}, when = ["fail", "unsure", "rejected", "error"], pulse_ms = 200, deadline_ms = {1000 * DEADLINE_S} }},
   {{ channel = {GATE}, when = ["pass"], pulse_ms = 200, deadline_ms = {1000 * DEADLINE_S} }},
+  {{ channel = {LIFT}, when = ["lift"] }},
+  {{ channel = {FREE}, when = ["free"] }},
 ]
 [[triggers]]
 plugin = "simulated"
@@ -42,18 +44,18 @@ class Switching:
 
 
 class Relay:
-    """A board with three relays. mood: `up`, `unplugged`, `slow` or `stuck`."""
+    """A board with relays. mood: `up`, `unplugged`, `slow` or `stuck`."""
 
     now: ClassVar["Relay"]
     """That of the run that is on."""
     name = "simulated relay"
-    channels = 3
+    channels = FREE
 
     def __init__(self, clock: "SimulatedClock", is_dead: Callable[[], bool], rng: random.Random) -> None:
         self._clock, self._is_dead, self._rng = clock, is_dead, rng
         self.mood = "up"
         self.well_since_ns = 0
-        self.is_on = {LAMP: False, REJECT: False, GATE: False}
+        self.is_on = dict.fromkeys((LAMP, REJECT, GATE, LIFT, FREE), False)
         self.switched: list[Switching] = []
 
     def mend(self) -> None:

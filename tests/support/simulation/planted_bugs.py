@@ -188,4 +188,18 @@ BUGS = (
         '        self.__dict__.setdefault("all", []).append(self._ahead[-1])\n        return self._ahead[-1][2]\n',
         "are in memory",
     ),
+    Bug(
+        "the contact stays when nothing is seen",
+        "edge/features/contact_state.py",
+        "        if self._clock.monotonic_ns() - self._seen_ns > GAP_S * 1e9:\n",
+        "        if False:\n",
+        "nothing is seen .*(lift|free) is shown",
+    ),
+    Bug(
+        "the next press may be lifted with the word of the last",
+        "edge/core/contact_state.py",
+        "        if isinstance(event, PressBegan | PressEnded):\n            self.press_id",
+        "        if False:\n            self.press_id",
+        "lift was shown .* not recorded yet",
+    ),
 )

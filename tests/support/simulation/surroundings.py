@@ -18,7 +18,7 @@ from simulation.bundles import PARTS
 from simulation.chosen import Chosen
 from simulation.connections import Connections
 from simulation.hand import MadePress
-from simulation.outputs import Pedal, Relay
+from simulation.outputs import LIFT, Pedal, Relay
 from simulation.sensor import SERIAL, S, Sensor
 
 
@@ -96,6 +96,8 @@ class World:
         self.parts = Selected(PARTS[0], self.noticed_s)
         self.gels = Selected(f"{SERIAL}-1", self.noticed_s)
         self.relay = Relay.now = Relay(self.clock, lambda: self.is_dead(), random.Random(f"{seed} relay"))
+        if chosen.has_robot:
+            self.hand.may_lift = lambda: self.relay.is_on[LIFT]
         self.may_lack_files = False
         """The power was lost, or the disk was full, so the archive may lack presses."""
         self.new_gel_ns = -S
