@@ -198,8 +198,8 @@ BY_OTHERS = (
     Bug(
         "a new gel is not chained",
         "edge/store/gel_ledger.py",
-        "    ledger_chain.append_gels(connection, serial)\n\n\ndef add_presses",
-        "\n\ndef add_presses",
+        "    ledger_chain.append_gels(connection, serial)\n\n\ndef _find_known",
+        "\n\ndef _find_known",
         "has no link",
     ),
 )
