@@ -315,7 +315,10 @@ def test_a_shift_at_the_page(changing: Any, running: tuple[StationLoop, int]) ->
     changing.fill("#use-by", "2001-01-31")
     changing.fill("#note", "batch 7")
     changing.click("#sure")
-    said(changing, "is past its use-by date 2001-01-31: mount another one. Leave it free until the station is ready.")
+    said(
+        changing,
+        "is past its use-by date 2001-01-31: mount another one. Leave it free until the station is ready.",
+    )
     wait_until(changing, "document.getElementById('gel').textContent.includes('of 700 presses')")
     assert "serial G7, use by 2001-01-31" in changing.inner_text("#gel")
 
