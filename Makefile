@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release clean
+.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs docs-site bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -107,6 +107,10 @@ lint: $(VENV)/.test
 # Pages that are printed from the program; the tests compare them.
 docs: $(VENV)/.test
 	$(BIN)/python docs/generate.py
+
+# The same pages as a site with search, in build/site.
+docs-site: $(VENV)/.test
+	$(BIN)/gelgate station docs --site build/site
 
 # Predicted against measured a90 on simulated parts; the figures of docs/studies.md.
 detectability: $(VENV)/.test

@@ -19,6 +19,7 @@ _PACKAGES = {
     "oak": ("depthai",),
     "validate": ("jsonschema",),
     "datamatrix": ("zxingcpp",),
+    "docs": ("zensical",),
 }
 
 

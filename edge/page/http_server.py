@@ -34,13 +34,14 @@ TEXT: Final = "text/plain; charset=utf-8"
 
 _LENGTH: Final = re.compile(r"[0-9]{1,40}")
 
+_POLICY: Final = (
+    "default-src 'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
 _HEADERS: Final = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; "
-    "frame-ancestors 'none'",
 }
 
 
@@ -204,12 +205,12 @@ class HttpHandler(BaseHTTPRequestHandler):
         """Answer with one line of text."""
         self.answer(status, TEXT, f"{sentence}\n".encode())
 
-    def answer(self, status: int, content_type: str, content: bytes) -> None:
+    def answer(self, status: int, content_type: str, content: bytes, policy: str = _POLICY) -> None:
         """Answer with the headers that forbid what no page needs."""
         self.send_response(status)
         self.send_header("Content-Type", content_type)
         self.send_header("Content-Length", str(len(content)))
-        for name, value in _HEADERS.items():
+        for name, value in {**_HEADERS, "Content-Security-Policy": policy}.items():
             self.send_header(name, value)
         if self.close_connection:
             self.send_header("Connection", "close")

@@ -6,6 +6,7 @@
     /state.json, /info.json, /gel.json, /reference.json, /piece.json, /questions.json, /drift.json, /stats.json,
     /alarms.json                 one of them
     /presses.json                the newest results, newest first
+    /manual/                     the manual, where the settings name its folder
     /pictures/<press id>         JPEG or PNG, as the station draws it
     POST /requests/<verb>        a request as on `cmd/<verb>`, with `Authorization: Bearer <token>`
 
@@ -14,6 +15,7 @@ A status other than 200 says that the request was not admitted; how an admitted 
 
 import json
 from importlib.resources import files
+from pathlib import Path
 from typing import Any, ClassVar, Final
 from urllib.parse import parse_qs, urlsplit
 
@@ -22,6 +24,7 @@ from edge.core.ports import Clock
 from edge.core.sink_context import PageRequests
 from edge.page.changes import READ_ONLY, Changes, is_verb
 from edge.page.http_server import HttpHandler, HttpServer
+from edge.page.manual import find_file
 from edge.page.settings import PageSettings
 from edge.page.shown import Shown
 
@@ -62,7 +65,7 @@ class PageServer:
         class Handler(_Handler):
             pass
 
-        Handler.shown, Handler.access = shown, settings.access()
+        Handler.shown, Handler.access, Handler.manual = shown, settings.access(), settings.manual
         Handler.changes = Changes(station, settings.token(), clock, why_not)
         try:
             self._server = HttpServer((bind, port), Handler, clock)
@@ -82,6 +85,7 @@ class PageServer:
 class _Handler(HttpHandler):
     shown: ClassVar[Shown]
     changes: ClassVar[Changes]
+    manual: ClassVar[Path | None]
 
     def do_GET(self) -> None:
         path, query = urlsplit(self.path).path, urlsplit(self.path).query
@@ -97,6 +101,8 @@ class _Handler(HttpHandler):
             self._json(self.shown.presses())
         elif path == f"/{part}.json" and part in _PARTS:
             self._json(self.shown.station()[part])
+        elif path.startswith("/manual/"):
+            self._manual(path.removeprefix("/manual/"))
         else:
             self._picture(path)
 
@@ -120,7 +126,15 @@ class _Handler(HttpHandler):
         self._json({**self._station(), "presses": self.shown.presses()})
 
     def _station(self) -> dict[str, Any]:
-        return {**self.shown.station(), "changes": self.changes.offer()}
+        has_manual = self.manual is not None and (self.manual / "index.html").is_file()
+        return {**self.shown.station(), "changes": self.changes.offer(), "has_manual": has_manual}
+
+    def _manual(self, path: str) -> None:
+        found = None if self.manual is None else find_file(self.manual, path)
+        if found is None:
+            self.say(404, "there is no such page")
+        else:
+            self.answer(200, found.content_type, found.content, found.policy)
 
     def _picture(self, path: str) -> None:
         press_id = path.removeprefix("/pictures/")

@@ -66,6 +66,11 @@ class PageSettings(BaseModel):
         description="name of the environment variable that holds the token, instead of a file",
     )
 
+    manual: Path | None = Field(
+        default=None,
+        description="folder of the manual, made by `gelgate station docs --site`; the page links to it",
+    )
+
     @model_validator(mode="after")
     def _can_work(self) -> Self:
         is_open = not ip_address(self.bind).is_loopback
@@ -103,14 +108,10 @@ class PageSettings(BaseModel):
 
     def warnings(self) -> list[str]:
         """Say what is open to others. Errors: ConfigError for a token that cannot be used."""
-        has_token = self.token() is not None
-        if ip_address(self.bind).is_loopback:
-            return []
-        return [
-            "the page is not encrypted on the network"
-            + (
-                ": its token can be read on the way; set bind to 127.0.0.1 behind a proxy with TLS"
-                if has_token
-                else ""
-            )
-        ]
+        has_token, said = self.token() is not None, []
+        if self.manual is not None and not (self.manual / "index.html").is_file():
+            said.append(f"no manual is in {self.manual}; `gelgate station docs --site` makes it")
+        if not ip_address(self.bind).is_loopback:
+            way = ": its token can be read on the way; set bind to 127.0.0.1 behind a proxy with TLS"
+            said.append("the page is not encrypted on the network" + (way if has_token else ""))
+        return said

@@ -129,6 +129,7 @@ function showStation(station) {
     stats.reconnects > 0 && `${stats.reconnects} reconnects`].filter(Boolean).join(", ") || "not known yet");
   const receivers = Object.entries(stats.receivers || {});
   draw("receivers", receivers, () => receivers.map(([name, said]) => element("li", `${name}: ${said}`)));
+  at("manual").hidden = !station.has_manual;
   const why = station.changes.why_not;
   put("why-not", why || (key ? "Unlocked. It locks itself after five minutes." : "Locked. With the token you select the part, acknowledge alarms and record a new gel."));
   at("unlock").hidden = Boolean(why) || key !== null;
