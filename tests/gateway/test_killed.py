@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from station import JSONL, Motion, press_recording, station_config
+from station import JSONL, Motion, press_recording, station_config, two_parts
 from stepped_station import SteppedStation
 
 from edge.store.history import HistoryQuery, read_history
+from edge.store.integrity import check_database
 from edge.store.press_store import Store
 
 WRITES = ("INSERT", "UPDATE", "DELETE", "COMMIT")
@@ -57,13 +58,13 @@ class Kills:
             self.folders.append(folder)
 
 
-def live(config: Path, kills: Kills | None = None) -> None:
-    """Play the recording to its end, and publish."""
+def live(config: Path, kills: Kills | None = None, part: str = "PZ0") -> None:
+    """Play the recording to its end, and publish. part: kills come from its first press on."""
     with SteppedStation(config) as station:
         while not station.has_ended:
             station.play(1)
             if kills is not None and station.loop.is_pressed:
-                kills.is_armed = True
+                kills.is_armed |= station.parts.selection.part.part == part
             station.publish()
 
 
@@ -99,3 +100,54 @@ def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(
         recorded.append(len(seen))
     assert recorded == sorted(recorded)
     assert set(recorded) == {1, 2}, "killed before its row, and after"
+
+
+PLAN = """
+[piece]
+order = "fixed"
+places = [{ part = "PZ0", position = "pos1" }, { part = "PZ1", position = "pos1" }]
+"""
+
+
+def test_a_piece_that_is_killed_at_its_last_press_ends_exactly_once(
+    tmp_path: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed before each write of its second press: it is over before, or goes on where it was, and the next one is
+    another piece."""
+    recording = press_recording(tmp_path / "presses", 2, motion=Motion(free=28, hold=8))
+    bundles = two_parts(tmp_path / "bundles", bundle)
+
+    def config(folder: Path) -> Path:
+        return station_config(
+            folder, recording, bundles, sinks=f'{JSONL % (folder / "out")}\nname = "line"', tables=PLAN
+        )
+
+    first = config(tmp_path / "station")
+    kills = Kills(first.parent, tmp_path / "killed")
+    with monkeypatch.context() as patched:
+        patched.setattr(sqlite3, "connect", kills.connect)
+        patched.setattr(Path, "open", lambda path, *given, **options: kills.open(path, *given, **options))
+        live(first, kills, part="PZ1")
+    assert len(kills.folders) == KILLS
+
+    ended = []
+    for folder in kills.folders:
+        live(config(folder))
+        said = map(json.loads, (folder / "out/messages.jsonl").read_text().splitlines())
+        results = {
+            line["payload"]["piece_id"]: line["payload"] for line in said if line["topic"] == "piece_result"
+        }
+        with Store(folder / "gelgate.db") as store:
+            rows = store.read(
+                "reading", lambda it: it.execute("SELECT piece_id, verdict FROM pieces").fetchall()
+            )
+        assert {piece_id: one["verdict"] for piece_id, one in results.items()} == {
+            piece_id: verdict for piece_id, verdict in rows if verdict is not None
+        }
+        assert check_database(folder / "gelgate.db") == []
+        ended.append([verdict for _, verdict in rows])
+    assert ended[0] == ["pass", None], (
+        "its second press was lost, and the first of the next life completed it"
+    )
+    assert ended[-1] == ["pass", "pass"], "it was over, and the next life made another one"
+    assert {str(verdicts) for verdicts in ended} == {str(ended[0]), str(ended[-1])}

@@ -14,7 +14,10 @@ from edge.clock import SystemClock
 from edge.config import load_config
 from edge.core.errors import ConfigError
 from edge.core.part_position import PartPosition
+from edge.core.press import Press, ReferenceLabel
 from edge.features.outputs.stage import Outputs
+from edge.features.overview import Overview
+from edge.features.piece import Pieces
 from edge.gateway.preflight import preflight
 from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import check_database
@@ -394,3 +397,53 @@ def test_a_piece_that_is_changed_afterwards_is_found(configure: Make) -> None:
         station.parts.store.write("t", lambda it: it.execute("UPDATE pieces SET verdict = 'pass'"))
 
     assert "piece 1 was changed after it was written" in check_database(path)[0].text
+
+
+OVERVIEW = """
+[overview]
+plugin = "virtual_overview"
+codes = ["qr"]
+part_pattern = "(?P<part>[^;]+);(?P<piece>.+)"
+options = { parts = %s }
+"""
+
+
+def test_the_code_on_a_piece_begins_it_and_ends_the_one_before(configure: Make) -> None:
+    """Also where the next piece comes in the middle: its press is not taken for the place of the other one."""
+    codes = ["PZ0;1", "PZ0;1", "PZ0;2", "PZ0;2", "PZ0;2", "PZ0;2", "PZ0;1"]
+    tables = plan().replace(BEGUN, "") + OVERVIEW % codes
+    with PieceStation(configure(tables, presses=7)) as station:
+        while not station.has_ended:
+            station.find(Overview).camera.step()
+            station.play(1)
+        ended = station.ended()
+
+    assert [(one["piece_id"], one["verdict"], one["ended_by"]) for one in ended] == [
+        ("1", "incomplete", "next piece"),
+        ("2", "pass", "complete"),
+    ]
+    assert [result.piece_id for result in station.results] == ["1", "1", "2", "2", "2", "2", None]
+    assert station.words[2] == (None, "rejected")
+    assert "the piece 1 is over (incomplete); an id is used once" in str(station.results[-1].reason)
+
+
+def test_a_master_piece_is_of_no_piece(configure: Make) -> None:
+    """It is pressed in the middle of one, at any place."""
+    with PieceStation(configure(plan())) as station:
+        station.ask("begin_piece", piece_id="P1")
+        press = Press(label=ReferenceLabel("M1", "pass", 20))
+        assert station.find(Pieces).admit(press) is press
+
+
+def test_a_station_without_a_plan_says_nothing_of_the_piece_that_an_earlier_plan_began(
+    configure: Make,
+) -> None:
+    """The retained message is taken away; with the plan again the piece goes on."""
+    with PieceStation(configure(plan())) as station:
+        station.ask("begin_piece", piece_id="P1")
+    with PieceStation(configure("")) as station:
+        assert station.said("piece") is None
+        with pytest.raises(ValueError, match="'begin_piece' is off now: it is not configured"):
+            station.ask("begin_piece")
+    with PieceStation(configure(plan())) as station:
+        assert station.said("piece")["piece_id"] == "P1"
