@@ -22,8 +22,10 @@ from edge import registry
 from edge.cli import EXIT_MEANINGS, exit_code, place
 from edge.config import Config
 from edge.core import errors
+from edge.core.handshake import CODES
 from edge.gateway.command_table import every_command
 from edge.messaging.topic_reference import reference
+from plugins.handshakes import registers
 
 FOLDER: Final = Path(__file__).parent
 NOTICE: Final = "<!-- Printed from the program by `make docs`; change the program, not this page. -->\n"
@@ -162,6 +164,7 @@ _PLUGIN_TABLES: Final[dict[registry.PluginGroup, str]] = {
     "sinks": "sinks",
     "triggers": "triggers",
     "actuators": "actuators",
+    "handshakes": "handshake",
 }
 
 
@@ -199,6 +202,7 @@ _OWN_TABLES: Final = {
     "[[triggers]]": "TriggerTable",
     "[[actuators]]": "ActuatorTable",
     "[[actuators.outputs]]": "OutputTable",
+    "[handshake]": "HandshakeTable",
 }
 
 
@@ -390,6 +394,42 @@ def tree() -> Iterator[tuple[type[errors.GelgateError], str, str]]:
         yield getattr(errors, name), whose, _cell(following)
 
 
+# The registers of a PLC
+
+
+def plc_page() -> str:
+    """The page as it is, with the tables of its map printed again."""
+    start, end = "<!-- printed from plugins/handshakes/registers.py -->\n", "<!-- end -->\n"
+    before, _, rest = (FOLDER / "plc.md").read_text(encoding="utf-8").partition(start)
+    return before + start + "\n".join(_registers()) + "\n" + end + rest.partition(end)[2]
+
+
+def _registers() -> Iterator[str]:
+    heading = "| address | name | meaning |\n| --- | --- | --- |"
+    yield f"\n**Coils** (functions 1, 5, 15), which the PLC writes:\n\n{heading}"
+    yield from (_row(str(n), name, about) for n, (name, about) in enumerate(registers.COILS))
+    yield f"\n**Discrete inputs** (function 2):\n\n{heading}"
+    yield from (_row(str(n), name, about) for n, (name, about, _) in enumerate(registers.STATUS_BITS))
+    yield f"\n**Input registers** (function 4):\n\n{heading}"
+    yield from _places((one.name, one.count, one.meaning) for one in registers.INPUTS)
+    yield "\n**Holding registers** (functions 3, 6, 16), which the PLC writes; a trigger takes them as they are then:"
+    yield f"\n{heading}"
+    yield from _places((name, count, about) for name, (count, about) in registers.HOLDING.items())
+    yield "\n**Codes** of an error and of a refusal:\n\n| code | meaning |\n| --- | --- |"
+    yield from (_row(str(int(code)), meaning) for code, meaning in CODES.items())
+    yield "\n**Alarm word**; [operations.md](operations.md#alarms) has every alarm:\n\n| bit | alarms |\n| --- | --- |"
+    alarms = [", ".join(f"`{one}`" for one in names) for names in registers.ALARM_BITS]
+    yield from (_row(str(bit), names) for bit, names in enumerate([*alarms, "every other one"]))
+    yield ""
+
+
+def _places(rows: Iterable[tuple[str, int, str]]) -> Iterator[str]:
+    start = 0
+    for name, count, about in rows:
+        yield _row(str(start) if count == 1 else f"{start} to {start + count - 1}", name, about)
+        start += count
+
+
 # Writing
 
 
@@ -412,6 +452,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "errors.md": errors_page,
     "parameters.md": parameters_page,
     "mqtt.md": lambda: reference(every_command()),
+    "plc.md": plc_page,
 }
 
 if __name__ == "__main__":

@@ -19,7 +19,14 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
     from edge.core.detector import Detector
-    from edge.core.plugins import ActuatorPlugin, Backbone, DevicePlugin, SinkPlugin, TriggerPlugin
+    from edge.core.plugins import (
+        ActuatorPlugin,
+        Backbone,
+        DevicePlugin,
+        HandshakePlugin,
+        SinkPlugin,
+        TriggerPlugin,
+    )
 
 __all__ = [
     "Group",
@@ -32,6 +39,7 @@ __all__ = [
     "device",
     "feature",
     "foreign",
+    "handshake",
     "hidden_package",
     "importer",
     "names",
@@ -47,6 +55,7 @@ Group: TypeAlias = Literal[
     "sinks",
     "triggers",
     "actuators",
+    "handshakes",
     "detectors",
     "backbones",
     "importers",
@@ -55,7 +64,7 @@ Group: TypeAlias = Literal[
 ]
 """The last part of an entry point group's name, `gelgate.<group>`."""
 
-PluginGroup: TypeAlias = Literal["devices", "overviews", "sinks", "triggers", "actuators"]
+PluginGroup: TypeAlias = Literal["devices", "overviews", "sinks", "triggers", "actuators", "handshakes"]
 """The groups with a table in the configuration."""
 
 Verb: TypeAlias = "typer.Typer | Callable[..., None]"
@@ -112,6 +121,7 @@ def _protocol(group: Group) -> type:
         "sinks": plugins.SinkPlugin,
         "triggers": plugins.TriggerPlugin,
         "actuators": plugins.ActuatorPlugin,
+        "handshakes": plugins.HandshakePlugin,
         "detectors": Detector,
         "backbones": plugins.Backbone,
     }[group]
@@ -171,6 +181,7 @@ overview: "Callable[[str], DevicePlugin[BaseModel]]" = partial(_plugin, "overvie
 sink: "Callable[[str], SinkPlugin[BaseModel]]" = partial(_plugin, "sinks")
 trigger: "Callable[[str], TriggerPlugin[BaseModel]]" = partial(_plugin, "triggers")
 actuator: "Callable[[str], ActuatorPlugin[BaseModel]]" = partial(_plugin, "actuators")
+handshake: "Callable[[str], HandshakePlugin[BaseModel]]" = partial(_plugin, "handshakes")
 detector: "Callable[[str], Detector]" = partial(_plugin, "detectors")
 backbone: "Callable[[str], Backbone]" = partial(_plugin, "backbones")
 importer: Callable[[str], object] = partial(_load, "importers")

@@ -5,7 +5,7 @@ Paths are relative to the file. Plugin options are validated by the plugin's own
 
 from edge.config.loading import load_config, root_options, sink_names
 from edge.config.overview_table import OverviewTable
-from edge.config.plugin_tables import ActuatorTable, PluginTable, TriggerTable
+from edge.config.plugin_tables import ActuatorTable, HandshakeTable, PluginTable, TriggerTable
 from edge.config.tables import BundleTable, Config, ContactTable, InspectionTable
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "BundleTable",
     "Config",
     "ContactTable",
+    "HandshakeTable",
     "InspectionTable",
     "OverviewTable",
     "PluginTable",

@@ -107,6 +107,7 @@ _KINDS: Final[Mapping[str, registry.PluginGroup]] = {
     "sinks": "sinks",
     "triggers": "triggers",
     "actuators": "actuators",
+    "handshake": "handshakes",
 }
 
 

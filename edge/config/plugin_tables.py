@@ -1,4 +1,4 @@
-"""The tables of a configuration that name a plugin: device, sinks, triggers and actuators."""
+"""The tables of a configuration that name a plugin: device, sinks, triggers, actuators and handshake."""
 
 from typing import Annotated, Any, Literal
 
@@ -6,7 +6,16 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_vali
 
 from edge.core.digital_io import Condition, OutputRule
 
-__all__ = ["ActuatorTable", "OutputTable", "PlainText", "PluginTable", "SinkTable", "Table", "TriggerTable"]
+__all__ = [
+    "ActuatorTable",
+    "HandshakeTable",
+    "OutputTable",
+    "PlainText",
+    "PluginTable",
+    "SinkTable",
+    "Table",
+    "TriggerTable",
+]
 
 
 class Table(BaseModel):
@@ -122,3 +131,22 @@ class ActuatorTable(PluginTable):
                     f"channel {channel} gives a pulse, so it has one output alone; use another channel"
                 )
         return self
+
+
+class HandshakeTable(PluginTable):
+    """The handshake with a PLC: a trigger with an id, and the verdict of the press that answers it. See plc.md. A
+    station has one sensor, so one."""
+
+    timeout_s: float = Field(
+        default=10,
+        ge=0.1,
+        le=3600,
+        description="a trigger that no press answered within this time is done as an error, which is no pass",
+    )
+    watchdog_s: float | None = Field(
+        default=None,
+        ge=0.1,
+        le=60,
+        description="the PLC changes its watchdog at least this often; else its triggers are refused, no pass is "
+        "shown, and the alarm `plc` is raised. None: it is not watched",
+    )

@@ -9,7 +9,15 @@ from pydantic import AfterValidator, Field, model_validator
 
 from edge.config.overview_table import OverviewTable
 from edge.config.piece_table import PieceTable
-from edge.config.plugin_tables import ActuatorTable, PlainText, PluginTable, SinkTable, Table, TriggerTable
+from edge.config.plugin_tables import (
+    ActuatorTable,
+    HandshakeTable,
+    PlainText,
+    PluginTable,
+    SinkTable,
+    Table,
+    TriggerTable,
+)
 from edge.config.reference_table import ReferenceTable
 from edge.config.request_tables import CommandTable, ConfirmTable, MetricsTable
 from edge.core.contact.settings import ContactSettings
@@ -317,6 +325,7 @@ class Config(Table):
     actuators: list[ActuatorTable] = Field(
         default_factory=list, description="lights and relays; one table each"
     )
+    handshake: HandshakeTable | None = Field(default=None, description="a server for a PLC")
 
     @property
     def keeps_heatmap(self) -> bool:
@@ -342,6 +351,7 @@ class Config(Table):
             "drift": True,
             "piece": True,
             "outputs": bool(self.triggers or self.actuators),
+            "handshake": self.handshake is not None,
             "black_box": self.archive.presses > 0,
             "snapshots": "snapshot" in served,
             "person_verdicts": True,

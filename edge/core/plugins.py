@@ -7,6 +7,7 @@ An entry point is always `package.module:value`, and the value is an object that
     gelgate.sinks      SinkPlugin
     gelgate.triggers   TriggerPlugin
     gelgate.actuators  ActuatorPlugin
+    gelgate.handshakes HandshakePlugin
     gelgate.detectors  Detector, in edge.core.detector
     gelgate.backbones  Backbone
     gelgate.features   a class of PressStage, in edge.press_stage
@@ -19,6 +20,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol, TypeVar, runtime_checkable
 
 from edge.core.digital_io import Actuator, DiscoveredPort, Trigger
+from edge.core.handshake import HandshakeServer
 from edge.core.ports import Clock, Device, DiscoveredDevice, Sink
 from edge.core.sink_context import Station
 
@@ -29,6 +31,7 @@ __all__ = [
     "ActuatorPlugin",
     "Backbone",
     "DevicePlugin",
+    "HandshakePlugin",
     "HasAddress",
     "HasFacts",
     "HasIdentity",
@@ -155,6 +158,18 @@ class ActuatorPlugin(Protocol[OptionsT]):
     def open(self, options: OptionsT, clock: Clock) -> Actuator:
         """The device selected by the options; its outputs stay as they are. Errors: DeviceNotFound, DeviceBusy,
         DeviceLost."""
+
+
+@runtime_checkable
+class HandshakePlugin(Protocol[OptionsT]):
+    """Serves the handshake to a PLC, in one protocol."""
+
+    @property
+    def Options(self) -> type[OptionsT]: ...
+
+    def open(self, options: OptionsT, clock: Clock) -> HandshakeServer:
+        """Take the port; nothing is served before `start`. Errors: ConfigError for a port that cannot be taken, and for
+        a package that is not installed."""
 
 
 @runtime_checkable

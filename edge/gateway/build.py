@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
+from typing import Final
 
 from edge import registry
 from edge.acquisition import Acquisition
@@ -43,6 +44,9 @@ from edge.store.press_store import Store
 __all__ = ["open_station"]
 
 log = logging.getLogger(__name__)
+
+# They close before all other stages: no light, and no PLC, waits for what those have to finish.
+_FIRST_CLOSED: Final = frozenset({"handshake", "outputs"})
 
 
 @contextmanager
@@ -120,8 +124,8 @@ def _build(
     )
     by_name = _open_stages(stage_parts, stages, closing)
     closing.callback(status.stopped)
-    if "outputs" in by_name:  # they close before all others: no light waits for what those have to finish
-        closing.callback(by_name["outputs"].close)
+    for name in _FIRST_CLOSED & by_name.keys():
+        closing.callback(by_name[name].close)
     opened = list(by_name.values())
     return Parts(
         config, opened, selection, store, publisher, status, acquisition, pictures, free_space, calls, clock

@@ -247,6 +247,12 @@ class ResultPayload(Payload):
     place: str | None = Field(
         default=None, description="the place of the piece, part/position; null for a press that fills none"
     )
+    trigger_id: int | None = Field(
+        default=None,
+        ge=1,
+        description="of the PLC's trigger that this press answered; the PLC has seen a pass only where it was recorded "
+        "in time; null for none",
+    )
     ledger_head: str | None = Field(
         default=None,
         description="the newest link of the ledger, with this press: `gelgate db check` compares it with the ledger",

@@ -145,7 +145,7 @@ def test_a_file_that_is_not_text_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_tables_in_the_examples_comments_are_sound(tmp_path: Path) -> None:
-    """Without their `# `, a pedal and a relay board with four outputs; its reject gate lets nothing through."""
+    """Without their `# `, a pedal, a relay board with four outputs, and a PLC; its reject gate lets nothing through."""
     before, _, commented = example().partition("# A pedal, and")
     tables = "\n".join(line.removeprefix("#").removeprefix(" ") for line in commented.splitlines()[1:])
     (tmp_path / "gelgate.toml").write_text(before + tables, encoding="utf-8")
@@ -154,3 +154,5 @@ def test_the_tables_in_the_examples_comments_are_sound(tmp_path: Path) -> None:
     assert [trigger.action for trigger in config.triggers] == ["acknowledge"]
     assert [output.channel for output in config.actuators[0].outputs] == [1, 2, 2, 3]
     assert config.actuators[0].outputs[3].rule().when == set(VERDICTS) - {"pass"}
+    assert config.handshake is not None
+    assert config.handshake.plugin == "modbus"

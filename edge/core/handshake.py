@@ -1,0 +1,339 @@
+"""The handshake of a station with a PLC: which press answers which trigger, and what the PLC sees of it.
+
+A PLC gives a trigger with an id; the station is busy until one press has answered it, then done with a result that
+stays until it is acknowledged. What cannot be judged in time is done, too, as an error: never as a pass.
+"""
+
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from typing import Final, Literal, Protocol, final, runtime_checkable
+
+from edge.core.digital_io import StationView
+
+__all__ = [
+    "CODES",
+    "LONGEST_TEXT",
+    "LOOP_S",
+    "Code",
+    "Handshake",
+    "HandshakeMachine",
+    "HandshakeServer",
+    "HandshakeStep",
+    "HandshakeView",
+    "Refusal",
+    "Trigger",
+    "check_trigger",
+]
+
+# Without a sign of life for this time the loop hangs, and judges nothing.
+LOOP_S: Final = 5.0
+# The longest piece id and name of a part, in characters.
+LONGEST_TEXT: Final = 32
+_LARGEST_ID: Final = 2**32 - 1
+
+HandshakeStep = Literal["idle", "busy", "done"]
+
+
+class Code(IntEnum):
+    """Why a trigger is refused, or a result is an error. The numbers are part of the register map."""
+
+    NONE = 0
+    BUSY = 1
+    NOT_ACKNOWLEDGED = 2
+    ID_TWICE = 3
+    BAD_VALUE = 4
+    NOT_READY = 5
+    UNKNOWN_PART = 6
+    NO_BEAT = 7
+    TIMED_OUT = 8
+    HALTED = 9
+    NOTHING_PRESSED = 10
+    OTHER_PART = 11
+    NOT_JUDGED = 12
+
+
+CODES: Final = {
+    Code.NONE: "nothing is refused, and no result is an error",
+    Code.BUSY: "a trigger while busy",
+    Code.NOT_ACKNOWLEDGED: "a trigger before the last result was acknowledged",
+    Code.ID_TWICE: "a trigger with the id of the one before",
+    Code.BAD_VALUE: "a trigger with the id 0, or a text that is not printable ASCII",
+    Code.NOT_READY: "a trigger while the station does not inspect",
+    Code.UNKNOWN_PART: "a trigger that names a part without a bundle, or with several positions",
+    Code.NO_BEAT: "the PLC's watchdog stands still: a trigger is refused, a result is an error",
+    Code.TIMED_OUT: "no press was judged and recorded in time",
+    Code.HALTED: "the station stopped inspecting before the result was acknowledged",
+    Code.NOTHING_PRESSED: "nothing pressed the gel, or its press had its verdict before the trigger",
+    Code.OTHER_PART: "the press was judged by the bundle of another part",
+    Code.NOT_JUDGED: "the press could not be judged, or ended without a verdict",
+}
+"""What each code means, for the manual."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a trigger is not taken."""
+
+    code: Code
+    sentence: str
+    """The thing, what was found, and what to do."""
+
+
+@dataclass(frozen=True)
+class Trigger:
+    """What a PLC asks for."""
+
+    trigger_id: int
+    piece: str = ""
+    """The id of the piece; empty for none."""
+    part: str = ""
+    """A name of the part to inspect; empty for the one that is selected."""
+
+
+@dataclass(frozen=True)
+class HandshakeView:
+    """All that a PLC sees, at one moment."""
+
+    step: HandshakeStep = "idle"
+    is_ready: bool = False
+    """A trigger would be taken now."""
+    trigger_id: int = 0
+    """Of the trigger that is busy or done; 0 while idle."""
+    word: str | None = None
+    """The result: pass, fail, unsure, rejected or error; None until it is done."""
+    code: Code = Code.NONE
+    """Why the result is an error."""
+    refused: Code = Code.NONE
+    """Why the newest trigger was refused; none since one was taken."""
+    score_ratio: float | None = None
+    """Score / threshold of the press; above 1 fails."""
+    piece: str = ""
+    """The id of its piece; empty for none."""
+    press_id: str = ""
+    """The press that answered; empty where none did."""
+    gel_left_percent: int = 0
+    """Presses that the gel has left, of those it is allowed."""
+    station: StationView = field(default_factory=StationView)
+
+    @property
+    def is_pass(self) -> bool:
+        """True for a result that is a pass, and for nothing else."""
+        return self.step == "done" and self.word == "pass"
+
+
+@runtime_checkable
+class Handshake(Protocol):
+    """What a server asks of the station. Any thread may use it; each call returns at once."""
+
+    def read(self) -> HandshakeView:
+        """Return what a PLC sees now, one moment of all values."""
+
+    def trigger(self, trigger: Trigger) -> Refusal | None:
+        """Begin a handshake, or return why not; the refusal is recorded."""
+
+    def acknowledge(self) -> None:
+        """End the handshake: a result was read, or is not wanted any more."""
+
+    def beat(self) -> None:
+        """Take a sign of life of the PLC."""
+
+    def refuse(self, what: str, sentence: str) -> None:
+        """Record what the server itself refuses. what: was asked for, as `read`, `write` or `trigger`."""
+
+
+@runtime_checkable
+class HandshakeServer(Protocol):
+    """A server for a PLC, with its port taken and not yet serving."""
+
+    @property
+    def name(self) -> str:
+        """Such as `Modbus TCP at 192.168.0.5:502`."""
+
+    def start(self, handshake: Handshake) -> None:
+        """Serve in the background until `close`."""
+
+    def close(self) -> None:
+        """Free the port, and end every connection. May be called again, and without `start`."""
+
+
+def check_trigger(trigger: Trigger) -> Refusal | None:
+    """Return why a trigger can never be taken, None where it can."""
+    if not 1 <= trigger.trigger_id <= _LARGEST_ID:
+        return Refusal(
+            Code.BAD_VALUE,
+            f"the trigger id is {trigger.trigger_id}, expected 1 to {_LARGEST_ID}; count up with every piece",
+        )
+    for what, text in (("piece id", trigger.piece), ("part", trigger.part)):
+        if not (text.isascii() and (text.isprintable() or not text) and len(text) <= LONGEST_TEXT):
+            return Refusal(
+                Code.BAD_VALUE,
+                f"the {what} {text!r:.60} is not up to {LONGEST_TEXT} printable ASCII characters; correct the PLC",
+            )
+    return None
+
+
+@final
+class HandshakeMachine:
+    """One handshake after another, without a clock. Times are monotonic nanoseconds.
+
+    timeout_ns: from the trigger to the recorded press. watchdog_ns: between two beats of the PLC at most; None where it
+    gives none. is_command: a trigger asks for the verdict of the press that is held, not of the next one.
+
+    The loop tells of presses: `look` for each frame; `begin`, `judge` and `record` for each press of a part; `show`
+    with each turn. The PLC asks: `read`, `trigger`, `acknowledge`, `beat`.
+    """
+
+    def __init__(self, timeout_ns: int, watchdog_ns: int | None, now_ns: int, *, is_command: bool) -> None:
+        self._timeout_ns, self._watchdog_ns, self._is_command = timeout_ns, watchdog_ns, is_command
+        self._view = HandshakeView()
+        self._shown_ns = now_ns
+        self._beat_ns, self._has_beaten = now_ns, False
+        self._last_id = 0
+        self._trigger_ns = 0
+        self._part: str | None = None
+        self._is_touched = True  # until the gel is seen free
+        self._needs_free = True  # before a press can be the answer
+        self._is_pressed = False  # by the press that answers
+        self._awaited: str | None = None  # the press that passes when it is recorded
+
+    def read(self, now_ns: int) -> HandshakeView:
+        """Return what a PLC sees now. Time alone ends what takes too long, also where the loop hangs."""
+        fault = self._fault(now_ns)
+        if self._view.step == "busy" and fault is None and now_ns - self._trigger_ns >= self._timeout_ns:
+            fault = Code.TIMED_OUT
+        if fault is not None and (self._view.step == "busy" or self._view.is_pass):
+            self._finish("error", fault)
+        is_ready = self._view.step == "idle" and self._fault(now_ns) is None
+        return replace(self._view, is_ready=is_ready)
+
+    def has_beat(self, now_ns: int) -> bool:
+        """Tell whether the PLC lives; False where its watchdog stands still."""
+        return self._watchdog_ns is None or (self._has_beaten and not self.is_silent(now_ns))
+
+    def is_silent(self, now_ns: int) -> bool:
+        """Tell whether a sign of life is overdue, also the first one."""
+        return self._watchdog_ns is not None and now_ns - self._beat_ns > self._watchdog_ns
+
+    def trigger(self, trigger: Trigger, now_ns: int, part: str | None = None) -> Refusal | None:
+        """Take it, or return why not. part: the one that must judge the answer; None for any."""
+        refusal = check_trigger(trigger) or self._refusal(trigger.trigger_id, now_ns)
+        if refusal is not None:
+            return self.refuse(refusal)
+        self._view = replace(
+            self._view, step="busy", trigger_id=trigger.trigger_id, piece=trigger.piece, refused=Code.NONE
+        )
+        self._last_id, self._trigger_ns, self._part = trigger.trigger_id, now_ns, part
+        self._needs_free = self._is_touched
+        self._is_pressed, self._awaited = self._is_command, None
+        return None
+
+    def refuse(self, refusal: Refusal) -> Refusal:
+        """Show why a trigger was refused, and return it."""
+        self._view = replace(self._view, refused=refusal.code)
+        return refusal
+
+    def acknowledge(self, now_ns: int) -> None:
+        """End the handshake. A press that was to answer it answers nothing any more."""
+        self.read(now_ns)
+        self._view = HandshakeView(
+            refused=self._view.refused,
+            gel_left_percent=self._view.gel_left_percent,
+            station=self._view.station,
+        )
+
+    def beat(self, now_ns: int) -> None:
+        """Take a sign of life of the PLC. What ended without one stays an error."""
+        self.read(now_ns)
+        self._beat_ns, self._has_beaten = now_ns, True
+
+    def look(self, is_touched: bool, frame_ns: int) -> None:
+        """Take whether a frame shows the gel touched. frame_ns: its time."""
+        self._is_touched = is_touched
+        if frame_ns < self._trigger_ns:
+            self._needs_free = is_touched
+        elif not is_touched:
+            self._needs_free = False
+
+    def begin(self, began_ns: int, now_ns: int) -> None:
+        """A press of a part begins. It answers a trigger that came while the gel was free. began_ns: the time of the
+        frame that shows it."""
+        if self.read(now_ns).step != "busy" or self._is_command:
+            return
+        if self._is_pressed:  # the one before has ended without a verdict
+            self._finish("error", Code.NOT_JUDGED)
+        elif began_ns >= self._trigger_ns and not self._needs_free:
+            self._is_pressed = True
+
+    def judge(
+        self, press_id: str, word: str, now_ns: int, *, part: str, score_ratio: float | None = None
+    ) -> bool:
+        """A press of a part is judged. Return whether it is the answer. A pass is shown when it is recorded."""
+        if self.read(now_ns).step != "busy" or not self._is_pressed or self._awaited is not None:
+            return False
+        if self._part not in (None, part):
+            self._finish("error", Code.OTHER_PART)
+            return False
+        self._view = replace(self._view, press_id=press_id, score_ratio=score_ratio)
+        if word == "pass":
+            self._awaited = press_id
+        else:
+            self._finish(word, Code.NOT_JUDGED if word == "error" else Code.NONE)
+        return True
+
+    def record(self, press_id: str, now_ns: int) -> None:
+        """A press is in the database."""
+        if self.read(now_ns).step == "busy" and self._awaited == press_id:
+            self._finish("pass", Code.NONE)
+
+    def miss(self, code: Code, now_ns: int) -> None:
+        """The station cannot answer a trigger that it has taken."""
+        if self.read(now_ns).step == "busy" and self._awaited is None:
+            self._finish("error", code)
+
+    def show(self, station: StationView, gel_left_percent: int, now_ns: int) -> HandshakeView:
+        """Take the state of the station, which is also the sign that its loop is alive; return what a PLC sees."""
+        self._shown_ns = now_ns
+        self._view = replace(self._view, station=station, gel_left_percent=gel_left_percent)
+        return self.read(now_ns)
+
+    def _finish(self, word: str, code: Code) -> None:
+        self._view = replace(self._view, step="done", word=word, code=code)
+
+    def _fault(self, now_ns: int) -> Code | None:
+        """Return why no press is judged now, or no one would read it."""
+        if self._view.station.state != "ready" or now_ns - self._shown_ns > LOOP_S * 1e9:
+            return Code.HALTED
+        return None if self.has_beat(now_ns) else Code.NO_BEAT
+
+    def _refusal(self, trigger_id: int, now_ns: int) -> Refusal | None:
+        view = self.read(now_ns)
+        if view.step == "busy":
+            return Refusal(
+                Code.BUSY,
+                f"trigger {trigger_id} came while trigger {view.trigger_id} is busy; wait for done, or end it with "
+                "acknowledge",
+            )
+        if view.step == "done":
+            return Refusal(
+                Code.NOT_ACKNOWLEDGED,
+                f"trigger {trigger_id} came before the result of trigger {view.trigger_id} was acknowledged; "
+                "acknowledge it first",
+            )
+        if trigger_id == self._last_id:
+            return Refusal(
+                Code.ID_TWICE,
+                f"trigger {trigger_id} came twice; every trigger has an id of its own, also for the same piece",
+            )
+        match self._fault(now_ns):
+            case None:
+                return None
+            case Code.NO_BEAT:
+                return Refusal(
+                    Code.NO_BEAT,
+                    f"trigger {trigger_id} came while the PLC's watchdog stands still; change it all the time",
+                )
+            case _:
+                return Refusal(
+                    Code.NOT_READY,
+                    f"trigger {trigger_id} came while the station is {view.station.state}, expected ready; wait for it",
+                )

@@ -1,0 +1,114 @@
+"""What a server asks of the station, on its own threads: the machine behind its lock, and the record of refusals."""
+
+import logging
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Final, final
+
+from edge.core.errors import StoreError
+from edge.core.handshake import Code, HandshakeMachine, HandshakeView, Refusal, Trigger
+from edge.core.part_position import PartPosition
+from edge.core.ports import Clock
+from edge.core.rate import Rate
+from edge.press_stage import Selection
+from edge.store.acts import Act
+from edge.store.press_store import Store
+
+__all__ = ["PLC", "Port"]
+
+log = logging.getLogger(__name__)
+
+# Who asked, in the table of acts.
+PLC: Final = "plc"
+
+# A PLC repeats a write some fifty times a second: the same refusal within this time is one, and of others so many a
+# minute are recorded.
+SAME_S: Final = 60.0
+PER_MINUTE: Final = 60
+_MOST_REMEMBERED: Final = 64
+
+
+@final
+class Port:
+    """A `Handshake`. Any thread may use it.
+
+    on_trigger: called with every trigger that is taken, and the part that it names.
+    """
+
+    def __init__(
+        self,
+        machine: HandshakeMachine,
+        selection: Selection,
+        store: Store,
+        clock: Clock,
+        on_trigger: Callable[[Trigger, PartPosition | None], None],
+    ) -> None:
+        self._machine, self._selection, self._store, self._clock = machine, selection, store, clock
+        self._on_trigger = on_trigger
+        self._lock = threading.Lock()
+        self._rate, self._recent = Rate(PER_MINUTE, clock), OrderedDict[str, int]()
+
+    @contextmanager
+    def machine(self) -> Iterator[tuple[HandshakeMachine, int]]:
+        """Give the machine, for this thread alone, and the time."""
+        with self._lock:
+            yield self._machine, self._clock.monotonic_ns()
+
+    def read(self) -> HandshakeView:
+        with self.machine() as (machine, now_ns):
+            return machine.read(now_ns)
+
+    def trigger(self, trigger: Trigger) -> Refusal | None:
+        part = self._find_part(trigger.part) if trigger.part else None
+        with self.machine() as (machine, now_ns):
+            if isinstance(part, Refusal):
+                refusal: Refusal | None = machine.refuse(part)
+            else:
+                refusal = machine.trigger(trigger, now_ns, None if part is None else str(part))
+        if refusal is not None:
+            self._note("trigger", refusal.sentence, vars(trigger))
+        elif not isinstance(part, Refusal):
+            self._on_trigger(trigger, part)
+        return refusal
+
+    def acknowledge(self) -> None:
+        with self.machine() as (machine, now_ns):
+            machine.acknowledge(now_ns)
+
+    def beat(self) -> None:
+        with self.machine() as (machine, now_ns):
+            machine.beat(now_ns)
+
+    def refuse(self, what: str, sentence: str) -> None:
+        self._note(what, sentence, {})
+
+    def _find_part(self, name: str) -> PartPosition | Refusal:
+        known = self._selection.find_all(name)
+        if len(known) == 1:
+            return next(iter(known))
+        found = ", ".join(sorted(map(str, known))) or "none"
+        return Refusal(
+            Code.UNKNOWN_PART,
+            f"the part '{name:.64}' has {len(known)} bundles here ({found}), expected one; name `part/position`, or "
+            "add its bundle",
+        )
+
+    def _note(self, verb: str, sentence: str, arguments: Mapping[str, Any]) -> None:
+        """Record it once, and have it in the log."""
+        now_ns = self._clock.monotonic_ns()
+        with self._lock:
+            seen_ns = self._recent.pop(sentence, None)
+            self._recent[sentence] = now_ns
+            if len(self._recent) > _MOST_REMEMBERED:
+                self._recent.popitem(last=False)
+        if (seen_ns is not None and now_ns - seen_ns < SAME_S * 1e9) or not self._rate.take():
+            return
+        log.warning("the %s of the PLC was refused: %s", verb, sentence)
+        time_ns = self._clock.time_ns()
+        act = Act(time_ns, PLC, verb, arguments=arguments, outcome="refused", sentence=sentence)
+        try:
+            self._store.begin_act(act, 0)
+        except StoreError as error:
+            log.error("a refused %s of the PLC is not recorded: %s", verb, error)

@@ -1,0 +1,188 @@
+"""The handshake with a PLC: one server, and the loop that tells its machine of presses.
+
+No result goes through the outbox: a PLC never sees one of an earlier start. No press of a master piece or of a study
+answers a trigger.
+"""
+
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import Any, Self, final
+
+from edge import registry
+from edge.clock import SystemClock
+from edge.config import Config, HandshakeTable
+from edge.core.contact.events import Event, PressBegan, PressSettled, TriggerRepeated, TriggerWithoutContact
+from edge.core.contact.press_detector import Look
+from edge.core.digital_io import StationView
+from edge.core.errors import StoreError
+from edge.core.gel_life import GelState
+from edge.core.handshake import Code, HandshakeMachine, HandshakeServer, Trigger
+from edge.core.imaging.frames import CameraFrame
+from edge.core.part_position import PartPosition
+from edge.core.ports import Clock
+from edge.core.press import Press, PressLabel
+from edge.features.handshake.port import PLC, Port
+from edge.model.inspector import Inspector
+from edge.press_stage import Mounted, PressStage, StageParts
+from edge.store.acts import Act
+from edge.store.gel_ledger import GelRecord
+
+__all__ = ["HandshakeStage"]
+
+log = logging.getLogger(__name__)
+
+
+@final
+class HandshakeStage(PressStage):
+    """Shows a PLC what the stages before have decided."""
+
+    def __init__(self, parts: StageParts, table: HandshakeTable, server: HandshakeServer) -> None:
+        self._parts, self._clock, self._server = parts, parts.clock, server
+        self._is_command = parts.config.inspection.trigger == "command"
+        watchdog_ns = None if table.watchdog_s is None else round(table.watchdog_s * 1e9)
+        now_ns = self._clock.monotonic_ns()
+        machine = HandshakeMachine(
+            round(table.timeout_s * 1e9), watchdog_ns, now_ns, is_command=self._is_command
+        )
+        self.port = Port(machine, parts.selection, parts.store, parts.clock, self._triggered)
+        self._frame: CameraFrame | None = None
+        self._began_ns = 0
+        self._gel_left_percent = 0
+        self._has_contact = False
+        self._answer = ("", 0)
+        self._alarm: str | None = None
+
+    @classmethod
+    def open(cls, parts: StageParts) -> Self | None:
+        """Take the port of the configured server, which does not serve yet. Errors: ConfigError."""
+        table = parts.config.handshake
+        return None if table is None else cls(parts, table, _open_server(table, parts.clock))
+
+    @classmethod
+    def attempts(cls, config: Config) -> Iterator[tuple[str, Callable[[], str]]]:
+        if config.handshake is not None:
+            yield f"handshake {config.handshake.plugin}", partial(_try_server, config.handshake)
+
+    def start(self) -> None:
+        self._server.start(self.port)
+
+    def close(self) -> None:
+        """The PLC sees a connection that ends, and no result."""
+        self._server.close()
+
+    def _triggered(self, trigger: Trigger, part: PartPosition | None) -> None:
+        """Let the loop do what a trigger asks for. The server's thread calls it."""
+        if part is not None:
+            self._parts.post(partial(self._select, part, trigger))
+        if self._is_command:
+            self._parts.trigger()
+
+    def _select(self, part: PartPosition, trigger: Trigger) -> None:
+        """Select the part that a trigger names. Where that fails the result is an error."""
+        selection, before = self._parts.selection, self._parts.selection.part
+        if part == before:
+            return
+        if part not in selection.find_all(str(part)):  # a reload has taken its bundle away
+            self._miss(Code.UNKNOWN_PART)
+            return
+        why = Act(
+            self._clock.time_ns(),
+            PLC,
+            "select_part",
+            arguments=vars(trigger),
+            outcome="done",
+            before={"part": before.part, "position": before.position},
+            after={"part": part.part, "position": part.position},
+        )
+        try:
+            selection.select(part, why, is_pressed=self._has_contact)
+        except StoreError as error:
+            log.error("the part '%s' that the PLC names is not selected: %s", part, error)
+            self._miss(Code.OTHER_PART)
+
+    def _miss(self, code: Code) -> None:
+        with self.port.machine() as (machine, now_ns):
+            machine.miss(code, now_ns)
+
+    def take(self, frame: CameraFrame) -> None:
+        self._frame = frame
+
+    def mount(self, gel: GelRecord) -> None:
+        self._gel_left_percent = _left(gel)
+
+    def see(self, event: Event) -> None:
+        match event:
+            case PressBegan():
+                self._began_ns = self._time_of(event.timestamp_ns)
+            case TriggerWithoutContact() | TriggerRepeated() if self._is_command:
+                self._miss(Code.NOTHING_PRESSED)
+            case _:
+                pass
+
+    def look(self, look: Look) -> None:
+        with self.port.machine() as (machine, _):
+            machine.look(look.phase != "free", self._time_of(look.timestamp_ns))
+
+    def _time_of(self, frame_ns: int) -> int:
+        """Return when a frame was taken; one that is made on demand has its recorded time, and is taken now."""
+        is_on_demand = self._frame is None or self._frame.is_on_demand
+        return self._clock.monotonic_ns() if is_on_demand else frame_ns
+
+    def begin(self, label: PressLabel | None) -> PressLabel | None:
+        if label is None:
+            with self.port.machine() as (machine, now_ns):
+                machine.begin(self._began_ns, now_ns)
+        return label
+
+    def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
+        if press.label is None:
+            manifest, verdict = inspector.bundle.manifest, press.verdict
+            part = str(PartPosition(manifest.part, manifest.position))
+            limit = verdict.threshold if verdict else None
+            ratio = verdict.score / limit if verdict and verdict.score is not None and limit else None
+            with self.port.machine() as (machine, now_ns):
+                if machine.judge(press.press_id, press.word, now_ns, part=part, score_ratio=ratio):
+                    self._answer = (press.press_id, machine.read(now_ns).trigger_id)
+        return press
+
+    def fields(self, press: Press) -> Mapping[str, Any]:
+        press_id, trigger_id = self._answer
+        return {"trigger_id": trigger_id} if press.press_id == press_id else {}
+
+    def record(self, press: Press, gel: GelRecord) -> None:
+        self._gel_left_percent = _left(gel)
+        with self.port.machine() as (machine, now_ns):
+            machine.record(press.press_id, now_ns)
+
+    def turn(self, mounted: Mounted | None) -> None:
+        self._has_contact = mounted is not None and mounted.has_contact
+
+    def show(self, view: StationView) -> None:
+        with self.port.machine() as (machine, now_ns):
+            machine.show(view, self._gel_left_percent, now_ns)
+            is_silent = machine.is_silent(now_ns)
+        alarm = "the PLC's watchdog stands still, so its triggers are refused" if is_silent else None
+        if alarm != self._alarm:
+            self._alarm = alarm
+            self._parts.alarms.say("plc", alarm)
+
+
+def _left(gel: GelRecord) -> int:
+    """Return the percent of its presses that a gel has left, 0 for one that must be replaced."""
+    if gel.state is GelState.REPLACE:
+        return 0
+    return max(0, 100 * (gel.limit_presses - gel.presses) // gel.limit_presses)
+
+
+def _open_server(table: HandshakeTable, clock: Clock) -> HandshakeServer:
+    plugin = registry.handshake(table.plugin)
+    return plugin.open(plugin.Options.model_validate(table.options), clock)
+
+
+def _try_server(table: HandshakeTable) -> str:
+    """Take the port, and free it. Errors: ConfigError."""
+    server = _open_server(table, SystemClock())
+    name = server.name
+    server.close()
+    return name

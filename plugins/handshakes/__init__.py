@@ -1,0 +1,1 @@
+"""Servers of the handshake for PLCs."""

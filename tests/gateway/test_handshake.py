@@ -1,0 +1,259 @@
+"""A station with a PLC: recorded presses, one step at a time, and the PLC's side as its server asks."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from station import station_config, two_parts
+from stepped_station import SteppedStation
+
+from edge.clock import SystemClock
+from edge.config import load_config
+from edge.core.errors import ConfigError
+from edge.core.handshake import Code, HandshakeView, Trigger
+from edge.features.handshake.stage import HandshakeStage
+from edge.features.reference_press import ReferenceGuard
+from edge.gateway.preflight import preflight
+from plugins.handshakes.modbus import ModbusServer
+
+PLC = '[handshake]\nplugin = "modbus"\n%s\noptions = { port = 1 }\n'
+
+
+@pytest.fixture(autouse=True)
+def any_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No connection is made: a port that is free is enough."""
+    monkeypatch.setattr(
+        "plugins.handshakes.modbus.Modbus.open",
+        lambda self, options, clock: ModbusServer("127.0.0.1", 0, clock),
+    )
+
+
+Make = Callable[..., Path]
+
+
+@pytest.fixture
+def configure(tmp_path: Path, recording: Path, bundle: Path) -> Make:
+    def make(keys: str = "", tables: str = "", inspection: Path | str = bundle, **given: Any) -> Path:
+        return station_config(tmp_path, recording, inspection, tables=PLC % keys + tables, **given)
+
+    return make
+
+
+class PlcStation(SteppedStation):
+    """A stepped station, and what its PLC does."""
+
+    def trigger(self, trigger_id: int, piece: str = "", part: str = "") -> Code:
+        refusal = self.find(HandshakeStage).port.trigger(Trigger(trigger_id, piece, part))
+        return Code.NONE if refusal is None else refusal.code
+
+    def acknowledge(self) -> None:
+        self.find(HandshakeStage).port.acknowledge()
+
+    @property
+    def seen(self) -> HandshakeView:
+        return self.find(HandshakeStage).port.read()
+
+    @property
+    def result(self) -> tuple[str, int, str | None, Code]:
+        return self.seen.step, self.seen.trigger_id, self.seen.word, self.seen.code
+
+    def play_until_ready(self) -> None:
+        self.play_until(lambda: self.seen.is_ready)
+
+    def play_until_pressed(self) -> None:
+        self.play_until(lambda: self.loop.session is not None and self.loop.session.has_contact)
+
+
+def test_each_trigger_is_answered_by_its_press(configure: Make) -> None:
+    """Pass, fail, pass: with the press of the result, which names the trigger; a press without one answers nothing."""
+    with PlcStation(configure()) as station:
+        assert station.trigger(1) is Code.NOT_READY
+        station.play_until_ready()
+        for trigger_id, word in ((1, "pass"), (2, "fail")):
+            assert station.trigger(trigger_id) is Code.NONE
+            station.play_until_pressed()
+            assert station.result == ("busy", trigger_id, None, Code.NONE)
+            assert station.seen.station.contact in ("touching", "pressing", "deep_enough", "unknown")
+            station.play_presses(trigger_id)
+            assert station.result == ("done", trigger_id, word, Code.NONE)
+            assert station.seen.press_id == station.results[-1].press_id
+            assert station.seen.score_ratio == pytest.approx(station.results[-1].score_ratio)
+            station.acknowledge()
+        station.play()
+        assert [result.trigger_id for result in station.results] == [1, 2, None]
+        assert station.seen.gel_left_percent == 99
+
+
+def test_a_press_that_began_before_the_trigger_is_not_its_answer(configure: Make) -> None:
+    """At any frame of its contact; the next press is."""
+    with PlcStation(configure()) as station:
+        station.play_until_ready()
+        station.play_until(lambda: station.seen.station.contact != "free")
+        assert station.trigger(1) is Code.NONE
+        station.play_presses(1)
+        assert station.result == ("busy", 1, None, Code.NONE)
+        station.play_presses(2)
+        assert station.result == ("done", 1, "fail", Code.NONE)
+        assert [result.trigger_id for result in station.results] == [None, 1]
+
+
+def test_a_pass_that_the_database_refuses_is_an_error(configure: Make) -> None:
+    """The station halts; the press is recorded later, and the PLC has long been told."""
+    with PlcStation(configure()) as station:
+        station.play_until_ready()
+        station.trigger(1)
+        with station.refusing("presses"):
+            station.play_until(lambda: station.loop.is_halted)
+            assert station.result == ("done", 1, "error", Code.HALTED)
+        station.turn()
+        assert station.verdicts == ["pass"]
+        assert station.result == ("done", 1, "error", Code.HALTED)
+
+
+def test_a_master_piece_answers_no_trigger(configure: Make) -> None:
+    """The press after it does."""
+    with PlcStation(configure(tables='[[reference.pieces]]\nname = "M1"\n')) as station:
+        station.play_until_ready()
+        station.find(ReferenceGuard).request("M1")
+        station.trigger(1)
+        station.play_presses(1)
+        assert station.result == ("busy", 1, None, Code.NONE)
+        station.play_presses(2)
+        assert station.result == ("done", 1, "fail", Code.NONE)
+
+
+def test_by_command_the_trigger_asks_for_the_verdict_of_the_press_that_is_held(configure: Make) -> None:
+    """Without a press, and for one that has its verdict, the result is an error at once."""
+    with PlcStation(configure(trigger="command")) as station:
+        station.play_until_ready()
+        station.trigger(1)
+        station.turn()
+        assert station.result == ("done", 1, "error", Code.NOTHING_PRESSED)
+        station.acknowledge()
+        station.play_until_pressed()
+        station.play(6)
+        assert station.reports == []
+        station.trigger(2)
+        station.play(3)
+        assert station.result == ("done", 2, "pass", Code.NONE)
+        station.acknowledge()
+        station.trigger(3)
+        station.turn()
+        assert station.result == ("done", 3, "error", Code.NOTHING_PRESSED)
+
+
+def test_a_trigger_selects_its_part(tmp_path: Path, configure: Make, bundle: Path) -> None:
+    """An act of the PLC; a press of another one is an error, as where a person selects that meanwhile."""
+    two_parts(tmp_path / "bundles", bundle)
+    with PlcStation(configure(inspection=f'bundle_folder = "{tmp_path / "bundles"}"')) as station:
+        station.play_until_ready()
+        assert station.trigger(1, "piece 1", "PZ1") is Code.NONE
+        station.play_presses(1)
+        assert station.result == ("done", 1, "pass", Code.NONE)
+        assert station.results[-1].part == "PZ1"
+        act = next(act for act in station.parts.store.acts() if act.verb == "select_part")
+        assert (act.who, act.outcome, act.arguments["piece"]) == ("plc", "done", "piece 1")
+        station.acknowledge()
+        station.trigger(2, part="PZ1/pos1")
+        station.turn()
+        station.ask("select_part", part="PZ0")
+        station.play_presses(2)
+        assert station.result == ("done", 2, "error", Code.OTHER_PART)
+
+
+def test_what_is_refused_is_an_act_once(configure: Make) -> None:
+    """A PLC repeats what it writes many times a second."""
+    with PlcStation(configure()) as station:
+        station.play_until_ready()
+        for _ in range(50):
+            assert station.trigger(1, part="PZ9") is Code.UNKNOWN_PART
+        station.trigger(1)
+        for _ in range(50):
+            assert station.trigger(2) is Code.BUSY
+        station.find(HandshakeStage).port.refuse("write", "a second client writes")
+        acts = [act for act in station.parts.store.acts() if act.who == "plc"]
+    assert [(act.verb, act.outcome, act.arguments.get("trigger_id")) for act in acts] == [
+        ("write", "refused", None),
+        ("trigger", "refused", 2),
+        ("trigger", "refused", 1),
+    ]
+    assert acts[2].sentence == (
+        "the part 'PZ9' has 0 bundles here (none), expected one; name `part/position`, or add its bundle"
+    )
+    assert str(acts[1].sentence).startswith("trigger 2 came while trigger 1 is busy; wait for done")
+
+
+def test_a_flood_of_refusals_fills_no_disk(configure: Make) -> None:
+    """Each another one: so many a minute are recorded, and all are refused."""
+    with PlcStation(configure()) as station:
+        for number in range(500):
+            assert station.trigger(1, part=f"X{number}") is Code.UNKNOWN_PART
+        assert len(station.parts.store.acts(1000)) <= 61
+
+
+def test_a_watchdog_that_stands_still_is_an_alarm(configure: Make) -> None:
+    """Not before it is overdue; it ends with the next sign of life."""
+    with PlcStation(configure("watchdog_s = 1")) as station:
+        station.play_until(lambda: station.loop.session is not None)
+        assert station.alarm("plc") is None
+        station.clock.sleep(1.1)
+        station.turn()
+        assert station.alarm("plc") == "the PLC's watchdog stands still, so its triggers are refused"
+        station.find(HandshakeStage).port.beat()
+        station.turn()
+        assert station.alarm("plc") is None
+
+
+def test_after_a_restart_nothing_is_left(configure: Make) -> None:
+    """No result of before, and no trigger."""
+    config = configure()
+    with PlcStation(config) as station:
+        station.play_until_ready()
+        station.trigger(1)
+        station.play_presses(1)
+        assert station.seen.is_pass
+    with PlcStation(config) as station:
+        assert station.result == ("idle", 0, None, Code.NONE)
+        station.play_until_ready()
+        station.play_presses(1)
+        assert station.result == ("idle", 0, None, Code.NONE)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('"modbus"', '"modbsu"'), "no handshakes plugin is named 'modbsu'; did you mean 'modbus'"),
+        (("port = 1", "port = 0"), "handshake.options"),
+        (("port = 1", "map = 1"), "handshake.options"),
+        (("[handshake]", "[handshake]\ntimeout_s = 0"), "handshake.timeout_s"),
+        (("[handshake]", "[[handshake]]"), "handshake"),
+    ],
+)
+def test_a_wrong_table_is_refused_with_its_place(
+    configure: Make, change: tuple[str, str], words: str
+) -> None:
+    """Before anything is opened."""
+    config = configure()
+    text = config.read_text()
+    assert change[0] in text
+    config.write_text(text.replace(*change))
+    with pytest.raises(ConfigError, match=words):
+        load_config(config)
+
+
+def test_the_check_before_the_start_takes_the_port(configure: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that is taken is a finding with its sentence."""
+    with preflight(load_config(configure()), SystemClock()) as checked:
+        (finding,) = (one for one in checked.findings if one.part == "handshake modbus")
+    assert finding.error is None
+    assert finding.text.startswith("Modbus TCP at 127.0.0.1:")
+    monkeypatch.undo()
+    server = ModbusServer("127.0.0.1", 0, SystemClock())
+    port = server.name.rpartition(":")[2]
+    config = configure()
+    config.write_text(config.read_text().replace("port = 1", f"port = {port}"))
+    with preflight(load_config(config), SystemClock()) as checked:
+        (finding,) = (one for one in checked.findings if one.part == "handshake modbus")
+    server.close()
+    assert "Address already in use); choose another port" in str(finding.error)
