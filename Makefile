@@ -45,7 +45,7 @@ test-train: $(VENV)/.train
 
 # What users get, written again after a change that is meant: messages, database, help, manifests, maps. Read the difference.
 golden: $(VENV)/.test
-	GELGATE_GOLDEN=1 $(BIN)/pytest tests/compatibility/test_golden.py
+	GELGATE_GOLDEN=1 $(BIN)/pytest tests/compatibility/test_golden.py tests/interface -k 'golden or surface'
 
 # 400 damaged files of each kind through the readers of `gelgate export`; the tests try twelve.
 test-fuzz: $(VENV)/.test

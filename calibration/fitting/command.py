@@ -36,6 +36,8 @@ from edge.cli.arguments import flatten, parse_values
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
+    from calibration.fitting.fit_config import FitConfig
+    from calibration.fitting.presses.nominal_presses import NominalPresses
     from calibration.fitting.presses.sources import Sources
     from edge.core.imaging.sensor_profile import SensorProfile
 
@@ -46,6 +48,7 @@ __all__ = [
     "fit",
     "make",
     "next_revision",
+    "plan_fit",
     "refuse_existing",
     "resolve_sources",
     "summarise",
@@ -128,11 +131,20 @@ def fit(given: FitArguments) -> None:
     presses of one part and position are learnt.
     """
     from calibration.fitting.fit import fit_files
+
+    refuse_existing(given.output, given.overwrite)
+    presses, config = plan_fit(given)
+    how = f"{config.detector.name} ({config.mode}) on {config.trunk.id}"
+    typer.echo(f"{count_presses(len(presses))}, {how}, region {config.region}")
+    make(partial(fit_files, presses, config), given.output, given.overwrite)
+
+
+def plan_fit(given: FitArguments) -> "tuple[NominalPresses, FitConfig]":
+    """Read the presses, and return the settings of their fit. Errors: ConfigError, DatasetError, FitError."""
     from calibration.fitting.fit_config import FitConfig
     from calibration.fitting.presses.nominal_presses import read_presses
     from edge.core.imaging.region import Region
 
-    refuse_existing(given.output, given.overwrite)
     sensor = choose_profile(given.profile, given.sources)
     found = resolve_sources(given.sources, given.part, given.position, sensor, given.holdout, given.seed)
     config = FitConfig(
@@ -165,9 +177,7 @@ def fit(given: FitArguments) -> None:
         leave_out=given.leave_out,
         pattern=given.pattern,
     )
-    how = f"{config.detector.name} ({config.mode}) on {config.trunk.id}"
-    typer.echo(f"{count_presses(len(presses))}, {how}, region {config.region}")
-    make(partial(fit_files, presses, config), given.output, given.overwrite)
+    return presses, config
 
 
 # They change what a later fit of the same presses gives; the others are in fields of the manifest, or of one machine.

@@ -138,15 +138,25 @@ class Inspector:
 
     def _examine(self, frame: CameraFrame, touch: Touch | None) -> Press:
         """Say what the frame shows. touch: None for one that is of no press."""
-        press = Press()
-        began_ns = started_ns = self._clock.monotonic_ns()
+        began_ns = self._clock.monotonic_ns()
         try:
             picture = decode(frame, self.bundle.profile)
         except FrameCorrupt as error:
-            return replace(press, error=str(error))
-        latency = {"decode": (self._clock.monotonic_ns() - started_ns) / 1e6}
+            return Press(error=str(error))
+        latency = {"decode": (self._clock.monotonic_ns() - began_ns) / 1e6}
+        press = self.judge_picture(picture, touch, latency)
+        if press.score_map is not None:
+            self.took_s = (self._clock.monotonic_ns() - began_ns) / 1e9
+        return press
+
+    def judge_picture(
+        self, picture: NDArray[np.uint8], touch: Touch | None, latency: dict[str, float] | None = None
+    ) -> Press:
+        """Judge a picture of the profile's size, uint8 (h, w, 3) RGB. touch: None leaves the contact unchecked.
+        latency: gets the milliseconds of each stage."""
+        latency = {} if latency is None else latency
         rgb = np.ascontiguousarray(self.bundle.region.crop(picture))
-        press = replace(press, rgb=rgb, light=self.light, latency_ms=latency)
+        press = Press(rgb=rgb, light=self.light, latency_ms=latency)
         started_ns = self._clock.monotonic_ns()
         filled = self.scorer.fill_dots(rgb)
         if filled is not rgb:
@@ -160,10 +170,7 @@ class Inspector:
             rejection = check_contact(touch, contact, self.bundle.profile.size)
         if rejection is not None:
             return press.reject(rejection)
-        press = self._score(press, filled)
-        if press.score_map is not None:
-            self.took_s = (self._clock.monotonic_ns() - began_ns) / 1e9
-        return press
+        return self._score(press, filled)
 
     def score_map(self, rgb: NDArray[np.uint8]) -> NDArray[np.float32] | None:
         """Score another picture of the region, uint8 (h, w, 3); float32 (h, w), None where it cannot be scored."""

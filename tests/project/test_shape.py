@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("edge", "plugins", "calibration", "export")
+PACKAGES = ("gelgate", "edge", "plugins", "calibration", "export")
 MAX_FUNCTION_LINES = 59
 MAX_FILE_LINES = 400
 

@@ -1,0 +1,42 @@
+"""gelgate for other programs: score pictures of presses, fit bundles, open a station; and the program `gelgate`.
+
+What `__all__` names is public: it changes as semver.org says. All else may change in any version. `gelgate.interface`
+has the examples. Nothing is imported before it is used.
+"""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+if TYPE_CHECKING:
+    from edge.core.errors import GelgateError
+    from gelgate.interface import Bundle, Score, fit, load, open_station
+
+__all__ = ["Bundle", "GelgateError", "Score", "fit", "load", "main", "open_station"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'gelgate' has no attribute '{name}'")
+    from gelgate import interface
+
+    return getattr(interface, name)
+
+
+def main() -> NoReturn:
+    """Run the command line. Ends with 3 where `edge` is another program's."""
+    # The program stands outside `edge`, to say so where another folder of that name hides the package.
+    try:
+        from edge.cli import main as run
+    except ImportError:
+        import edge
+
+        found, ours = Path(next(iter(getattr(edge, "__path__", [edge.__file__])))), Path(__file__).parents[1]
+        if found.parent.resolve() == ours.resolve():
+            raise
+        print(
+            f"gelgate: {found} hides gelgate's own package 'edge'; rename it, or take {found.parent} off PYTHONPATH",
+            file=sys.stderr,
+        )
+        sys.exit(3)
+    run()
