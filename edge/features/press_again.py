@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from edge.core.contact.events import PressSettled
+from edge.core.piece import PlacePress
 from edge.core.ports import Clock
 from edge.core.press import Again, Press
 from edge.core.press_again import Costs, Plan, is_asked, second_verdict, unsure
@@ -29,6 +30,7 @@ class _First:
     score: float
     due_ns: int
     press_id: str
+    piece: PlacePress | None
 
 
 class PressAgain(PressStage):
@@ -67,6 +69,13 @@ class PressAgain(PressStage):
         if press.label is not None:
             return press  # a master piece and a step of a study are no pieces that wait
         self.turn(None)
+        if (
+            press.piece
+            and self._first
+            and self._first.piece
+            and press.piece.piece_id != self._first.piece.piece_id
+        ):
+            self.drop("another piece is pressed")
         if self._is_said:
             self._is_said = False
             self._alarms.say("press_again", None)
@@ -107,7 +116,7 @@ class PressAgain(PressStage):
         verdict = press.verdict
         if verdict is None or not is_asked(verdict, self._plan.bound) or verdict.score is None:
             return press
-        self._first = _First(verdict.score, self._due_ns(), press.press_id)
+        self._first = _First(verdict.score, self._due_ns(), press.press_id, press.piece)
         reason = (
             f"the score {verdict.score:.4g} lies up to {self._plan.bound:.4g}, where one more press should pay; "
             "press the same piece again, a little shifted"

@@ -96,6 +96,33 @@ def test_a_piece_fails_where_both_presses_lie_above(tmp_path: Path, asking: Make
     assert again.out.count("equal, bit for bit") == 3
 
 
+PLAN = '[piece]\nplaces = [{ part = "PZ0", position = "pos1" }]\n'
+
+
+def test_the_second_press_is_of_the_same_piece_of_several_places(asking: Make) -> None:
+    """The unsure place is pressed again, and the piece passes with it."""
+    with asking(0, tables=COSTS + PLAN) as station:
+        station.play_until(lambda: len(station.reports) == 2)
+        said = station.said("piece")
+
+    first, second = station.results
+    assert station.verdicts == ["unsure", "pass"]
+    assert first.piece_id == second.piece_id == said["last_id"]
+    assert said["last_verdict"] == "pass"
+
+
+def test_a_press_of_the_next_piece_is_no_second_press(asking: Make) -> None:
+    """It is decided by its own score alone, and that the other did not come is said."""
+    with asking(0, 1, tables=COSTS + PLAN) as station:
+        station.play_presses(1)
+        station.ask("begin_piece", piece_id="P2")
+        station.play_until(lambda: len(station.reports) == 2)
+
+    second = station.results[1].press_again
+    assert second is not None
+    assert second.second_of is None
+
+
 def test_a_press_that_does_not_come_in_time_is_said(asking: Make) -> None:
     """With the press that stays unsure; the next press is one of its own, and ends the alarm."""
     with asking(0, tables=COSTS + "within_s = 0.5\n") as station:
