@@ -23,15 +23,17 @@ from edge.core.errors import FitError, NotScorable, PoseNotFound
 from edge.core.registration.pose import warp
 from edge.model.bundle import Bundle, GoldenFrame
 from edge.model.bundle_writer import facts_of, rewrite_files
-from edge.model.manifest import ThresholdEntry, ToleranceEntry
+from edge.model.manifest import REGION_WEIGHTS, ThresholdEntry, ToleranceEntry
 from edge.model.scorer import Scorer
 
 __all__ = [
     "BEARABLE",
+    "FEWEST_HELD_OUT",
     "MOST_DAMAGED",
     "Lesson",
     "Remedy",
     "change_method",
+    "hold_out",
     "lower_limit",
     "lower_place",
     "why_not",
@@ -91,24 +93,29 @@ class Lesson:
             raise FitError(f"the bundle gives {', '.join(refused)} no score, so such presses never pass")
         object.__setattr__(self, "scores", scores * limit.value)
         object.__setattr__(self, "maps", maps)
-        object.__setattr__(self, "held_out", self._hold_out())
+        held_out = hold_out(old, self.nominal, self.config, self.created)
+        for name in (TAUGHT_WEIGHTS, REGION_WEIGHTS):
+            held_out = None if held_out is None else held_out * old.bank.get(name, np.float32(1))
+        object.__setattr__(self, "held_out", held_out)
 
     @property
     def missed(self) -> list[int]:
         """The numbers of the damaged presses that pass."""
         return [k for k, score in enumerate(self.scores) if self.old.manifest.decide(score).kind == "pass"]
 
-    def _hold_out(self) -> F32 | None:
-        """Score each nominal press by a fit without it. Errors: as `fit_files`."""
-        if len(self.nominal) < FEWEST_HELD_OUT:
-            return None
-        maps = np.zeros((len(self.nominal), *self.maps.shape[1:]), np.float32)
-        for first in range(_FOLDS):
-            held = list(range(first, len(self.nominal), _FOLDS))
-            rest = self.nominal.choose([k for k in range(len(self.nominal)) if k % _FOLDS != first])
-            without = fit_files(rest, self.config, created=self.created).bundle()
-            maps[held] = _see(Scorer(without, self.config.threads), self.nominal.choose(held), self.old)[1]
-        return maps * self.old.bank.get(TAUGHT_WEIGHTS, np.float32(1))
+
+def hold_out(old: Bundle, nominal: NominalPresses, config: FitConfig, created: str) -> F32 | None:
+    """Score each nominal press by a fit without it, which has neither taught places nor regions: float32 (n, h, w), in
+    units of the limit, in the pose of the old bundle. None of too few. Errors: as `fit_files`."""
+    if len(nominal) < FEWEST_HELD_OUT:
+        return None
+    maps = np.zeros(nominal.frames.shape[:3], np.float32)
+    for first in range(_FOLDS):
+        held = list(range(first, len(nominal), _FOLDS))
+        rest = nominal.choose([k for k in range(len(nominal)) if k % _FOLDS != first])
+        without = fit_files(rest, config, created=created).bundle()
+        maps[held] = _see(Scorer(without, config.threads), nominal.choose(held), old)[1]
+    return maps
 
 
 @dataclass(frozen=True, eq=False)

@@ -96,6 +96,7 @@ _GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "carry": "Carry a bundle over to a new gel of its sensor.",
             "learn": "Learn from what people said at the station.",
             "teach": "Teach a bundle damage that it missed.",
+            "regions": "Draw where a bundle judges, ignores, or is stricter.",
             "inspect": "Show what a bundle contains, from its manifest.",
             "verify": "Check a bundle's files and its scores on this machine.",
             "sign": "Sign a bundle, so that a gateway can tell who made it.",

@@ -82,6 +82,8 @@ def _rows(manifest: Manifest) -> Iterator[tuple[str, str]]:
     if dots := facts.get("dots"):
         yield "marker dots", str(dots)
     yield "false alarms", promise(limit)
+    if drawn := manifest.regions:
+        yield "drawn regions", drawn.describe() or "none"
     yield "press again", again_sentence(plan_for(manifest, DEFAULT_COSTS))
     absolute = f"score {tolerance.score:.2g}, map {tolerance.score_map:.2g}"
     yield "tolerance", f"{absolute}, relative {tolerance.relative:.2g}"

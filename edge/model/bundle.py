@@ -246,6 +246,15 @@ class Bundle:
         return None if self.free_view is None else Reference(self.free_view.astype(np.float32))
 
     @property
+    def free_region(self) -> NDArray[np.uint8] | None:
+        """The inspected region of the untouched gel, uint8 (h, w, 3); None where it is not known."""
+        if self.registration is not None:
+            return self.registration.free
+        if self.free_view is None:
+            return None
+        return self.region.crop(np.asarray(cv2.resize(self.free_view, self.profile.size), np.uint8))
+
+    @property
     def grid(self) -> Grid | None:
         return self.manifest.grid.grid() if self.manifest.grid else None
 

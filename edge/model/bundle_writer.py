@@ -8,6 +8,7 @@ import shutil
 import stat
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,10 @@ from edge.pictures.nominal_pictures import NominalPictures
 
 __all__ = [
     "add_file",
+    "array_entry",
     "bundle_files",
     "facts_of",
+    "keep_file",
     "manifest_bytes",
     "rewrite_files",
     "write_bundle",
@@ -64,11 +67,7 @@ def bundle_files(
     that cannot be stored as the bank states.
     """
     files: dict[str, bytes] = {}
-
-    def keep(name: str, data: bytes) -> FileEntry:
-        files[name] = data
-        return FileEntry(file=name, sha256=hashlib.sha256(data).hexdigest(), size_bytes=len(data))
-
+    keep = partial(keep_file, files)
     parts: dict[str, Any] = {}
     if graphs.trunk is not None:
         parts["backbone"] = BackboneEntry(id=backbone, trunk=keep(TRUNK, graphs.trunk), in_bundle=with_trunk)
@@ -78,7 +77,7 @@ def bundle_files(
         if graph is not None:
             parts[key] = keep(name, graph)
     if bank is not None:
-        parts["bank"] = {name: _array_entry(name, bank, keep) for name in sorted(bank.arrays)}
+        parts["bank"] = {name: array_entry(name, bank, keep) for name in sorted(bank.arrays)}
     parts["golden"] = tuple(
         GoldenEntry(
             image=keep(f"golden/{number}.png", png_bytes(frame.rgb)),
@@ -126,14 +125,21 @@ def rewrite_files(
 
 def manifest_bytes(manifest: Manifest) -> bytes:
     """The manifest's file; its SHA-256 is the bundle's identity. Older programs read it where nothing newer is set."""
-    newer = ("revision", "registration", "dots", "nominal_pictures")
+    newer = ("revision", "registration", "dots", "regions", "nominal_pictures")
     unset = {name for name in newer if getattr(manifest, name) is None}
     return (
         json.dumps(manifest.model_dump(mode="json", exclude=unset), indent=1, ensure_ascii=False) + "\n"
     ).encode()
 
 
-def _array_entry(name: str, bank: Bank, keep: Callable[[str, bytes], FileEntry]) -> ArrayEntry:
+def keep_file(files: dict[str, bytes], name: str, data: bytes) -> FileEntry:
+    """Add a file to those of a bundle; returns its entry."""
+    files[name] = data
+    return FileEntry(file=name, sha256=hashlib.sha256(data).hexdigest(), size_bytes=len(data))
+
+
+def array_entry(name: str, bank: Bank, keep: Callable[[str, bytes], FileEntry]) -> ArrayEntry:
+    """Make the entry of one array of the bank. keep: stores a file by its name. Errors: FitError."""
     array, packing = bank.arrays[name], bank.packing.get(name, "none")
     if array.dtype not in (np.float32, np.int64, np.bool_):
         raise FitError(f"bank array '{name}' is {array.dtype}; a head takes float32, int64 or bool")

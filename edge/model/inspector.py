@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
 from edge.core.contact.reference import View
-from edge.core.contact.relief import find_expected_reach
+from edge.core.contact.relief import find_contact, find_expected_reach
+from edge.core.drawn_regions import LEAST_JUDGED_MM2, find_blind
 from edge.core.errors import FrameCorrupt, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
 from edge.core.imaging.followed_light import FollowedLight, find_light
@@ -25,6 +26,9 @@ from edge.core.imaging.quality import (
 from edge.core.imaging.sensor_check import check_sensor
 from edge.core.ports import Clock
 from edge.core.press import Press
+from edge.core.registration.pose import Registered
+from edge.core.verdict import Kind
+from edge.model.manifest import REGION_WEIGHTS
 from edge.model.manifest_facts import USUAL_CONTACT
 from edge.model.scorer import Scorer
 
@@ -56,6 +60,10 @@ class Inspector:
         self._ahead: deque[tuple[CameraFrame, Touch, Press]] = deque(maxlen=MOST_AHEAD)
         colours = self.bundle.manifest.colours
         self._colours = colours.nominal() if colours else None
+        weights = self.bundle.bank.get(REGION_WEIGHTS)
+        self._blind = None if weights is None else find_blind(weights)
+        free = None if self._blind is None else self.bundle.free_region
+        self._free = None if free is None else scorer.fill_dots(free)
         self.expected = find_expected_reach(
             [
                 press.rgb
@@ -188,6 +196,14 @@ class Inspector:
             return press.reject(Rejection(Reason.NO_POSE, str(error)))
         except NotScorable as error:
             return replace(press, error=str(error))
+        if verdict.kind in (Kind.PASS, Kind.UNSURE) and not self._touches_judged(filled, scored.registered):
+            return press.reject(
+                Rejection(
+                    Reason.ALL_IGNORED,
+                    "the press touches the part only where drawn regions ignore it, so nothing was judged; check how "
+                    "the part meets the sensor, or draw the regions again",
+                )
+            )
         if scored.registered is not None:
             latency["registration"] = scored.registration_ms
         latency |= {"trunk": scored.trunk_ms, "head": scored.head_ms}
@@ -198,3 +214,14 @@ class Inspector:
             latency_ms=latency,
             registered=scored.registered,
         )
+
+    def _touches_judged(self, filled: NDArray[np.uint8], registered: Registered | None) -> bool:
+        """Tell whether a press touches the gel where it is judged."""
+        blind, profile = self._blind, self.bundle.profile
+        if blind is None or self._free is None:
+            return blind is None
+        if registered is not None:
+            blind = registered.unseen_in_press | registered.mask_in_press(blind)
+        contact = find_contact(filled, self._free, profile.size)
+        x_mm, y_mm = profile.mm_per_pixel
+        return bool(np.count_nonzero(contact & ~blind) * x_mm * y_mm >= LEAST_JUDGED_MM2)

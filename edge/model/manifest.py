@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from edge.core.detector import Grid, Mode
+from edge.core.drawn_regions import DrawnRegions
 from edge.core.imaging.quality import NominalContact, NominalStrength
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_check import NominalColours
@@ -31,6 +32,7 @@ from edge.model.manifest_files import (
 )
 
 __all__ = [
+    "REGION_WEIGHTS",
     "SCHEMA_VERSION",
     "ArrayEntry",
     "BackboneEntry",
@@ -54,6 +56,9 @@ SCHEMA_VERSION = 1
 
 MAX_REVISION = 2**63 - 1
 """The largest integer of the gateway's database."""
+
+REGION_WEIGHTS = "region_weights"
+"""The array of the bank by which a score map is multiplied, (h, w), where a person has drawn regions."""
 
 
 class BackboneEntry(Entry):
@@ -249,7 +254,8 @@ class Provenance(Entry):
 
 
 class Facts(Entry):
-    """The manifest without the list of files. revision: rises with every fit of this position; None in old bundles."""
+    """The manifest without the list of files. revision: rises with every fit of this position; None in old bundles.
+    regions: those that a person has drawn; None where none ever was."""
 
     schema_version: Literal[1] = 1
     part: Name
@@ -269,6 +275,7 @@ class Facts(Entry):
     strength: NominalStrength | None = None
     colours: ColourEntry | None = None
     dots: DotsEntry | None = None
+    regions: DrawnRegions | None = None
     cost: CostCard | None = None
     accuracy: dict[str, float] | None = None
     provenance: Provenance
@@ -310,6 +317,9 @@ class Manifest(Facts):
             )
         if (size := sum(file.size_bytes for file in self.files)) > MAX_BUNDLE_BYTES:
             raise ValueError(f"the files have {size} bytes together, at most {MAX_BUNDLE_BYTES} are read")
+        weights = self.bank.get(REGION_WEIGHTS)
+        if (self.regions is None) != (weights is None) or (weights and weights.shape != self.frame):
+            raise ValueError(f"drawn regions and the array {REGION_WEIGHTS} of {self.frame} belong together")
         if not self.region.is_within(self.profile.size):
             raise ValueError(f"region {self.region} is outside the picture of {self.profile.size}")
         return self

@@ -53,6 +53,7 @@ VERBS: list[tuple[str, int, str]] = [
     ("run --config gelgate.toml", 0, "12 presses"),
     ("bundle learn pz0 nominal -o learnt --config gelgate.toml", 3, "say what presses were"),
     ("bundle teach pz0 nominal --damaged 01J --config gelgate.toml", 1, "no press 01J"),
+    ("bundle regions pz0 --add 'ignore logo 6,6 8,6 8,8' -o logo", 0, "ignored: "),
     ("station overview --config gelgate.toml", 3, "has no [overview]"),
     ("station replay --all --config gelgate.toml", 0, "12 equal"),
     ("station reference press --config gelgate.toml", 3, "names no master piece"),

@@ -1,7 +1,8 @@
-"""What a fit appends to its detector's head: the limit of each place, and the check of missing relief.
+"""What is appended to a detector's head: the limit of each place, the check of missing relief, taught places and drawn
+regions.
 
 Their arrays are further arrays of the bank, so the gateway, the exports and other programs score such a bundle as any
-other. The same arithmetic in NumPy is `map_limit.relate` and `missing_relief.score_map`.
+other. The same arithmetic in NumPy is `map_limit.relate` and `missing_relief.map_missing`.
 """
 
 import re
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from edge.core.detector import Bank
 from edge.core.errors import FitError
+from edge.model.manifest import REGION_WEIGHTS
 
 __all__ = ["TAUGHT_WEIGHTS", "append", "can_extend", "extend_head", "head_inputs"]
 
@@ -93,12 +95,23 @@ _TAUGHT = """
 """
 _TAUGHT_CONSTANTS = "int64[1] taught_axis = {1}, int64[1] taught_flat = {-1}"
 
+# Relief that is missing from a press is no matter of the place where it shows most.
+_REGIONS = """
+    region_weighed = Mul (region_raw_score_map, region_weights)
+    score_map = Max ({shown})
+    region_plane = Unsqueeze (score_map, region_axis)
+    region_peak = GlobalMaxPool (region_plane)
+    score = Reshape (region_peak, region_flat)
+"""
+_REGIONS_CONSTANTS = "int64[1] region_axis = {1}, int64[1] region_flat = {-1}"
+
 # Reductions take their axes as an input from this opset on.
 _OLDEST_OPSET = 18
 
 
 def append(head: bytes, bank: Bank, arrays: Mapping[str, NDArray[Any]], tap: str = "") -> tuple[bytes, Bank]:
-    """Append the limit, the check of missing relief and the taught places of these arrays; nothing without any.
+    """Append the limit, the check of missing relief, the taught places and the regions of these arrays; nothing without
+    any.
 
     arrays: also those of a complete bundle, whose own arrays are left out. tap: whose features the check reads. Errors:
     FitError for a head that cannot be extended, or a bank with an array of such a name.
@@ -114,6 +127,9 @@ def append(head: bytes, bank: Bank, arrays: Mapping[str, NDArray[Any]], tap: str
         head, bank = _append(head, bank, arrays, text, _RELIEF_CONSTANTS, "relief_raw_")
     if TAUGHT_WEIGHTS in arrays:
         head, bank = _append(head, bank, arrays, _TAUGHT, _TAUGHT_CONSTANTS, "taught_raw_")
+    if REGION_WEIGHTS in arrays:
+        text = _REGIONS.format(shown=f"region_weighed{', relief_map' * ('relief_free' in bank.arrays)}")
+        head, bank = _append(head, bank, arrays, text, _REGIONS_CONSTANTS, "region_raw_")
     return head, bank
 
 

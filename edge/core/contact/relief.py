@@ -20,7 +20,7 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.region import Region
 
-__all__ = ["Relief", "ReliefOfReference", "find_expected_reach", "reach", "with_relief"]
+__all__ = ["Relief", "ReliefOfReference", "find_contact", "find_expected_reach", "reach", "with_relief"]
 
 # Half-size pixels of 0.23 mm on a Mini: structure finer than 7 of them passes, and its energy is taken over 5.
 _BAND_PX = 7
@@ -158,10 +158,7 @@ def find_expected_reach(
         cells = (usual >= _EXPECTED_SHARE * usual.max()).astype(np.uint8)
         expected |= _resize(cells, expected.shape) > 0
     if free is not None and presses:
-        small = (
-            max(4, round(region.height * VIEW_SIZE[1] / size[1])),
-            max(4, round(region.width * VIEW_SIZE[0] / size[0])),
-        )
+        small = _small(expected.shape, size)
         whole = np.asarray(cv2.resize(free, size), np.uint8)
         gel = Reference(_view(fill_dots(region.crop(whole)), small))
         structure = ReliefOfReference(gel.view)
@@ -170,6 +167,25 @@ def find_expected_reach(
             found = reach(touched_mask(added), structure.of(added, ContactSettings.light_levels))
             expected |= _resize(found.astype(np.uint8), expected.shape) > 0
     return expected if expected.any() else None
+
+
+def find_contact(press: U8, free: U8, size: tuple[int, int]) -> Mask:
+    """Find where a press touches the gel, bool (h, w), without what lies around it; where its relief is, if it is too
+    light to have an area. press, free: of the region in a picture of `size` (width, height), uint8 (h, w, 3)."""
+    small = _small(press.shape, size)
+    gel = Reference(_view(free, small))
+    added = gel.difference(_view(press, small))
+    found = touched_mask(added)
+    if not found.any():
+        relief = ReliefOfReference(gel.view).of(added, ContactSettings.light_levels).mask.astype(np.uint8)
+        found = cv2.morphologyEx(relief, cv2.MORPH_OPEN, _CLEAR) > 0
+    return _resize(found.astype(np.uint8), press.shape[:2]) > 0
+
+
+def _small(region: tuple[int, ...], size: tuple[int, int]) -> tuple[int, int]:
+    """(h, w) of a region (h, w) in the view."""
+    sides = (region[0] * VIEW_SIZE[1] / size[1], region[1] * VIEW_SIZE[0] / size[0])
+    return max(4, round(sides[0])), max(4, round(sides[1]))
 
 
 def _view(rgb: U8, shape: tuple[int, int]) -> NDArray[np.float32]:

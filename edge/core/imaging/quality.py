@@ -48,6 +48,7 @@ class Reason(StrEnum):
     REFERENCE = "reference"
     GEL_PROOF = "gel_proof"
     NO_PLACE = "no_place"
+    ALL_IGNORED = "all_ignored"
 
 
 @dataclass(frozen=True)

@@ -168,4 +168,8 @@ class Registered:
     @cached_property
     def unseen_in_press(self) -> Mask:
         """Places of the press, bool (h, w), of which no bank was learnt."""
-        return np.asarray(warp(self.seen.astype(np.float32), self.pose.inverse()) < 0.5)
+        return ~self.mask_in_press(self.seen)
+
+    def mask_in_press(self, places: Mask) -> Mask:
+        """Bring places of the bank's pose, bool (h, w), to where they lie in the press."""
+        return np.asarray(warp(places.astype(np.float32), self.pose.inverse()) >= 0.5)

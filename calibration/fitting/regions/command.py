@@ -1,0 +1,126 @@
+"""`gelgate bundle regions`: a bundle and what a person draws on its part in, a new revision of the bundle out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
+from edge.cli.arguments import flatten
+
+if TYPE_CHECKING:
+    from edge.core.drawn_regions import DrawnRegion
+    from edge.model.bundle import Bundle
+    from edge.model.manifest import ThresholdEntry
+
+__all__ = ["RegionsArguments", "regions"]
+
+
+@dataclass(frozen=True)
+class RegionsArguments:
+    """What the command line says."""
+
+    bundle: Annotated[Path, typer.Argument(help="The bundle in use.")]
+    sources: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[SOURCE...]", help="Its nominal presses, as for `fit`; a stricter region needs them."
+        ),
+    ] = None
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The bundle to write: a folder, or a name ending in .zip."),
+    ] = None
+    add: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TEXT",
+            help="'ignore NAME x,y x,y x,y', 'judge NAME ...' or 'stricter NAME FACTOR ...': corners in mm from the "
+            "top left corner of the inspected region, or the path of a mask, a picture that is white inside.",
+        ),
+    ] = None
+    file: Annotated[
+        Path | None, typer.Option(help="Add the regions of a TOML file, as this command prints them.")
+    ] = None
+    remove: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Remove a region.")] = None
+    no_contact: NoContact = None
+    leave_out: LeaveOut = None
+    threads: Threads = 2
+    overwrite: Overwrite = False
+
+
+@flatten
+def regions(given: RegionsArguments) -> None:
+    """Draw where a bundle judges, ignores, or is stricter.
+
+    Without --add, --file and --remove the regions are printed. Else a new revision is written beside the bundle: the
+    score map is weighed by the regions before the verdict, and with registration they follow the part. The new bundle
+    is not signed.
+    """
+    from calibration.fitting.command import refuse_existing, write
+    from calibration.fitting.regions.drawing import draw_regions
+    from calibration.fitting.regions.texts import write_regions
+    from edge.core.errors import ConfigError
+    from edge.model.bundle import Bundle
+    from edge.model.manifest_facts import promise
+
+    old = Bundle.load(given.bundle)
+    if not (given.add or given.file or given.remove):
+        drawn = old.manifest.regions
+        typer.echo(write_regions(drawn.regions if drawn else ()) or "no region is drawn")
+        return
+    if given.output is None or given.output.absolute() == given.bundle.absolute():
+        raise ConfigError("the new revision is written beside the bundle, never in its place; give --output")
+    refuse_existing(given.output, given.overwrite)
+    wanted = _change(given, old)
+    fitted = draw_regions(given.bundle, wanted, _find_promise(given, old, wanted), given.threads)
+    write(fitted, given.output, given.overwrite)
+    manifest = fitted.manifest
+    said = manifest.regions.describe() if manifest.regions else ""
+    typer.echo(said or "no region is drawn any more")
+    typer.echo(f"false alarms: {promise(manifest.threshold)}")
+    typer.echo(f"revision {manifest.revision} written to {given.output}")
+
+
+def _change(given: RegionsArguments, old: "Bundle") -> list["DrawnRegion"]:
+    """Return the regions that the bundle is to have. Errors: ConfigError."""
+    from calibration.fitting.regions.texts import parse_region, read_regions
+    from edge.core.errors import ConfigError
+    from edge.core.suggest import suggestion
+
+    kept = {one.name: one for one in (old.manifest.regions.regions if old.manifest.regions else ())}
+    for name in given.remove or ():
+        if name not in kept:
+            known = suggestion(name, list(kept)) if kept else "it has none"
+            raise ConfigError(f"--remove: the bundle has no region '{name}'; {known}")
+        del kept[name]
+    added = [] if given.file is None else read_regions(given.file)
+    return [*kept.values(), *added, *(one for text in given.add or () for one in parse_region(text, old))]
+
+
+def _find_promise(
+    given: RegionsArguments, old: "Bundle", wanted: list["DrawnRegion"]
+) -> "ThresholdEntry | None":
+    """Find what the limit promises where a place is judged more strictly; None where its promise holds. Errors:
+    FitError, ConfigError without the nominal presses."""
+    import datetime
+
+    from calibration.fitting.command import count_presses
+    from calibration.fitting.fit_again import configure_again, read_again
+    from calibration.fitting.regions.drawing import find_promise, is_stricter
+    from edge.core.errors import ConfigError
+
+    if not is_stricter(old, wanted):
+        return None
+    if not given.sources:
+        raise ConfigError(
+            f"a stricter region fails more sound presses, and bundle {given.bundle} keeps no maps of its nominal "
+            "presses to count them by; give the presses of its fit as SOURCE"
+        )
+    nominal = read_again(
+        old, given.sources, no_contact=given.no_contact, leave_out=given.leave_out or (), say=typer.echo
+    )
+    typer.echo(count_presses(len(nominal)))
+    config = configure_again(old, None, given.threads, None)
+    return find_promise(old, wanted, nominal, config, datetime.date.today().isoformat())

@@ -1,0 +1,182 @@
+"""A bundle with other drawn regions: its head weighs the score map, its golden frames and its promise are new.
+
+The weights are one more array of the bank, so the gateway, the exports and other programs score such a bundle as any
+other. The same arithmetic in NumPy is `weigh`. Relief that is missing is a property of the whole press, so it counts
+in ignored places too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.fitting.bundle_measurements import score_again
+from calibration.fitting.fit import Fitted
+from calibration.fitting.fit_config import FitConfig
+from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append
+from calibration.fitting.limits.threshold import promise_at
+from calibration.fitting.presses.nominal_presses import NominalPresses
+from calibration.fitting.teach import FEWEST_HELD_OUT, hold_out
+from edge.core.contact.relief import find_contact
+from edge.core.detector import Bank
+from edge.core.drawn_regions import LEAST_JUDGED_MM2, DrawnRegion, DrawnRegions, find_blind, weigh_places
+from edge.core.errors import FitError
+from edge.model.archive import MANIFEST, open_archive
+from edge.model.bundle import HEAD, Bundle, parse_manifest
+from edge.model.bundle_writer import array_entry, keep_file, manifest_bytes
+from edge.model.detectability import CARD
+from edge.model.manifest import REGION_WEIGHTS, Manifest, ThresholdEntry
+from edge.model.manifest_facts import DAMAGE_FOUND
+from edge.model.scorer import Scorer
+
+__all__ = ["draw_regions", "find_promise", "is_stricter"]
+
+F32 = NDArray[np.float32]
+
+# What a manifest says of scores, which are others now.
+_OF_OLD_SCORES: Final = ("press_again", DAMAGE_FOUND, CARD)
+# Where the largest value of a map is not the press's score to this share, the score is something else.
+_SAME: Final = 1e-4
+
+
+def draw_regions(
+    path: Path, regions: Sequence[DrawnRegion], limit: ThresholdEntry | None, threads: int
+) -> Fitted:
+    """Return the bundle at this path with these regions instead of its own; what they do not change stays byte for
+    byte. limit: its threshold with another promise; None where that holds as it is. Errors: FitError for regions that
+    the bundle cannot have, BundleError."""
+    old = Bundle.load(path)
+    _check_head(old)
+    manifest, archive = old.manifest, open_archive(path)
+    try:
+        for region in regions:
+            region.check_inside(manifest.frame, old.profile.mm_per_pixel)
+        weights = weigh_places(regions, manifest.frame, old.profile.mm_per_pixel)
+        drawn = DrawnRegions(tuple(regions))
+    except ValueError as error:
+        raise FitError(str(error)) from error
+    drawn = replace(drawn, **_measure_contact(old, weights))
+    bank, graphs = dict(old.bank), old.graphs
+    if REGION_WEIGHTS not in bank:
+        head, _ = append(graphs.head or b"", Bank(bank), {REGION_WEIGHTS: weights})
+        graphs = replace(graphs, head=head)
+    new = replace(old, graphs=graphs, bank={**bank, REGION_WEIGHTS: weights})
+    scorer = Scorer(new, threads)
+    golden = [score_again(one, scorer) for one in old.golden]
+    files = {entry.file: archive.read(entry.file) for entry in manifest.files}
+    keep = partial(keep_file, files)
+    changes = _change_facts(manifest, drawn, float(weights.max()))
+    changes |= {
+        "threshold": limit or manifest.threshold,
+        "head": keep(HEAD, graphs.head or b""),
+        "bank": {**manifest.bank, REGION_WEIGHTS: array_entry(REGION_WEIGHTS, Bank(new.bank), keep)},
+        "golden": tuple(
+            entry.model_copy(update={"score": frame.score, "map_peaks": frame.map_peaks})
+            for entry, frame in zip(manifest.golden, golden, strict=True)
+        ),
+    }
+    files[MANIFEST] = manifest_bytes(manifest.model_copy(update=changes))
+    return Fitted(parse_manifest(files[MANIFEST], old.where), files)
+
+
+def _change_facts(manifest: Manifest, drawn: DrawnRegions, most: float) -> dict[str, Any]:
+    """Return what the manifest says otherwise of scores. most: the largest weight."""
+    tolerance, larger = manifest.tolerance, max(most, 1.0)
+    widened = {name: larger * getattr(tolerance, name) for name in ("score", "score_map", "measured")}
+    return {
+        "revision": (manifest.revision or 0) + 1,
+        "regions": drawn,
+        "facts": {name: fact for name, fact in manifest.facts.items() if name not in _OF_OLD_SCORES},
+        "tolerance": tolerance.model_copy(update=widened),
+        "accuracy": None,
+    }
+
+
+def is_stricter(old: Bundle, regions: Sequence[DrawnRegion]) -> bool:
+    """Tell whether some place is judged more strictly than before: then the promise of the limit may not hold."""
+    before = old.bank.get(REGION_WEIGHTS, np.float32(1))
+    now = weigh_places(regions, old.manifest.frame, old.profile.mm_per_pixel)
+    return bool((now > np.maximum(before, 1)).any())
+
+
+def find_promise(
+    old: Bundle, regions: Sequence[DrawnRegion], nominal: NominalPresses, config: FitConfig, created: str
+) -> ThresholdEntry:
+    """Return the threshold with what it promises with these regions, by fits that each leave out a part of the nominal
+    presses. Errors: FitError for too few, and where every sound press would fail."""
+    limit = old.manifest.threshold
+    maps = hold_out(old, nominal, config, created)
+    if maps is None:
+        raise FitError(
+            f"{len(nominal)} nominal presses say nothing of a stricter region, at least {FEWEST_HELD_OUT} are needed; "
+            "give those of the fit"
+        )
+    weights = weigh_places(regions, old.manifest.frame, old.profile.mm_per_pixel)
+    scores = (maps * old.bank.get(TAUGHT_WEIGHTS, np.float32(1)) * weights).max(axis=(1, 2)) * limit.value
+    found = promise_at(scores, limit.value, limit.alpha, nominal.specimens)
+    if found is None:
+        raise FitError(
+            "with these factors every sound press would fail; choose smaller ones, or draw other regions"
+        )
+    return found.model_copy(update={"method": f"{limit.method}; the promise with the drawn regions"})
+
+
+def _check_head(old: Bundle) -> None:
+    """Errors: FitError for a bundle whose score map cannot be weighed."""
+    manifest = old.manifest
+    if manifest.head is None or old.graphs.trunk is None:
+        why = "it is a single graph of another tool" if manifest.head is None else "its trunk is not here"
+        raise FitError(f"bundle {old.where} cannot have regions: {why}; fit a bundle with `gelgate fit`")
+    if (part := old.registration) is not None and part.symmetry != 1:
+        often = f"{part.symmetry} times in a full turn" if part.symmetry else "in every turn"
+        raise FitError(
+            f"bundle {old.where} cannot have regions: its part looks the same {often}, so nobody knows where on it one "
+            "would lie; fit it with --set register=never, and hold the part in one pose"
+        )
+    if not manifest.threshold.value > 0:
+        raise FitError(
+            f"bundle {old.where} cannot have regions: its threshold is {manifest.threshold.value:.4g}, and scores are "
+            "multiplied by factors; fit it from presses"
+        )
+    if not old.golden:
+        raise FitError(
+            f"bundle {old.where} cannot have regions: it has no golden frames to prove them; fit it again"
+        )
+    for golden in old.golden:
+        highest = max(map(max, golden.map_peaks))
+        if abs(highest - golden.score) > _SAME * abs(golden.score):
+            raise FitError(
+                f"bundle {old.where} cannot have regions: its score ({golden.score:.4g}) is not the highest value of "
+                f"its map ({highest:.4g}), so no place can be left out of it; fit it with another method, or with "
+                "mode=corrected"
+            )
+
+
+def _measure_contact(old: Bundle, weights: F32) -> dict[str, Any]:
+    """Measure what of the nominal contact is ignored, and the nominal contact, mm2; 0 where nothing is ignored. Errors:
+    FitError for regions that leave nothing to judge, or where the contact is not known."""
+    blind = find_blind(weights)
+    if blind is None:
+        return {}
+    if (free := old.free_region) is None:
+        raise FitError(
+            f"bundle {old.where} does not know the free gel, so a press that lies in ignored regions alone would not "
+            "be noticed; fit it again with pictures of the free gel (--no-contact)"
+        )
+    x_mm, y_mm = old.profile.mm_per_pixel
+    free = free if old.manifest.dots is None else old.manifest.dots.open().fill(free)
+    contact = np.zeros(blind.shape, bool)
+    for press in old.golden:
+        if press.score <= old.manifest.threshold.value:
+            contact |= find_contact(press.rgb, free, old.profile.size)
+    whole, judged = (np.count_nonzero(one) * x_mm * y_mm for one in (contact, contact & ~blind))
+    if judged < LEAST_JUDGED_MM2:
+        raise FitError(
+            f"these regions leave {judged:.1f} mm2 of the {whole:.1f} mm2 that nominal presses touch, expected at "
+            f"least {LEAST_JUDGED_MM2:g} mm2: nothing would be judged; make what is ignored smaller"
+        )
+    return {"ignored_mm2": round(whole - judged, 2), "contact_mm2": round(whole, 2)}

@@ -1,0 +1,199 @@
+"""Regions that a person draws on a part: where nothing is judged, where alone something is, and where more strictly.
+
+They lie in the bank's pose, in millimetres from the top left corner of the inspected region, right and down, as the
+places of defects do. With registration they follow the part. What they do to a score map is one weight for each place:
+
+    0 where it is ignored, or where other places alone are judged; the factor where it is stricter; else 1
+
+Where regions overlap, `ignore` decides before the highest factor.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "LARGEST_FACTOR",
+    "LEAST_JUDGED_MM2",
+    "DrawnRegion",
+    "DrawnRegions",
+    "Points",
+    "RegionKind",
+    "find_blind",
+    "region_at",
+    "weigh_places",
+]
+
+RegionKind = Literal["ignore", "judge", "stricter"]
+Points = tuple[tuple[float, float], ...]
+Mask = NDArray[np.bool_]
+
+LARGEST_FACTOR: Final = 10.0
+"""Below a tenth of the limit a map shows noise, which no factor makes a damage."""
+
+LEAST_JUDGED_MM2: Final = 1.0
+"""A press that touches less than this where it is judged is not judged: about the place that one defect raises."""
+
+_MOST_POINTS: Final = 256
+_LONGEST_NAME: Final = 64
+# OpenCV draws polygons in this fraction of a pixel.
+_SHIFT: Final = 4
+
+
+@dataclass(frozen=True)
+class DrawnRegion:
+    """One polygon. Errors: ValueError, one sentence."""
+
+    name: str
+    kind: RegionKind
+    points_mm: Points
+    """x and y of its corners in turn; the last is joined to the first."""
+    factor: float = 1.0
+    """Of `stricter`: scores count this many times there, so the limit is divided by it."""
+
+    def __post_init__(self) -> None:
+        if not (0 < len(self.name) <= _LONGEST_NAME and self.name.isprintable() and self.name.strip()):
+            raise ValueError(
+                f"a region has a name of 1 to {_LONGEST_NAME} characters, found {self.name!r:.80}"
+            )
+        where, points = f"region '{self.name}'", self.points_mm
+        if self.kind not in get_args(RegionKind):
+            raise ValueError(f"{where} is of the kind '{self.kind}', expected ignore, judge or stricter")
+        if not 3 <= len(points) <= _MOST_POINTS:
+            raise ValueError(f"{where} has {len(points)} points, expected 3 to {_MOST_POINTS}; draw it again")
+        if not all(math.isfinite(value) for point in points for value in point):
+            raise ValueError(f"{where} has a point that is not two finite numbers of mm; write it as x,y")
+        if _crosses_itself(points):
+            raise ValueError(f"{where} crosses itself or has no area; draw its corners in turn")
+        if self.kind == "stricter" and not 1 < self.factor <= LARGEST_FACTOR:
+            raise ValueError(
+                f"{where} has the factor {self.factor:g}, expected more than 1 and at most {LARGEST_FACTOR:g}: scores "
+                "count that many times there"
+            )
+        if self.kind != "stricter" and self.factor != 1:
+            raise ValueError(
+                f"{where} has the factor {self.factor:g}, and {self.kind} has none; leave it out"
+            )
+
+    def mask(self, frame: tuple[int, int], mm_per_pixel: tuple[float, float]) -> Mask:
+        """Return its places, bool (h, w). frame: (h, w) of the inspected region."""
+        pixels = self.pixels(mm_per_pixel) - 0.5  # OpenCV's pixel centres are integers
+        filled = np.zeros(frame, np.uint8)
+        corners = np.rint(pixels * 2**_SHIFT).astype(np.int32)
+        return np.asarray(cv2.fillPoly(filled, [corners], 1, shift=_SHIFT) > 0)
+
+    def pixels(self, mm_per_pixel: tuple[float, float]) -> NDArray[np.float64]:
+        """Return its corners in pixels from the corner of the picture, float64 (n, 2)."""
+        return np.asarray(np.array(self.points_mm, np.float64) / np.array(mm_per_pixel), np.float64)
+
+    def check_inside(self, frame: tuple[int, int], mm_per_pixel: tuple[float, float]) -> None:
+        """Errors: ValueError for a region that reaches out of the inspected region, (h, w)."""
+        wide, high = frame[1] * mm_per_pixel[0], frame[0] * mm_per_pixel[1]
+        slack = max(mm_per_pixel)
+        for x, y in self.points_mm:
+            if not (-slack <= x <= wide + slack and -slack <= y <= high + slack):
+                raise ValueError(
+                    f"region '{self.name}' has a point at ({x:g}, {y:g}) mm, outside the field of {wide:.1f} x "
+                    f"{high:.1f} mm; places are counted from its top left corner"
+                )
+
+
+@dataclass(frozen=True)
+class DrawnRegions:
+    """The regions of a bundle, and what of the nominal contact they leave out. Errors: ValueError."""
+
+    regions: tuple[DrawnRegion, ...]
+    ignored_mm2: float = 0.0
+    """Of the contact of nominal presses what is not judged."""
+    contact_mm2: float = 0.0
+    """The contact of nominal presses; 0 where nothing is ignored."""
+
+    def __post_init__(self) -> None:
+        names = [region.name for region in self.regions]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise ValueError(
+                f"two regions have the name '{twice}'; remove the first one, or name the other otherwise"
+            )
+
+    def describe(self) -> str:
+        """Say what is ignored, and how many regions there are, in a few words."""
+        kinds = [region.kind for region in self.regions]
+        counts = [f"{kinds.count(kind)} {kind}" for kind in get_args(RegionKind) if kind in kinds]
+        said = (
+            [f"ignored: {self.ignored_mm2:.1f} mm2 of {self.contact_mm2:.0f} mm2"] if self.contact_mm2 else []
+        )
+        return "; ".join([*said, ", ".join(counts)])
+
+
+def weigh_places(
+    regions: Sequence[DrawnRegion], frame: tuple[int, int], mm_per_pixel: tuple[float, float]
+) -> NDArray[np.float32]:
+    """Return the weight of each place of a score map, float32 (h, w)."""
+    weights = np.full(frame, 0 if any(one.kind == "judge" for one in regions) else 1, np.float32)
+    for kind in ("judge", "stricter", "ignore"):
+        for region in regions:
+            if region.kind == kind:
+                mask = region.mask(frame, mm_per_pixel)
+                weights[mask] = (
+                    0 if kind == "ignore" else np.maximum(weights[mask], np.float32(region.factor))
+                )
+    return weights
+
+
+def find_blind(weights: NDArray[np.floating]) -> Mask | None:
+    """Find the places that are not judged, bool (h, w); None for none."""
+    blind = weights == 0
+    return np.asarray(blind) if blind.any() else None
+
+
+def region_at(regions: Sequence[DrawnRegion], x_mm: float, y_mm: float) -> DrawnRegion | None:
+    """Find the smallest region around a place of the bank's pose; None where there is none."""
+    around = [
+        one
+        for one in regions
+        if cv2.pointPolygonTest(np.array(one.points_mm, np.float32), (x_mm, y_mm), False) >= 0
+    ]
+    return min(around, key=lambda one: abs(_area(one.points_mm)), default=None)
+
+
+def _area(points: Points) -> float:
+    return (
+        sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in zip(points, (*points[1:], points[0]), strict=True))
+        / 2
+    )
+
+
+def _crosses_itself(points: Points) -> bool:
+    """Tell whether two sides that are no neighbours meet, two neighbours lie on each other, or there is no area."""
+    if len(set(points)) != len(points) or _area(points) == 0:
+        return True
+    count = len(points)
+    sides = [(points[k], points[(k + 1) % count]) for k in range(count)]
+    return any(
+        _meet(*sides[j], *sides[k]) for j in range(count) for k in range(j + 2, count) if (k + 1) % count != j
+    )
+
+
+def _meet(
+    a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
+) -> bool:
+    """Tell whether the segments a-b and c-d have a point in common."""
+    sides = [_side(a, b, c), _side(a, b, d), _side(c, d, a), _side(c, d, b)]
+    if sides[0] * sides[1] < 0 and sides[2] * sides[3] < 0:
+        return True
+    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
+    return any(side == 0 and _is_between(*three) for side, three in zip(sides, ends, strict=True))
+
+
+def _side(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+    """Say on which side of a-b the point c lies: above 0, below, or on the line."""
+    return float(np.sign((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])))
+
+
+def _is_between(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+    return all(min(p, q) <= r <= max(p, q) for p, q, r in zip(a, b, c, strict=True))
