@@ -6,6 +6,7 @@ Stages enter by the entry points `gelgate.features`, those of gelgate and those 
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
 
 from edge.config import Config
@@ -75,6 +76,10 @@ class Selection(Protocol):
         """The bundle that judges presses now."""
 
     @property
+    def path(self) -> Path:
+        """Where the bundle in use was opened from."""
+
+    @property
     def shadow(self) -> Inspector | None:
         """The bundle that is scored beside the one in use, and decides nothing."""
 
@@ -89,6 +94,9 @@ class Selection(Protocol):
     def exchange(self, why: Act) -> None:
         """Inspect with the shadow from now on, and have the other for a shadow. Only while nothing is pressed. Errors:
         StoreError; then nothing has changed."""
+
+    def reload(self) -> None:
+        """Open the configured bundles again, while presses are judged as before."""
 
     def find_all(self, name: str) -> Set[PartPosition]:
         """Return all positions that this name, such as the code on a part, may mean."""

@@ -139,7 +139,13 @@ def _read_words(database: Path, part: "PartPosition", old: "Bundle") -> "Confirm
 
 
 def _warn_of_taught(old: "Bundle") -> None:
-    """Warn where the old bundle was taught damage, which the new one has to be taught again."""
+    """Warn where the old bundle was taught damage, or has drawn regions, which the new one has to be given again."""
+    if old.manifest.regions is not None and old.manifest.regions.regions:
+        typer.echo(
+            "warning: the old bundle has drawn regions, and the new one has none: write them into a file with `gelgate "
+            "bundle regions OLD`, and give it to the new one with --file",
+            err=True,
+        )
     taught = [name for one in old.manifest.facts.get("taught", ()) for name in one["presses"]]
     if taught:
         typer.echo(

@@ -349,6 +349,7 @@ class Config(Table):
             "scars": True,
             "press_again": self.inspection.press_again != "never",
             "drift": True,
+            "drawn_regions": "set_regions" in served,
             "piece": True,
             "outputs": bool(self.triggers or self.actuators),
             "handshake": self.handshake is not None,

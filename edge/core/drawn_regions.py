@@ -17,6 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.registration.pose import Pose
+
 __all__ = [
     "LARGEST_FACTOR",
     "LEAST_JUDGED_MM2",
@@ -91,6 +93,16 @@ class DrawnRegion:
         """Return its corners in pixels from the corner of the picture, float64 (n, 2)."""
         return np.asarray(np.array(self.points_mm, np.float64) / np.array(mm_per_pixel), np.float64)
 
+    def corners_in_press(
+        self, mm_per_pixel: tuple[float, float], frame: tuple[int, int], pose: Pose | None
+    ) -> NDArray[np.float64]:
+        """Return its corners where the part lies in a press, as `pixels`. frame: (h, w) of the inspected region."""
+        corners = self.pixels(mm_per_pixel)
+        if pose is None:
+            return corners
+        matrix = pose.matrix((frame[1], frame[0]))
+        return np.asarray((corners - 0.5) @ matrix[:, :2].T + matrix[:, 2] + 0.5, np.float64)
+
     def check_inside(self, frame: tuple[int, int], mm_per_pixel: tuple[float, float]) -> None:
         """Errors: ValueError for a region that reaches out of the inspected region, (h, w)."""
         wide, high = frame[1] * mm_per_pixel[0], frame[0] * mm_per_pixel[1]
@@ -151,14 +163,20 @@ def find_blind(weights: NDArray[np.floating]) -> Mask | None:
     return np.asarray(blind) if blind.any() else None
 
 
-def region_at(regions: Sequence[DrawnRegion], x_mm: float, y_mm: float) -> DrawnRegion | None:
-    """Find the smallest region around a place of the bank's pose; None where there is none."""
-    around = [
-        one
-        for one in regions
-        if cv2.pointPolygonTest(np.array(one.points_mm, np.float32), (x_mm, y_mm), False) >= 0
-    ]
-    return min(around, key=lambda one: abs(_area(one.points_mm)), default=None)
+def region_at(
+    regions: Sequence[DrawnRegion],
+    place_px: tuple[float, float],
+    mm_per_pixel: tuple[float, float],
+    frame: tuple[int, int],
+    pose: Pose | None,
+) -> DrawnRegion | None:
+    """Find the smallest region around a place (x, y) of a press in this pose; None where there is none."""
+    around = []
+    for region in regions:
+        corners = region.corners_in_press(mm_per_pixel, frame, pose).astype(np.float32)
+        if cv2.pointPolygonTest(corners, place_px, False) >= 0:
+            around.append((cv2.contourArea(corners), region.name, region))
+    return min(around)[-1] if around else None
 
 
 def _area(points: Points) -> float:

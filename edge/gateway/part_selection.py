@@ -4,6 +4,7 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
+from pathlib import Path
 from typing import Final
 
 from edge.background import Background
@@ -68,6 +69,11 @@ class PartSelection:
     def part(self) -> PartPosition:
         """The part and position inspected now."""
         return self._in_use.part
+
+    @property
+    def path(self) -> Path:
+        """Where the bundle in use was opened from."""
+        return self._in_use.path
 
     @property
     def is_waiting(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.defects import find_defects
+from edge.core.drawn_regions import region_at
 from edge.core.errors import ArchiveError
 from edge.core.imaging.decode import decode
 from edge.core.imaging.followed_light import FollowedLight
@@ -30,7 +31,7 @@ from edge.messaging.result_payload import (
 )
 from edge.messaging.status_payloads import GelPayload
 from edge.model.bundle import Bundle
-from edge.model.comparison import compare_press
+from edge.model.comparison import compare_press, outline_regions
 from edge.model.inspector import Inspector
 from edge.pictures.image_file import PictureForm
 from edge.pictures.press_picture import PressCaption, encode_press
@@ -196,14 +197,17 @@ def press_drawing(
         station=station,
         part="/".join(word for word in (manifest.part, manifest.position) if word),
         time=iso_time(press.time_ns),
+        drawn=manifest.regions.describe() if manifest.regions else "",
     )
-    sheet = partial(encode_press, _dim_unjudged(rgb, press), score_map, caption, heatmap)
+    outlines = outline_regions(bundle, press.registered)
+    dimmed = _dim_unjudged(rgb, press, bundle)
+    sheet = partial(encode_press, dimmed, score_map, caption, heatmap, outlines=outlines)
 
     def draw() -> PressFiles:
         is_asked = press.word != Kind.PASS.value  # why a press passes nobody asks
         lit = rgb if press.light is None else press.light.restore(rgb, bundle.region, bundle.profile.size)
         compared = compare_press(bundle, lit, score_map, press.registered) if is_asked else None
-        return PressFiles(sheet(compared), encode_scores(score_map, caption))
+        return PressFiles(sheet(compared=compared), encode_scores(score_map, caption))
 
     return draw
 
@@ -243,11 +247,14 @@ def draw_archived(press_id: str, store: Store, bundles: Iterable[Bundle], heatma
     return PressFiles() if draw is None else draw()
 
 
-def _dim_unjudged(rgb: NDArray[np.uint8], press: Press) -> NDArray[np.uint8]:
+def _dim_unjudged(rgb: NDArray[np.uint8], press: Press, bundle: Bundle) -> NDArray[np.uint8]:
     """Return the picture with the places that were not judged at half their light."""
     unseen = None if press.registered is None else press.registered.unseen_in_press
     masked = None if press.scars is None else press.scars.masked
-    for unjudged in (unseen, masked):
+    blind = bundle.blind
+    if blind is not None and press.registered is not None:
+        blind = press.registered.mask_in_press(blind)
+    for unjudged in (unseen, masked, blind):
         if unjudged is not None:
             rgb = np.where(unjudged[..., None], rgb // 2, rgb)
     return rgb
@@ -286,8 +293,15 @@ def _defects(press: Press, bundle: Bundle) -> Mapping[str, Any]:
         return {}
     defects = find_defects(press.score_map, bundle.manifest.threshold.value)
     x_mm, y_mm = bundle.profile.mm_per_pixel
+    regions = bundle.manifest.regions.regions if bundle.manifest.regions else ()
+    pose = None if press.registered is None else press.registered.pose
+    scale, frame = bundle.profile.mm_per_pixel, bundle.manifest.frame
+    around = [region_at(regions, one.centroid_px, scale, frame, pose) for one in defects[:MOST_DEFECTS]]
     return {
-        "defects": [DefectPlace.of(defect, x_mm, y_mm) for defect in defects[:MOST_DEFECTS]],
+        "defects": [
+            DefectPlace.of(defect, x_mm, y_mm, None if region is None else region.name)
+            for defect, region in zip(defects, around, strict=False)
+        ],
         "defect_area_mm2": round(sum(defect.area_px for defect in defects) * x_mm * y_mm, 4),
     }
 

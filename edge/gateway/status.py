@@ -187,7 +187,7 @@ class StationStatus:
 
     def info(self, bundle: Bundle, identity: DeviceIdentity, parts: Sequence[str] = ()) -> None:
         """The installed software and the connected sensor. parts: that can be selected."""
-        manifest = bundle.manifest
+        manifest, (x_mm, y_mm) = bundle.manifest, bundle.profile.mm_per_pixel
         payload = InfoPayload(
             time_ns=self._clock.time_ns(),
             gelgate_version=version("gelgate"),
@@ -203,6 +203,9 @@ class StationStatus:
             revision=manifest.revision,
             threshold=manifest.threshold.value,
             false_alarms=promise(manifest.threshold),
+            regions=(manifest.regions.describe() or None) if manifest.regions else None,
+            region_names=tuple(one.name for one in manifest.regions.regions) if manifest.regions else (),
+            field_mm=(manifest.region.width * x_mm, manifest.region.height * y_mm),
             warnings=manifest.provenance.warnings,
         )
         self.announce(payload.message())

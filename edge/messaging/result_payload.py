@@ -59,9 +59,10 @@ class DefectPlace(_Part):
     centroid_mm: Pair = Field(description="the same in millimetres")
     area_mm2: float = Field(ge=0, description="its area in square millimetres")
     score: float = Field(description="the largest score in it")
+    region: str | None = Field(default=None, description="the drawn region in which it lies; null for none")
 
     @classmethod
-    def of(cls, defect: Defect, x_mm: float, y_mm: float) -> Self:
+    def of(cls, defect: Defect, x_mm: float, y_mm: float, region: str | None = None) -> Self:
         """Round it to micrometres: finer than any pixel, and short in JSON. x_mm, y_mm: of a pixel."""
         left, top, width, height = defect.box_px
         x, y = defect.centroid_px
@@ -77,6 +78,7 @@ class DefectPlace(_Part):
             centroid_mm=(round(x * x_mm, 3), round(y * y_mm, 3)),
             area_mm2=round(defect.area_px * x_mm * y_mm, 4),
             score=defect.score,
+            region=region,
         )
 
 

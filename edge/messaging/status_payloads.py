@@ -57,6 +57,14 @@ class InfoPayload(Payload):
     revision: int | None = Field(default=None, ge=1, description="of the bundle; it rises with every fit")
     threshold: float | None = None
     false_alarms: str | None = Field(default=None, description="the promise of the threshold, in words")
+    regions: str | None = Field(
+        default=None,
+        description="what a person has drawn on the part, and what of it is ignored; null for nothing",
+    )
+    region_names: tuple[str, ...] = Field(default=(), description="of the drawn regions")
+    field_mm: tuple[float, float] | None = Field(
+        default=None, description="width and height of the inspected region"
+    )
     warnings: tuple[str, ...] = Field(
         default=(),
         description="the warnings of `fit`, such as an outlier among the presses; first those that begin with "

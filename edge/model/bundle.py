@@ -12,6 +12,7 @@ import math
 import tokenize
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from pydantic import ValidationError
 from edge import registry
 from edge.core.contact.reference import Reference
 from edge.core.detector import Grid
+from edge.core.drawn_regions import find_blind
 from edge.core.errors import BundleCorrupt, BundleMismatch, GelgateError
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.image_bytes import kind, picture_size
@@ -30,6 +32,7 @@ from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.archive import MANIFEST, MAX_FILE_BYTES, Archive, open_archive
 from edge.model.manifest import (
+    REGION_WEIGHTS,
     SCHEMA_VERSION,
     ArrayEntry,
     BackboneEntry,
@@ -244,6 +247,12 @@ class Bundle:
     def free_reference(self) -> Reference | None:
         """The untouched gel of the sensor that the bundle was fitted on."""
         return None if self.free_view is None else Reference(self.free_view.astype(np.float32))
+
+    @cached_property
+    def blind(self) -> NDArray[np.bool_] | None:
+        """The places of the bank's pose that drawn regions leave out, bool (h, w); None for none."""
+        weights = self.bank.get(REGION_WEIGHTS)
+        return None if weights is None else find_blind(weights)
 
     @property
     def free_region(self) -> NDArray[np.uint8] | None:

@@ -1,4 +1,4 @@
-"""A press beside the nominal press that it was compared with, as people see it."""
+"""A press beside the nominal press that it was compared with, and the drawn regions on it, as people see them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,8 +6,9 @@ from numpy.typing import NDArray
 from edge.core.registration.pose import Registered, warp
 from edge.model.bundle import Bundle
 from edge.pictures.nominal_pictures import Compared
+from edge.pictures.press_picture import Outline
 
-__all__ = ["compare_press"]
+__all__ = ["compare_press", "outline_regions"]
 
 # Where no press of the bank's pose reaches, in the picture of the nominal press.
 _NOTHING = 235.0
@@ -33,3 +34,11 @@ def compare_press(
     reached = warp(np.ones((h, w), np.float32), back)[..., None] > 0.5
     nominal = np.where(reached, warp(found.nominal, back), np.float32(_NOTHING))
     return Compared(nominal, warp(found.difference, back), found.name)
+
+
+def outline_regions(bundle: Bundle, registered: Registered | None) -> list[Outline]:
+    """Return the outlines of the drawn regions where the part lies in a press."""
+    regions = bundle.manifest.regions.regions if bundle.manifest.regions else ()
+    scale, pose = bundle.profile.mm_per_pixel, None if registered is None else registered.pose
+    found = ((one, one.corners_in_press(scale, bundle.manifest.frame, pose)) for one in regions)
+    return [Outline(one.name, one.kind, corners) for one, corners in found]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.core.contact.mask import Touch
 from edge.core.contact.reference import View
 from edge.core.contact.relief import find_contact, find_expected_reach
-from edge.core.drawn_regions import LEAST_JUDGED_MM2, find_blind
+from edge.core.drawn_regions import LEAST_JUDGED_MM2
 from edge.core.errors import FrameCorrupt, NotScorable, PoseNotFound
 from edge.core.imaging.decode import decode
 from edge.core.imaging.followed_light import FollowedLight, find_light
@@ -28,7 +28,6 @@ from edge.core.ports import Clock
 from edge.core.press import Press
 from edge.core.registration.pose import Registered
 from edge.core.verdict import Kind
-from edge.model.manifest import REGION_WEIGHTS
 from edge.model.manifest_facts import USUAL_CONTACT
 from edge.model.scorer import Scorer
 
@@ -60,9 +59,7 @@ class Inspector:
         self._ahead: deque[tuple[CameraFrame, Touch, Press]] = deque(maxlen=MOST_AHEAD)
         colours = self.bundle.manifest.colours
         self._colours = colours.nominal() if colours else None
-        weights = self.bundle.bank.get(REGION_WEIGHTS)
-        self._blind = None if weights is None else find_blind(weights)
-        free = None if self._blind is None else self.bundle.free_region
+        free = None if self.bundle.blind is None else self.bundle.free_region
         self._free = None if free is None else scorer.fill_dots(free)
         self.expected = find_expected_reach(
             [
@@ -217,7 +214,7 @@ class Inspector:
 
     def _touches_judged(self, filled: NDArray[np.uint8], registered: Registered | None) -> bool:
         """Tell whether a press touches the gel where it is judged."""
-        blind, profile = self._blind, self.bundle.profile
+        blind, profile = self.bundle.blind, self.bundle.profile
         if blind is None or self._free is None:
             return blind is None
         if registered is not None:

@@ -5,18 +5,20 @@ compared with, and the difference, where that is given. Verdict, score, scale in
 written around the panels. Texts in the file hold the same facts, so that a saved picture is complete.
 """
 
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.drawn_regions import RegionKind
 from edge.core.printable import score_texts
 from edge.pictures.heatmap import FULL_SCALE, draw_contour, paint_scores, relative_scores, score_at
 from edge.pictures.image_file import PictureForm, encode, encode_jpeg
 from edge.pictures.nominal_pictures import Compared
 
-__all__ = ["LARGEST_BYTES", "TEXT_KEYWORDS", "PressCaption", "draw_press", "encode_press"]
+__all__ = ["LARGEST_BYTES", "TEXT_KEYWORDS", "Outline", "PressCaption", "draw_press", "encode_press"]
 
 # The longest side of one panel in pixels. Small regions are enlarged by a whole number, large ones shrunk.
 _SMALLEST_PANEL: Final = 384
@@ -32,6 +34,8 @@ _LEGEND: Final = 112
 _LINE: Final = 24  # of words below panels
 _BAR: Final = 18
 
+_REGION_COLOURS: Final = {"ignore": (140, 200, 255), "judge": (150, 235, 130), "stricter": (255, 190, 60)}
+
 _PAPER: Final = 250  # of each colour; one number is filled in a hundredth of the time of three
 _INK: Final = (25, 25, 25)
 _VERDICT_COLOURS: Final = {"pass": (20, 120, 50), "fail": (185, 25, 30), "unsure": (175, 105, 0)}
@@ -44,6 +48,15 @@ _GREY: Final = 128
 _BAR_LENGTHS_MM: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 U8 = NDArray[np.uint8]
+
+
+class Outline(NamedTuple):
+    """A drawn region where it lies in the press."""
+
+    name: str
+    kind: RegionKind
+    corners: NDArray[np.float64]
+    """(n, 2) in pixels of the inspected region, from its corner."""
 
 
 class PressCaption(NamedTuple):
@@ -59,6 +72,8 @@ class PressCaption(NamedTuple):
     """Site/line/station."""
     part: str
     time: str
+    drawn: str = ""
+    """What drawn regions ignore; empty without any."""
 
     def texts(self) -> dict[str, str]:
         """Keyword to text, as in the file."""
@@ -68,7 +83,8 @@ class PressCaption(NamedTuple):
             "threshold": f"{self.threshold:.9g}",
             "mm_per_pixel": f"{x:.6g} {y:.6g}",
         }
-        return {keyword: numbers.get(keyword) or str(value) for keyword, value in self._asdict().items()}
+        texts = {keyword: numbers.get(keyword) or str(value) for keyword, value in self._asdict().items()}
+        return {keyword: text for keyword, text in texts.items() if text or keyword != "drawn"}
 
 
 TEXT_KEYWORDS: Final = PressCaption._fields
@@ -80,11 +96,14 @@ def encode_press(
     caption: PressCaption,
     form: PictureForm = "jpeg",
     compared: Compared | None = None,
+    outlines: Sequence[Outline] = (),
 ) -> bytes:
     """`draw_press` as a file of at most LARGEST_BYTES whose texts are the caption."""
     write, largest_panel = encode if form == "png" else encode_jpeg, _LARGEST_PANEL
     while True:
-        picture = write(draw_press(rgb, score_map, caption, largest_panel, compared), caption.texts())
+        picture = write(
+            draw_press(rgb, score_map, caption, largest_panel, compared, outlines), caption.texts()
+        )
         if len(picture) <= LARGEST_BYTES:
             return picture
         largest_panel //= 2
@@ -96,9 +115,11 @@ def draw_press(
     caption: PressCaption,
     largest_panel: int = _LARGEST_PANEL,
     compared: Compared | None = None,
+    outlines: Sequence[Outline] = (),
 ) -> U8:
     """uint8 (height, width, 3) RGB. rgb: uint8 (h, w, 3), the inspected region. score_map: raw, (h, w) of the same.
     largest_panel: the longest side of one panel in pixels. compared: what is drawn below, of the same region.
+    outlines: drawn regions.
 
     Both panels have the same scale in x and y, also when the profile compresses one axis. Errors: ValueError for
     other shapes, a map that is not finite, a threshold that is not.
@@ -108,8 +129,9 @@ def draw_press(
     relative = relative_scores(score_map, caption.threshold)
     width, height = _panel_size(rgb.shape[1], rgb.shape[0], caption.mm_per_pixel, largest_panel)
     relative = np.asarray(cv2.resize(relative, (width, height), interpolation=_how(rgb, width)), np.float32)
-    press, heat = _press_panel(rgb, width, height), paint_scores(relative)
+    press, heat = _press_panel(rgb, width, height), np.ascontiguousarray(paint_scores(relative))
     for panel in (press, heat):
+        _draw_outlines(panel, outlines, (width / rgb.shape[1], height / rgb.shape[0]))
         draw_contour(panel, relative)
     _draw_scale_bar(press, caption.mm_per_pixel[0] * rgb.shape[1] / width)
     more = 0 if compared is None else height + _LINE
@@ -120,7 +142,9 @@ def draw_press(
         _draw_compared(sheet[_HEADER + height : _HEADER + height + more], compared, relative)
     _draw_legend(sheet[_HEADER : _HEADER + height, 2 * width + 2 * _GAP :], caption.threshold)
     _draw_header(sheet, caption)
-    foot = f"{caption.part}   {caption.station}   {caption.time}   {caption.press_id}"
+    foot = (
+        f"{caption.part}   {caption.station}   {caption.time}   {caption.press_id}   {caption.drawn}".rstrip()
+    )
     _write(sheet, foot, 6, sheet.shape[0] - 9, 0.42)
     return sheet
 
@@ -192,6 +216,19 @@ def _draw_compared(area: U8, compared: Compared, relative: NDArray[np.float32]) 
         area[_LINE:, x : x + width] = panel
     _write(area, compared.name, 6, _LINE - 8, 0.45)
     _write(area, f"the press minus it, {_TIMES} times; grey: the same", width + _GAP + 6, _LINE - 8, 0.45)
+
+
+def _draw_outlines(panel: U8, outlines: Sequence[Outline], scale: tuple[float, float]) -> None:
+    """Draw each region's outline in the colour of its kind, with its name; their inside is unchanged."""
+    for outline in outlines:
+        colour = _REGION_COLOURS[outline.kind]
+        corners = np.rint(outline.corners * np.array(scale)).astype(np.int32)
+        for ink, thickness in (((0, 0, 0), 3), (colour, 1)):
+            cv2.polylines(panel, [corners], True, ink, thickness, cv2.LINE_AA)
+            x, y = (int(value) for value in corners[corners.sum(axis=1).argmin()])
+            name = outline.name.encode("ascii", "replace").decode()
+            at = max(2, x + 4), max(12, y - 5)
+            cv2.putText(panel, name, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, thickness, cv2.LINE_AA)
 
 
 def _draw_scale_bar(panel: U8, mm_per_pixel: float) -> None:

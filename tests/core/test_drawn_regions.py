@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from edge.core.drawn_regions import DrawnRegion, DrawnRegions, find_blind, region_at, weigh_places
+from edge.core.registration.pose import Pose
 
 FRAME, MM = (40, 60), (0.1, 0.1)
 """A field of 6.0 x 4.0 mm."""
@@ -50,8 +51,17 @@ def test_judge_leaves_everything_else_out_and_ignore_decides() -> None:
 
 def test_the_region_of_a_place_is_the_smallest_around_it() -> None:
     regions = [square("face", "judge", 1, 1, 2), square("seam", "stricter", 1.5, 1.5, 0.5, 2.0)]
-    names = [one and one.name for one in (region_at(regions, *at) for at in ((1.2, 1.2), (1.7, 1.7), (5, 3)))]
-    assert names == ["face", "seam", None]
+    found = [region_at(regions, at, MM, FRAME, None) for at in ((12, 12), (17, 17), (50, 30))]
+    assert [one and one.name for one in found] == ["face", "seam", None]
+    moved = Pose(x_px=20.0)
+    assert region_at(regions, (37, 17), MM, FRAME, moved) == regions[1]
+    assert region_at(regions, (17, 17), MM, FRAME, moved) is None
+
+
+def test_corners_lie_where_the_part_does() -> None:
+    """A quarter turn about the middle of the picture brings the right side to the bottom."""
+    corners = square("logo", "ignore", 4, 1, 1).corners_in_press(MM, (40, 40), Pose(turn_rad=math.pi / 2))
+    np.testing.assert_allclose(corners, [(30, 40), (30, 50), (20, 50), (20, 40)], atol=1e-9)
 
 
 def test_what_is_ignored_is_said_in_mm2() -> None:

@@ -97,6 +97,10 @@ function showPart(info) {
   const parts = info.parts || [], now = named(info);
   put("selected", now);
   put("part", now ? [now, info.method, info.revision && `revision ${info.revision}`].filter(Boolean).join(" · ") : "not known yet");
+  const drawn = info.region_names || [], mayDraw = may("set_regions");
+  put("ignored", info.regions ? `Drawn: ${info.regions}` : "");
+  draw("regions", [drawn, mayDraw], () => drawn.map((name) => showRegion(name, mayDraw)));
+  at("draw-region").hidden = !mayDraw || !info.field_mm || !shown.presses.some((press) => press.has_picture);
   const unproven = (info.warnings || []).filter((said) => said.startsWith("not proven"));
   draw("unproven", unproven, () => unproven.map((said) => element("li", said)));
   draw("parts", [parts, now], () => parts.map((name) => {
@@ -107,6 +111,73 @@ function showPart(info) {
   }));
   at("select").hidden = !may("select_part") || parts.length < 2;
 }
+
+function showRegion(name, mayDraw) {
+  const item = element("li", name);
+  if (mayDraw) {
+    const button = element("button", "Remove");
+    button.setAttribute("aria-label", `Remove the region ${name}`);
+    button.onclick = () => change(button, "set_regions", { remove: name }, saidOfRegions);
+    item.append(button);
+  }
+  return item;
+}
+
+const saidOfRegions = (data) => `Revision ${data.revision}: ${data.said}. It inspects when it is open; the one before stays as ${data.kept}.`;
+
+// The press is the left panel of its sheet, below a head; to its right are a gap and as large a panel, then the legend.
+const HEAD_PX = 40, GAP_AND_LEGEND_PX = 120;
+let drawing = null; // { press, wide, high, mm, corners } while a region is drawn; mm: of a pixel of the sheet
+
+function startDrawing() {
+  const press = shown.presses.find((one) => one.has_picture), picture = new Image(), [wide_mm, high_mm] = shown.info.field_mm;
+  at("draw-form").reset();
+  drawing = null;
+  at("sheet").replaceChildren();
+  put("draw-press", [word(press), named(press), clock(press)].filter(Boolean).join(" · "));
+  picture.onload = () => {
+    const wide = (picture.naturalWidth - GAP_AND_LEGEND_PX) / 2, high = wide * high_mm / wide_mm;
+    drawing = { press: press.press_id, wide, high, mm: wide_mm / wide, corners: [] };
+    at("sheet").setAttribute("viewBox", `0 ${HEAD_PX} ${wide} ${high}`);
+    showDrawing(picture);
+  };
+  picture.src = `pictures/${press.press_id}`;
+  showCorners();
+  at("draw").showModal();
+}
+
+function showDrawing(picture) {
+  const about = { href: picture.src, width: picture.naturalWidth, height: picture.naturalHeight };
+  at("sheet").replaceChildren(shape("image", about), shape("polygon", { points: "" }));
+  showCorners();
+}
+
+function showCorners() {
+  const corners = drawing ? drawing.corners : [];
+  const outline = at("sheet").querySelector("polygon");
+  if (outline) { outline.setAttribute("points", corners.map(([x, y]) => `${x},${y + HEAD_PX}`).join(" ")); }
+  at("sheet").querySelectorAll("circle").forEach((dot) => dot.remove());
+  at("sheet").append(...corners.map(([x, y]) => shape("circle", { cx: x, cy: y + HEAD_PX, r: 4 })));
+  put("corners", drawing ? `${corners.length} corners; a tap or click on the press adds one` : "The picture is on its way.");
+  at("draw-undo").disabled = !corners.length;
+  at("draw-sure").disabled = corners.length < 3;
+}
+
+at("draw-region").onclick = startDrawing;
+at("draw-cancel").onclick = () => at("draw").close();
+at("draw-undo").onclick = () => { drawing.corners.pop(); showCorners(); };
+at("sheet").onpointerdown = (event) => {
+  if (!drawing) { return; }
+  event.preventDefault();
+  const place = new DOMPoint(event.clientX, event.clientY).matrixTransform(at("sheet").getScreenCTM().inverse());
+  const within = (value, most) => Math.max(0, Math.min(most, value));
+  drawing.corners.push([within(place.x, drawing.wide), within(place.y - HEAD_PX, drawing.high)]);
+  showCorners();
+};
+at("draw-form").onsubmit = () => {
+  const name = at("region-name").value.trim().replace(/[\s,]+/g, "-"), points = drawing.corners.map((corner) => corner.map((px) => Number((px * drawing.mm).toFixed(3))));
+  change(at("draw-region"), "set_regions", { add: name, kind: at("region-kind").value, points_mm: points, press_id: drawing.press }, saidOfRegions);
+};
 
 function showStation(station) {
   const state = station.state || { state: "starting" }, info = station.info || {}, stats = station.stats || {};

@@ -1,0 +1,207 @@
+"""Regions that are drawn at the page of a station: a new revision inspects, and what cannot be done says why."""
+
+import re
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from station import Motion, press_recording, station_config
+from stepped_station import SteppedStation
+
+from edge.features import drawn_regions
+from edge.features.drawn_regions import MOST_REMEMBERED, DrawnRegionsStage
+from edge.model.bundle import Bundle
+from edge.pictures.image_file import texts
+
+DENT = [[4.4, 3.8], [8.6, 3.8], [8.6, 8.1], [4.4, 8.1]]
+"""Around the film's dent, and the cells of the map that it reaches; mm."""
+SERVED = '[commands]\nunsigned = ["set_regions"]\n'
+
+
+@pytest.fixture
+def station(tmp_path: Path, bundle: Path) -> Iterator[SteppedStation]:
+    """Four presses, each with the dent; the first one is judged."""
+    mine = shutil.copytree(bundle, tmp_path / "bundles" / "pz0")
+    shutil.copy(tmp_path / "bundles" / "pz0" / "manifest.json", tmp_path / "first.json")
+    presses = press_recording(
+        tmp_path / "presses", 4, dented=[0, 1, 2, 3], motion=Motion(hold=8, idle=20), seed=5
+    )
+    with SteppedStation(station_config(tmp_path / "station", presses, mine, tables=SERVED)) as opened:
+        opened.play_presses(1)
+        yield opened
+
+
+def draw(station: SteppedStation, **arguments: Any) -> Any:
+    """Ask, and have the new bundle opened: the asker's thread, the one that opens, and the loop take their turns."""
+    done = station.ask("set_regions", **arguments)
+    data = done()
+    station.turn()  # the loop asks for the bundles
+    station.parts.selection.worker.step()
+    station.turn(2)
+    return data
+
+
+def newest(station: SteppedStation) -> str:
+    return str(station.results[-1].press_id)
+
+
+def test_a_region_is_drawn_seen_and_removed(station: SteppedStation, tmp_path: Path) -> None:
+    """The next press passes there; the revision before stays beside it byte for byte; without the region it fails."""
+    path = tmp_path / "bundles" / "pz0"
+    before = {file.name: file.read_bytes() for file in path.iterdir() if file.is_file()}
+    assert station.verdicts == ["fail"]
+
+    data = draw(station, add="logo", points_mm=DENT, press_id=newest(station))
+
+    assert data["regions"] == ["logo"]
+    assert re.fullmatch(r"ignored: 1\d\.\d mm2 of 7\d mm2; 1 ignore", data["said"])
+    assert {file.name: file.read_bytes() for file in Path(data["kept"]).iterdir() if file.is_file()} == before
+    assert station.said("info")["revision"] == data["revision"]
+    assert station.said("info")["regions"] == data["said"]
+    station.play_presses(2)
+    assert station.verdicts == ["fail", "pass"]
+    assert station.results[-1].bundle_id == Bundle.load(path).digest
+
+    assert draw(station, remove="logo")["said"] == "no region is drawn any more"
+    station.play_presses(3)
+    assert station.verdicts == ["fail", "pass", "fail"]
+    assert station.said("info")["region_names"] == []
+
+
+def test_a_defect_says_in_which_region_it_lies(station: SteppedStation) -> None:
+    """Judged alone there, it fails as before, and its result names the place."""
+    draw(station, add="face", kind="judge", points_mm=DENT, press_id=newest(station))
+    station.play_presses(2)
+    assert station.verdicts == ["fail", "fail"]
+    assert [one.region for one in station.results[0].defects or ()] == [None] * len(
+        station.results[0].defects or ()
+    )
+    assert {one.region for one in station.results[1].defects or ()} == {"face"}
+
+
+def test_the_picture_shows_what_is_ignored(station: SteppedStation, tmp_path: Path) -> None:
+    """Its outline on both panels, the place in half its light, and the area in the words of the file."""
+    draw(station, add="logo", points_mm=DENT, press_id=newest(station))
+    station.play_presses(2)
+    station.publish()
+    (file,) = (tmp_path / "station" / "out").rglob(f"{newest(station)}*.jpg")
+    picture = file.read_bytes()
+
+    assert texts(picture)["drawn"].startswith("ignored: 1")
+    sheet = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR).astype(int)
+    scale = 448 / 224 * 15.77
+    left, top, right, bottom = (round(scale * mm) for mm in (4.4, 3.8, 8.6, 8.1))
+    inside, outside = sheet[40 + top + 20 : 40 + bottom - 20, left + 20 : right - 20], sheet[60:100, 20:80]
+    assert inside.mean() < 0.7 * outside.mean()
+    heat = sheet[40:488, 456:904].mean(axis=2)
+    assert heat[top + 20 : bottom - 20, left + 20 : right - 20].max() < 40
+    assert heat[top - 2 : top + 3, left + 30 : right - 30].max(axis=0).min() > 90  # the line of its outline
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({}, "expected either add or remove"),
+        ({"add": "logo", "remove": "logo"}, "expected either add or remove"),
+        ({"add": "logo", "points_mm": DENT}, "drawn on the picture of a press; name its press_id"),
+        ({"add": "my logo", "points_mm": DENT, "press_id": "newest"}, "add: String should match pattern"),
+        ({"add": "logo", "points_mm": DENT[:2], "press_id": "newest"}, "region 'logo' has 2 points"),
+        ({"add": "logo", "points_mm": [[1.0]] * 4, "press_id": "newest"}, r"points_mm are \[x, y\], in mm"),
+        (
+            {"add": "logo", "points_mm": [DENT[0], DENT[2], DENT[1], DENT[3]], "press_id": "newest"},
+            "region 'logo' crosses itself",
+        ),
+        (
+            {"add": "logo", "points_mm": [[1.0, 1.0], [float("inf"), 1.0], [2.0, 2.0]], "press_id": "newest"},
+            "finite",
+        ),
+        (
+            {"add": "logo", "points_mm": DENT, "press_id": "01J0000000000000000000000A"},
+            "is not among the newest 64",
+        ),
+        (
+            {"add": "seam", "kind": "stricter", "points_mm": DENT, "press_id": "newest"},
+            "gelgate bundle regions .*pz0 NOMINAL -o NEW --add 'stricter seam 1.5 4.400,3.800 ",
+        ),
+        (
+            {
+                "add": "all",
+                "points_mm": [[0.0, 0.0], [14.2, 0.0], [14.2, 14.2], [0.0, 14.2]],
+                "press_id": "newest",
+            },
+            "the regions were not drawn: these regions leave 0.0 mm2",
+        ),
+        (
+            {"add": "far", "points_mm": [[20.0, 2.0], [24.0, 2.0], [24.0, 4.0]], "press_id": "newest"},
+            "outside the field",
+        ),
+        ({"remove": "logo"}, "the regions were not drawn: --remove: the bundle has no region 'logo'"),
+    ],
+)
+def test_what_cannot_be_drawn_is_a_sentence_and_the_bundle_stays(
+    station: SteppedStation, tmp_path: Path, arguments: dict[str, Any], sentence: str
+) -> None:
+    if arguments.get("press_id") == "newest":
+        arguments = {**arguments, "press_id": newest(station)}
+    with pytest.raises(ValueError, match=sentence):
+        station.ask("set_regions", **arguments)()
+    unchanged = (tmp_path / "bundles" / "pz0" / "manifest.json").read_bytes()
+    assert unchanged == (tmp_path / "first.json").read_bytes()
+
+
+def test_a_station_of_signed_bundles_draws_none(station: SteppedStation) -> None:
+    """It has no key."""
+    stage = DrawnRegionsStage(station.parts.selection, lambda call: None, may_sign=False)
+    wish = drawn_regions.SetRegionsArguments(remove="logo")
+    with pytest.raises(ValueError, match="signed bundles alone, and cannot sign"):
+        stage._set(wish)
+
+
+def test_what_ends_in_the_middle_leaves_the_bundle(
+    station: SteppedStation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A child that takes too long, a folder that cannot be written, and a request beside another one."""
+    path = tmp_path / "bundles" / "pz0"
+    arguments = {"add": "logo", "points_mm": DENT, "press_id": newest(station)}
+    ask: Callable[[], Any] = station.ask("set_regions", **arguments)
+    first = (path / "manifest.json").read_bytes()
+
+    def late(*words: Any, **how: Any) -> Any:
+        with pytest.raises(ValueError, match="another region is being drawn"):
+            ask()
+        raise subprocess.TimeoutExpired("gelgate", 120)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(subprocess, "run", late)
+        with pytest.raises(Exception, match="not drawn within 120 s"):
+            ask()
+
+    real = Path.rename
+
+    def full(self: Path, target: Path) -> Path:
+        if ".drawn" in self.name:
+            raise OSError(28, "No space left on device")
+        return real(self, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", full)
+        with pytest.raises(Exception, match="cannot be replaced: No space left"):
+            ask()
+    assert (path / "manifest.json").read_bytes() == first
+    assert ask()["regions"] == ["logo"]
+
+
+def test_presses_are_forgotten_in_turn(station: SteppedStation) -> None:
+    stage = station.find(DrawnRegionsStage)
+    assert len(stage._seen) == 1
+    press = next(iter(stage._seen))
+    for number in range(MOST_REMEMBERED):
+        stage._seen[f"other {number}"] = stage._seen[press]
+    station.play_presses(2)
+    assert press not in stage._seen
+    assert len(stage._seen) == MOST_REMEMBERED
