@@ -10,9 +10,11 @@ TORCH ?= torch==2.13.0
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
 
-# The picture of README.md: the first damaged press of the demo.
-readme-picture: demo
+# The pictures of README.md: the first damaged press of the demo, and its first presses as an animation.
+readme-picture: $(VENV)/.demo
 	mkdir -p docs/images
+	$(BIN)/gelgate demo --keep
+	$(BIN)/python docs/readme_picture.py demo docs/images/presses.webp
 	$(BIN)/gelgate station replay --all -c demo/gelgate.toml --picture demo/pictures
 	$(BIN)/python -c 'import cv2, glob; number = int(min(glob.glob("demo/heatmaps/*-fail.jpg"))[14:16]); \
 	  cv2.imwrite("docs/images/damaged_press.png", cv2.imread(sorted(glob.glob("demo/pictures/*"))[number - 1]), \

@@ -8,6 +8,7 @@ simulated. The sensor is played as fast as it is read, so that a busy machine ta
 import json
 import os
 import shutil
+import sys
 import tempfile
 import threading
 import time
@@ -140,6 +141,7 @@ class _Tally:
             f"{seen[False, 'pass']} of {len(self.damage) - damaged} sound ones passed"
         )
         typer.echo(f"subscriber: {self.received} results over MQTT; heatmaps in {heatmaps}/")
+        _show_picture(heatmaps)
 
     def check(self, recording: Path) -> None:
         """Compare with the labels. Errors: PressesMissed, SinkUnavailable: a press or a result was lost."""
@@ -154,6 +156,20 @@ class _Tally:
                 f"{len(self.verdicts)} presses were inspected and {self.received} results arrived at the subscriber "
                 f"within {SUBSCRIBER_TIMEOUT_S:g} s; check the broker, and reduce the load of the machine"
             )
+
+
+def _show_picture(heatmaps: Path) -> None:
+    """Name the picture of the first damaged press, or of the first, and draw it where the terminal can."""
+    import cv2
+    import numpy as np
+
+    from edge.pictures.terminal import draw_in_terminal
+
+    pictures = sorted(heatmaps.iterdir())
+    if picture := next((path for path in pictures if "-fail." in path.name), next(iter(pictures), None)):
+        typer.echo(f"picture:    {picture}")
+        rgb = np.ascontiguousarray(np.asarray(cv2.imread(str(picture)), np.uint8)[..., ::-1])
+        draw_in_terminal(rgb, sys.stdout, os.environ)
 
 
 def _inspect(folder: Path, bundle: Path, recording: Path, heatmaps: Path, broker: "LocalBroker") -> _Tally:

@@ -38,6 +38,8 @@ def test_the_demo_inspects_over_a_broker(
     assert [path.stem for path in sorted(heatmaps.iterdir())] == ["01-pass", "02-fail", "03-pass"]
     assert "3 of 1000 presses, good" in said
     assert "3 results over MQTT" in said
+    assert "picture:    " in said
+    assert "02-fail" in said.rpartition("picture:")[2]
 
 
 def test_pictures_that_follow_several_results_keep_their_numbers(tmp_path: Path) -> None:
