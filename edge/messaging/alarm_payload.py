@@ -88,6 +88,10 @@ ALARMS: Final[Mapping[str, Alarm]] = {
     "overload": Alarm(
         "end other programs; use a faster bundle (`gelgate lab tradeoff`); check presses against parts made",
     ),
+    "gel_overload": Alarm(
+        "take the part off and look at the gel for a cut; then press less deep, or set a stop. It ends when the gel is "
+        "free; `gelgate station acts` keeps each (`overload`)",
+    ),
     "press_again": Alarm(
         "find the piece, and treat it as not inspected or press it twice again; it ends with the next press",
     ),

@@ -4,6 +4,8 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from edge.core.contact_guidance import Advice
+from edge.core.contact_state import ContactState
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
 from edge.messaging.payload_base import Payload, PressId
@@ -11,6 +13,7 @@ from edge.store.gel_ledger import GelRecord
 
 __all__ = [
     "ChartPart",
+    "ContactPayload",
     "DriftPayload",
     "GelPayload",
     "InfoPayload",
@@ -192,6 +195,34 @@ class ChartPart(BaseModel):
     below: tuple[float, ...]
     shift: int = Field(ge=-1, le=1, description="1 higher, -1 lower than before, 0 for no shift")
     what_to_do: str
+
+
+class ContactPayload(Payload):
+    """What the contact is now: at every change, five times a second while something touches, else every two seconds.
+
+    A newer one replaces an older one that waits. What is older than a second while something touches is over.
+    """
+
+    topic: ClassVar = "contact"
+    qos: ClassVar = 0
+    state: ContactState = Field(description="see contact.md; unknown: nothing may be taken from it")
+    depth_share: float | None = Field(
+        default=None,
+        ge=0,
+        description="depth by the strength of the imprint, 1 for the middle press at fit; null where that is not known "
+        "or nothing touches. It is no force",
+    )
+    frame: int | None = Field(default=None, ge=0, description="number of the camera frame that shows it")
+    press_id: PressId | None = Field(
+        default=None, description="of the press that has its verdict and is still held"
+    )
+    guidance: Advice | None = Field(
+        default=None,
+        description="what a hand should do; shift: the contact, tilt: press that side more; null where nothing is sure",
+    )
+    direction_deg: float | None = Field(
+        default=None, ge=0, le=360, description="of shift and tilt: 0 to the right in the picture, 90 down"
+    )
 
 
 class DriftPayload(Payload):

@@ -9,6 +9,7 @@ from edge.messaging.command_payloads import CommandRequest, CommandResponse
 from edge.messaging.piece_payloads import PiecePayload, PieceResultPayload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import (
+    ContactPayload,
     DriftPayload,
     GelPayload,
     InfoPayload,
@@ -79,6 +80,13 @@ TOPICS: Final[tuple[Topic, ...]] = (
         True,
         ReferencePayload,
         "the newest reference press with its control charts; such a press is on no other topic but `heatmap`",
+    ),
+    Topic(
+        "contact",
+        0,
+        True,
+        ContactPayload,
+        "what the contact is, for a robot or a hand; the newest alone counts",
     ),
     Topic("gel", 1, True, GelPayload, "wear of the mounted gel"),
     Topic(

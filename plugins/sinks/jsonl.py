@@ -4,7 +4,7 @@ A line is `{"topic": ..., "retain": ..., "payload": {...}}`, with a text for pla
 `"file": "heatmap/<press id>.jpg"` for a picture. A line is on the disk before `send` returns. Beyond `keep_mb` the
 oldest are removed: `messages.jsonl` becomes `messages.1.jsonl` when it has a quarter of the room, and the oldest
 pictures go. What it does not do: it has no subscribers and takes no commands. A retained topic is an ordinary line, and
-the last one counts.
+the last one counts; what changes at every moment (`contact`, retained at QoS 0) is not written.
 """
 
 import errno
@@ -57,6 +57,8 @@ class JsonlSink:
 
     def send(self, message: Message) -> None:
         """Append and flush to disk. Errors: SinkUnavailable when the disk refuses, SinkRejected for invalid JSON."""
+        if message.retain and message.qos == 0:
+            return
         line: dict[str, object] = {"root": self._root, "topic": message.topic, "retain": message.retain}
         try:
             with self._lock:

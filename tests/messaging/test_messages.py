@@ -38,7 +38,11 @@ def test_the_reference_has_the_delivery_of_every_payload() -> None:
     delivery = {topic.name: (topic.qos, topic.is_retained) for topic in own}
 
     assert delivery == {topic.name: (topic.payload.qos, topic.payload.is_retained) for topic in own}
-    assert {name for name, how in delivery.items() if how != (1, True)} == {"stats", "piece_result"}
+    assert {name for name, how in delivery.items() if how != (1, True)} == {
+        "contact",
+        "stats",
+        "piece_result",
+    }
     assert delivery["stats"] == (0, False)
 
 

@@ -9,9 +9,13 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import Final, final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from edge.core.contact.events import Event, PressSettled
 from edge.core.contact.mask import Touch
 from edge.core.contact.reference import Reference, View
+from edge.core.contact.relief import Relief
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import Observation
 from edge.core.contact.sight import Sight
@@ -85,6 +89,10 @@ class Look:
     """What it shows of the contact."""
     seen: Observation | None = None
     """It in numbers; None as `level` is."""
+    mask: NDArray[np.bool_] | None = None
+    """Where it is touched, bool (h, w); None as `level` is, and before there is a reference, as the next one."""
+    relief: Relief | None = None
+    """The fine structure that it adds."""
 
 
 @final
@@ -126,9 +134,10 @@ class PressDetector:
             for event in events
         )
         state, interruption_s = self.tracker.state, self._interruption_s
-        seen = None if level is None else self.tracker.seen
+        tracker = self.tracker
+        shown = (None, None, None) if level is None else (tracker.seen, tracker.mask, tracker.relief)
         return Look(
-            frame.timestamp_ns, found, state, self.sight, level, interruption_s, self.tracker.phase, seen
+            frame.timestamp_ns, found, state, self.sight, level, interruption_s, tracker.phase, *shown
         )
 
     @property

@@ -1,0 +1,108 @@
+"""The contact of a running station: on its topic, at every change; and an overload, which is an alarm."""
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from station import station_config, variant
+from stepped_station import SteppedStation
+
+from edge.core.ports import Message
+from edge.features.contact_state import ContactWatch
+
+WHOLE = ["touching", "pressing", "at_rest", "judged", "lift", "free"]
+
+
+@pytest.fixture
+def said(station: SteppedStation, monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """All that is said on the topic, in order."""
+    found: list[dict[str, Any]] = []
+    announce = station.parts.publisher.announce
+
+    def hear(message: Message) -> None:
+        if message.topic == "contact":
+            assert (message.qos, message.retain) == (0, True)
+            found.append(json.loads(message.payload))
+        announce(message)
+
+    watch = station.find(ContactWatch)
+    monkeypatch.setattr(watch, "_parts", replace(watch._parts, announce=hear))
+    return found
+
+
+def states(said: list[dict[str, Any]]) -> list[str]:
+    """The states in order, each once."""
+    names = [one["state"] for one in said]
+    return [name for number, name in enumerate(names) if number == 0 or name != names[number - 1]]
+
+
+def test_each_press_goes_through_all_states(station: SteppedStation, said: list[dict[str, Any]]) -> None:
+    """Also where the fourth frame of a press is as deep as it gets: it is deep enough from the first one on."""
+    station.play()
+    assert states(said) == ["unknown", "free", *(["touching", "deep_enough", *WHOLE[2:]] * 3)]
+    lifted = [one for one in said if one["state"] == "lift"]
+    assert {one["press_id"] for one in lifted} == {result.press_id for result in station.results}
+    assert {one["guidance"] for one in lifted} == {"lift"}
+    assert all(one["depth_share"] == pytest.approx(1, abs=0.15) for one in lifted)
+
+
+def test_what_lasts_is_said_again(station: SteppedStation, said: list[dict[str, Any]]) -> None:
+    """Five times a second while something touches, every two seconds while nothing does: who hears nothing knows."""
+    station.play()
+    times = [one["time_ns"] for one in said]
+    pauses = [(later - earlier) / 1e9 for earlier, later in pairwise(times)]
+    for one, pause in zip(said, pauses, strict=False):
+        assert pause < (2.2 if one["state"] in ("free", "unknown") else 0.42)
+    assert len(said) < 1 + 7 * 3 + 5 * times[-1] / 1e9
+
+
+def test_a_station_that_ends_or_halts_says_nothing_of_the_contact(
+    station: SteppedStation, said: list[dict[str, Any]]
+) -> None:
+    station.play_until(lambda: bool(said) and said[-1]["state"] == "lift")
+    with station.refusing("acts"):
+        station.parts.status.set_fault("golden", "a test")
+        station.turn()
+        assert said[-1]["state"] == "unknown"
+        assert said[-1]["press_id"] is None
+        station.parts.status.clear_fault("golden")
+    station.turn()
+    assert said[-1]["state"] == "lift"
+    station.find(ContactWatch).close()
+    assert said[-1]["state"] == "unknown"
+
+
+def test_an_overload_is_said_and_is_an_alarm_until_the_gel_is_free(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    """At the first frame, before the press is confirmed; it is counted, and each is an act."""
+    weak = variant(bundle, tmp_path / "weak", strength={"lowest": 1.0, "middle": 1.0, "highest": 1.0})
+    with SteppedStation(station_config(tmp_path, recording, weak)) as station:
+        station.turn()
+        for number in (1, 2, 3):
+            station.play_until(lambda: station.said("contact")["state"] == "overload")
+            assert len(station.reports) == number - 1
+            alarm = str(station.alarm("gel_overload"))
+            assert alarm.startswith("the imprint is more than 2 times as strong")
+            assert f"; {number} since the start" in alarm
+            station.play_until(lambda: station.said("contact")["state"] != "overload")
+            assert station.said("contact")["state"] == "free"
+            assert station.alarm("gel_overload") is None
+        station.play()
+        acts = [act for act in station.parts.store.acts(10) if act.verb == "overload"]
+    assert len(acts) == 3
+    assert all(act.arguments["depth_share"] > 1.6 for act in acts)
+
+
+def test_a_file_of_messages_has_no_stream(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """Each line is flushed to the disk: what changes at every moment would fill it."""
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        station.play()
+        station.publish()
+    lines = [json.loads(line) for line in next(tmp_path.rglob("messages.jsonl")).read_text().splitlines()]
+    topics = {line["topic"] for line in lines}
+    assert "result" in topics
+    assert "contact" not in topics
