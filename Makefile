@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs docs-site bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release clean
+.PHONY: demo dev check readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs docs-site bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -44,6 +44,16 @@ test-lab: $(VENV)/.test debian
 # What `make test` skips for want of torch: training of the backbone, checkpoints, and what is compared with torch.
 test-train: $(VENV)/.train
 	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 -m train
+
+# Everything to work on gelgate: the environment, and the checks before each commit.
+dev: $(VENV)/.test
+	$(BIN)/python -m pip install --quiet --group dev
+	$(BIN)/pre-commit install
+
+# What a pull request is asked first: lint, types, the rules, and the tests that import what is changed since BASE.
+BASE ?= main
+check: $(VENV)/.test lint
+	$(BIN)/pytest -q -n $(PROCESSES) --maxprocesses 8 --dist loadfile $$($(BIN)/python .ci/affected.py $(BASE))
 
 # What users get, written again after a change that is meant: messages, database, help, manifests, maps. Read the difference.
 golden: $(VENV)/.test
