@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from edge.core.part_position import PartPosition
     from edge.model.bundle import Bundle
 
-__all__ = ["LearnArguments", "learn"]
+__all__ = ["LearnArguments", "learn", "warn_of_lost"]
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def learn(given: LearnArguments) -> None:
             say=typer.echo,
         )
     _warn_without_gel(old, presses)
-    _warn_of_taught(old)
+    warn_of_lost(old)
     learnt = sum(name.startswith(f"{pictures.name}/") for name in presses.names)
     typer.echo(f"{count_presses(len(presses))}, {learnt} of them from the station")
 
@@ -138,7 +138,7 @@ def _read_words(database: Path, part: "PartPosition", old: "Bundle") -> "Confirm
     return confirmed
 
 
-def _warn_of_taught(old: "Bundle") -> None:
+def warn_of_lost(old: "Bundle") -> None:
     """Warn where the old bundle was taught damage, or has drawn regions, which the new one has to be given again."""
     if old.manifest.regions is not None and old.manifest.regions.regions:
         typer.echo(

@@ -70,6 +70,7 @@ def teach(given: TeachArguments) -> None:
     import tempfile
 
     from calibration.fitting.command import refuse_existing, summarise, write
+    from calibration.fitting.learn_command import warn_of_lost
     from edge.core.errors import ConfigError, FitError
     from edge.core.suggest import suggestion
     from edge.model.bundle import Bundle
@@ -104,6 +105,8 @@ def teach(given: TeachArguments) -> None:
     if lost := [lesson.damaged.names[k] for k in lesson.missed if not taken.is_found[k]]:
         raise FitError(f"{given.take} does not find {', '.join(lost)}, and is not written")
     _compare(taken, before, confirmed, database, given.threads, is_taken=True)
+    if given.take not in ("limit", "place"):
+        warn_of_lost(old)
     assert given.output is not None
     write(taken.fitted, given.output, given.overwrite)
     summarise(taken.fitted, given.output)

@@ -12,9 +12,12 @@ import tiny
 from command_line import ran
 from registered_bundle import registered
 
+from calibration.fitting.regions.drawing import draw_regions
+from edge.core.drawn_regions import DrawnRegion
 from edge.core.errors import BundleCorrupt, BundleMismatch
 from edge.model.bundle import Bundle, GoldenFrame
 from edge.model.bundle_writer import write_bundle
+from edge.model.manifest import REGION_WEIGHTS
 from edge.model.scorer import Scorer
 from export import merge
 from export.merge import merge_bundle, merged_graph
@@ -34,6 +37,21 @@ def test_any_runtime_gets_the_bundles_scores(bundle: Bundle) -> None:
     expected = Scorer(bundle).score_batch(frames)
     np.testing.assert_allclose(score, [s.anomaly_score for s in expected], rtol=1e-6)
     np.testing.assert_allclose(score_map, [s.score_map for s in expected], rtol=1e-5, atol=1e-7)
+
+
+def test_drawn_regions_are_in_the_graph(bundle: Bundle, tmp_path: Path) -> None:
+    """Another runtime weighs the map as the gateway does."""
+    golden = GoldenFrame(tiny.presses(1)[0], "a press", 0.0, ((0.0,),))
+    path = write_bundle(tmp_path / "plain", tiny.tiny_files(tiny.tiny_bank(0.47, "int8"), golden=[golden])[1])
+    seam = DrawnRegion("seam", "stricter", ((0.5, 0.5), (1.5, 0.5), (1.5, 1.5)), 3.0)
+    frames, drawn = tiny.presses(3), draw_regions(path, [seam], None, 1).bundle()
+    score_map, score = ort.InferenceSession(merged_graph(drawn)).run(
+        ["score_map", "score"], {"frames": frames}
+    )
+    plain = np.stack([one.score_map for one in Scorer(bundle).score_batch(frames)])
+    np.testing.assert_allclose(score_map, plain * drawn.bank[REGION_WEIGHTS], rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(score, score_map.max(axis=(1, 2)))
+    assert (score_map != plain).any()
 
 
 def test_the_file_says_what_it_is(bundle: Bundle) -> None:

@@ -20,12 +20,15 @@ from tiny_fit import presses as tiny_presses
 from calibration.fitting.carry import CarryConfig, carry_bundle
 from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
+from calibration.fitting.regions.drawing import draw_regions
+from edge.core.drawn_regions import DrawnRegion
 from edge.core.errors import FitError
 from edge.core.imaging.known_profiles import profile
 from edge.core.imaging.region import Region
 from edge.features.gel_proof import read_origin
 from edge.model.bundle import Bundle
 from edge.model.bundle_writer import write_bundle
+from edge.model.manifest import REGION_WEIGHTS
 from edge.model.manifest_facts import promise
 from edge.model.scorer import Scorer
 
@@ -101,6 +104,17 @@ def test_bank_and_graphs_stay_and_the_rest_is_of_the_new_gel() -> None:
     assert manifest.revision == 5
     assert read_origin(manifest).gel_id == "G2"
     assert manifest.facts["gel"]["carried_from"] == old().digest
+
+
+def test_drawn_regions_are_carried_over(tmp_path: Path) -> None:
+    """A logo of the part is there on every gel."""
+    logo = DrawnRegion("logo", "ignore", ((4.5, 3.9), (8.6, 3.9), (8.6, 8.1), (4.5, 8.1)))
+    drawn = draw_regions(old_fit().write(tmp_path / "old"), [logo], None, 1).bundle()
+    carried = carry_bundle(drawn, pressed(8), CONFIG).bundle()
+    assert carried.manifest.regions == drawn.manifest.regions
+    np.testing.assert_array_equal(carried.bank[REGION_WEIGHTS], drawn.bank[REGION_WEIGHTS])
+    limit, (dented,) = carried.manifest.threshold.value, pressed(1, 9, dent=True).frames
+    assert Scorer(carried, 1).score(dented).anomaly_score < limit
 
 
 def test_its_golden_frames_are_presses_on_the_new_gel() -> None:

@@ -223,7 +223,7 @@ def test_presses_that_wait_for_the_store_hold_no_arrays(
     is room again, each picture comes."""
     drawn: list[str] = []
 
-    def draw(rgb: object, score_map: object, caption: PressCaption, form: str, compared: object) -> bytes:
+    def draw(rgb: object, score_map: object, caption: PressCaption, *how: object, **more: object) -> bytes:
         drawn.append(caption.press_id)
         return files(caption.press_id).sheet
 

@@ -18,6 +18,7 @@ from registered_bundle import registered
 from station import gel, jpeg
 from typer.testing import CliRunner  # noqa: F401
 
+from calibration.fitting.learn_command import warn_of_lost
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.regions.drawing import draw_regions
 from calibration.fitting.regions.texts import parse_region, read_regions, write_regions
@@ -108,6 +109,19 @@ def test_regions_are_added_listed_and_removed(inspected: Inspected, tmp_path: Pa
     assert new["revision"] == old["revision"] + 3
     assert new["golden"] == old["golden"]
     assert new["threshold"] == old["threshold"]
+
+
+def test_who_learns_again_is_told_of_the_regions(
+    inspected: Inspected, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The new bundle has none."""
+    assert draw(inspected, tmp_path / "new", "--add", DENT).code == 0
+    for bundle, words in (
+        (tmp_path / "new", "drawn regions, and the new one has none"),
+        (inspected[0] / "old", ""),
+    ):
+        warn_of_lost(Bundle.load(bundle))
+        assert words in capsys.readouterr().err
 
 
 def test_a_stricter_region_finds_a_fainter_dent_and_promises_anew(
