@@ -1,4 +1,4 @@
-"""`gelgate lab calibrate --simulator`: a real sensor's presses of a ball in, a sensor's file for the simulator out."""
+"""`gelgate lab calibrate`: presses of a ball in; out a file of heights for a station, or a sensor for the simulator."""
 
 from functools import partial
 from pathlib import Path
@@ -9,7 +9,10 @@ import typer
 from calibration.fitting.options import NoContact, Pattern, Resize
 
 if TYPE_CHECKING:
+    from calibration.fitting.presses.nominal_presses import NominalPresses
     from calibration.sensor_fit.calibrate import Calibrated
+    from calibration.sensor_fit.heights import CalibratedHeights
+    from edge.core.detector import Progress
 
 __all__ = ["calibrate"]
 
@@ -19,13 +22,17 @@ def calibrate(
         list[Path],
         typer.Argument(metavar="PRESSES...", help="Presses of one ball: recordings, folders or pictures."),
     ],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="The sensor's file, a name ending in .toml.")
-    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The file, a name ending in .toml.")],
     ball_radius_mm: Annotated[float, typer.Option(min=0.2, max=100, help="The ball's radius, in mm.")],
+    is_heights: Annotated[
+        bool, typer.Option("--heights", help="Calibrate heights of presses on this gel, in mm.")
+    ] = False,
     is_simulator: Annotated[
         bool, typer.Option("--simulator", help="Fit the simulator's colours, gel and noise.")
     ] = False,
+    serial: Annotated[
+        str | None, typer.Option(help="The sensor's serial; presses of another are then refused.")
+    ] = None,
     no_contact: NoContact = None,
     mm_per_px: Annotated[
         float | None,
@@ -35,52 +42,100 @@ def calibrate(
     pattern: Pattern = None,
     overwrite: Annotated[bool, typer.Option(help="Replace existing files.")] = False,
 ) -> None:
-    """Fit the simulator to a sensor, from presses of a ball.
+    """Calibrate a sensor with its gel, from presses of a ball.
 
     Ten to twenty presses, spread over the view, and a picture of the free gel.
 
-    Each press is also simulated by a fit without it; the error inside contact is printed, in grey levels rms, and a
-    picture next to the file shows real, simulated and difference. `gelgate lab simulate --sensor FILE` reads the file.
+    Heights: each ball is also measured by a calibration without it; the errors are printed, and become the uncertainty
+    of the file. `gelgate station heights` reads it, and `gel.heights` of a station.
+
+    Simulator: each press is also simulated by a fit without it; the error inside contact is printed, in grey levels
+    rms, and a picture next to the file shows real, simulated and difference. `gelgate lab simulate --sensor FILE`
+    reads the file.
     """
     from calibration.fitting.presses.nominal_presses import read_presses
     from calibration.progress import Stages
-    from calibration.sensor_fit.calibrate import calibrate_sensor
-    from calibration.simulator.field_of_view import LR
     from edge.core.errors import ConfigError
     from edge.core.imaging.known_profiles import profile
     from edge.core.imaging.region import Region
 
-    if not is_simulator:
-        raise ConfigError("nothing to calibrate is named; give --simulator")
-    sheet = _check_output(output, overwrite)
+    if is_heights == is_simulator:
+        raise ConfigError("nothing to calibrate is named, or both; give --heights or --simulator")
+    sheet = output.with_suffix(".png") if is_simulator else None
+    _check_output(output, sheet, overwrite)
     own = profile("mini_lr")
     presses = read_presses(
         sources, own, Region.full(own.size), no_contact=no_contact, resize=resize, pattern=pattern
     )
     with Stages() as report:
-        made = calibrate_sensor(
-            presses,
-            output.stem,
-            ball_radius_mm,
-            mm_per_px or LR.mm_per_px[0],
-            partial(report, "calibrate"),
+        say = partial(report, "calibrate")
+        if sheet is None:
+            _heights(presses, output, ball_radius_mm, mm_per_px, serial, say)
+        else:
+            _simulator(presses, output, sheet, ball_radius_mm, mm_per_px, say)
+
+
+def _heights(
+    presses: "NominalPresses",
+    output: Path,
+    ball_radius_mm: float,
+    mm_per_px: float | None,
+    serial: str | None,
+    say: "Progress",
+) -> None:
+    from calibration.folders import write_atomically
+    from calibration.sensor_fit.heights import calibrate_heights
+    from edge.heights.calibration_file import write_calibration
+
+    made = calibrate_heights(presses, output.stem, ball_radius_mm, mm_per_px, serial, say)
+    _say_heights(made, ball_radius_mm)
+    write_atomically(output, write_calibration(made.calibration).encode())
+    typer.echo(f"written: {output}")
+
+
+def _say_heights(made: "CalibratedHeights", ball_radius_mm: float) -> None:
+    for name, reason in made.left_out.items():
+        typer.echo(f"left out: {name}: {reason}")
+    typer.echo("ball, held out: at x, y mm; radius found; depth, found; free gel within, mm")
+    for one in made.held:
+        typer.echo(
+            f"  {one.name:32} {one.x_mm:+5.1f} {one.y_mm:+5.1f}; {one.radius_mm:5.2f}; {one.depth_mm:.3f} "
+            f"{one.height_mm:.3f}; {one.outside_mm:.3f}"
         )
+    calibration = made.calibration
+    typer.echo(
+        f"{len(made.held)} balls of {ball_radius_mm:g} mm held out; 95 % of all heights are within "
+        f"{calibration.floor_u95_mm:.3f} mm + {calibration.height_u95:.0%}; the scale, "
+        f"{calibration.mm_per_px:.4f} mm per pixel, is taken to be right within {calibration.scale_u95:.0%}"
+    )
+
+
+def _simulator(
+    presses: "NominalPresses",
+    output: Path,
+    sheet: Path,
+    ball_radius_mm: float,
+    mm_per_px: float | None,
+    say: "Progress",
+) -> None:
+    from calibration.sensor_fit.calibrate import calibrate_sensor
+    from calibration.simulator.field_of_view import LR
+
+    made = calibrate_sensor(presses, output.stem, ball_radius_mm, mm_per_px or LR.mm_per_px[0], say)
     _say(made)
     _write(made, output, sheet)
     typer.echo(f"written: {output}, {sheet}")
 
 
-def _check_output(output: Path, overwrite: bool) -> Path:
-    """Return where the picture goes. Errors: ConfigError before any work is done."""
+def _check_output(output: Path, sheet: Path | None, overwrite: bool) -> None:
+    """Errors: ConfigError before any work is done."""
     from edge.core.errors import ConfigError
 
     if output.suffix != ".toml":
         raise ConfigError(f"a sensor's file ends in .toml, found '{output.name}'")
-    sheet = output.with_suffix(".png")
     for path in (output, sheet):
-        if path.exists() and not overwrite:
+        if path is not None and path.exists() and not overwrite:
             raise ConfigError(f"{path} exists; name another file, or replace it with --overwrite")
-    return sheet
 
 
 def _say(made: "Calibrated") -> None:

@@ -86,6 +86,7 @@ _GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "reference": "Press a master piece, or show its control charts.",
             "acts": "Show who asked the station for what.",
             "replay": "Make verdicts again, bit for bit.",
+            "heights": "Measure a press in millimetres.",
             "describe": "Describe a station to other programs.",
             "topics": "Print every MQTT topic and field, as in docs/mqtt.md.",
             "docs": "List the pages of the manual, or print one.",
@@ -105,7 +106,7 @@ _GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         },
         "lab": {
             "simulate": "Simulate presses as a dataset or as recordings.",
-            "calibrate": "Fit the simulator to a sensor, from presses of a ball.",
+            "calibrate": "Calibrate a sensor with its gel, from presses of a ball.",
             "msa": "Measurement systems analysis: a gauge study.",
             "study": "Study what accuracy costs, cell by cell.",
             "report": "Make a study's page and figures from its rows.",

@@ -225,6 +225,10 @@ class GelTable(Table):
         le=1,
         description="with more of a contact under masked scars no press passes, and a new gel is asked for",
     )
+    heights: Path | None = Field(
+        default=None,
+        description="of `gelgate lab calibrate --heights`, for `gelgate station heights`; see heights.md",
+    )
 
 
 def _database_file(path: Path) -> Path:

@@ -22,7 +22,8 @@ GelgateError
 ├── PressesMissed      machine · play the recording with pace = 0, or take load from the machine
 ├── NotScorable        press · published as an error with its reason, never as a pass; press again
 │   └── PoseNotFound       press · the press is rejected with its reason; press again
-└── FitError           operator · give other or more nominal presses
+├── FitError           operator · give other or more nominal presses
+└── HeightError        operator · give another picture, region or calibration; no height is guessed
 """
 
 
@@ -56,6 +57,10 @@ class DatasetError(GelgateError):
 
 class FitError(GelgateError):
     """No bank can be fitted from these presses."""
+
+
+class HeightError(GelgateError):
+    """No heights can be measured in this press, or nothing can be said of a region of them."""
 
 
 class NotScorable(GelgateError):

@@ -66,6 +66,12 @@ VERBS: list[tuple[str, int, str]] = [
         3,
         "",
     ),
+    (
+        "lab calibrate nominal/frames --heights --no-contact nominal/frames/000000.jpg --ball-radius-mm 3 -o h.toml",
+        3,
+        "",
+    ),
+    ("station heights nominal/frames/000000.jpg -o a.png", 3, "this sensor is not calibrated"),
     ("station page --allow-from 10.0.0.1", 3, "bind"),
     ("gel show --config gelgate.toml", 0, "12"),
     ("gel prove --config gelgate.toml", 0, "is proven on it"),

@@ -44,7 +44,7 @@ def test_presses_give_a_sensor_that_is_simulated(folder: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("name", "words", "sentence"),
     [
-        ("new.toml", (), "nothing to calibrate is named; give --simulator"),
+        ("new.toml", (), "give --heights or --simulator"),
         ("old.toml", ("--simulator",), "or replace it with --overwrite"),
         ("a", ("--simulator",), "a sensor's file ends in .toml, found 'a'"),
     ],

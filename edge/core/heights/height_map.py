@@ -1,0 +1,155 @@
+"""The height map of a press: how far each place of the gel is raised above the free gel."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.contact.reference import fit_levels
+from edge.core.errors import HeightError
+from edge.core.heights.calibration import SIZE, HeightCalibration, place_powers
+from edge.core.heights.integration import integrate
+from edge.core.heights.slopes import SlopeFinder
+
+__all__ = ["HeightMap", "free_picture", "measure_heights", "part_heights"]
+
+U8 = NDArray[np.uint8]
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Heights brighten the gel a little, so slopes and heights are found in turns; the third moves none by 2 micrometres.
+_TURNS: Final = 3
+# A touch changes the colours, smoothed over 2 pixels, by more than this many levels; noise and drift reach 6.
+_TOUCHED_LEVELS, _SMOOTH_PX, _LEAST_TOUCHED_MM2 = 10.0, 2.0, 0.3
+_SATURATED_LEVEL, _MOST_SATURATED = 254, 0.1
+# The gel is lifted around a touch; what is free lies beyond.
+_LIFTED_MM, _LEAST_FREE = 1.5, 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """Heights of one press."""
+
+    heights_mm: F32
+    """float32 (240, 320), towards the camera, 0 on the free gel."""
+    u95_mm: F32
+    """float32 (240, 320): by how much each may be wrong, 95 %."""
+    touched: Mask
+    """bool (240, 320), where the colours changed."""
+    free: Mask
+    """bool (240, 320), the free gel, by which the heights are levelled."""
+    mm_per_px: float
+    calibration: HeightCalibration
+
+
+def free_picture(view: F32) -> U8:
+    """Return the free gel as contact detection sees it, (120, 160, 3), in the size that heights are measured in."""
+    return np.clip(np.rint(cv2.resize(view, SIZE, interpolation=cv2.INTER_CUBIC)), 0, 255).astype(np.uint8)
+
+
+def measure_heights(
+    rgb: U8, free_rgb: U8, calibration: HeightCalibration, serial: str | None = None
+) -> HeightMap:
+    """Measure a press against its free gel, uint8 (240, 320, 3) each.
+
+    Errors: HeightError for another size or gel, a picture without contact, one that is saturated, and a part that
+    covers the view.
+    """
+    for name, picture in (("press", rgb), ("free gel", free_rgb)):
+        if picture.shape != (SIZE[1], SIZE[0], 3):
+            raise HeightError(
+                f"the picture of the {name} is {picture.shape[1]}x{picture.shape[0]}, heights are calibrated at "
+                f"{SIZE[0]}x{SIZE[1]}; give the maker's crop"
+            )
+    if reason := calibration.why_not(free_rgb, serial):
+        raise HeightError(reason)
+    press, ground = rgb.astype(np.float32), free_rgb.astype(np.float32)
+    # Noise makes a fitted gain too small, and a hundredth of the light tilts the heights by a tenth of a millimetre.
+    levels = fit_levels(_smooth(press), _smooth(ground))
+    change = levels.applied(press) - ground
+    touched = _find_touched(change, rgb, calibration.mm_per_px)
+    reach = round(_LIFTED_MM / calibration.mm_per_px)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    free = cv2.dilate(touched.astype(np.uint8), kernel) == 0
+    if free.mean() < _LEAST_FREE:
+        raise HeightError(
+            f"{free.mean():.0%} of the view show free gel, at least {_LEAST_FREE:.0%} are expected, for light and "
+            "height are compared there; press so that the part covers less of the view"
+        )
+    heights = part_heights(change, calibration, calibration.light(free_rgb), free=free)
+    return HeightMap(
+        heights.astype(np.float32),
+        calibration.u95_mm(heights).astype(np.float32),
+        touched,
+        free,
+        calibration.mm_per_px,
+        calibration,
+    )
+
+
+def part_heights(
+    change: F32,
+    calibration: HeightCalibration,
+    light: F64,
+    box: tuple[float, float, float, float] = (0, 0, 1, 1),
+    free: Mask | None = None,
+) -> F64:
+    """Return the heights of a part of the picture, mm, float64 (h, w).
+
+    change: the press without the free gel, (h, w, 3). box: where the part lies, as shares of the picture. free: places
+    whose plane is 0; without any it is the rim.
+    """
+    h, w = change.shape[:2]
+    planes = np.ascontiguousarray(change.transpose(2, 0, 1))
+    finder = SlopeFinder(calibration, place_powers((w, h), box), light)
+    mm = tuple(
+        calibration.mm_per_px * n * (b - a) / m
+        for n, m, a, b in zip(SIZE, (w, h), box[:2], box[2:], strict=True)
+    )
+    heights = np.zeros((h, w))
+    for _ in range(_TURNS):
+        raw = integrate(*finder.find(planes, np.maximum(heights, 0)), (mm[0], mm[1]))
+        heights = _level(raw, free)
+    return heights
+
+
+def _smooth(picture: F32) -> F32:
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), _SMOOTH_PX), np.float32)
+
+
+def _find_touched(change: F32, rgb: U8, mm_per_px: float) -> Mask:
+    """Find where the part touches. Errors: HeightError."""
+    smooth = _smooth(np.linalg.norm(change, axis=2).astype(np.float32))
+    # A flat top has the colours of the free gel: what an outline encloses is touched.
+    outlines, _ = cv2.findContours(
+        np.asarray(smooth > _TOUCHED_LEVELS, np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
+    touched = cv2.drawContours(np.zeros(smooth.shape, np.uint8), outlines, -1, 1, cv2.FILLED) > 0
+    if touched.sum() * mm_per_px**2 < _LEAST_TOUCHED_MM2:
+        raise HeightError(
+            f"nothing presses the gel: colours change by {smooth.max():.0f} levels at most, {_TOUCHED_LEVELS:.0f} over "
+            f"{_LEAST_TOUCHED_MM2} mm2 are expected; give a picture of a press and one of the free gel"
+        )
+    saturated = float((rgb[touched] >= _SATURATED_LEVEL).any(axis=1).mean())
+    if saturated > _MOST_SATURATED:
+        raise HeightError(
+            f"{saturated:.0%} of the contact is saturated, at most {_MOST_SATURATED:.0%} are accepted, for a colour at "
+            "its end tells no slope; lower the exposure"
+        )
+    return touched
+
+
+def _level(heights: F64, free: Mask | None) -> F64:
+    """Return the heights with the plane through the free places at 0; without any, the median of the rim at 0."""
+    if free is None or not free.any():
+        rim = np.concatenate([heights[0], heights[-1], heights[:, 0], heights[:, -1]])
+        return np.asarray(heights - np.median(rim))
+    rows, columns = np.nonzero(free)
+    sparse = slice(None, None, max(1, len(rows) // 4000))
+    at = np.column_stack([columns[sparse], rows[sparse], np.ones(len(rows[sparse]))])
+    x, y, level = np.linalg.lstsq(at, heights[free][sparse], rcond=None)[0]
+    down, across = np.mgrid[0 : heights.shape[0], 0 : heights.shape[1]]
+    return np.asarray(heights - (x * across + y * down + level))
