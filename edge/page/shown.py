@@ -15,6 +15,7 @@ from edge.messaging.payload_base import Payload
 from edge.messaging.piece_payloads import PiecePayload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import (
+    ContactPayload,
     DriftPayload,
     GelPayload,
     InfoPayload,
@@ -56,6 +57,7 @@ _MODELS: Final[Mapping[str, type[Payload]]] = {
     "gel": GelPayload,
     "reference": ReferencePayload,
     "piece": PiecePayload,
+    "contact": ContactPayload,
     "questions": QuestionsPayload,
     "drift": DriftPayload,
     "stats": StatsPayload,
@@ -63,7 +65,7 @@ _MODELS: Final[Mapping[str, type[Payload]]] = {
     "result": ResultPayload,
 }
 
-_STATUS: Final = ("state", "info", "gel", "reference", "piece", "questions", "drift", "stats")
+_STATUS: Final = ("state", "info", "gel", "reference", "piece", "contact", "questions", "drift", "stats")
 
 
 class Picture(NamedTuple):

@@ -6,7 +6,9 @@ import pytest
 from fake_gpio import FALLING, RISING, FakeKernel
 
 from edge.clock import ManualClock
+from edge.core.digital_io import OutputRule, StationView
 from edge.core.errors import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, DeviceStalled
+from edge.features.outputs.actuator_driver import ActuatorDriver
 from plugins.digital_io.gpio import ButtonOptions, GpioButton, GpioRelays, RelaysOptions
 
 
@@ -65,3 +67,26 @@ def test_closing_releases_the_lines_once() -> None:
     relays.close()
 
     assert kernel.releases == 1
+
+
+def test_a_line_says_when_to_lift_and_another_that_the_press_is_too_deep() -> None:
+    """Each only while it is so, and none in a station that is not ready or whose loop hangs."""
+    kernel = FakeKernel(clock := ManualClock())
+    rules = [OutputRule(1, frozenset({"lift"})), OutputRule(2, frozenset({"overload"}))]
+    driver = ActuatorDriver(
+        lambda: GpioRelays(kernel, RelaysOptions(lines=(5, 6))), rules, clock, print, print, watchdog_ns=10**9
+    )
+    for state, contact, on in (
+        ("ready", "judged", set()),
+        ("ready", "lift", {5}),
+        ("ready", "overload", {6}),
+        ("halted", "lift", set()),
+        ("ready", "unknown", set()),
+        ("ready", "lift", {5}),
+    ):
+        driver.show(StationView(state, contact=contact))  # type: ignore[arg-type]
+        driver.step()
+        assert {line for line, level in kernel.levels.items() if level} == on, (state, contact)
+    clock.sleep(1.1)
+    driver.step()
+    assert not any(kernel.levels.values())

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from chromium import BROWSER_MS, wait_until
-from page_messages import PICTURE, T0_NS, TOKEN, drift, gel, info, piece, press, state, stats
+from page_messages import PICTURE, T0_NS, TOKEN, contact, drift, gel, info, piece, press, state, stats
 from ports import free_port
 from station import MQTT, Motion, press_recording, station_config, two_parts
 from stepped_station import correct_counts
@@ -156,6 +156,34 @@ def test_a_piece_is_no_pass_before_all_of_it_has_passed(tab: Any, sink: PageSink
     becomes("pass", "pass", *press(4, **one), ended)
     assert "0042: pass" in tab.inner_text("#piece")
     becomes("0 of 3", "none", piece((None, None, None), piece_id="0043"))
+
+
+def test_a_hand_is_told_what_to_do_and_never_what_is_over(tab: Any, sink: PageSink) -> None:
+    """The word and the way while it is said; a second later, and at a station that is not ready, nothing."""
+
+    def told(message: Message, sentence: str) -> None:
+        sink.send(message)
+        wait_until(
+            tab,
+            f"document.getElementById('advice').innerText === '{sentence}' && !document.getElementById('hand').hidden",
+        )
+
+    sink.send(state("ready"))
+    told(contact("pressing", "deeper"), "Press deeper")
+    assert not tab.locator("#arrow").is_visible()
+    told(contact("pressing", "shift", 90.0, ms=200), "Shift the part")
+    assert "rotate(90deg)" in str(tab.get_attribute("#arrow", "style"))
+    told(contact("deep_enough", "tilt", 180.0, ms=400), "Press this side more")
+    told(contact("at_rest", "hold", ms=600), "Hold still")
+    told(contact("lift", "lift", ms=800), "Lift")
+    told(contact("overload", "lift", ms=1000), "Too deep: take it off")
+    sink.send(contact("free", ms=1200))
+    wait_until(tab, "document.getElementById('hand').hidden")
+    told(contact("lift", "lift", ms=1400), "Lift")
+    wait_until(tab, "document.getElementById('hand').hidden")  # nothing came for a second
+    told(contact("lift", "lift", ms=3000), "Lift")
+    sink.send(state("halted", "a test"))
+    wait_until(tab, "document.getElementById('hand').hidden")
 
 
 def test_no_press_is_asked_about_with_the_picture_of_another(tab: Any, sink: PageSink) -> None:

@@ -14,6 +14,7 @@ from edge.messaging.reference_message import describe_reference_press
 from edge.messaging.result_payload import PressFiles, ResultPayload, picture_messages
 from edge.messaging.status_payloads import (
     ChartPart,
+    ContactPayload,
     DriftPayload,
     GelPayload,
     InfoPayload,
@@ -176,3 +177,15 @@ def reference() -> Message:
         gel_limit_presses=1000,
     )
     return describe_reference_press(result, 7, "M1", "pass", judge(presses, 5)).message()
+
+
+def contact(
+    word: str, guidance: str | None = None, direction_deg: float | None = None, ms: int = 0
+) -> Message:
+    """What is said of the contact, so many milliseconds after the first."""
+    return ContactPayload(
+        time_ns=T0_NS + ms * 10**6,
+        state=word,  # type: ignore[arg-type]
+        guidance=guidance,  # type: ignore[arg-type]
+        direction_deg=direction_deg,
+    ).message()

@@ -81,6 +81,25 @@ function showPiece(piece) {
     element("li", `${named(place)}: ${place.verdict || "to be pressed"}`, place.verdict || "open")));
 }
 
+// What a hand should do. The station says it again five times a second: what is older than a second is not so any more.
+const ADVICE = { deeper: "Press deeper", shift: "Shift the part", tilt: "Press this side more", hold: "Hold still", lift: "Lift" };
+const SAID_MS = 1000;
+let handTimer = 0, handAt = null;
+function showHand(contact, isReady) {
+  const advice = isReady && contact && (contact.state === "overload" ? "Too deep: take it off" : ADVICE[contact.guidance]);
+  if (!advice) { handAt = null; at("hand").hidden = true; return; }
+  if (contact.time_ms === handAt) { return; }
+  handAt = contact.time_ms;
+  clearTimeout(handTimer);
+  handTimer = setTimeout(() => { at("hand").hidden = true; }, SAID_MS);
+  const way = contact.direction_deg;
+  at("hand").className = contact.state;
+  at("arrow").hidden = typeof way !== "number";
+  at("arrow").style.transform = `rotate(${way || 0}deg)`;
+  put("advice", advice);
+  at("hand").hidden = false;
+}
+
 function showGel(gel) {
   if (!gel) { put("gel", "not known yet"); return; }
   const left = Math.max(0, gel.limit_presses - gel.presses), share = Math.min(100, 100 * gel.presses / gel.limit_presses);
@@ -323,6 +342,7 @@ function show() {
   if (shown !== null) {
     showStation(shown);
     showPresses(shown.presses, shown.piece);
+    showHand(shown.contact, !shown.away && (shown.state || {}).state === "ready");
     showDrift(shown.drift, shown.presses[0]);
   }
 }

@@ -1,0 +1,39 @@
+"""A robot that lifts the part when the station says so: MQTT alone, without gelgate.
+
+    pip install paho-mqtt
+    python lift_when_judged.py HOST PORT gelgate/site/line/station/gel/v1
+
+It prints `lift <press id>` where a robot would lift, and `retreat` where the press is too deep. What the
+broker has kept may be old and does not count: the station says it again five times a second while something touches.
+"""
+
+import json
+import queue
+import sys
+
+import paho.mqtt.client as mqtt
+
+
+def main(host, port, root):
+    news, is_ready, lifted = queue.Queue(), False, None
+    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+    client.on_connect = lambda *_: client.subscribe([(f"{root}/state", 1), (f"{root}/contact", 0)])
+    client.on_message = lambda _client, _data, message: news.put(message)
+    client.connect(host, int(port), keepalive=5)
+    client.loop_start()
+    while True:
+        message = news.get()  # a robot that waits here stays where it is
+        said = json.loads(message.payload)
+        if message.topic.endswith("/state"):
+            is_ready = said["state"] == "ready"
+        elif message.retain or not is_ready:
+            continue  # it may be old
+        elif said["state"] == "overload":
+            print("retreat", flush=True)
+        elif said["state"] == "lift" and said["press_id"] != lifted:
+            lifted = said["press_id"]
+            print("lift", lifted, flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,239 @@
+"""How late is each state of contact, and which are false? The stream against an oracle of the whole film.
+
+    pytest -m bench -s tests/bench/test_contact_state.py
+
+The films are those of `test_right_frame.py`, as JPEGs, through the gateway's own detector. The oracle sees every frame
+without noise and under a steady light, and what comes after it: float64, and nothing has to be confirmed. What noise
+hides from relief it does not see either. `FILMS` shortens it.
+"""
+
+import os
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+from ball_frames import PROFILE
+from numpy.typing import NDArray
+from press_films import Film, Press, _pressed, grains, random_film, series
+
+from edge.core.contact.events import PressSettled
+from edge.core.contact.mask import CHANGE_LEVELS, MORPHOLOGY_SIDE, TOUCH_LEVELS
+from edge.core.contact.press_detector import PressDetector
+from edge.core.contact.relief import ReliefOfReference
+from edge.core.contact.settings import ContactSettings
+from edge.core.contact_state import ContactFollower, ContactState
+from edge.core.imaging.frames import CameraFrame
+from edge.core.imaging.quality import NominalStrength
+
+FILMS = int(os.environ.get("FILMS", "170"))
+RULES = ContactSettings()
+F64 = NDArray[np.float64]
+# The colours of a camera's picture are finer than the view.
+JPEG = (cv2.IMWRITE_JPEG_QUALITY, 97, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+MOMENTS = ("touching", "pressing", "deep_enough", "at_rest", "free")
+
+
+def _beyond(squared: F64) -> NDArray[np.bool_]:
+    """Where the gel is touched: as `mask_beyond`, of squared colour distances in float64."""
+    kernel = np.ones((MORPHOLOGY_SIDE, MORPHOLOGY_SIDE), np.uint8)
+    far = (squared > TOUCH_LEVELS**2).astype(np.uint8)
+    opened = cv2.morphologyEx(cv2.morphologyEx(far, cv2.MORPH_CLOSE, kernel), cv2.MORPH_OPEN, kernel)
+    outlines, _ = cv2.findContours(opened, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return np.asarray(cv2.drawContours(opened, outlines, -1, 1, cv2.FILLED), bool)
+
+
+@dataclass
+class Truth:
+    """One frame without noise: its time, view, touched area, relief, strength and texture."""
+
+    t: float
+    view: F64
+    area: float
+    relief: float
+    strength: float
+    texture: float
+
+    @property
+    def touched(self) -> float:
+        return max(self.area, self.relief)
+
+
+def _truths(film: Film, times: list[float]) -> list[Truth]:
+    views = series(film.part, film.gel)
+    free, structure = views[0].astype(np.float64), ReliefOfReference(views[0])
+    for noise in grains()[:8]:  # relief below the noise of the sensor is none
+        structure.of(noise, RULES.light_levels)
+    nothing = Truth(0.0, free, 0.0, 0.0, 0.0, 0.0)
+    found = []
+    for t in times:
+        press = next((p for p in film.presses if p.onset_s <= t <= p.end_s), None)
+        if press is None:
+            found.append(replace(nothing, t=t))
+            continue
+        view = _pressed(views, press.depth_at(t), press.place_at(t))
+        added = view.astype(np.float64) - free
+        squared = (added**2).sum(axis=2)
+        mask, relief = _beyond(squared), structure.of(added.astype(np.float32), RULES.light_levels)
+        strength = float(np.sqrt(squared[mask]).sum()) / squared.size
+        found.append(
+            Truth(t, view.astype(np.float64), float(mask.mean()), relief.area, strength, relief.level)
+        )
+    return found
+
+
+def _has_changed(truth: Truth, before: Truth) -> bool:
+    share = float((np.abs(truth.view - before.view) > CHANGE_LEVELS).any(axis=2).mean())
+    return share > RULES.still_share * max(truth.touched, RULES.on_area)
+
+
+def _rest(truths: list[Truth], start: int, stop: int) -> int | None:
+    """The first frame at which the press rests, by the rules of docs/contact.md."""
+    for k in range(start, stop):
+        settled_s = truths[k].t - 0.95 * RULES.settle_s
+        anchor = next((j for j in range(k, start - 1, -1) if truths[j].t <= settled_s), None)
+        if anchor is None or _has_changed(truths[k], truths[anchor]):
+            continue
+        is_grown = any(
+            max(getattr(truth, name) for truth in truths[anchor + 1 : k + 1])
+            > (1 + RULES.growth_share) * max(getattr(truth, name) for truth in truths[start : anchor + 1])
+            for name in ("strength", "texture")
+        )
+        now, then = (truths[j].strength + truths[j].texture for j in (k, anchor))
+        if not is_grown and now >= (1 - RULES.growth_share) * then:
+            return k
+    return None
+
+
+def _moments(truths: list[Truth], press: Press, deep: float) -> dict[str, int]:
+    """The frame of each moment of one press; none where it never shows."""
+    inside = [k for k, truth in enumerate(truths) if press.onset_s <= truth.t <= press.end_s]
+    seen = [k for k in inside if truths[k].touched >= RULES.on_area]
+    start = next((k for k in seen if k + 1 in seen), None)
+    if start is None:
+        return {}
+    peak = max(truths[k].area for k in inside)
+    held = [k for k in inside if truths[k].area > max(RULES.off_area, RULES.release_share * peak)]
+    last = (held or seen)[-1]
+    moments = {"touching": start, "free": last + 1}
+    pressing = [k for k in range(start + 1, last + 1) if truths[k].t - truths[start].t >= RULES.onset_s]
+    if not pressing:
+        return moments
+    moments["pressing"] = pressing[0]
+    rest = _rest(truths, start, last + 1)
+    enough = next((k for k in pressing if truths[k].strength >= deep), None)
+    if rest is not None:
+        moments["at_rest"] = max(rest, pressing[0])
+    if enough is not None and (rest is None or enough < rest):
+        moments["deep_enough"] = enough
+    return moments
+
+
+REACHED: dict[str, tuple[ContactState, ...]] = {
+    "touching": ("touching", "pressing", "deep_enough", "at_rest", "judged", "lift"),
+    "pressing": ("pressing", "deep_enough", "at_rest", "judged", "lift"),
+    "deep_enough": ("deep_enough", "at_rest", "judged", "lift"),
+    "at_rest": ("at_rest", "judged", "lift"),
+    "free": ("free",),
+}
+
+
+def _stream(film: Film, shown: list[CameraFrame], nominal: NominalStrength) -> list[ContactState]:
+    """What is said after each frame; presses are judged and recorded at once."""
+    detector, follower = PressDetector(PROFILE), ContactFollower()
+    follower.nominal = nominal
+    said: list[ContactState] = []
+    for frame in shown:
+        look = detector.feed(frame)
+        for event in look.events:
+            follower.see(event)
+            if isinstance(event, PressSettled):
+                follower.judge(str(event.began_ns))
+        follower.look(look)
+        if follower.press_id is not None:
+            follower.record(follower.press_id)
+        said.append(follower.state)
+    return said
+
+
+def _strength_at(film: Film, depth: float) -> float:
+    views = series(film.part, film.gel)
+    squared = ((_pressed(views, depth, (0.0, 0.0)).astype(np.float64) - views[0]) ** 2).sum(axis=2)
+    return float(np.sqrt(squared[_beyond(squared)]).sum()) / squared.size
+
+
+@dataclass(frozen=True)
+class Late:
+    """One moment of one press. frames: how late it is said, negative for early; None where it never is."""
+
+    film: Film
+    moment: str
+    frames: int | None
+    is_false: bool = False
+    """It is said, and the oracle has none."""
+
+
+def _compare(film: Film) -> Iterator[Late]:
+    pairs = list(film.frames())
+    shown = [
+        CameraFrame(
+            cv2.imencode(".jpg", view[..., ::-1].astype(np.uint8), JPEG)[1].tobytes(),
+            10**9 + round(t * 1e9),
+            number,
+        )
+        for number, (t, view) in enumerate(pairs)
+    ]
+    nominal = NominalStrength(*(_strength_at(film, depth) for depth in (0.5, 0.75, 1.0)))
+    said = _stream(film, shown, nominal)
+    truths = _truths(film, [t for t, _ in pairs])
+    first = said.index("free")
+    allowed = np.zeros(len(said), bool)
+    allowed[:first] = True
+    for press in film.presses:
+        moments = _moments(truths, press, 0.9 * nominal.lowest)
+        inside = [k for k, truth in enumerate(truths) if press.onset_s <= truth.t <= press.end_s + 0.3]
+        allowed[inside] = True
+        for moment in MOMENTS:
+            if moment == "free":
+                held = [k for k in inside if said[k] != "free"]
+                at = held[-1] + 1 if held else None
+            else:
+                at = next((k for k in inside if said[k] in REACHED[moment]), None)
+            if moment in moments:
+                yield Late(film, moment, None if at is None else at - moments[moment])
+            elif moment == "at_rest" and at is not None:
+                yield Late(film, moment, None, is_false=True)
+        held = [k for k in inside if said[k] != "free"]
+        for state in said[held[0] : held[-1]] if held else ():
+            if state in ("free", "unknown", "overload"):
+                yield Late(film, state, None, is_false=True)
+    for k in np.flatnonzero(~allowed):
+        if said[k] != "free":
+            yield Late(film, said[k], None, is_false=True)
+
+
+@pytest.mark.bench
+def test_how_late_the_states_of_contact_are() -> None:
+    """No contact is missed, and none never ends. What is late, false or missing otherwise is printed."""
+    found = [late for seed in range(FILMS) for late in _compare(random_film(seed))]
+    right = [late for late in found if not late.is_false]
+    print(
+        "\n| moment | presses | early, 2 and more | at most one late | two | three and more | missing | false |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    for moment in MOMENTS:
+        mine = [late.frames for late in right if late.moment == moment]
+        known = [frames for frames in mine if frames is not None]
+        print(
+            f"| {moment} | {len(mine)} | {sum(n < -1 for n in known)} | {sum(n <= 1 for n in known) / len(mine):.1%} | "
+            f"{sum(n == 2 for n in known)} | {sum(n > 2 for n in known)} | {mine.count(None)} | "
+            f"{sum(late.is_false and late.moment == moment for late in found)} |"
+        )
+    print("false:", Counter((late.moment, late.film.seed) for late in found if late.is_false))
+    print("late:", Counter((late.moment, late.film.fps) for late in right if (late.frames or 0) > 1))
+    print("missing:", Counter((late.moment, late.film.seed) for late in right if late.frames is None))
+    on_time = sum(late.frames is not None and late.frames <= 1 for late in right) / len(right)
+    print(f"at most one frame late: {on_time:.1%} of {len(right)} transitions (aim 99 %)")
+    assert not [late for late in right if late.frames is None and late.moment in ("touching", "free")]
