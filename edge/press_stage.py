@@ -122,6 +122,9 @@ class StageParts:
     """Lets the loop call something between two frames; any thread may use it."""
     trigger: Callable[[], None]
     """Asks the loop to score the press that is held now; any thread may use it."""
+    do: Callable[[str, Mapping[str, Any]], Data]
+    """Does a request of another stage, by its verb and arguments; the loop alone calls it. Errors: GelgateError,
+    ValueError."""
     announce: Callable[[Message], object]
     """Publishes what the station says of itself; a retained message is sent again on every connection. Any thread may
     use it."""

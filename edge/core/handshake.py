@@ -50,6 +50,7 @@ class Code(IntEnum):
     NOTHING_PRESSED = 10
     OTHER_PART = 11
     NOT_JUDGED = 12
+    PIECE = 13
 
 
 CODES: Final = {
@@ -66,6 +67,7 @@ CODES: Final = {
     Code.NOTHING_PRESSED: "nothing pressed the gel, or its press had its verdict before the trigger",
     Code.OTHER_PART: "the press was judged by the bundle of another part",
     Code.NOT_JUDGED: "the press could not be judged, or ended without a verdict",
+    Code.PIECE: "the piece of several places that the trigger names cannot begin: its id was used before",
 }
 """What each code means, for the manual."""
 

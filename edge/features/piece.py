@@ -16,7 +16,7 @@ from pydantic import Field
 
 from edge.config import Config
 from edge.config.piece_table import PieceTable
-from edge.core.contact.events import PressSettled
+from edge.core.contact.events import Event, PressBegan, PressSettled
 from edge.core.errors import ConfigError, StoreError
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
@@ -66,7 +66,9 @@ class Pieces(PressStage):
         """What is known here may be older than the database."""
         self._wanted: PartPosition | None = None
         """The place whose bundle is to be selected."""
+        self._is_command = parts.config.inspection.trigger == "command"
         self._has_contact = False
+        self._is_undecided = False  # it is pressed, and the press has no verdict
         self._said: object = None
         self._warned: str | None = None
 
@@ -87,8 +89,13 @@ class Pieces(PressStage):
         if config.piece is not None:
             yield "piece", partial(_describe, config)
 
+    def see(self, event: Event) -> None:
+        if isinstance(event, PressBegan):
+            self._is_undecided = True
+
     def admit(self, press: Press) -> Press:
         """Return it with its piece and place, and rejected where the piece is not to be pressed there now."""
+        self._is_undecided = False
         if press.label is not None:
             return press
         piece, begins, refusal = self._piece, False, None
@@ -190,7 +197,7 @@ class Pieces(PressStage):
             raise ValueError(
                 "a press waits to be recorded; see the alarm `store`, and begin the piece after it"
             )
-        if self._has_contact:
+        if self._has_contact and not (self._is_command and self._is_undecided):
             raise ValueError("something presses the gel; lift the part, then begin the piece")
         time_ns, before = self._clock.time_ns(), self._piece
         piece_id = piece_id or new_ulid(time_ns)
@@ -335,22 +342,23 @@ def _refuse_place(piece: Piece, place: PartPosition) -> str:
 
 
 def _describe(config: Config) -> str:
-    """Describe the plan. Errors: ConfigError where nobody can begin a piece after one that was left unfinished."""
-    table, commands, overview = config.piece, config.commands, config.overview
-    assert table is not None
-    by_code = overview is not None and overview.reads_pieces
+    """Say how a piece begins. Errors: ConfigError where nobody can begin one after one that was left unfinished."""
+    commands, overview = config.commands, config.overview
     has_page = any(
         sink.plugin == "page" and {"token_file", "token_variable"} & sink.options.keys()
         for sink in config.sinks
     )
-    if not by_code and BEGIN not in (
-        *commands.unsigned,
-        *commands.signed,
-        *(commands.page if has_page else ()),
-    ):
+    served = {*commands.unsigned, *commands.signed, *(commands.page if has_page else ())}
+    ways = {
+        f"`{BEGIN}`": BEGIN in served,
+        "the trigger of a PLC": config.handshake is not None,
+        "the code on it": overview is not None and overview.reads_pieces,
+    }
+    known = [way for way, is_open in ways.items() if is_open]
+    if not known:
         raise ConfigError(
-            f"piece: after a piece that was left unfinished the next one is begun by a person or a program, and nobody "
-            f"may: name {BEGIN} in [commands] under signed or unsigned, give the sink `page` a token, or read the "
-            "pieces' ids with the group `piece` of overview.part_pattern"
+            "piece: after a piece that was left unfinished the next one is begun by a person or a program, and nobody "
+            f"may: name {BEGIN} in [commands] under signed or unsigned, give the sink `page` a token, let a PLC do it "
+            "([handshake]), or read the pieces' ids with the group `piece` of overview.part_pattern"
         )
-    return f"{len(table.places)} places, in {table.order} order: {_list(table.plan)}"
+    return f"a piece begins with {', '.join(known)}, or with its first judged press"

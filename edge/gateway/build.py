@@ -17,7 +17,13 @@ from edge.config import Config, sink_names
 from edge.core.ports import Clock, Device, Message, Sink
 from edge.core.sink_context import PageRequests, Station
 from edge.gateway.bundle_set import BundleSet
-from edge.gateway.command_table import describe_station, station_commands, station_handlers, trigger_by_pedal
+from edge.gateway.command_table import (
+    ask_stages,
+    describe_station,
+    station_commands,
+    station_handlers,
+    trigger_by_pedal,
+)
 from edge.gateway.commands import Commands, policy_of
 from edge.gateway.features import load_features
 from edge.gateway.loop_calls import LoopCalls
@@ -119,6 +125,7 @@ def _build(
         find_low_space=free_space.check,
         post=lambda do: calls.post(lambda loop: do()),
         trigger=partial(calls.post, trigger_by_pedal),
+        do=lambda verb, arguments: ask_stages(by_name.values(), verb, arguments),
         announce=status.announce,
         listen=listeners.append,
     )

@@ -32,7 +32,14 @@ from edge.press_stage import Command, Data, PressStage
 from edge.store.gel_ledger import GelRecord
 from edge.store.press_counts import acknowledge_corrections
 
-__all__ = ["describe_station", "every_command", "station_commands", "station_handlers", "trigger_by_pedal"]
+__all__ = [
+    "ask_stages",
+    "describe_station",
+    "every_command",
+    "station_commands",
+    "station_handlers",
+    "trigger_by_pedal",
+]
 
 log = logging.getLogger(__name__)
 
@@ -224,6 +231,16 @@ def _ask_stage(
             f"'{command.verb}' is off now: it is not configured, or a gauge study runs on this station"
         )
     return command.do(stage, arguments)
+
+
+def ask_stages(stages: Iterable[PressStage], verb: str, arguments: Mapping[str, Any]) -> Data:
+    """Do the request of one stage for another one, at once. Errors: GelgateError, ValueError."""
+    for stage in stages:
+        for command in stage.commands:
+            if command.verb == verb:
+                data = command.do(stage, command.arguments.of(arguments))
+                return data() if callable(data) else data
+    raise ValueError(f"'{verb}' is off: it is not configured")
 
 
 def station_handlers(calls: LoopCalls[StationLoop], commands: Iterable[LoopCommand]) -> dict[str, Handler]:

@@ -46,6 +46,7 @@ STATUS_BITS: Final[Sequence[tuple[str, str, Callable[[HandshakeView], bool]]]] =
     ("error", "and there is none: `error code` says why", lambda view: view.word == "error"),
     ("not passed", "the complement of pass, also while there is no result", lambda view: not view.is_pass),
     ("alarm", "any alarm is raised", lambda view: bool(view.station.alarms)),
+    ("piece", "a piece of several places is in progress", lambda view: view.station.piece_id is not None),
 )
 """By bit of the status word, and by address of the discrete inputs: name, meaning and value."""
 
@@ -61,7 +62,7 @@ ALARM_BITS: Final[Sequence[tuple[str, ...]]] = (
     ("reference",),
     ("overview",),
     ("overload",),
-    ("press_again",),
+    ("press_again", "piece"),
     ("trigger_device", "actuator", "pulse"),
     ("plc",),
     ("drift", "false_alarms"),

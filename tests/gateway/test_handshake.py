@@ -257,3 +257,43 @@ def test_the_check_before_the_start_takes_the_port(configure: Make, monkeypatch:
         (finding,) = (one for one in checked.findings if one.part == "handshake modbus")
     server.close()
     assert "Address already in use); choose another port" in str(finding.error)
+
+
+PIECE = """
+[piece]
+order = "fixed"
+places = [{ part = "PZ0", position = "pos1" }, { part = "PZ1", position = "pos1" }]
+"""
+
+
+@pytest.mark.parametrize("trigger", ["automatic", "command"])
+def test_a_trigger_that_names_a_piece_begins_it(
+    tmp_path: Path, configure: Make, bundle: Path, trigger: str
+) -> None:
+    """The next trigger with its id is for its next place; one with the id of a piece that is over is an error."""
+    bundles = two_parts(tmp_path / "bundles", bundle)
+    config = configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"', trigger=trigger)
+    with PlcStation(config) as station:
+        station.play_until_ready()
+        for trigger_id in (1, 2):
+            if trigger == "command":
+                station.play_until_pressed()
+            assert station.trigger(trigger_id, piece="P1") is Code.NONE
+            station.play_until(lambda: station.seen.step == "done")
+            assert station.seen.word != "error"
+            assert (station.seen.station.piece_id == "P1") == (trigger_id == 1)
+            station.play_until(lambda: not station.loop.is_pressed)
+            station.acknowledge()
+        if trigger == "command":
+            station.play_until_pressed()
+        assert station.trigger(3, piece="P1") is Code.NONE
+        station.turn()
+        assert station.result == ("done", 3, "error", Code.PIECE)
+        act = station.parts.store.acts()[0]
+
+    assert [(result.piece_id, result.place) for result in station.results[:2]] == [
+        ("P1", "PZ0/pos1"),
+        ("P1", "PZ1/pos1"),
+    ]
+    assert (act.who, act.verb, act.outcome) == ("plc", "begin_piece", "refused")
+    assert "the piece P1 is over (" in str(act.sentence)

@@ -155,7 +155,7 @@ class Life:
         self.selection = PartSelection(bundles, part, Mock(), self.store, self.status, clock)
         parts = StageParts(
             make_config(path, order), clock, self.store, self.status, self.selection,
-            find_sensor=Mock(), find_low_space=Mock(), post=Mock(), trigger=Mock(),
+            find_sensor=Mock(), find_low_space=Mock(), post=Mock(), trigger=Mock(), do=Mock(),
             announce=self.status.announce, listen=Mock(),
         )  # fmt: skip
         opened = Pieces.open(parts)

@@ -15,7 +15,7 @@ from edge.config import Config, HandshakeTable
 from edge.core.contact.events import Event, PressBegan, PressSettled, TriggerRepeated, TriggerWithoutContact
 from edge.core.contact.press_detector import Look
 from edge.core.digital_io import StationView
-from edge.core.errors import StoreError
+from edge.core.errors import GelgateError, StoreError
 from edge.core.gel_life import GelState
 from edge.core.handshake import Code, HandshakeMachine, HandshakeServer, Trigger
 from edge.core.imaging.frames import CameraFrame
@@ -50,6 +50,7 @@ class HandshakeStage(PressStage):
         self._began_ns = 0
         self._gel_left_percent = 0
         self._has_contact = False
+        self._piece_id: str | None = None
         self._answer = ("", 0)
         self._alarm: str | None = None
 
@@ -73,10 +74,23 @@ class HandshakeStage(PressStage):
 
     def _triggered(self, trigger: Trigger, part: PartPosition | None) -> None:
         """Let the loop do what a trigger asks for. The server's thread calls it."""
+        if trigger.piece and self._parts.config.piece is not None:
+            self._parts.post(partial(self._begin_piece, trigger))
         if part is not None:
             self._parts.post(partial(self._select, part, trigger))
         if self._is_command:
             self._parts.trigger()
+
+    def _begin_piece(self, trigger: Trigger) -> None:
+        """Begin the piece of several places that a trigger names, unless it is in progress. Where that fails the result
+        is an error."""
+        if trigger.piece == self._piece_id:
+            return
+        try:
+            self._parts.do("begin_piece", {"piece_id": trigger.piece})
+        except (GelgateError, ValueError) as error:
+            self.port.refuse("begin_piece", str(error))
+            self._miss(Code.PIECE)
 
     def _select(self, part: PartPosition, trigger: Trigger) -> None:
         """Select the part that a trigger names. Where that fails the result is an error."""
@@ -159,6 +173,7 @@ class HandshakeStage(PressStage):
         self._has_contact = mounted is not None and mounted.has_contact
 
     def show(self, view: StationView) -> None:
+        self._piece_id = view.piece_id
         with self.port.machine() as (machine, now_ns):
             machine.show(view, self._gel_left_percent, now_ns)
             is_silent = machine.is_silent(now_ns)

@@ -38,6 +38,7 @@ TABLE = {
     "requests": ("request", "acknowledge"),
     "freezes of the process": ("freeze",),
     "faults of relay and pedal": ("relay", "pedal"),
+    "faults of PLCs": ("plc", "second plc"),
 }
 
 

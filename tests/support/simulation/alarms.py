@@ -48,6 +48,14 @@ def _may_be_pressed(world: World, station: Station) -> bool:
     return world.hand.press is not None or bool(world.sensor.troubles)
 
 
+def _is_plc_silent(world: World, station: Station) -> bool:
+    return world.has_plc and len(world.plcs) == 1 and world.plcs[0].mood in ("cut", "mute")
+
+
+def _may_plc_be_silent(world: World, station: Station) -> bool:
+    return world.has_plc and (world.plcs[0].mood != "up" or len(world.plcs) > 1)
+
+
 def _never(world: World, station: Station) -> bool:
     return False
 
@@ -62,6 +70,8 @@ RULES = (
     # Its presence is asked for once a second; it is opened again every 0.5 to 5 s, and a second.
     Rule("actuator", _is_relay_away, 2.5, _is_relay_disturbed, 8.0),
     Rule("trigger_device", _is_pedal_away, 2.5, _is_pedal_away, 8.0),
+    # A second without a beat; after a cable that was pulled its own old connection may write for three seconds.
+    Rule("plc", _is_plc_silent, 2.5, _may_plc_be_silent, 6.0),
     # It ends when the gel is seen free.
     Rule("contact", _never, 0.0, _may_be_pressed, 8.0),
     # It ends with the next press that is recorded, or with the next report, every 10 s.

@@ -17,6 +17,7 @@ from simulation.auditors_brokers import audit_availability, audit_levels
 from simulation.auditors_contact import audit_contact, audit_lifts
 from simulation.auditors_outbox import ARCHIVED, audit_archive, audit_file, audit_full_outbox, audit_memory
 from simulation.auditors_outputs import audit_lamp, audit_outputs
+from simulation.auditors_plc import audit_answers, audit_plcs
 from simulation.auditors_retained import audit_late, audit_outbox, audit_retained, audit_serials
 from simulation.brokers import Broker
 from simulation.bundles import PARTS
@@ -69,6 +70,7 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     """What holds at each moment."""
     yield from audit_lamp(world, station)
     yield from audit_contact(world, station)
+    yield from audit_plcs(world, station)
     yield from audit_availability(world, station)
     yield from _audit_new_gel(world, station)
     yield from audit_alarms(world, station)
@@ -106,6 +108,7 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from _audit_judged(station)
     yield from audit_outputs(world, station)
     yield from audit_lifts(world, station)
+    yield from audit_answers(world, station)
     yield from audit_retained(world, station)
     yield from audit_late(world, station)
     yield from audit_serials(station)

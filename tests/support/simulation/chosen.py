@@ -27,6 +27,9 @@ MEETINGS = (
     ("hang up", "lose database"),
     ("select part", "stop"),
     ("request", "relay"),
+    ("plc", "second plc"),
+    ("plc", "stop"),
+    ("plc", "unplug"),
 )
 """Faults that do most harm together."""
 
@@ -51,6 +54,8 @@ class Chosen:
     has_shadow: bool = False
     has_robot: bool = False
     """It holds each part until the station says that it may be lifted, or its patience ends."""
+    has_plc: bool = False
+    """It triggers, and reads what answers; only with `trigger = "automatic"`."""
 
     @classmethod
     def of(cls, rng: random.Random, names: Sequence[str]) -> "Chosen":
@@ -71,4 +76,5 @@ class Chosen:
             rng.random() < 0.25,
             rng.random() < 0.25,
             rng.random() < 0.3,
+            rng.random() < 0.4,
         )

@@ -9,6 +9,7 @@ from simulation.faults import MOODS
 from simulation.lives import Station
 from simulation.options import MESSAGES
 from simulation.outputs import GATE, LAMP, REJECT
+from simulation.plc import STEPS
 from simulation.surroundings import World
 
 SOMETIMES = (
@@ -76,6 +77,13 @@ SOMETIMES = (
     "a shadow passed what failed",
     "a robot lifted at the word of the station",
     "a robot was told nothing, and lifted",
+    *(f"a PLC was shown {word}" for word in ("pass", "fail", "error")),
+    *(f"the cable of a PLC was pulled at {step}" for step in STEPS),
+    "a pass was taken back from a PLC",
+    "a second PLC was refused",
+    "a second PLC wrote",
+    "plc mute",
+    "plc slow",
 )
 
 
@@ -110,6 +118,17 @@ def reached_at_end(world: World, station: Station) -> Iterator[str]:
     results = [same[0] for broker in world.brokers.values() for same in broker.results.values()]
     found["a shadow passed what failed"] = any(one["shadow"] and one["verdict"] == "fail" for one in results)
     yield from (name for name, is_so in found.items() if is_so)
+    yield from _of_plcs(world)
+
+
+def _of_plcs(world: World) -> Iterator[str]:
+    for plc in world.plcs:
+        words = [[word for word, _ in asked.words] for asked in plc.asked.values()]
+        yield from (f"a PLC was shown {said[0]}" for said in words if said)
+        yield from ("a pass was taken back from a PLC" for said in words if said == ["pass", "error"])
+        yield from (f"the cable of a PLC was pulled at {step}" for step in plc.cuts)
+    for plc in world.plcs[1:]:
+        yield "a second PLC wrote" if plc.writes_ns else "a second PLC was refused"
 
 
 def _of_broker(broker: Broker) -> Iterator[str]:

@@ -8,6 +8,7 @@ from edge.core.errors import StoreError
 from simulation.chosen import SMALL_MB
 from simulation.outputs import LAMP
 from simulation.people import PEOPLE
+from simulation.plc import STEPS, Plc
 from simulation.sensor import OTHER_SERIAL, SERIAL, S
 
 if TYPE_CHECKING:
@@ -283,6 +284,45 @@ def disturb_pedal(run: "Simulation", rng: random.Random) -> float:
     return run.for_a_while(f"pedal {pedal.mood}", rng.uniform(0.1, 5), pedal.mend)
 
 
+def disturb_plc(run: "Simulation", rng: random.Random) -> float:
+    """Its cable is pulled, now or at a step of the handshake; its watchdog stands still; it acknowledges late."""
+    if not run.world.has_plc:
+        return 60.0
+    plc, lasts_s = run.world.plcs[0], rng.choice((0.1, 0.6, 2.0, 4.0, 12.0))
+
+    def pull() -> None:
+        plc.mood = "cut"
+        run.for_a_while("plc cut", lasts_s, plc.mend)
+
+    kind = rng.choice(("cut", "cut at", "cut at", "cut at", "mute", "slow"))
+    if plc.mood != "up" or kind == "cut":
+        pull()
+    elif kind == "cut at":
+        plc.cut_at, plc.on_cut = rng.choice(STEPS), pull
+    else:
+        plc.mood = kind
+        return run.for_a_while(f"plc {kind}", lasts_s, plc.mend)
+    return lasts_s
+
+
+def join_plc(run: "Simulation", rng: random.Random) -> float:
+    """Another PLC asks for the same for a while."""
+    if not run.world.has_plc or len(run.world.plcs) > 20:
+        return 60.0
+    plcs = run.world.plcs
+    number = 1_000_000 * len(plcs)
+    plc = Plc(run.world.clock, run.world.server, random.Random(rng.random()), f"10.0.1.{len(plcs)}", number)
+    plcs.append(plc)
+    plc.on_part = run.world.select_by_plc
+    end = run.join("second plc", plc.act)
+
+    def leave() -> None:
+        end()
+        plc.leave()
+
+    return run.for_a_while("second plc", rng.choice((1.0, 5.0, 15.0)), leave)
+
+
 FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "unplug": unplug,
     "silence": silence,
@@ -302,6 +342,8 @@ FAULTS: "dict[str, Callable[[Simulation, random.Random], float]]" = {
     "freeze": freeze,
     "relay": disturb_relay,
     "pedal": disturb_pedal,
+    "plc": disturb_plc,
+    "second plc": join_plc,
     **PEOPLE,
 }
 

@@ -21,6 +21,7 @@ from edge.config import Config
 from edge.core.contact.events import PressSettled
 from edge.core.errors import StoreError
 from edge.core.press import Press
+from edge.features.handshake.stage import HandshakeStage
 from edge.features.outputs.stage import Outputs
 from edge.gateway.build import open_station
 from edge.gateway.command_table import every_command
@@ -117,7 +118,7 @@ class Station:
         self._since_ns.clear()
         clock = self.world.clock
         self.began_ns = clock.now_ns
-        if self.was_waiting:
+        if self.was_waiting or self.world.has_plc:
             self.world.parts.forget(clock.now_ns)
         self.world.gels.forget(clock.now_ns)
         self.config = self._read_config()
@@ -129,6 +130,8 @@ class Station:
         opened = open_station(self.config, clock, self._note, checked, stages={"witness": Witness(self)})
         self.loop = self._closing.enter_context(opened)
         self.loop.parts.pictures.recall()
+        if handshake := self.loop.find(HandshakeStage):
+            handshake.start()
 
     @property
     def outputs(self) -> Outputs:

@@ -202,4 +202,32 @@ BUGS = (
         "        if False:\n            self.press_id",
         "lift was shown .* not recorded yet",
     ),
+    Bug(
+        "a PLC is answered by the press that is held",
+        "edge/core/handshake.py",
+        "        self._is_pressed, self._awaited = self._is_command, None\n",
+        "        self._is_pressed, self._awaited = True, None\n",
+        "had begun before it|no press after it",
+    ),
+    Bug(
+        "a pass stays at a PLC when the station halts",
+        "edge/core/handshake.py",
+        '(self._view.step == "busy" or self._view.is_pass)',
+        '(self._view.step == "busy")',
+        "and a pass is shown",
+    ),
+    Bug(
+        "a PLC waits for ever",
+        "edge/core/handshake.py",
+        "now_ns - self._trigger_ns >= self._timeout_ns",
+        "False",
+        "it is busy for",
+    ),
+    Bug(
+        "two PLCs write",
+        "plugins/handshakes/modbus.py",
+        "        if self._writer is not None and is_heard and not self._writer.is_gone:\n",
+        "        if False:\n",
+        "as 10.0.0.1 did",
+    ),
 )

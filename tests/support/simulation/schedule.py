@@ -24,6 +24,7 @@ from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK
 from simulation.lives import Station
 from simulation.options import MESSAGES, SECRET
 from simulation.outputs import TABLES
+from simulation.plc import HANDSHAKE
 from simulation.power import listening
 from simulation.sensor import S
 from simulation.surroundings import World
@@ -216,6 +217,16 @@ class Simulation:
         self.run.counted[name] += 1
         return FAULTS[name](self, random.Random(seed))
 
+    def join(self, name: str, act: Callable[[], float]) -> Callable[[], None]:
+        """Let somebody else take turns, until what is returned is called."""
+        actor = Actor(name, act, self.world.clock.now_ns)
+        self._actors.append(actor)
+
+        def leave() -> None:
+            self._actors = [one for one in self._actors if one is not actor]
+
+        return leave
+
     def later(self, seconds: float, do: Callable[[], object]) -> None:
         """Let something happen once."""
 
@@ -256,7 +267,7 @@ class Simulation:
         self._actors.append(actor)
         self.note(f"{name}, for {lasts_s:.1f} s")
         if name.split()[0] not in self.world.brokers:
-            self.reach(name) if name.startswith(("relay", "pedal")) else self.reach_here(name)
+            self.reach(name) if name.startswith(("relay", "pedal", "plc")) else self.reach_here(name)
         return lasts_s
 
     def _rise(self) -> None:
@@ -317,6 +328,7 @@ class Simulation:
             shadows=shadows,
         )
         text += TABLES + "".join(SINK.format(name=name, at_once_s=AT_ONCE_S) for name in self.order)
+        text += HANDSHAKE if self.world.has_plc else ""
         text += FILE.format(folder=self._disk / MESSAGES) if self.chosen.has_file else ""
         self._config.write_text(text)
         config = load_config(self._config)

@@ -19,6 +19,7 @@ from simulation.chosen import Chosen
 from simulation.connections import Connections
 from simulation.hand import MadePress
 from simulation.outputs import LIFT, Pedal, Relay
+from simulation.plc import Plc, Server
 from simulation.sensor import SERIAL, S, Sensor
 
 
@@ -98,6 +99,12 @@ class World:
         self.relay = Relay.now = Relay(self.clock, lambda: self.is_dead(), random.Random(f"{seed} relay"))
         if chosen.has_robot:
             self.hand.may_lift = lambda: self.relay.is_on[LIFT]
+        self.server = Server.now = Server(self.clock, lambda: self.is_dead())
+        self.has_plc = chosen.has_plc and chosen.trigger == "automatic"
+        own = Plc(self.clock, self.server, random.Random(f"{seed} plc"), "10.0.0.1", 1)
+        self.plcs = [own] if self.has_plc else []
+        """That of the cell, and others that came."""
+        own.on_part = self.select_by_plc
         self.may_lack_files = False
         """The power was lost, or the disk was full, so the archive may lack presses."""
         self.new_gel_ns = -S
@@ -105,6 +112,13 @@ class World:
         self.said: list[str] = []
         """How a stop of the service ended, where it did not end well."""
         self.pedal = Pedal.now = Pedal(self.clock)
+
+    def select_by_plc(self, part: str | None) -> None:
+        """Take the part that a trigger names; None where nobody knows whether it was taken."""
+        if part is None:
+            self.parts.forget(self.clock.now_ns)
+        else:
+            self.parts.select(self.clock.now_ns, part)
 
 
 def install_plugins(folder: Path) -> Iterator[None]:
@@ -117,6 +131,7 @@ def install_plugins(folder: Path) -> Iterator[None]:
         "sinks": "simulation.connections:mqtt_plugin",
         "triggers": "simulation.outputs:pedal_plugin",
         "actuators": "simulation.outputs:relay_plugin",
+        "handshakes": "simulation.plc:server_plugin",
     }
     lines = (f"[gelgate.{group}]\nsimulated = {place}\n" for group, place in places.items())
     (info / "entry_points.txt").write_text("".join(lines))

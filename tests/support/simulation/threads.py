@@ -53,7 +53,8 @@ class Threads:
             threads.append(Actor("file", partial(self._publish, "file")))
         connections.on_news = self._wake_waiting
         self.own = threads
-        self.all = [self.camera, *threads, Actor("brokers", self._work)]
+        plcs = [Actor("plc", plc.act) for plc in run.world.plcs]
+        self.all = [self.camera, *threads, Actor("brokers", self._work), *plcs]
 
     def _wake_waiting(self) -> None:
         """Something has come from a broker: those who wait for it look."""
@@ -64,7 +65,7 @@ class Threads:
 
     def freeze(self, seconds: float) -> None:
         """Let no thread of the station take a turn for so long."""
-        self._run.station.is_frozen = seconds > 0
+        self._run.station.is_frozen = self._run.world.server.is_frozen = seconds > 0
         for actor in self.own:
             actor.due_ns = self._run.world.clock.now_ns + round(seconds * S)
 

@@ -1,0 +1,127 @@
+"""What holds of what a PLC reads (docs/plc.md): a result is that of the press of its id, and of no other."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+from simulation.lives import Seen, Station
+from simulation.plc import TIMEOUT_S, WRITES_ALONE_S, Asked, Plc, Shown
+from simulation.sensor import S
+from simulation.surroundings import World
+
+HALTED_S = 0.5
+"""A pass is taken back so soon after the station stopped inspecting: with the next turn of its loop."""
+
+LATE_S = 0.5
+"""A trigger is done so soon after its time: with the next read."""
+
+
+def audit_plcs(world: World, station: Station) -> Iterator[str]:
+    """What holds of each read."""
+    now_ns, state = world.clock.now_ns, station.loop.parts.status.view().state
+    is_halted = state != "ready" and not station.is_held_up
+    halted_ns = station.so_since("a PLC waits for a ready station", is_halted) or now_ns
+    asked = {number: one for plc in world.plcs for number, one in plc.asked.items()}
+    for plc in world.plcs:
+        yield from (f"PLC {plc.ip}: {what}" for what in plc.found)
+        news, plc.shown = plc.shown, []
+        for shown in news:
+            said = f"PLC {plc.ip} at {shown.at_ns / S:.3f} s, trigger {shown.trigger_id}"
+            own = asked.get(shown.trigger_id)
+            yield from (f"{said}: {what}" for what in _audit_bits(shown, own))
+            if own is not None:
+                yield from (f"{said}: {what}" for what in _audit_trigger(shown, own))
+            if shown.has("pass") and shown.at_ns - halted_ns > HALTED_S * S:
+                yield f"{said}: the station is {state}, and a pass is shown"
+
+
+def _audit_bits(shown: Shown, own: Asked | None) -> Iterator[str]:
+    if shown.has("pass") == shown.has("not passed"):
+        yield "pass and not passed are alike"
+    if len(shown.words) != int(shown.has("done")) or (shown.has("busy") and shown.has("done")):
+        yield f"done is {shown.has('done')}, busy {shown.has('busy')}, and the results are {shown.words}"
+    is_open = shown.has("busy") or shown.has("done")
+    if is_open != (own is not None):
+        yield f"busy or done is {is_open}, and that is no trigger of this state"
+
+
+def _audit_trigger(shown: Shown, own: Asked) -> Iterator[str]:
+    """Note what is shown of a trigger, and find what may not come after what was shown before."""
+    if own.acknowledged_ns is not None and shown.at_ns > own.acknowledged_ns:
+        yield "it is shown again, and was acknowledged"
+    if shown.has("busy") and own.taken_ns and shown.at_ns - own.taken_ns > (TIMEOUT_S + LATE_S) * S:
+        yield f"it is busy for {(shown.at_ns - own.taken_ns) / S:.1f} s"
+    for word in shown.words:
+        before = own.words[-1][0] if own.words else None
+        if before not in (None, word) and (before, word) != ("pass", "error"):
+            yield f"its result was {before}, and is {word}"
+        if before != word:
+            own.words.append((word, shown.at_ns))
+
+
+def audit_answers(world: World, station: Station) -> Iterator[str]:
+    """Each result is that of one recorded press: the first that began after its trigger."""
+    found: dict[int, set[str]] = {}
+    for broker in world.brokers.values():
+        for press_id, results in broker.results.items():
+            if (number := results[0]["trigger_id"]) is not None:
+                found.setdefault(int(str(number)), set()).add(press_id)
+    for other in world.plcs[1:]:
+        yield from _audit_writers(world.plcs[0], other)
+    parts = {row[0]: row[2] for row in station.rows()}
+    for plc in world.plcs:
+        for number, own in plc.asked.items():
+            presses = found.get(number, set())
+            if len(presses) > 1:
+                yield f"trigger {number} was answered by the presses {', '.join(sorted(presses))}"
+            for word, shown_ns in own.words:
+                if word != "error":
+                    said = f"trigger {number}, {word} at {shown_ns / S:.3f} s"
+                    what = _audit_answer(world, station, own, word, shown_ns, presses, parts)
+                    yield from (f"{said}: {one}" for one in what)
+
+
+def _audit_writers(plc: Plc, other: Plc) -> Iterator[str]:
+    """While one writes nobody else does, and for a while after."""
+    for before_ns, after_ns in pairwise(plc.writes_ns):
+        is_alone = after_ns - before_ns < WRITES_ALONE_S * S and other.left_ns > after_ns
+        if is_alone and any(before_ns < write_ns < after_ns for write_ns in other.writes_ns):
+            yield f"PLC {other.ip} wrote between {before_ns / S:.3f} and {after_ns / S:.3f} s, as {plc.ip} did"
+
+
+def _audit_answer(
+    world: World,
+    station: Station,
+    own: Asked,
+    word: str,
+    shown_ns: int,
+    presses: set[str],
+    parts: dict[str, str],
+) -> Iterator[str]:
+    may_be = [seen for seen in station.seen if own.sent_ns <= (seen.frame_ns or seen.judged_ns)]
+    may_be = [seen for seen in may_be if seen.word == word and seen.judged_ns <= shown_ns]
+    if word == "pass":
+        may_be = [seen for seen in may_be if seen.noted_ns <= shown_ns and seen.press_id in parts]
+    if presses:
+        may_be = [seen for seen in may_be if seen.press_id in presses]
+    if not may_be:
+        is_unrecorded = any(own.sent_ns <= ended_ns for ended_ns in station.ended_ns)
+        if word == "pass" or not is_unrecorded:
+            yield f"no press after it is a {word} that was recorded by then"
+        return
+    if own.part and own.part not in {parts.get(seen.press_id, own.part) for seen in may_be}:
+        yield f"it names {own.part}, and its press was judged as another part"
+    if len(may_be) == 1 and own.taken_ns is not None:
+        yield from _audit_first(world, own.taken_ns, may_be[0])
+
+
+def _audit_first(world: World, taken_ns: int, seen: Seen) -> Iterator[str]:
+    made = [press for press in world.hand.presses if press.begin_ns <= (seen.frame_ns or seen.judged_ns)]
+    if not made or made[-1].why:
+        return
+    if made[-1].begin_ns < taken_ns - world.noticed_s * S:  # it was not noticed yet
+        yield f"press {made[-1].number} had begun before it"
+    first = [
+        press for press in made[:-1] if press.begin_ns > taken_ns + world.noticed_s * S and not press.why
+    ]
+    if first:
+        yield f"press {made[-1].number} answers it, and press {first[0].number} came before"
