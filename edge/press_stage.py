@@ -185,6 +185,10 @@ class PressStage:
     alarms: ClassVar[Mapping[str, Alarm]] = {}
     """The alarms that a feature of another package raises, by id; gelgate's own are in `alarm_payload.ALARMS`."""
 
+    is_awaited: ClassVar[bool] = False
+    """Whether a person or a machine waits for what it shows: it takes a recorded press, and closes, before the others.
+    """
+
     @classmethod
     def open(cls, parts: StageParts) -> Self | None:
         """Make the stage of a station; None where it is not configured. Errors: ConfigError."""

@@ -102,7 +102,8 @@ class HandshakeView:
     trigger_id: int = 0
     """Of the trigger that is busy or done; 0 while idle."""
     word: str | None = None
-    """The result: pass, fail, unsure, rejected or error; None until it is done."""
+    """The result: pass, fail, unsure, rejected, error, or `place` for a pass of one place of a piece, whose others are
+    missing; None until it is done."""
     code: Code = Code.NONE
     """Why the result is an error."""
     refused: Code = Code.NONE
@@ -196,7 +197,9 @@ class HandshakeMachine:
         self._is_touched = True  # until the gel is seen free
         self._needs_free = True  # before a press can be the answer
         self._is_pressed = False  # by the press that answers
-        self._awaited: str | None = None  # the press that passes when it is recorded
+        self._awaited: tuple[str, str] | None = (
+            None  # the press that passes when it is recorded, and its word
+        )
 
     def read(self, now_ns: int) -> HandshakeView:
         """Return what a PLC sees now. Time alone ends what takes too long, also where the loop hangs."""
@@ -276,16 +279,16 @@ class HandshakeMachine:
             self._finish("error", Code.OTHER_PART)
             return False
         self._view = replace(self._view, press_id=press_id, score_ratio=score_ratio)
-        if word == "pass":
-            self._awaited = press_id
+        if word in ("pass", "place"):
+            self._awaited = (press_id, word)
         else:
             self._finish(word, Code.NOT_JUDGED if word == "error" else Code.NONE)
         return True
 
     def record(self, press_id: str, now_ns: int) -> None:
         """A press is in the database."""
-        if self.read(now_ns).step == "busy" and self._awaited == press_id:
-            self._finish("pass", Code.NONE)
+        if self.read(now_ns).step == "busy" and self._awaited is not None and self._awaited[0] == press_id:
+            self._finish(self._awaited[1], Code.NONE)
 
     def miss(self, code: Code, now_ns: int) -> None:
         """The station cannot answer a trigger that it has taken."""

@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
-from typing import Final
 
 from edge import registry
 from edge.acquisition import Acquisition
@@ -50,9 +49,6 @@ from edge.store.press_store import Store
 __all__ = ["open_station"]
 
 log = logging.getLogger(__name__)
-
-# They close before all other stages: no light, and no PLC, waits for what those have to finish.
-_FIRST_CLOSED: Final = frozenset({"handshake", "outputs"})
 
 
 @contextmanager
@@ -131,9 +127,9 @@ def _build(
     )
     by_name = _open_stages(stage_parts, stages, closing)
     closing.callback(status.stopped)
-    for name in _FIRST_CLOSED & by_name.keys():
-        closing.callback(by_name[name].close)
     opened = list(by_name.values())
+    for stage in (stage for stage in opened if stage.is_awaited):
+        closing.callback(stage.close)
     return Parts(
         config, opened, selection, store, publisher, status, acquisition, pictures, free_space, calls, clock
     )

@@ -245,5 +245,5 @@ class StationLoop:
             self.parts.publisher.wake()
             self.summary.add(report)
             self._on_press(report)
-            for stage in self.parts.stages:
+            for stage in sorted(self.parts.stages, key=lambda stage: not stage.is_awaited):
                 stage.record(report.press, report.gel)

@@ -47,6 +47,11 @@ STATUS_BITS: Final[Sequence[tuple[str, str, Callable[[HandshakeView], bool]]]] =
     ("not passed", "the complement of pass, also while there is no result", lambda view: not view.is_pass),
     ("alarm", "any alarm is raised", lambda view: bool(view.station.alarms)),
     ("piece", "a piece of several places is in progress", lambda view: view.station.piece_id is not None),
+    (
+        "place",
+        "done, and one place of a piece passed; others are missing, so it is not passed",
+        lambda view: view.word == "place",
+    ),
 )
 """By bit of the status word, and by address of the discrete inputs: name, meaning and value."""
 

@@ -271,6 +271,18 @@ def test_an_error_and_a_rejection_are_done_at_once() -> None:
         assert bench.result == ("done", 7, word, code)
 
 
+def test_a_pass_of_one_place_is_no_pass() -> None:
+    """It waits for the database, too."""
+    bench = Bench()
+    bench.trigger(7)
+    bench.begin()
+    bench.judge("place")
+    assert bench.seen.step == "busy"
+    bench.record()
+    assert bench.result == ("done", 7, "place", Code.NONE)
+    assert not bench.seen.is_pass
+
+
 def test_every_code_is_explained() -> None:
     """In the manual."""
     assert set(CODES) == set(Code)

@@ -37,6 +37,8 @@ log = logging.getLogger(__name__)
 class HandshakeStage(PressStage):
     """Shows a PLC what the stages before have decided."""
 
+    is_awaited = True
+
     def __init__(self, parts: StageParts, table: HandshakeTable, server: HandshakeServer) -> None:
         self._parts, self._clock, self._server = parts, parts.clock, server
         self._is_command = parts.config.inspection.trigger == "command"
@@ -156,7 +158,8 @@ class HandshakeStage(PressStage):
             limit = verdict.threshold if verdict else None
             ratio = verdict.score / limit if verdict and verdict.score is not None and limit else None
             with self.port.machine() as (machine, now_ns):
-                if machine.judge(press.press_id, press.word, now_ns, part=part, score_ratio=ratio):
+                word = press.shown or "place"
+                if machine.judge(press.press_id, word, now_ns, part=part, score_ratio=ratio):
                     self._answer = (press.press_id, machine.read(now_ns).trigger_id)
         return press
 

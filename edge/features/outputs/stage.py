@@ -42,6 +42,8 @@ UNSEEN_S: Final = 0.5
 class Outputs(PressStage):
     """The last stage: it shows what the others have decided."""
 
+    is_awaited = True
+
     def __init__(self, say: Callable[[str, str | None], None], clock: Clock) -> None:
         self.readers: Sequence[TriggerReader] = ()
         self.drivers: Sequence[ActuatorDriver] = ()
