@@ -25,7 +25,7 @@ from edge.core import errors
 from edge.core.handshake import CODES
 from edge.gateway.command_table import every_command
 from edge.messaging.topic_reference import reference
-from plugins.handshakes import registers
+from plugins.handshakes import nodes, registers
 
 FOLDER: Final = Path(__file__).parent
 NOTICE: Final = "<!-- Printed from the program by `make docs`; change the program, not this page. -->\n"
@@ -399,9 +399,12 @@ def tree() -> Iterator[tuple[type[errors.GelgateError], str, str]]:
 
 def plc_page() -> str:
     """The page as it is, with the tables of its map printed again."""
-    start, end = "<!-- printed from plugins/handshakes/registers.py -->\n", "<!-- end -->\n"
-    before, _, rest = (FOLDER / "plc.md").read_text(encoding="utf-8").partition(start)
-    return before + start + "\n".join(_registers()) + "\n" + end + rest.partition(end)[2]
+    page, end = (FOLDER / "plc.md").read_text(encoding="utf-8"), "<!-- end -->\n"
+    for module, lines in (("registers", _registers()), ("nodes", _opcua_nodes())):
+        start = f"<!-- printed from plugins/handshakes/{module}.py -->\n"
+        before, _, rest = page.partition(start)
+        page = before + start + "\n".join(lines) + "\n" + end + rest.partition(end)[2]
+    return page
 
 
 def _registers() -> Iterator[str]:
@@ -420,6 +423,17 @@ def _registers() -> Iterator[str]:
     yield "\n**Alarm word**; [operations.md](operations.md#alarms) has every alarm:\n\n| bit | alarms |\n| --- | --- |"
     alarms = [", ".join(f"`{one}`" for one in names) for names in registers.ALARM_BITS]
     yield from (_row(str(bit), names) for bit, names in enumerate([*alarms, "every other one"]))
+    yield ""
+
+
+def _opcua_nodes() -> Iterator[str]:
+    yield "\n| variable | type | meaning |\n| --- | --- | --- |"
+    yield from (_row(f"`{path}`", kind, about) for path, (kind, about, _) in nodes.VARIABLES.items())
+    yield "\n| method | arguments | meaning |\n| --- | --- | --- |"
+    for path, (given, about) in nodes.METHODS.items():
+        yield _row(f"`{path}`", ", ".join(f"{name} ({kind})" for name, kind in given.items()), about)
+    yield "\n| code of a refusal | status of the method |\n| --- | --- |"
+    yield from (_row(str(int(code)), status) for code, status in nodes.STATUS.items())
     yield ""
 
 

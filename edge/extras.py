@@ -17,6 +17,7 @@ _PACKAGES = {
     "metrics": ("prometheus_client",),
     "parquet": ("pyarrow",),
     "oak": ("depthai",),
+    "opcua": ("asyncua",),
     "validate": ("jsonschema",),
     "datamatrix": ("zxingcpp",),
     "docs": ("zensical",),

@@ -66,7 +66,7 @@ ALARM_BITS: Final[Sequence[tuple[str, ...]]] = (
     ("gel_proof", "gel_scar", "gel_mark"),
     ("reference",),
     ("overview",),
-    ("overload",),
+    ("overload", "gel_overload"),
     ("press_again", "piece"),
     ("trigger_device", "actuator", "pulse"),
     ("plc",),

@@ -32,7 +32,7 @@ __all__ = ["bundle", "recording"]
 pytestmark = pytest.mark.bench
 
 STEPPED, OVER_TCP = 9_500, 500
-PASSES = 40
+PASSES = 60
 WORDS = ("pass", "fail", "unsure", "rejected", "error")
 NAMES = [name for name, _, _ in STATUS_BITS]
 
@@ -296,6 +296,7 @@ def test_how_long_a_verdict_needs_to_the_plc(tmp_path: Path, recording: Path, bu
     config = load_config(station_config(tmp_path, recording, bundle, pace=1.0, loop=True, tables=table))
     decided: dict[int, int] = {}
     took: list[tuple[float, float]] = []
+    reads: list[float] = []
     stop = threading.Event()
 
     def note(report: Any) -> None:
@@ -312,9 +313,14 @@ def test_how_long_a_verdict_needs_to_the_plc(tmp_path: Path, recording: Path, bu
                 tcp.ask(request)
             tcp.ask(b"\x05\0\0\xff\0")
             asked_ns = time.monotonic_ns()
-            while not (words := struct.unpack(">3H", tcp.ask(b"\x04\0\0\0\x03")[2:]))[0] & 1 << 2:
+            while True:
+                sent_ns = time.monotonic_ns()
+                words = struct.unpack(">3H", tcp.ask(b"\x04\0\0\0\x03")[2:])
+                seen_ns = time.monotonic_ns()
+                reads.append((seen_ns - sent_ns) / 1e6)
+                if words[0] & 1 << 2:
+                    break
                 time.sleep(0.001)
-            seen_ns = time.monotonic_ns()
             if words[0] & 1 << 3:  # a pass waits for the database, a fail is shown before
                 took.append(((seen_ns - decided[number]) / 1e6, (seen_ns - asked_ns) / 1e6))
             tcp.ask(b"\x05\0\1\xff\0")
@@ -330,5 +336,7 @@ def test_how_long_a_verdict_needs_to_the_plc(tmp_path: Path, recording: Path, bu
     print(
         f"\nfrom the recorded verdict to the PLC, {len(took)} passes: median {np.median(more_ms):.2f} ms, p99 "
         f"{np.percentile(more_ms, 99):.2f} ms, largest {more_ms.max():.2f} ms; from the trigger: median "
-        f"{np.median(whole_ms):.0f} ms, so {np.median(whole_ms / (whole_ms - more_ms)):.4f} times the verdict's time"
+        f"{np.median(whole_ms):.0f} ms, so {np.median(whole_ms / (whole_ms - more_ms)):.4f} times the verdict's time; "
+        f"any read of the same run: median {np.median(reads):.2f} ms, p99 {np.percentile(reads, 99):.2f} ms, largest "
+        f"{max(reads):.2f} ms"
     )

@@ -29,6 +29,7 @@ OLD_WORDS = {
     "BSD-3-Clause": r"BSD License|3-Clause BSD",
     "GPL-3.0-only": r"GNU General Public License v3",
     "ISC": r"ISC License",
+    "LGPL-3.0-or-later": r"GNU Lesser General Public License v3 or later",
     "MIT": r"MIT",
     "PSF-2.0": r"Python Software Foundation License",
     "LicenseRef-HIDAPI": r"",  # "original", in the licence's text alone

@@ -5,13 +5,14 @@ from typing import Any
 
 import pytest
 from modbus_plc import ACKNOWLEDGE, TRIGGER, WATCHDOG, Plc
+from opcua_plc import OpcUaPlc
 from ports import free_port
 
 from edge.clock import ManualClock
 from edge.core.handshake import Code, Handshake, HandshakeServer, HandshakeView, Refusal, Trigger
 from plugins.conformance import HANDSHAKE_CHECKS, check_handshake
 from plugins.conformance.handshake import Seen
-from plugins.handshakes import modbus
+from plugins.handshakes import modbus, opcua
 
 
 class ModbusClient:
@@ -53,7 +54,45 @@ class ModbusBench:
         return ModbusClient(self.port)
 
 
-@pytest.mark.parametrize("bench", [ModbusBench])
+class OpcUaClient:
+    """asyncua's client, as a `PlcClient`."""
+
+    def __init__(self, port: int) -> None:
+        self._plc = OpcUaPlc(f"opc.tcp://127.0.0.1:{port}")
+
+    def trigger(self, trigger: Trigger) -> bool:
+        return self._plc.start_job(trigger.trigger_id, trigger.piece, trigger.part) == "Good"
+
+    def acknowledge(self) -> bool:
+        return self._plc.acknowledge() == "Good"
+
+    def beat(self) -> None:
+        self._plc.beat()
+
+    def read(self) -> Seen:
+        seen = self._plc.read()
+        state = seen["AutomaticModeStateMachine/CurrentState"]
+        word = seen["ResultContent"] or None
+        return Seen(state == "Ready", state == "SingleExecution", seen["IsAvailable"], word, seen["JobId"])
+
+    def close(self) -> None:
+        self._plc.close()
+
+
+class OpcUaBench:
+    """The server at a free port of this machine."""
+
+    def __init__(self) -> None:
+        self.port = free_port()
+
+    def open(self) -> HandshakeServer:
+        return opcua.plugin.open(opcua.OpcUaOptions(port=self.port), ManualClock())
+
+    def connect(self) -> OpcUaClient:
+        return OpcUaClient(self.port)
+
+
+@pytest.mark.parametrize("bench", [ModbusBench, OpcUaBench])
 def test_every_built_in_server_passes(bench: Callable[[], Any]) -> None:
     """All checks."""
     check_handshake(bench)

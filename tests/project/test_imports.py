@@ -13,6 +13,7 @@ HEAVY = {
         "onnxscript",
         "depthai",
         "zxingcpp",
+        "asyncua",
         "matplotlib",
         "sklearn",
         "scipy",

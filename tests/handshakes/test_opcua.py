@@ -1,0 +1,284 @@
+"""The OPC UA server, asked by a client that is not ours (asyncua's)."""
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from asyncua import ua
+from handshake_bench import Bench, BenchHandshake
+from opcua_plc import JOBS, RESULT, OpcUaPlc
+
+from edge.clock import ManualClock
+from edge.core.errors import ConfigError
+from edge.core.handshake import Code, Trigger
+from plugins.handshakes import opcua
+from plugins.handshakes.nodes import METHODS, VARIABLES
+from plugins.handshakes.opcua import OpcUaOptions, OpcUaServer
+
+
+class Served:
+    """A server on a bench, and its clients."""
+
+    def __init__(self) -> None:
+        self.server = OpcUaServer("127.0.0.1", 0)
+        self.begin()
+        self.server.start(self)  # type: ignore[arg-type]  # it hands on to the present handshake
+        self._clients: list[OpcUaPlc] = []
+
+    def begin(self) -> None:
+        """Begin with a new bench, for the server takes a second to start."""
+        self.bench = Bench()
+        self.handshake = BenchHandshake(self.bench)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.handshake, name)
+
+    @property
+    def address(self) -> str:
+        return self.server.name.rpartition(" ")[2]
+
+    def client(self) -> OpcUaPlc:
+        self._clients.append(OpcUaPlc(self.address))
+        return self._clients[-1]
+
+    def forget_clients(self) -> None:
+        while self._clients:
+            with contextlib.suppress(Exception):
+                self._clients.pop().close()
+
+    def close(self) -> None:
+        self.forget_clients()
+        self.server.close()
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[Served]:
+    with contextlib.closing(Served()) as one:
+        yield one
+
+
+@pytest.fixture
+def served(running: Served) -> Iterator[Served]:
+    running.begin()
+    yield running
+    running.forget_clients()
+
+
+@pytest.fixture
+def plc(served: Served) -> OpcUaPlc:
+    return served.client()
+
+
+def test_a_job_from_its_start_to_the_next(served: Served, plc: OpcUaPlc) -> None:
+    """The states of OPC 40100-1, and the result of the job."""
+    seen = plc.read()
+    assert seen["VisionStateMachine/CurrentState"] == "Operational"
+    assert seen["AutomaticModeStateMachine/CurrentState"] == "Ready"
+    assert plc.start_job(70_000, "piece 17", "") == "Good"
+    assert served.handshake.taken == [Trigger(70_000, "piece 17", "")]
+    seen = plc.read()
+    assert seen["AutomaticModeStateMachine/CurrentState"] == "SingleExecution"
+    assert (seen["JobId"], seen["PartId"], seen["IsAvailable"]) == (70_000, "piece 17", False)
+    served.bench.press("pass")
+    seen = plc.read()
+    assert seen["AutomaticModeStateMachine/CurrentState"] == "Initialized"
+    assert (seen["IsAvailable"], seen["IsPass"], seen["IsNotPassed"]) == (True, True, False)
+    assert (seen["ResultContent"], seen["ResultId"], seen["ScoreRatio"]) == ("pass", "P1", 0.5)
+    assert plc.acknowledge() == "Good"
+    seen = plc.read()
+    assert seen["AutomaticModeStateMachine/CurrentState"] == "Ready"
+    assert (seen["JobId"], seen["IsPass"], seen["IsNotPassed"], seen["ResultContent"]) == (0, False, True, "")
+
+
+@pytest.mark.parametrize(
+    ("state", "word"),
+    [("starting", "Preoperational"), ("halted", "Error"), ("stopped", "Halted"), ("ready", "Operational")],
+)
+def test_the_states_of_the_station(served: Served, plc: OpcUaPlc, state: Any, word: str) -> None:
+    """A job that was passed is an error in all but Operational."""
+    plc.start_job(1)
+    served.bench.press("pass")
+    served.bench.show(state, "gel", "device")
+    seen = plc.read()
+    assert seen["VisionStateMachine/CurrentState"] == word
+    assert seen["Alarms"] == "device, gel"
+    assert seen["IsPass"] is (word == "Operational")
+    assert seen["ErrorCode"] == (0 if word == "Operational" else Code.HALTED)
+
+
+def busy(plc: OpcUaPlc, served: Served) -> str:
+    plc.start_job(1)
+    return plc.start_job(2)
+
+
+def not_acknowledged(plc: OpcUaPlc, served: Served) -> str:
+    plc.start_job(1)
+    served.bench.press("fail")
+    return plc.start_job(2)
+
+
+def twice(plc: OpcUaPlc, served: Served) -> str:
+    plc.start_job(1)
+    plc.call(f"{JOBS}/Abort")
+    return plc.start_job(1)
+
+
+def halted(plc: OpcUaPlc, served: Served) -> str:
+    served.bench.show("halted")
+    return plc.start_job(1)
+
+
+@pytest.mark.parametrize(
+    ("given", "status", "code"),
+    [
+        (busy, "BadInvalidState", Code.BUSY),
+        (not_acknowledged, "BadInvalidState", Code.NOT_ACKNOWLEDGED),
+        (twice, "BadEntryExists", Code.ID_TWICE),
+        (halted, "BadResourceUnavailable", Code.NOT_READY),
+        (lambda plc, served: plc.start_job(0), "BadInvalidArgument", Code.BAD_VALUE),
+        (lambda plc, served: plc.start_job(1, "ä"), "BadInvalidArgument", Code.BAD_VALUE),
+    ],
+)
+def test_a_job_that_is_refused(
+    served: Served, plc: OpcUaPlc, given: Callable[[OpcUaPlc, Served], str], status: str, code: Code
+) -> None:
+    """An OPC UA status code, and the code in its node."""
+    assert given(plc, served) == status
+    assert plc.read()["RefusalCode"] == code
+
+
+@pytest.mark.parametrize("arguments", [(), (1,), ("1", "", ""), (1, 2, 3), (None, None, None), (-1, "", "")])
+def test_arguments_that_are_none_start_no_job(
+    served: Served, plc: OpcUaPlc, arguments: tuple[Any, ...]
+) -> None:
+    """And the server goes on."""
+    assert plc.call(f"{JOBS}/StartSingleJob", *arguments).startswith("Bad")
+    assert served.handshake.taken == []
+    assert plc.read()["AutomaticModeStateMachine/CurrentState"] == "Ready"
+
+
+def test_no_node_can_be_written(served: Served, plc: OpcUaPlc) -> None:
+    """Neither a result, nor a state."""
+    for path in VARIABLES:
+        node = plc.node(path)
+        with pytest.raises(ua.UaStatusCodeError):
+            node.write_value(node.read_data_value().Value)
+
+
+def test_a_second_plc_may_read_and_call_nothing(served: Served, plc: OpcUaPlc) -> None:
+    """Until the first is gone."""
+    plc.start_job(1)
+    second = served.client()
+    assert second.acknowledge() == "BadUserAccessDenied"
+    assert second.beat() == "BadUserAccessDenied"
+    assert "a second client" in served.handshake.refused[-1][1]
+    assert second.read()["JobId"] == 1
+    plc.close()
+    assert second.acknowledge() == "Good"
+
+
+def test_one_request_reads_one_moment(served: Served, plc: OpcUaPlc) -> None:
+    """While results come and go on another thread, no request sees half of one."""
+    stop = threading.Event()
+
+    def work() -> None:
+        number = 0
+        while not stop.is_set():
+            number += 1
+            with served.handshake._lock:
+                served.bench.trigger(number)
+                served.bench.press("pass" if number % 2 else "fail", f"P{number}")
+            with served.handshake._lock:
+                served.bench.machine.acknowledge(served.bench.now_ns)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    seen = [plc.read() for _ in range(200)]
+    stop.set()
+    thread.join()
+    for one in seen:
+        assert one["IsPass"] is not one["IsNotPassed"]
+        assert one["IsAvailable"] is (one["ResultContent"] != "")
+        if one["IsAvailable"]:
+            assert one["ResultId"] == f"P{one['JobId']}"
+            assert one["ResultContent"] == ("pass" if one["JobId"] % 2 else "fail")
+    assert any(one["IsPass"] for one in seen)
+
+
+def test_a_subscription_is_told(served: Served, plc: OpcUaPlc) -> None:
+    """Of every change, the withdrawal of a pass too."""
+    told, seen = [], threading.Condition()
+
+    class Handler:
+        def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+            with seen:
+                told.append(value)
+                seen.notify()
+
+    def wait_for(value: bool) -> None:
+        with seen:
+            assert seen.wait_for(lambda: told[-1:] == [value], 10), told
+
+    subscription = plc.client.create_subscription(20, Handler())
+    subscription.subscribe_data_change(plc.node(f"{RESULT}/IsPass"))
+    wait_for(False)
+    plc.start_job(1)
+    served.bench.press("pass")
+    wait_for(True)
+    served.bench.show("halted")
+    wait_for(False)
+    subscription.delete()
+
+
+@pytest.mark.parametrize("step", range(4))
+@pytest.mark.parametrize("word", ["pass", "fail"])
+def test_the_connection_is_cut_at_every_step(served: Served, step: int, word: str) -> None:
+    """What a PLC reads when it is back is of the id that it has given, and its next job has its own result."""
+    plc = served.client()
+    steps: list[Callable[[], Any]] = [
+        lambda: plc.start_job(7),
+        lambda: served.bench.press(word),
+        plc.read,
+        plc.acknowledge,
+    ]
+    for one in steps[:step]:
+        one()
+    plc.client.aio_obj.uaclient.protocol.transport.abort()  # no farewell: the session stays open
+    back = served.client()
+    seen = back.read()
+    if seen["JobId"] == 7 and not seen["IsAvailable"]:
+        served.bench.press(word)
+        seen = back.read()
+    assert (seen["JobId"], seen["ResultContent"]) == ((7, word) if step else (0, ""))
+    assert seen["IsPass"] is (step > 0 and word == "pass")
+    while back.acknowledge() == "BadUserAccessDenied":  # the server has yet to notice
+        pass
+    assert back.start_job(8) == "Good"
+    assert back.read()["IsPass"] is False
+    other = {"pass": "fail", "fail": "pass"}[word]
+    served.bench.press(other, "P8")
+    seen = back.read()
+    assert (seen["JobId"], seen["ResultId"], seen["ResultContent"]) == (8, "P8", other)
+
+
+def test_a_port_that_is_taken_and_a_missing_package_are_sentences(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At `gelgate check`, and at the start."""
+    with contextlib.closing(OpcUaServer("127.0.0.1", 0)) as server:
+        port = int(server.name.rpartition(":")[2])
+        with pytest.raises(
+            ConfigError, match=rf"127.0.0.1:{port} cannot be served \(Address already in use\)"
+        ):
+            opcua.plugin.open(OpcUaOptions(port=port), ManualClock())
+    monkeypatch.setattr("edge.extras.is_installed", lambda package: package != "asyncua")
+    with pytest.raises(
+        ConfigError, match=r"needs asyncua, not installed here; pip install 'gelgate\[opcua\]'"
+    ):
+        opcua.plugin.open(OpcUaOptions(), ManualClock())
+
+
+def test_every_path_has_a_meaning() -> None:
+    """docs/plc.md prints them."""
+    assert all(about for _, about, _ in VARIABLES.values())
+    assert all(about for _, about in METHODS.values())

@@ -1,0 +1,54 @@
+"""A PLC at the nodes of a station, with asyncua's client."""
+
+import re
+from typing import Any
+
+from asyncua import ua
+from asyncua.sync import Client
+
+from plugins.handshakes.nodes import METHODS, NAMESPACE, VARIABLES
+
+JOBS = "VisionStateMachine/AutomaticModeStateMachine"
+RESULT = "ResultManagement/LatestResult"
+
+
+class OpcUaPlc:
+    """One session."""
+
+    def __init__(self, address: str) -> None:
+        self.client: Any = Client(address, timeout=10)
+        self.client.connect()
+        self.space = self.client.get_namespace_index(NAMESPACE)
+
+    def node(self, path: str) -> Any:
+        return self.client.get_node(f"ns={self.space};s=VisionSystem/{path}")
+
+    def read(self) -> dict[str, Any]:
+        """All variables, by the last part of their path but for the states: one request, so one moment."""
+        names = [re.sub(".*/(?=[^/]+/CurrentState)|.*/(?!CurrentState)", "", path) for path in VARIABLES]
+        values = self.client.read_values([self.node(path) for path in VARIABLES])
+        return dict(zip(names, values, strict=True))
+
+    def call(self, path: str, *arguments: Any) -> str:
+        """Call a method; return the name of its status code."""
+        assert path in METHODS
+        above = path.rpartition("/")[0]
+        try:
+            self.node(above).call_method(self.node(path), *arguments)
+        except ua.UaStatusCodeError as error:
+            return ua.status_codes.get_name_and_doc(error.code)[0]
+        return "Good"
+
+    def start_job(self, job_id: int, piece: str = "", recipe: str = "") -> str:
+        return self.call(f"{JOBS}/StartSingleJob", ua.Variant(job_id, ua.VariantType.UInt32), piece, recipe)
+
+    def acknowledge(self) -> str:
+        return self.call("ResultManagement/Acknowledge")
+
+    def beat(self) -> str:
+        return self.call("Station/Beat")
+
+    def close(self) -> None:
+        client, self.client = self.client, None
+        if client is not None:
+            client.disconnect()
