@@ -1,6 +1,7 @@
-"""The page over HTTP: its three files, what it shows as JSON, pictures, and requests of the people at it.
+"""The page over HTTP: its files, what it shows as JSON, pictures, and requests of the people at it.
 
-    /                            the page; one file each of HTML, CSS and JavaScript, no other is loaded
+    /                            the page; one file each of HTML, CSS and JavaScript, and the words of a language
+    /words/<language>.json       English text to the one of this language
     /live.json?after=<version>   everything that is shown; answered when there is another version, or after a while
     /station.json                all of these, alarms with what to do, and what may be changed
     /state.json, /info.json, /gel.json, /reference.json, /piece.json, /questions.json, /drift.json, /stats.json,
@@ -28,16 +29,20 @@ from edge.page.manual import find_file
 from edge.page.settings import PageSettings
 from edge.page.shown import Shown
 
-__all__ = ["PageServer"]
+__all__ = ["LANGUAGES", "PageServer"]
 
 # A browser that waits for news is answered after this time without any.
 NEWS_S: Final = 15.0
 
-_FILES: Final = {
+_FILES = {
     "/": ("page.html", "text/html; charset=utf-8"),
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
 }
+
+# Besides English, which is that of the HTML and JavaScript; each is named in page.html too.
+LANGUAGES: Final = ("de", "it", "ja")
+_FILES |= {f"/words/{one}.json": (f"words_{one}.json", "application/json") for one in LANGUAGES}
 
 _PARTS: Final = ("state", "info", "gel", "reference", "piece", "questions", "drift", "stats", "alarms")
 

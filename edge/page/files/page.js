@@ -3,6 +3,9 @@
 const AGAIN_MS = 1000, FRESH_MS = 300, LOCK_AFTER_MS = 5 * 60 * 1000;
 const at = (id) => document.getElementById(id);
 const word = (press) => press.verdict || "error";
+// The text in the language of the page, by the English one; values stand in braces. What the station says is English.
+let translations = {};
+const t = (text, values = {}) => (translations[text] || text).replace(/\{(\w+)\}/g, (all, name) => values[name]);
 const put = (id, text) => { if (at(id).textContent !== text) { at(id).textContent = text; } };
 
 let shown = null; // the newest answer of live.json
@@ -47,22 +50,22 @@ function showAlarm(alarm) {
   const row = element("div", "", `alarm ${alarm.severity}`), about = element("p", "");
   about.append(...words(alarm.text));
   if (alarm.what_to_do) {
-    const todo = element("strong", "What to do: ");
+    const todo = element("strong", `${t("What to do:")} `);
     todo.append(...words(alarm.what_to_do));
     about.append(document.createElement("br"), todo);
   }
   row.append(about);
   if (alarm.can_acknowledge && may("acknowledge_alarm")) {
-    const button = element("button", "Acknowledge");
-    button.setAttribute("aria-label", `Acknowledge the alarm ${alarm.alarm}`);
-    button.onclick = () => change(button, "acknowledge_alarm", { alarm: alarm.alarm }, () => `The alarm ${alarm.alarm} is acknowledged.`);
+    const button = element("button", t("Acknowledge"));
+    button.setAttribute("aria-label", t("Acknowledge the alarm {alarm}", alarm));
+    button.onclick = () => change(button, "acknowledge_alarm", { alarm: alarm.alarm }, () => t("The alarm {alarm} is acknowledged.", alarm));
     row.append(button);
   }
   return row;
 }
 
 // A pass is that of one place: what is large is the piece, and what is to be pressed now stands below it.
-const count = (piece) => `${piece.places.filter((place) => place.verdict).length} of ${piece.places.length}`;
+const count = (piece) => t("{n} of {all}", { n: piece.places.filter((place) => place.verdict).length, all: piece.places.length });
 function large(press, piece) {
   if (piece && piece.piece_id !== null && press.piece_id && press.piece_id !== piece.piece_id) { return count(piece); }
   if (!piece || word(press) !== "pass") { return word(press); }
@@ -73,20 +76,21 @@ function large(press, piece) {
 function showPiece(piece) {
   at("pieces").hidden = !piece;
   at("begin").hidden = !piece || !may("begin_piece");
-  put("todo", piece ? `Press: ${piece.expected.join(" or ")}` : "");
+  put("todo", piece ? t("Press: {places}", { places: piece.expected.join(` ${t("or")} `) }) : "");
   if (!piece) { return; }
-  put("piece", piece.piece_id !== null ? `${piece.piece_id}: ${count(piece)} places pressed`
-    : piece.last_id !== null ? `none in progress; ${piece.last_id}: ${piece.last_verdict}` : "none in progress");
+  put("piece", piece.piece_id !== null ? `${piece.piece_id}: ${t("{count} places pressed", { count: count(piece) })}`
+    : piece.last_id !== null ? `${t("none in progress")}; ${piece.last_id}: ${t(piece.last_verdict)}` : t("none in progress"));
   draw("places", piece.places, () => piece.places.map((place) =>
-    element("li", `${named(place)}: ${place.verdict || "to be pressed"}`, place.verdict || "open")));
+    element("li", `${named(place)}: ${place.verdict ? t(place.verdict) : t("to be pressed")}`, place.verdict || "open")));
 }
 
 // What a hand should do. The station says it again five times a second: what is older than a second is not so any more.
-const ADVICE = { deeper: "Press deeper", shift: "Shift the part", tilt: "Press this side more", hold: "Hold still", lift: "Lift" };
+const ADVICE = { deeper: () => t("Press deeper"), shift: () => t("Shift the part"), tilt: () => t("Press this side more"),
+  hold: () => t("Hold still"), lift: () => t("Lift"), overload: () => t("Too deep: take it off") };
 const SAID_MS = 1000;
 let handTimer = 0, handAt = null;
 function showHand(contact, isReady) {
-  const advice = isReady && contact && (contact.state === "overload" ? "Too deep: take it off" : ADVICE[contact.guidance]);
+  const advice = isReady && contact && ADVICE[contact.state === "overload" ? "overload" : contact.guidance];
   if (!advice) { handAt = null; at("hand").hidden = true; return; }
   if (contact.time_ms === handAt) { return; }
   handAt = contact.time_ms;
@@ -96,28 +100,28 @@ function showHand(contact, isReady) {
   at("hand").className = contact.state;
   at("arrow").hidden = typeof way !== "number";
   at("arrow").style.transform = `rotate(${way || 0}deg)`;
-  put("advice", advice);
+  put("advice", advice());
   at("hand").hidden = false;
 }
 
 function showGel(gel) {
-  if (!gel) { put("gel", "not known yet"); return; }
+  if (!gel) { put("gel", t("not known yet")); return; }
   const left = Math.max(0, gel.limit_presses - gel.presses), share = Math.min(100, 100 * gel.presses / gel.limit_presses);
-  put("gel", `${gel.gel_id}: ${gel.presses} of ${gel.limit_presses} presses, ${left} left: ${gel.state}`
-    + [["serial", gel.gel_serial], ["type", gel.gel_type], ["use by", gel.use_by]].map(([name, said]) => said ? `, ${name} ${said}` : "").join(""));
+  put("gel", t("{gel_id}: {presses} of {limit_presses} presses, {left} left: {state}", { ...gel, left, state: t(gel.state) })
+    + [[t("serial"), gel.gel_serial], [t("type"), gel.gel_type], [t("use by"), gel.use_by]].map(([name, said]) => said ? `, ${name} ${said}` : "").join(""));
   at("worn").style.width = `${share}%`;
   at("worn").className = gel.state;
   at("life").setAttribute("aria-valuenow", Math.round(share));
   at("life").setAttribute("aria-valuetext", at("gel").textContent);
-  put("old-gel", `${gel.gel_id} with ${gel.presses} presses is put away.`);
+  put("old-gel", t("{gel_id} with {presses} presses is put away.", gel));
 }
 
 function showPart(info) {
   const parts = info.parts || [], now = named(info);
   put("selected", now);
-  put("part", now ? [now, info.method, info.revision && `revision ${info.revision}`].filter(Boolean).join(" · ") : "not known yet");
+  put("part", now ? [now, info.method, info.revision && t("revision {revision}", info)].filter(Boolean).join(" · ") : t("not known yet"));
   const drawn = info.region_names || [], mayDraw = may("set_regions");
-  put("ignored", info.regions ? `Drawn: ${info.regions}` : "");
+  put("ignored", info.regions ? t("Drawn: {regions}", info) : "");
   draw("regions", [drawn, mayDraw], () => drawn.map((name) => showRegion(name, mayDraw)));
   at("draw-region").hidden = !mayDraw || !info.field_mm || !shown.presses.some((press) => press.has_picture);
   const unproven = (info.warnings || []).filter((said) => said.startsWith("not proven"));
@@ -134,15 +138,15 @@ function showPart(info) {
 function showRegion(name, mayDraw) {
   const item = element("li", name);
   if (mayDraw) {
-    const button = element("button", "Remove");
-    button.setAttribute("aria-label", `Remove the region ${name}`);
+    const button = element("button", t("Remove"));
+    button.setAttribute("aria-label", t("Remove the region {name}", { name }));
     button.onclick = () => change(button, "set_regions", { remove: name }, saidOfRegions);
     item.append(button);
   }
   return item;
 }
 
-const saidOfRegions = (data) => `Revision ${data.revision}: ${data.said}. It inspects when it is open; the one before stays as ${data.kept}.`;
+const saidOfRegions = (data) => t("Revision {revision}: {said}. It inspects when it is open; the one before stays as {kept}.", data);
 
 // The press is the left panel of its sheet, below a head; to its right are a gap and as large a panel, then the legend.
 const HEAD_PX = 40, GAP_AND_LEGEND_PX = 120;
@@ -153,7 +157,7 @@ function startDrawing() {
   at("draw-form").reset();
   drawing = null;
   at("sheet").replaceChildren();
-  put("draw-press", [word(press), named(press), clock(press)].filter(Boolean).join(" · "));
+  put("draw-press", [t(word(press)), named(press), clock(press)].filter(Boolean).join(" · "));
   picture.onload = () => {
     const wide = (picture.naturalWidth - GAP_AND_LEGEND_PX) / 2, high = wide * high_mm / wide_mm;
     drawing = { press: press.press_id, wide, high, mm: wide_mm / wide, corners: [] };
@@ -177,7 +181,7 @@ function showCorners() {
   if (outline) { outline.setAttribute("points", corners.map(([x, y]) => `${x},${y + HEAD_PX}`).join(" ")); }
   at("sheet").querySelectorAll("circle").forEach((dot) => dot.remove());
   at("sheet").append(...corners.map(([x, y]) => shape("circle", { cx: x, cy: y + HEAD_PX, r: 4 })));
-  put("corners", drawing ? `${corners.length} corners; a tap or click on the press adds one` : "The picture is on its way.");
+  put("corners", drawing ? t("{n} corners; a tap or click on the press adds one", { n: corners.length }) : t("Its picture is on its way."));
   at("draw-undo").disabled = !corners.length;
   at("draw-sure").disabled = corners.length < 3;
 }
@@ -202,8 +206,8 @@ function showStation(station) {
   const state = station.state || { state: "starting" }, info = station.info || {}, stats = station.stats || {};
   document.title = [station.place, "gelgate"].filter(Boolean).join(" · ");
   put("place", station.place);
-  const alarms = Object.values(station.alarms), raised = `${alarms.length} alarm${alarms.length > 1 ? "s" : ""}`;
-  put("state", (station.away ? "last known: " : "") + state.state + (state.reason ? `: ${state.reason}` : "")
+  const alarms = Object.values(station.alarms), raised = alarms.length === 1 ? t("1 alarm") : t("{n} alarms", { n: alarms.length });
+  put("state", (station.away ? `${t("last known:")} ` : "") + t(state.state) + (state.reason ? `: ${state.reason}` : "")
     + (alarms.length ? `, ${raised}` : ""));
   at("state").className = station.away ? "away" : state.state === "ready" && alarms.length ? "alarmed" : state.state;
   put("away", station.away || "");
@@ -214,14 +218,14 @@ function showStation(station) {
   showGel(station.gel);
   showQuestions(station.questions, station.pictures || []);
   at("new-gel").hidden = !may("replace_gel") || !station.gel;
-  put("sensor", [info.sensor_product, info.sensor_serial && `serial ${info.sensor_serial}`,
-    typeof stats.delivered_fps === "number" && `${stats.delivered_fps.toFixed(1)} frames a second`,
-    stats.reconnects > 0 && `${stats.reconnects} reconnects`].filter(Boolean).join(", ") || "not known yet");
+  put("sensor", [info.sensor_product, info.sensor_serial && `${t("serial")} ${info.sensor_serial}`,
+    typeof stats.delivered_fps === "number" && t("{n} frames a second", { n: stats.delivered_fps.toFixed(1) }),
+    stats.reconnects > 0 && t("{reconnects} reconnects", stats)].filter(Boolean).join(", ") || t("not known yet"));
   const receivers = Object.entries(stats.receivers || {});
   draw("receivers", receivers, () => receivers.map(([name, said]) => element("li", `${name}: ${said}`)));
   at("manual").hidden = !station.has_manual;
   const why = station.changes.why_not;
-  put("why-not", why || (key ? "Unlocked. It locks itself after five minutes." : "Locked. With the token you select the part, acknowledge alarms and record a new gel."));
+  put("why-not", why || (key ? t("Unlocked. It locks itself after five minutes.") : t("Locked. With the token you select the part, acknowledge alarms and record a new gel.")));
   at("unlock").hidden = Boolean(why) || key !== null;
   at("lock").hidden = key === null;
 }
@@ -232,13 +236,13 @@ function showRow(press) {
     const link = element("a", clock(press));
     link.href = `pictures/${press.press_id}`;
     link.target = "_blank";
-    link.setAttribute("aria-label", `Picture of the press at ${clock(press)}`);
+    link.setAttribute("aria-label", t("Picture of the press at {time}", { time: clock(press) }));
     time.replaceChildren(link);
   }
-  row.append(element("td", word(press), word(press)), element("td", ratio(press)), element("td", named(press)), time);
+  row.append(element("td", t(word(press)), word(press)), element("td", ratio(press)), element("td", named(press)), time);
   if (may("confirm_press")) {
-    const cell = element("td", ""), button = element("button", "Say…");
-    button.setAttribute("aria-label", `Say what the press at ${clock(press)} was`);
+    const cell = element("td", ""), button = element("button", t("Say…"));
+    button.setAttribute("aria-label", t("Say what the press at {time} was", { time: clock(press) }));
     button.onclick = () => askWhat(press, press.has_picture);
     cell.append(button);
     row.append(cell);
@@ -249,12 +253,12 @@ function showRow(press) {
 // The press is fixed when the dialog opens: a list that changes under the hand changes no answer.
 function askWhat(press, hasPicture) {
   at("what-form").reset();
-  put("what-press", [word(press), ratio(press) && `${ratio(press)} × threshold`, named(press), clock(press)].filter(Boolean).join(" · "));
-  const picture = at("what-picture"), gone = "Its picture is not here any more.";
+  put("what-press", [t(word(press)), ratio(press) && t("{ratio} × threshold", { ratio: ratio(press) }), named(press), clock(press)].filter(Boolean).join(" · "));
+  const picture = at("what-picture"), gone = t("Its picture is not here any more.");
   picture.hidden = true; // until it is here: the browser goes on showing that of another press
   picture.onload = () => { picture.hidden = false; put("no-picture", ""); };
   picture.onerror = () => put("no-picture", gone);
-  put("no-picture", hasPicture ? "Its picture is on its way." : gone);
+  put("no-picture", hasPicture ? t("Its picture is on its way.") : gone);
   if (hasPicture) { picture.src = `pictures/${press.press_id}`; } else { picture.removeAttribute("src"); }
   at("what").dataset.press = press.press_id;
   at("what").showModal();
@@ -264,10 +268,10 @@ function askWhat(press, hasPicture) {
 function showQuestions(questions, pictures) {
   const asked = (questions || {}).presses || [], mayAnswer = may("confirm_press");
   at("questions").hidden = !asked.length;
-  put("asked", asked.length ? `${asked.length} presses would teach most today`
-    + (mayAnswer ? ": say what they were." : "; unlock to say what they were.") : "");
+  put("asked", !asked.length ? "" : mayAnswer ? t("{n} presses would teach most today: say what they were.", { n: asked.length })
+    : t("{n} presses would teach most today; unlock to say what they were.", { n: asked.length }));
   draw("ask", [asked, pictures, mayAnswer], () => asked.map((press) => {
-    const item = element("li", ""), button = element("button", `${clock(press)} ${named(press)}: ${press.verdict} ${ratio(press) ? `at ${ratio(press)}` : "for its colours"}`);
+    const item = element("li", ""), button = element("button", `${clock(press)} ${named(press)}: ${t(press.verdict)}, ${ratio(press) ? t("{ratio} × threshold", { ratio: ratio(press) }) : t("for its colours")}`);
     button.disabled = !mayAnswer;
     button.onclick = () => askWhat(press, pictures.includes(press.press_id));
     item.append(button);
@@ -296,9 +300,9 @@ function sketch(chart, limit) {
 function showChart(chart, drift) {
   const item = element("li", "", chart.shift ? "shifted" : ""), unit = chart.unit ? ` ${chart.unit}` : "";
   const value = (number) => Number(number.toPrecision(3)) + unit;
-  const said = chart.count < drift.learnt ? `${chart.count} of ${drift.learnt} presses learnt`
-    : chart.shift ? `${value(chart.newest)} lately, ${value(chart.mean)} in the mean: ${chart.shift > 0 ? "higher" : "lower"} than before; ${chart.what_to_do}`
-    : `${value(chart.newest)} lately, ${value(chart.mean)} in the mean: no shift`;
+  const said = chart.count < drift.learnt ? t("{count} of {learnt} presses learnt", { ...drift, ...chart })
+    : [t("{newest} lately, {mean} in the mean:", { newest: value(chart.newest), mean: value(chart.mean) }),
+      !chart.shift ? t("no shift") : `${chart.shift > 0 ? t("higher than before") : t("lower than before")}; ${chart.what_to_do}`].join(" ");
   item.append(element("span", `${chart.title}: ${said}`), sketch(chart, drift.limit));
   return item;
 }
@@ -306,23 +310,24 @@ function showChart(chart, drift) {
 function showDrift(drift, last) {
   const charts = (drift || {}).charts || [];
   at("drift").hidden = !charts.length;
-  put("drift-of", charts.length ? `${named(drift)} on gel ${drift.gel_id}. A line beyond its limit says that something has shifted.` : "");
+  put("drift-of", charts.length ? t("{part} on gel {gel_id}. A line beyond its limit says that something has shifted.", { ...drift, part: named(drift) }) : "");
   draw("charts", charts, () => charts.map((chart) => showChart(chart, drift)));
   const gain = (last || {}).light_gain;
-  put("followed", gain ? `The light has changed since the fit, and is followed: the last press was made ${gain.map((one) => one.toFixed(2)).join(", ")} times brighter in red, green, blue.` : "");
+  put("followed", gain ? t("The light has changed since the fit, and is followed: the last press was made {times} times brighter in red, green, blue.", { times: gain.map((one) => one.toFixed(2)).join(", ") }) : "");
 }
 
 function showPresses(presses, piece) {
   const last = presses[0], newest = presses.slice(0, 12);
   draw("presses", [newest.map((press) => [press.press_id, press.has_picture]), may("confirm_press")], () => newest.map(showRow));
   at("say-head").hidden = !may("confirm_press");
-  const said = last ? large(last, piece) : "no press yet";
+  const said = last ? large(last, piece) : t("no press yet");
   at("verdict").className = /^(pass|fail|error|unsure|rejected)$/.test(said) ? said : "none";
-  put("verdict", said);
+  put("verdict", t(said));
+  at("verdict").style.setProperty("--letters", at("verdict").textContent.length);
   if (!last) { return; }
-  put("facts", [named(last), ratio(last) && `${ratio(last)} × threshold`, clock(last)].filter(Boolean).join(" · "));
+  put("facts", [named(last), ratio(last) && t("{ratio} × threshold", { ratio: ratio(last) }), clock(last)].filter(Boolean).join(" · "));
   const why = last.reason || last.error || (last.press_again || {}).reason;
-  put("why", [why, last.cause && `cause: ${last.cause}`].filter(Boolean).join(" · "));
+  put("why", [why, last.cause && t("cause: {cause}", { cause: t(last.cause) })].filter(Boolean).join(" · "));
   put("cause", last.cause_text || "");
   if (shownPress !== null && shownPress !== last.press_id) { // two passes in a row are two
     at("verdict").classList.add("fresh");
@@ -332,7 +337,7 @@ function showPresses(presses, piece) {
   const picture = last.has_picture ? `pictures/${last.press_id}` : "";
   at("frame").hidden = !picture;
   at("frame").href = picture;
-  at("picture").alt = `the press, and its scores: ${word(last)}, ${at("facts").textContent}`;
+  at("picture").alt = `${t("the press, and its scores")}: ${t(word(last))}, ${at("facts").textContent}`;
   if (at("picture").getAttribute("src") !== picture) {
     if (picture) { at("picture").setAttribute("src", picture); } else { at("picture").removeAttribute("src"); }
   }
@@ -360,7 +365,7 @@ function lock() {
 
 function keepUnlocked() {
   clearTimeout(lockTimer);
-  lockTimer = setTimeout(() => { lock(); say("Locked after five minutes without a change.", ""); }, LOCK_AFTER_MS);
+  lockTimer = setTimeout(() => { lock(); say(t("Locked after five minutes without a change."), ""); }, LOCK_AFTER_MS);
 }
 
 async function ask(verb, given, wanted) {
@@ -379,15 +384,15 @@ async function ask(verb, given, wanted) {
 }
 
 async function change(button, verb, wanted, done) {
-  if (key === null) { say("Not done: this page has locked itself; unlock it and say it again.", "error"); return; }
+  if (key === null) { say(t("Not done: this page has locked itself; unlock it and say it again."), "error"); return; }
   button.disabled = true;
-  say("asked…", "");
+  say(t("asked…"), "");
   try {
     const data = await ask(verb, key, wanted);
     keepUnlocked();
     say(done(data), "ok");
   } catch (error) {
-    say(`Not done: ${error.message}`, "error");
+    say(t("Not done: {why}", { why: error.message }), "error");
     if (error.isLocked) { lock(); }
   }
   button.disabled = false;
@@ -401,21 +406,21 @@ at("unlock").onsubmit = async (event) => {
     key = given;
     at("token").value = "";
     keepUnlocked();
-    say("Unlocked.", "ok");
+    say(t("Unlocked."), "ok");
   } catch (error) {
-    say(`Not unlocked: ${error.message}`, "error");
+    say(t("Not unlocked: {why}", { why: error.message }), "error");
     at("token").select();
   }
   show();
 };
 
-at("lock").onclick = () => { lock(); say("Locked.", ""); };
+at("lock").onclick = () => { lock(); say(t("Locked."), ""); };
 
 at("select").onsubmit = (event) => {
   event.preventDefault();
   const name = at("parts").value;
   change(event.submitter || at("select").querySelector("button"), "select_part", { name },
-    (data) => data.is_waiting ? `${name} is inspected when this press has ended.` : `${name} is inspected from now on.`);
+    (data) => data.is_waiting ? t("{name} is inspected when this press has ended.", { name }) : t("{name} is inspected from now on.", { name }));
 };
 
 at("begin").onsubmit = (event) => {
@@ -423,7 +428,7 @@ at("begin").onsubmit = (event) => {
   const piece_id = at("piece-id").value.trim();
   change(event.submitter || at("begin").querySelector("button"), "begin_piece", piece_id ? { piece_id } : {}, (data) => {
     at("piece-id").value = "";
-    return `The piece ${data.piece_id} has begun. Press ${data.expected.join(" or ")}.`;
+    return t("The piece {piece_id} has begun. Press: {places}", { ...data, places: data.expected.join(` ${t("or")} `) });
   });
 };
 
@@ -435,8 +440,8 @@ at("gel-form").onsubmit = () => {
     const said = at(field).value.trim();
     if (said) { wanted[name] = said; }
   }
-  change(at("new-gel"), "replace_gel", wanted, (data) => [`Gel ${data.gel_id} counts from now on.`,
-    ...data.remarks.map((said) => `${said[0].toUpperCase()}${said.slice(1)}.`), "Leave it free until the station is ready."].join(" "));
+  change(at("new-gel"), "replace_gel", wanted, (data) => [t("Gel {gel_id} counts from now on.", data),
+    ...data.remarks.map((said) => `${said[0].toUpperCase()}${said.slice(1)}.`), t("Leave it free until the station is ready.")].join(" "));
 };
 
 // Enter in the field would press the first button, "good".
@@ -445,9 +450,9 @@ at("what-cancel").onclick = () => at("what").close();
 at("what-form").onsubmit = (event) => {
   const verdict = event.submitter.value, kind = at("kind").value.trim(), press_id = at("what").dataset.press;
   change(event.submitter, "confirm_press", { press_id, verdict, ...(kind && verdict === "damaged" ? { kind } : {}) },
-    (data) => `Kept: ${verdict.replace("_", " ")}${kind && verdict === "damaged" ? `, ${kind}` : ""}. The station had said ${data.verdict}.`
-      + (data.earlier.length ? ` Said before: ${data.earlier.join(", ")}.` : "")
-      + (data.is_archived ? "" : " It is not archived, so nothing can be learnt from it."));
+    (data) => [t("Kept: {what}. The station had said: {verdict}.", { what: t(verdict.replace("_", " ")) + (kind && verdict === "damaged" ? `, ${kind}` : ""), verdict: t(data.verdict) }),
+      data.earlier.length && t("Said before: {earlier}.", { earlier: data.earlier.join(", ") }),
+      !data.is_archived && t("It is not archived, so nothing can be learnt from it.")].filter(Boolean).join(" "));
 };
 
 async function look() {
@@ -459,7 +464,7 @@ async function look() {
     show();
     setTimeout(look, 0);
   } catch {
-    put("state", "the gateway does not answer");
+    put("state", t("the gateway does not answer"));
     at("state").className = "lost";
     document.body.className = "gone";
     shown = shown && { ...shown, version: -1 };
@@ -467,4 +472,27 @@ async function look() {
   }
 }
 
-look();
+// The texts of the page's HTML, which is English, and where each stands.
+const TEXTS = [];
+const WALK = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT,
+  (node) => node.data.trim() && !node.parentElement.closest("[translate=no], noscript, script") ? NodeFilter.FILTER_ACCEPT : NodeFilter.FILTER_REJECT);
+while (WALK.nextNode()) { const node = WALK.currentNode, text = node.data.trim(); TEXTS.push(() => { node.data = t(text); }); }
+for (const name of ["aria-label", "alt"]) {
+  document.querySelectorAll(`[${name}]`).forEach((one) => {
+    const text = one.getAttribute(name);
+    if (text) { TEXTS.push(() => one.setAttribute(name, t(text))); }
+  });
+}
+
+async function speak(language) {
+  translations = language === "en" ? {} : await (await fetch(`words/${language}.json`)).json();
+  document.documentElement.lang = at("language").value = language;
+  TEXTS.forEach((write) => write());
+  drawn.clear();
+  show();
+}
+
+at("language").onchange = () => { localStorage.setItem("language", at("language").value); speak(at("language").value); };
+const known = Array.from(at("language").options, (option) => option.value);
+const wanted = [localStorage.getItem("language"), ...navigator.languages.map((one) => one.slice(0, 2))].find((one) => known.includes(one));
+speak(wanted || "en").finally(look);
