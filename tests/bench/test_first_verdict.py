@@ -6,6 +6,7 @@ and the virtual sensor plays the presses as they were made, one in a second. A p
 
 import os
 import re
+import resource
 import subprocess
 import sys
 import time
@@ -41,6 +42,11 @@ def timed_lines(words: list[str], folder: Path) -> Iterator[tuple[float, str]]:
         yield time.monotonic() - started, f"exit code {process.returncode}"
 
 
+def _processor_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def test_three_commands_and_ten_minutes(tmp_path: Path) -> None:
     """An environment, the installation, and the guided command; what is not pressing is waiting."""
     (tmp_path / "scene.toml").write_text(SCENE)
@@ -59,9 +65,10 @@ def test_three_commands_and_ten_minutes(tmp_path: Path) -> None:
             "recording=line/presses",
         ],
     ]
-    rows, first = [], None
+    rows: list[tuple[str, float]] = []
+    processor, first = [], None
     for words in commands:
-        said = "nothing"
+        said, before = "nothing", _processor_s()
         for seconds, line in timed_lines(words, tmp_path):
             said = line
             if step := re.search(r"is ready after .*?: (.*)", line):
@@ -69,11 +76,13 @@ def test_three_commands_and_ten_minutes(tmp_path: Path) -> None:
             if first is None and VERDICT.search(line):
                 first = seconds
         assert said == "exit code 0", said
-        rows.append((" ".join(words[:2]), seconds if first is None else first))
+        processor.append(_processor_s() - before)
+        rows.append((" ".join(Path(word).name for word in words[:3]), seconds if first is None else first))
     pressing = dict(rows)["  presses"]
     total = sum(seconds for name, seconds in rows if not name.startswith(" "))
     for name, seconds in (*rows, ("to the first verdict", total), ("of these waiting", total - pressing)):
         print(f"{name:32} {seconds:6.0f} s")
+    print("processor time of the commands:", ", ".join(f"{seconds:.0f} s" for seconds in processor))
 
     assert len(commands) == 3
     assert first is not None
