@@ -17,6 +17,7 @@ from simulation.auditors_brokers import audit_availability, audit_levels
 from simulation.auditors_contact import audit_contact, audit_lifts
 from simulation.auditors_outbox import ARCHIVED, audit_archive, audit_file, audit_full_outbox, audit_memory
 from simulation.auditors_outputs import audit_lamp, audit_outputs
+from simulation.auditors_pieces import audit_piece_lamp, audit_pieces
 from simulation.auditors_plc import audit_answers, audit_plcs
 from simulation.auditors_retained import audit_late, audit_outbox, audit_retained, audit_serials
 from simulation.brokers import Broker
@@ -71,6 +72,7 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     yield from audit_lamp(world, station)
     yield from audit_contact(world, station)
     yield from audit_plcs(world, station)
+    yield from audit_piece_lamp(world, station)
     yield from audit_availability(world, station)
     yield from _audit_new_gel(world, station)
     yield from audit_alarms(world, station)
@@ -109,6 +111,7 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from audit_outputs(world, station)
     yield from audit_lifts(world, station)
     yield from audit_answers(world, station)
+    yield from audit_pieces(world, station)
     yield from audit_retained(world, station)
     yield from audit_late(world, station)
     yield from audit_serials(station)
@@ -207,7 +210,10 @@ def _audit_presses(world: World, station: Station, found: dict[int | None, list[
                 yield f"press {press.number} is judged, and nobody asked for it"
             if press.is_bad and verdict == "pass":
                 yield f"press {press.number} is {press.what} and passed ({', '.join(press.why) or 'no fault'})"
-            if not press.why and verdict not in press.words:
+            allowed = press.words | (
+                {"rejected"} if world.has_pieces else set()
+            )  # a place that is not expected
+            if not press.why and verdict not in allowed:
                 yield f"press {press.number}, {press.what}, has the verdict {verdict}, without any fault"
 
 

@@ -30,24 +30,24 @@ def audit_lamp(world: World, station: Station) -> Iterator[str]:
         return
     if is_lost is not None and now_ns - is_lost > (UNSEEN_S + 2 / station.fps) * S:
         yield f"nothing is seen for {(now_ns - is_lost) / S:.1f} s, and a pass is shown"
-    if press is None and [seen.word for seen in station.seen[-1:]] != ["pass"]:
+    if press is None and [seen.shown for seen in station.seen[-1:]] != ["pass"]:
         yield "a pass is shown, and the last press has none"
     if press is None or press.why:
         return
     if now_ns - press.begin_ns > (world.noticed_s + SHOWN_S) * S:
-        own = [seen.word for seen in station.seen[-4:] if seen.noted_ns >= press.begin_ns]
+        own = [seen.shown for seen in station.seen[-4:] if seen.noted_ns >= press.begin_ns]
         if press.is_bad or "pass" not in own:
             yield f"press {press.number} is {press.what}, has {own[-1:] or 'no verdict'}, and a pass is shown"
 
 
 def audit_outputs(world: World, station: Station) -> Iterator[str]:
     """Each output belongs to one press that was judged so, and none comes after its deadline."""
-    unused = {REJECT: [one for one in station.seen if one.word != "pass"]}
-    unused |= {GATE: [one for one in station.seen if one.word == "pass"]}
+    unused = {REJECT: [one for one in station.seen if one.shown not in ("pass", "")]}
+    unused |= {GATE: [one for one in station.seen if one.shown == "pass"]}
     for one in (one for one in world.relay.switched if one.channel in (LAMP, REJECT, GATE)):
         when = f"at {one.told_ns / S:.3f} s"
         if one.channel == LAMP:
-            before = [seen.word for seen in station.seen if seen.noted_ns <= one.told_ns]
+            before = [seen.shown for seen in station.seen if seen.noted_ns <= one.told_ns]
             if before[-1:] != ["pass"]:
                 yield f"a pass was shown {when}, and the last press was {before[-1:] or 'none'}"
             begun = [press for press in world.hand.presses if press.begin_ns <= one.told_ns][-1:]

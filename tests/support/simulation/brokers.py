@@ -84,6 +84,7 @@ class Broker:
         self.has_refused_results = False
         self.retained: dict[str, bytes] = {}
         self.results: dict[str, list[dict[str, object]]] = {}
+        self.pieces: dict[str, list[dict[str, object]]] = {}
         self.order: list[str] = []
         self.pictures: Counter[str] = Counter()
         self.said: Counter[str] = Counter()
@@ -312,6 +313,9 @@ class Broker:
             if result["press_id"] not in self.results:
                 self.order.append(result["press_id"])
             self.results.setdefault(result["press_id"], []).append(result)
+        elif message.topic == "piece_result":
+            piece = json.loads(message.payload)
+            self.pieces.setdefault(piece["piece_id"], []).append(piece)
         elif kind == "heatmap":
             self.pictures[press_id] += 1
             if message.payload and press_id.encode() not in message.payload:

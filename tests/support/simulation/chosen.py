@@ -56,6 +56,8 @@ class Chosen:
     """It holds each part until the station says that it may be lifted, or its patience ends."""
     has_plc: bool = False
     """It triggers, and reads what answers; only with `trigger = "automatic"`."""
+    piece: str = ""
+    """The order of a plan of places, `fixed` or `free`; empty for none. Without a PLC, and as it is with one."""
 
     @classmethod
     def of(cls, rng: random.Random, names: Sequence[str]) -> "Chosen":
@@ -77,4 +79,5 @@ class Chosen:
             rng.random() < 0.25,
             rng.random() < 0.3,
             rng.random() < 0.4,
+            rng.choice(("", "", "fixed", "free")),
         )

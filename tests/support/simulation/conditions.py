@@ -82,6 +82,8 @@ SOMETIMES = (
     "a pass was taken back from a PLC",
     "a second PLC was refused",
     "a second PLC wrote",
+    *(f"a piece was {verdict}" for verdict in ("pass", "fail", "incomplete")),
+    "a piece took too long",
     "plc mute",
     "plc slow",
 )
@@ -119,6 +121,9 @@ def reached_at_end(world: World, station: Station) -> Iterator[str]:
     found["a shadow passed what failed"] = any(one["shadow"] and one["verdict"] == "fail" for one in results)
     yield from (name for name, is_so in found.items() if is_so)
     yield from _of_plcs(world)
+    pieces = [same[0] for broker in world.brokers.values() for same in broker.pieces.values()]
+    yield from (f"a piece was {piece['verdict']}" for piece in pieces)
+    yield from ("a piece took too long" for piece in pieces if piece["ended_by"] == "time")
 
 
 def _of_plcs(world: World) -> Iterator[str]:

@@ -33,6 +33,7 @@ from edge.messaging.command_payloads import signature_of, signed_text
 from edge.model.inspector import Inspector
 from edge.model.session import TrunkSessions
 from edge.press_stage import PressStage
+from simulation.bundles import PARTS
 from simulation.disk import Disk, hear_audits
 from simulation.options import SECRET
 from simulation.sensor import SERIAL, S
@@ -59,6 +60,8 @@ class Seen:
     """Frames are missing between the judged frame and the verdict."""
     after_gap_s: float
     """From the last interruption to the verdict."""
+    shown: str
+    """What outputs may show of it: its word, but of a piece a pass only when all of it has passed; or nothing."""
 
 
 class Station:
@@ -102,6 +105,8 @@ class Station:
         """Messages were dropped from a full outbox, and nobody has acknowledged it."""
         self.waiting: dict[int, tuple[str, str]] = {}
         """Rows of the outbox as last looked at: what each is (`picture`, `pass`, `fail`), and its press."""
+        self.filled: dict[str, dict[str, str]] = {}
+        """What was pressed of each piece."""
         self._asked = 0
         self._read_config = read_config
         self._trunks = TrunkSessions(1)
@@ -213,6 +218,7 @@ class Station:
     def lose_database(self) -> None:
         """Remove the database: what it knows is known to auditors alone. The next life must say that it is lost."""
         path = self.disk.folder / "gelgate.db"
+        self.world.pieces.forget(self.world.clock.now_ns)
         self.lost_rows += self.rows()[len(self.lost_rows) :]
         self.unseen_in.clear()
         self.is_loss_open = bool(self.lost_rows)
@@ -324,8 +330,23 @@ class Station:
         ended_ns = max((later for _, later in gaps if later <= judged_ns), default=0)
         after_s = (now_ns - ended_ns) / S
         self.seen.append(
-            Seen(press.press_id, now_ns, press.judged_ns, press.word, judged_ns, is_over, after_s)
+            Seen(
+                *(press.press_id, now_ns, press.judged_ns, press.word),
+                *(judged_ns, is_over, after_s, self._show(report)),
+            )
         )
+
+    def _show(self, report: PressReport) -> str:
+        """Say what outputs may show of a press, after docs/operations.md."""
+        word, piece, place = report.press.word, report.result.piece_id, report.result.place
+        if piece is None:
+            return word
+        filled = self.filled.setdefault(piece, {})
+        if place is not None and word in ("pass", "fail"):
+            filled.setdefault(place, word)
+        if word != "pass":
+            return word
+        return "fail" if "fail" in filled.values() else "pass" if len(filled) == len(PARTS) else ""
 
 
 class Witness(PressStage):
@@ -350,6 +371,7 @@ STAYS = {
     "counts",
     "pulse",
     "overload",
+    "piece",
     "gel",
     "gel_proof",
     "disk",

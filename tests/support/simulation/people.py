@@ -38,6 +38,8 @@ def replace_gel(run: "Simulation", rng: random.Random) -> float:
 def select_part(run: "Simulation", rng: random.Random) -> float:
     """A command selects the other part, at any moment."""
     parts = run.world.parts
+    if run.world.has_pieces:
+        return 60.0
     part = PARTS[1 - PARTS.index(parts.wanted)]
     try:
         answer = run.station.ask("select_part", part=part, position="pos1")

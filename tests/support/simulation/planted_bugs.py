@@ -230,4 +230,32 @@ BUGS = (
         "        if False:\n",
         "as 10.0.0.1 did",
     ),
+    Bug(
+        "a piece passes with a place missing",
+        "edge/core/piece.py",
+        'return "incomplete" if self.missing else "pass"',
+        'return "pass"',
+        "is pass: its places are",
+    ),
+    Bug(
+        "a pass of one place is shown",
+        "edge/core/piece.py",
+        '        if word != "pass" or (self.is_last and not self.has_failed):\n',
+        "        if True:\n",
+        "a pass (is|was) shown",
+    ),
+    Bug(
+        "the result of an incomplete piece is not sent",
+        "edge/store/pieces.py",
+        "    outbox.put(connection, [message],",
+        '    outbox.put(connection, [message] if piece.verdict != "incomplete" else [],',
+        "the results of .* lack",
+    ),
+    Bug(
+        "the pass of a piece stays when the next one is begun",
+        "edge/features/outputs/stage.py",
+        "is_other_piece = view.piece_id not in (None, self._piece_id)",
+        "is_other_piece = False",
+        "a pass of the piece before is shown",
+    ),
 )

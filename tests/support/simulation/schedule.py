@@ -24,6 +24,7 @@ from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK
 from simulation.lives import Station
 from simulation.options import MESSAGES, SECRET
 from simulation.outputs import TABLES
+from simulation.pieces import PIECE
 from simulation.plc import HANDSHAKE
 from simulation.power import listening
 from simulation.sensor import S
@@ -44,7 +45,7 @@ shadows = {shadows}
 path = "{folder}/gelgate.db"
 [commands]
 unsigned = ["trigger", "acknowledge_alarm"]
-signed = ["select_part", "replace_gel", "reload", "relearn", "self_test"]
+signed = ["select_part", "replace_gel", "reload", "relearn", "self_test", "begin_piece"]
 secret_file = "{secret}"
 {archive}
 """
@@ -328,6 +329,7 @@ class Simulation:
             shadows=shadows,
         )
         text += TABLES + "".join(SINK.format(name=name, at_once_s=AT_ONCE_S) for name in self.order)
+        text += PIECE.format(order=self.chosen.piece) if self.world.has_pieces else ""
         text += HANDSHAKE if self.world.has_plc else ""
         text += FILE.format(folder=self._disk / MESSAGES) if self.chosen.has_file else ""
         self._config.write_text(text)

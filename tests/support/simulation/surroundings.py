@@ -19,6 +19,7 @@ from simulation.chosen import Chosen
 from simulation.connections import Connections
 from simulation.hand import MadePress
 from simulation.outputs import LIFT, Pedal, Relay
+from simulation.pieces import PieceWorker
 from simulation.plc import Plc, Server
 from simulation.sensor import SERIAL, S, Sensor
 
@@ -54,6 +55,11 @@ class Selected:
     def __init__(self, first: str, noticed_s: float) -> None:
         self.wanted, self._noticed_s = first, noticed_s
         self._changes: list[tuple[int, str | None]] = [(0, first)]
+
+    @property
+    def changed_ns(self) -> int:
+        """When it was changed last."""
+        return self._changes[-1][0]
 
     def select(self, now_ns: int, part: str) -> None:
         """Take a selection that the station has confirmed."""
@@ -101,6 +107,12 @@ class World:
             self.hand.may_lift = lambda: self.relay.is_on[LIFT]
         self.server = Server.now = Server(self.clock, lambda: self.is_dead())
         self.has_plc = chosen.has_plc and chosen.trigger == "automatic"
+        self.has_pieces = bool(chosen.piece) and chosen.trigger == "automatic" and not self.has_plc
+        self.pieces = Selected("", self.noticed_s)
+        """The piece that the person has begun."""
+        if self.has_pieces:
+            self.parts.forget(self.clock.now_ns)  # the plan selects the bundle
+        self.worker = PieceWorker(random.Random(f"{seed} pieces"), chosen.piece)
         own = Plc(self.clock, self.server, random.Random(f"{seed} plc"), "10.0.0.1", 1)
         self.plcs = [own] if self.has_plc else []
         """That of the cell, and others that came."""

@@ -54,6 +54,8 @@ class Threads:
         connections.on_news = self._wake_waiting
         self.own = threads
         plcs = [Actor("plc", plc.act) for plc in run.world.plcs]
+        if run.world.has_pieces:
+            plcs.append(Actor("person with a plan", lambda: run.world.worker.act(run)))
         self.all = [self.camera, *threads, Actor("brokers", self._work), *plcs]
 
     def _wake_waiting(self) -> None:

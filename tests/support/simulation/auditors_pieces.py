@@ -1,0 +1,92 @@
+"""What holds of pieces of several places (docs/operations.md): one verdict each, and no pass with a place missing."""
+
+import json
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+
+from simulation.auditors_outputs import SHOWN_S
+from simulation.lives import Station
+from simulation.outputs import LAMP
+from simulation.pieces import PLAN
+from simulation.sensor import S
+from simulation.surroundings import World
+
+Places = Mapping[str, list[str]]
+"""Place to the verdicts of its presses, in order."""
+
+
+def audit_piece_lamp(world: World, station: Station) -> Iterator[str]:
+    """A pass goes off when the next piece is begun."""
+    relay, now_ns = world.relay, world.clock.now_ns
+    is_old = bool(station.seen) and station.seen[-1].noted_ns < world.pieces.changed_ns
+    is_shown = world.has_pieces and relay.is_on[LAMP] and relay.mood == "up" and not station.is_held_up
+    since_ns = station.so_since("a pass of the piece before", is_shown and is_old)
+    if since_ns is not None and now_ns - since_ns > SHOWN_S * S:
+        yield "a pass of the piece before is shown"
+
+
+def audit_pieces(world: World, station: Station) -> Iterator[str]:
+    """What holds at the end: in the database, at each subscriber, and of each press."""
+    if not world.has_pieces:
+        return
+    path = station.disk.folder / "gelgate.db"
+    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+        pieces = connection.execute("SELECT piece_id, verdict FROM pieces ORDER BY number").fetchall()
+        rows = connection.execute(
+            "SELECT piece_id, part || '/' || position, verdict, press_id FROM presses WHERE piece_id IS NOT NULL "
+            "ORDER BY number"
+        ).fetchall()
+    made: dict[str, dict[str, list[str]]] = {piece: {} for piece, _ in pieces}
+    for piece, place, verdict, _ in rows:
+        made.setdefault(piece, {}).setdefault(place, []).append(verdict)
+    for piece, verdict in pieces:
+        yield from (f"{piece} is {verdict}: {what}" for what in _audit_verdict(verdict, made[piece]))
+    yield from _audit_presses(world, station, {press_id: piece for piece, _, _, press_id in rows})
+    over = {piece: verdict for piece, verdict in pieces if verdict is not None}
+    current = next((piece for piece, verdict in pieces if verdict is None), None)
+    for broker in world.brokers.values():
+        yield from (f"{broker.name}: {what}" for what in _audit_results(broker.pieces, over, station))
+        retained = json.loads(broker.retained.get("piece", b"{}")).get("piece_id")
+        if retained != current:
+            yield f"{broker.name} retains the piece {retained}, and {current} is in progress"
+
+
+def _audit_verdict(verdict: str | None, places: Places) -> Iterator[str]:
+    words = [[word for word in places.get(place, []) if word in ("pass", "fail")][:1] for place in PLAN]
+    if verdict == "pass" and words != [["pass"]] * len(PLAN):
+        yield f"its places are {words}"
+    if verdict == "incomplete" and (["fail"] in words or [] not in words):
+        yield f"its places are {words}"
+    if verdict == "fail" and ["fail"] not in words:
+        yield f"its places are {words}"
+    if verdict is None and [] not in words:
+        yield f"in progress, and its places are {words}"
+
+
+def _audit_presses(world: World, station: Station, pieces: Mapping[str, str]) -> Iterator[str]:
+    """A press is of the piece that the person had begun."""
+    for seen in station.seen:
+        piece, at_ns = pieces.get(seen.press_id, ""), seen.frame_ns or seen.judged_ns
+        press = next((one for one in reversed(world.hand.presses) if one.begin_ns <= at_ns), None)
+        if press is None or press.why or not piece.startswith("piece "):
+            continue
+        if not world.pieces.allows(press, piece):
+            yield f"press {press.number} counts for {piece}, and another piece was begun before it"
+
+
+def _audit_results(
+    got: Mapping[str, list[dict[str, object]]], over: Mapping[str, str], station: Station
+) -> Iterator[str]:
+    """Each piece that is over has one result, which may come twice."""
+    for piece, results in got.items():
+        kept = [{key: value for key, value in one.items() if key != "is_replayed"} for one in results]
+        if any(one != kept[0] for one in kept):
+            yield f"two results of {piece} differ"
+        if piece in over and over[piece] != kept[0]["verdict"]:
+            yield f"{piece} has the result {kept[0]['verdict']}, and is {over[piece]}"
+        if piece not in over and not station.lost_rows:
+            yield f"{piece} has a result, and is not over"
+    lacking = [piece for piece in over if piece not in got]
+    if lacking and not (station.dropped or station.dropped_before):
+        yield f"the results of {', '.join(lacking)} lack"
