@@ -21,7 +21,9 @@ def audit_contact(world: World, station: Station) -> Iterator[str]:
     is_lost = is_sensor_lost(world, station) and is_well
     lost_ns = station.so_since("the contact is not seen", is_lost)
     state = station.loop.parts.status.view().state
-    halted_ns = station.so_since("the contact of no ready station", is_well and state != "ready")
+    halted_ns = station.so_since(
+        f"the contact of no ready station {world.new_gel_ns}", is_well and state != "ready"
+    )
     if not is_well or not shown:
         return
     if len(shown) > 1:

@@ -19,7 +19,7 @@ def audit_plcs(world: World, station: Station) -> Iterator[str]:
     """What holds of each read."""
     now_ns, state = world.clock.now_ns, station.loop.parts.status.view().state
     is_halted = state != "ready" and not station.is_held_up
-    halted_ns = station.so_since("a PLC waits for a ready station", is_halted) or now_ns
+    halted_ns = station.so_since(f"a PLC waits for a ready station {world.new_gel_ns}", is_halted) or now_ns
     asked = {number: one for plc in world.plcs for number, one in plc.asked.items()}
     for plc in world.plcs:
         yield from (f"PLC {plc.ip}: {what}" for what in plc.found)
