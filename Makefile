@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo dev check readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs docs-site bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release clean
+.PHONY: demo dev check readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs docs-site bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release lock clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -99,6 +99,11 @@ test-plain: $(VENV)/.test
 # What outside tools say of the repository: its shape, its workflows, its words.
 test-trust: $(VENV)/.test $(VENV)-trust/.made
 	GELGATE_TRUST=$(abspath $(VENV)-trust/bin) $(BIN)/pytest tests/project/test_trust.py -m trust
+
+# The packages of the gateway's image, each version with its hashes, newly chosen; for every system and Python.
+lock: $(VENV)-trust/.made
+	$(VENV)-trust/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --no-annotate \
+	  --custom-compile-command 'make lock' --extra metrics --extra signing pyproject.toml -o deploy/requirements.txt
 
 # What the release workflow publishes, in dist: built twice from the commit and compared, checked, installed alone and tried.
 verify-release: $(VENV)/.test $(VENV)-trust/.made

@@ -1,15 +1,33 @@
 """The files of `deploy/`: a sound configuration everywhere, a working image where docker or podman runs."""
 
+import contextlib
+import importlib.util
+import re
 import shutil
+import socket
 import subprocess
+import sys
+import threading
+import tomllib
+from functools import partial
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from edge.config import load_config
 
 ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "deploy"
+
+
+LOCK = DEPLOY / "requirements.txt"
+PINS = re.findall(
+    r"^([a-z0-9.-]+)==(\S+)(?: ; [^\n]*)? \\\n((?:    --hash=sha256:[0-9a-f]{64}.*\n)+)",
+    LOCK.read_text(),
+    re.MULTILINE,
+)
 
 
 def engine() -> str | None:
@@ -48,3 +66,54 @@ def test_the_image_is_built_and_its_program_answers() -> None:
     assert version.stdout.startswith("gelgate ")
     assert start.returncode == 3
     assert "gelgate.toml does not exist" in start.stderr
+
+
+def test_the_lock_names_every_package_of_the_image_with_a_hash_and_no_server() -> None:
+    """After a change of pyproject.toml, `make lock`; its hashes are those of the public index, wherever it was made."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    wanted = [
+        Requirement(line) for line in (*project["dependencies"], *extras["metrics"], *extras["signing"])
+    ]
+    versions = {name: version for name, version, _ in PINS}
+
+    for one in wanted:
+        assert one.specifier.contains(versions[canonicalize_name(one.name)])
+    assert len(PINS) == len(re.findall(r"^[a-z]", LOCK.read_text(), re.MULTILINE))
+    assert "://" not in LOCK.read_text()
+
+
+@pytest.mark.plain
+def test_the_steps_of_the_image_give_a_program_that_answers(tmp_path: Path) -> None:
+    """Without docker: what it installs by hashes is all that the wheel needs, and the program starts."""
+    run = partial(subprocess.run, check=True, timeout=1800, capture_output=True, text=True)
+    run([sys.executable, "-m", "venv", tmp_path / "image"])
+    pip = [tmp_path / "image/bin/python", "-m", "pip", "--disable-pip-version-check"]
+    run([*pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", tmp_path, ROOT])
+    run([*pip, "install", "--quiet", "--require-hashes", "--only-binary", ":all:", "-r", LOCK])
+    run([*pip, "install", "--quiet", "--no-index", "--no-deps", *tmp_path.glob("gelgate-*.whl")])
+
+    assert "No broken requirements" in run([*pip, "check"]).stdout
+    assert run([tmp_path / "image/bin/gelgate", "--version"]).stdout.startswith("gelgate ")
+
+
+@pytest.mark.parametrize(("said", "is_healthy"), [(b"WATCHDOG=1", True), (b"READY=1", False)])
+def test_the_health_check_hears_a_loop_that_turns(tmp_path: Path, said: bytes, is_healthy: bool) -> None:
+    """What a start says is not enough; and nothing is left that the next check would meet."""
+    spec = importlib.util.spec_from_file_location("healthcheck", DEPLOY / "healthcheck.py")
+    assert spec is not None
+    assert spec.loader is not None
+    healthcheck = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(healthcheck)
+    path, heard = tmp_path / "alive", list[bool]()
+    path.touch()
+    listener = threading.Thread(target=lambda: heard.append(healthcheck.hear(str(path), 1.0)))
+    listener.start()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as gateway:
+        while listener.is_alive():
+            with contextlib.suppress(OSError):
+                gateway.sendto(said, str(path))
+            listener.join(0.01)
+
+    assert heard == [is_healthy]
+    assert not path.exists()
