@@ -2,8 +2,8 @@
 
 `python tests/bench/pieces.py [PIECES [SEED]]` makes 1,000 by default, half of them in a fixed order, and prints what
 happened: kills before and after a write, writes that fail, commits that are reported as failed, pieces that are left,
-wrong places, new gels, ids twice. It ends with 1 where a piece passed with a place missing, was lost or doubled. A
-minute of one core.
+wrong places, new gels, ids twice. It ends with 1 where a piece passed with a place missing, was lost or doubled.
+Twenty seconds of one core.
 """
 
 import sys
