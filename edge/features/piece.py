@@ -186,7 +186,7 @@ class Pieces(PressStage):
         self._has_contact = mounted.has_contact
         self._settle()
         is_resting = not mounted.has_contact and self._waiting_id is None
-        if self._piece is not None and is_resting and self._clock.monotonic_ns() > self._due_ns:
+        if self._piece is not None and is_resting and self._clock.monotonic_ns() >= self._due_ns:
             end = partial(self._end, piece=self._piece, why="time", time_ns=self._clock.time_ns())
             self._change("ending a piece", end)
         self._select()
