@@ -2,22 +2,24 @@
 
     pytest -m bench -s tests/bench/test_contact_state.py
 
-The films are those of `test_right_frame.py`, as JPEGs, through the gateway's own detector. The oracle sees every frame
-without noise and under a steady light, and what comes after it: float64, and nothing has to be confirmed. What noise
-hides from relief it does not see either. `FILMS` shortens it.
+The films are those of `test_right_frame.py`, as JPEGs, through the gateway's own detector. The oracle gets the same
+JPEGs with their noise, so that the stream is measured and not the noise. It looks at every frame, in float64, and at
+what comes after it: a contact is there from its first frame where the next one shows it too. It is given what the
+stream must find out: the free gel without noise, and the light of every moment. The masks, the rest and the moments are
+its own; relief is taken by the gateway's filter. `FILMS` shortens it.
 """
 
 import os
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import pytest
 from ball_frames import PROFILE
 from numpy.typing import NDArray
-from press_films import Film, Press, _pressed, grains, random_film, series
+from press_films import Film, Press, _pressed, random_film, series
 
 from edge.core.contact.events import PressSettled
 from edge.core.contact.mask import CHANGE_LEVELS, MORPHOLOGY_SIDE, TOUCH_LEVELS
@@ -33,6 +35,9 @@ RULES = ContactSettings()
 F64 = NDArray[np.float64]
 # The colours of a camera's picture are finer than the view.
 JPEG = (cv2.IMWRITE_JPEG_QUALITY, 97, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+# Sensor noise moves strength and texture by less, in levels over the whole view.
+NOISE = 0.005
+SENSOR_FRAME_S = 0.054
 MOMENTS = ("touching", "pressing", "deep_enough", "at_rest", "free")
 
 
@@ -47,7 +52,7 @@ def _beyond(squared: F64) -> NDArray[np.bool_]:
 
 @dataclass
 class Truth:
-    """One frame without noise: its time, view, touched area, relief, strength and texture."""
+    """What one frame shows: its time, view under the first light, touched area, relief, strength and texture."""
 
     t: float
     view: F64
@@ -61,26 +66,23 @@ class Truth:
         return max(self.area, self.relief)
 
 
-def _truths(film: Film, times: list[float]) -> list[Truth]:
-    views = series(film.part, film.gel)
-    free, structure = views[0].astype(np.float64), ReliefOfReference(views[0])
-    for noise in grains()[:8]:  # relief below the noise of the sensor is none
-        structure.of(noise, RULES.light_levels)
-    nothing = Truth(0.0, free, 0.0, 0.0, 0.0, 0.0)
-    found = []
-    for t in times:
-        press = next((p for p in film.presses if p.onset_s <= t <= p.end_s), None)
-        if press is None:
-            found.append(replace(nothing, t=t))
-            continue
-        view = _pressed(views, press.depth_at(t), press.place_at(t))
-        added = view.astype(np.float64) - free
+def _payload(view: NDArray[np.float32], number: int) -> bytes:
+    """A JPEG with its number as a comment: films have 48 pictures of noise, and a sensor never gives one twice."""
+    jpeg = cv2.imencode(".jpg", view[..., ::-1].astype(np.uint8), JPEG)[1].tobytes()
+    return jpeg[:2] + b"\xff\xfe\x00\x06" + number.to_bytes(4, "big") + jpeg[2:]
+
+
+def _truths(film: Film, times: list[float], shown: list[CameraFrame]) -> list[Truth]:
+    free = series(film.part, film.gel)[0]
+    structure, found = ReliefOfReference(free), []
+    for t, frame in zip(times, shown, strict=True):
+        bgr = np.asarray(cv2.imdecode(np.frombuffer(frame.payload, np.uint8), cv2.IMREAD_COLOR))
+        view = bgr[..., ::-1].astype(np.float64) / film._light_at(t)
+        added = view - free
         squared = (added**2).sum(axis=2)
         mask, relief = _beyond(squared), structure.of(added.astype(np.float32), RULES.light_levels)
         strength = float(np.sqrt(squared[mask]).sum()) / squared.size
-        found.append(
-            Truth(t, view.astype(np.float64), float(mask.mean()), relief.area, strength, relief.level)
-        )
+        found.append(Truth(t, view, float(mask.mean()), relief.area, strength, relief.level))
     return found
 
 
@@ -99,10 +101,11 @@ def _rest(truths: list[Truth], start: int, stop: int) -> int | None:
         is_grown = any(
             max(getattr(truth, name) for truth in truths[anchor + 1 : k + 1])
             > (1 + RULES.growth_share) * max(getattr(truth, name) for truth in truths[start : anchor + 1])
+            + NOISE
             for name in ("strength", "texture")
         )
         now, then = (truths[j].strength + truths[j].texture for j in (k, anchor))
-        if not is_grown and now >= (1 - RULES.growth_share) * then:
+        if not is_grown and now >= (1 - RULES.growth_share) * then - NOISE:
             return k
     return None
 
@@ -166,28 +169,30 @@ def _strength_at(film: Film, depth: float) -> float:
 
 @dataclass(frozen=True)
 class Late:
-    """One moment of one press. frames: how late it is said, negative for early; None where it never is."""
+    """One moment of one press. frames, seconds: how late it is said, negative for early; None where it never is."""
 
     film: Film
     moment: str
-    frames: int | None
+    frames: int | None = None
+    seconds: float = 0.0
     is_false: bool = False
     """It is said, and the oracle has none."""
+
+    @property
+    def is_on_time(self) -> bool:
+        """At most one frame late, or one of the sensor's."""
+        return self.frames is not None and (self.frames <= 1 or self.seconds <= SENSOR_FRAME_S)
 
 
 def _compare(film: Film) -> Iterator[Late]:
     pairs = list(film.frames())
     shown = [
-        CameraFrame(
-            cv2.imencode(".jpg", view[..., ::-1].astype(np.uint8), JPEG)[1].tobytes(),
-            10**9 + round(t * 1e9),
-            number,
-        )
+        CameraFrame(_payload(view, number), 10**9 + round(t * 1e9), number)
         for number, (t, view) in enumerate(pairs)
     ]
     nominal = NominalStrength(*(_strength_at(film, depth) for depth in (0.5, 0.75, 1.0)))
     said = _stream(film, shown, nominal)
-    truths = _truths(film, [t for t, _ in pairs])
+    truths = _truths(film, [t for t, _ in pairs], shown)
     first = said.index("free")
     allowed = np.zeros(len(said), bool)
     allowed[:first] = True
@@ -202,16 +207,17 @@ def _compare(film: Film) -> Iterator[Late]:
             else:
                 at = next((k for k in inside if said[k] in REACHED[moment]), None)
             if moment in moments:
-                yield Late(film, moment, None if at is None else at - moments[moment])
+                late_s = 0.0 if at is None else truths[at].t - truths[moments[moment]].t
+                yield Late(film, moment, None if at is None else at - moments[moment], late_s)
             elif moment == "at_rest" and at is not None:
-                yield Late(film, moment, None, is_false=True)
+                yield Late(film, moment, is_false=True)
         held = [k for k in inside if said[k] != "free"]
         for state in said[held[0] : held[-1]] if held else ():
             if state in ("free", "unknown", "overload"):
-                yield Late(film, state, None, is_false=True)
+                yield Late(film, state, is_false=True)
     for k in np.flatnonzero(~allowed):
         if said[k] != "free":
-            yield Late(film, said[k], None, is_false=True)
+            yield Late(film, said[k], is_false=True)
 
 
 @pytest.mark.bench
@@ -220,14 +226,15 @@ def test_how_late_the_states_of_contact_are() -> None:
     found = [late for seed in range(FILMS) for late in _compare(random_film(seed))]
     right = [late for late in found if not late.is_false]
     print(
-        "\n| moment | presses | early, 2 and more | at most one late | two | three and more | missing | false |"
+        "\n| moment | presses | early, 2 and more | at most one late | or 54 ms | two | more | never | false |"
     )
-    print("|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|")
     for moment in MOMENTS:
         mine = [late.frames for late in right if late.moment == moment]
         known = [frames for frames in mine if frames is not None]
         print(
             f"| {moment} | {len(mine)} | {sum(n < -1 for n in known)} | {sum(n <= 1 for n in known) / len(mine):.1%} | "
+            f"{sum(late.is_on_time for late in right if late.moment == moment) / len(mine):.1%} | "
             f"{sum(n == 2 for n in known)} | {sum(n > 2 for n in known)} | {mine.count(None)} | "
             f"{sum(late.is_false and late.moment == moment for late in found)} |"
         )
@@ -235,5 +242,8 @@ def test_how_late_the_states_of_contact_are() -> None:
     print("late:", Counter((late.moment, late.film.fps) for late in right if (late.frames or 0) > 1))
     print("missing:", Counter((late.moment, late.film.seed) for late in right if late.frames is None))
     on_time = sum(late.frames is not None and late.frames <= 1 for late in right) / len(right)
-    print(f"at most one frame late: {on_time:.1%} of {len(right)} transitions (aim 99 %)")
+    in_time = sum(late.is_on_time for late in right) / len(right)
+    print(
+        f"at most one frame late: {on_time:.1%} of {len(right)} transitions (aim 99 %), or 54 ms: {in_time:.1%}"
+    )
     assert not [late for late in right if late.frames is None and late.moment in ("touching", "free")]
