@@ -86,7 +86,7 @@ test-subscribers: $(VENV)/.test $(VENV)-subscribers/.made
 
 $(VENV)-subscribers/.made:
 	mkdir -p $(VENV)-subscribers
-	cd $(VENV)-subscribers && npm install --no-audit --no-fund --silent '$(NODE_RED)' mqtt sparkplug-payload || echo "npm cannot install Node-RED here"
+	cd $(VENV)-subscribers && npm install --no-audit --no-fund --silent '$(NODE_RED)' mqtt sparkplug-payload node-opcua-client || echo "npm cannot install Node-RED here"
 	{ $(HOME_ASSISTANT_PYTHON) -m venv $(VENV)-subscribers/home-assistant && \
 	  $(VENV)-subscribers/home-assistant/bin/python -m pip install --quiet homeassistant paho-mqtt; } || \
 	  echo "Home Assistant cannot be installed here"

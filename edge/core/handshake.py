@@ -219,6 +219,10 @@ class HandshakeMachine:
         """Tell whether a sign of life is overdue, also the first one."""
         return self._watchdog_ns is not None and now_ns - self._beat_ns > self._watchdog_ns
 
+    def is_unread(self, now_ns: int) -> bool:
+        """Tell whether a result is not acknowledged twice the time-out after its trigger."""
+        return self._view.step == "done" and now_ns - self._trigger_ns > 2 * self._timeout_ns
+
     def trigger(self, trigger: Trigger, now_ns: int, part: str | None = None) -> Refusal | None:
         """Take it, or return why not. part: the one that must judge the answer; None for any."""
         refusal = check_trigger(trigger) or self._refusal(trigger.trigger_id, now_ns)

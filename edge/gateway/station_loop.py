@@ -240,10 +240,14 @@ class StationLoop:
 
     def _record(self) -> None:
         """Write the presses that wait. Errors: StoreError; no press is lost."""
+        awaited = [stage for stage in self.parts.stages if stage.is_awaited]
         for report in self.session.record() if self.session else ():
+            for stage in awaited:  # before the publisher's threads wake
+                stage.record(report.press, report.gel)
             self.parts.status.clear_fault("store")
             self.parts.publisher.wake()
             self.summary.add(report)
             self._on_press(report)
-            for stage in sorted(self.parts.stages, key=lambda stage: not stage.is_awaited):
-                stage.record(report.press, report.gel)
+            for stage in self.parts.stages:
+                if not stage.is_awaited:
+                    stage.record(report.press, report.gel)

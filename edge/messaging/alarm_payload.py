@@ -138,7 +138,8 @@ ALARMS: Final[Mapping[str, Alarm]] = {
         "check its cable and its supply; stop the line where a reject gate depends on it",
     ),
     "plc": Alarm(
-        "check the PLC's program and its cable; it ends with the next change of the watchdog; see plc.md",
+        "check the PLC's program and its cable; it ends with the next change of the watchdog, or with "
+        "acknowledge; see plc.md",
     ),
     "pulse": Alarm(
         "find the part, then acknowledge it, with the button, on the page or with the request",

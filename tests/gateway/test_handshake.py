@@ -205,6 +205,24 @@ def test_a_watchdog_that_stands_still_is_an_alarm(configure: Make) -> None:
         assert station.alarm("plc") is None
 
 
+def test_a_result_that_is_not_acknowledged_is_an_alarm(configure: Make) -> None:
+    """Not before twice the time-out; it ends with the acknowledgement."""
+    with PlcStation(configure("timeout_s = 5")) as station:
+        station.play_until_ready()
+        station.trigger(1)
+        station.play_presses(1)
+        assert station.seen.step == "done"
+        assert station.alarm("plc") is None
+        station.clock.sleep(10.1)
+        station.turn()
+        assert station.alarm("plc") == (
+            "the PLC does not acknowledge the result of trigger 1, so the next is refused"
+        )
+        station.acknowledge()
+        station.turn()
+        assert station.alarm("plc") is None
+
+
 def test_after_a_restart_nothing_is_left(configure: Make) -> None:
     """No result of before, and no trigger."""
     config = configure()

@@ -22,9 +22,12 @@ import pytest
 from edge.acquisition import Acquisition, AcquisitionState, AcquisitionStatus
 from edge.background import Background
 from edge.clock import ManualClock
+from edge.core.digital_io import StationView
 from edge.core.errors import GelgateError
+from edge.core.handshake import HandshakeMachine, Trigger
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import DeviceIdentity, Message
+from edge.features.handshake.port import Port
 from edge.features.outputs.stage import Outputs
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.status import StationStatus
@@ -298,12 +301,55 @@ class Boards:
         )
 
 
+class Answered:
+    """A PLC ends a handshake and begins the next one while the loop records the press of the first: no pass of another
+    id is seen, nor one that is not recorded."""
+
+    options: ClassVar = {"error_on_any_race": True}
+
+    def __init__(self, lock: Any = None) -> None:
+        self.clock = ManualClock()
+        machine = HandshakeMachine(10**10, None, self.clock.monotonic_ns(), is_command=False)
+        self.port = Port(machine, None, None, self.clock, lambda *given: None)  # type: ignore[arg-type]
+        if lock is not None:
+            self.port._lock = lock
+        now_ns = self.clock.monotonic_ns()
+        machine.show(StationView("ready"), 42, now_ns)
+        machine.look(False, now_ns)
+        machine.trigger(Trigger(1), now_ns)
+        machine.begin(now_ns, now_ns)
+        machine.judge("P1", "pass", now_ns, part="A/1")
+        self.is_recorded = False
+        self.passed: list[tuple[int, bool]] = []
+
+    def ask(self) -> None:
+        for trigger_id in range(2, 2 + TURNS):
+            self.read()
+            self.port.acknowledge()
+            self.port.trigger(Trigger(trigger_id))
+            self.read()
+
+    def read(self) -> None:
+        if (view := self.port.read()).is_pass:
+            self.passed.append((view.trigger_id, self.is_recorded))
+
+    def record(self) -> None:
+        self.is_recorded = True
+        with self.port.machine() as (machine, now_ns):
+            machine.record("P1", now_ns)
+
+    def holds(self) -> bool:
+        self.read()
+        return set(self.passed) <= {(1, True)}
+
+
 SHARED: Sequence[tuple[type, Any, Sequence[Callable[[Any], object]]]] = [
     (Mailbox, NoLock, [Mailbox.read, Mailbox.take]),
     (Lane, nullcontext, [lambda lane: lane.announce("state"), lambda lane: lane.announce("info"), Lane.send]),
     (AskedInVain, nullcontext, [Asked.ask, Asked.end]),
     (Job, nullcontext, [Job.ask, Job.work, Job.take]),
     (Fault, nullcontext, [Fault.lose, Fault.see]),
+    (Answered, nullcontext, [Answered.ask, Answered.record]),
     (Boards, nullcontext, [lambda boards: boards.lose("1"), lambda boards: boards.lose("2")]),
 ]
 NAMES = [kind.__name__ for kind, _, _ in SHARED]

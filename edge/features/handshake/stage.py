@@ -178,9 +178,13 @@ class HandshakeStage(PressStage):
     def show(self, view: StationView) -> None:
         self._piece_id = view.piece_id
         with self.port.machine() as (machine, now_ns):
-            machine.show(view, self._gel_left_percent, now_ns)
-            is_silent = machine.is_silent(now_ns)
-        alarm = "the PLC's watchdog stands still, so its triggers are refused" if is_silent else None
+            seen = machine.show(view, self._gel_left_percent, now_ns)
+            is_silent, is_unread = machine.is_silent(now_ns), machine.is_unread(now_ns)
+        alarm = None
+        if is_silent:
+            alarm = "the PLC's watchdog stands still, so its triggers are refused"
+        elif is_unread:
+            alarm = f"the PLC does not acknowledge the result of trigger {seen.trigger_id}, so the next is refused"
         if alarm != self._alarm:
             self._alarm = alarm
             self._parts.alarms.say("plc", alarm)
