@@ -5,7 +5,6 @@ gateway. The revision before stays beside the new one, under a name that begins 
 as a stricter region does, is not done here: the answer has the command that does it.
 """
 
-import shutil
 import subprocess
 import sys
 import threading
@@ -24,6 +23,7 @@ from edge.core.registration.pose import Pose
 from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.payload_base import PressId
 from edge.model.bundle import Bundle
+from edge.model.bundle_writer import replace_bundle
 from edge.model.inspector import Inspector
 from edge.model.trial import try_bundle
 from edge.press_stage import Command, Data, PressStage, Selection, StageParts
@@ -194,15 +194,9 @@ def _run(words: list[str]) -> None:
 def _exchange(path: Path, new: Path, old: Path) -> None:
     """Put the new bundle in the place of this one, which stays as `old`. Errors: BundleError."""
     try:
-        if old.is_dir():  # from an earlier change, byte for byte the same
-            shutil.rmtree(old)
-        path.replace(old)
-        try:
-            new.rename(path)
-        except OSError:
-            old.rename(path)
-            raise
+        replace_bundle(path, new, old)
     except OSError as error:
         raise BundleCorrupt(
-            f"bundle {path} cannot be replaced: {error.strerror}; allow the gateway to write in {path.parent}"
+            f"bundle {path} cannot be replaced: {error.strerror}; allow the gateway to write in {path.parent}, on a "
+            "file system that exchanges folders at once, as ext4 does"
         ) from error

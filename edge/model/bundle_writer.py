@@ -1,5 +1,8 @@
 """Writes bundles: the manifest and the files of a new one, completely or not at all, and one more file of another."""
 
+import contextlib
+import ctypes
+import errno
 import hashlib
 import io
 import json
@@ -10,7 +13,7 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -34,6 +37,7 @@ __all__ = [
     "facts_of",
     "keep_file",
     "manifest_bytes",
+    "replace_bundle",
     "rewrite_files",
     "write_bundle",
     "write_file",
@@ -41,6 +45,10 @@ __all__ = [
 
 # Zip knows no time zone and no year before 1980: every member carries this time, so equal content gives equal bytes.
 ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
+
+# Linux's renameat2(2): paths are relative to the working folder, and the two are exchanged.
+_AT_FDCWD: Final = -100
+_RENAME_EXCHANGE: Final = 2
 
 
 def facts_of(manifest: Manifest) -> Facts:
@@ -259,11 +267,40 @@ def _write_zip(file: Path, files: Mapping[str, bytes]) -> None:
         os.fsync(out.fileno())
 
 
+def replace_bundle(path: Path, new: Path, kept: Path) -> None:
+    """Put a new bundle in the place of this one, which is at `kept` then.
+
+    Whenever this ends, as by a kill, a complete bundle is at `path`. Errors: OSError, as where the file system cannot
+    exchange two folders; then the bundle is as it was, and there is no new one.
+    """
+    try:
+        _remove(kept)
+        new.rename(kept)
+        _exchange(kept, path)
+    except OSError:
+        _remove(kept)
+        _remove(new)
+        raise
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Exchange two names at once. Errors: OSError where the system or the file system cannot."""
+    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if call is None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    if call(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), ctypes.c_uint(_RENAME_EXCHANGE)):
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+
+
 def _put_in_place(partial: Path, path: Path) -> None:
-    """Rename to the final path; an existing folder is moved away first, because rename cannot replace it."""
+    """Rename to the final path. Where the system cannot exchange folders, one that exists is moved away first, so a
+    kill between leaves none."""
     if not path.is_dir():
         partial.rename(path)
         return
+    with contextlib.suppress(OSError):
+        _exchange(partial, path)
+        return  # the old one is removed as the partial one
     aside = path.with_name(f".{path.name}.replaced-{os.getpid()}")
     _remove(aside)
     path.rename(aside)

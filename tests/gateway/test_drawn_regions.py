@@ -1,8 +1,10 @@
 """Regions that are drawn at the page of a station: a new revision inspects, and what cannot be done says why."""
 
+import hashlib
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -194,6 +196,52 @@ def test_what_ends_in_the_middle_leaves_the_bundle(
             ask()
     assert (path / "manifest.json").read_bytes() == first
     assert ask()["regions"] == ["logo"]
+
+
+KILLED = """
+import os, shutil, signal, sys
+from pathlib import Path
+from edge.features.drawn_regions import _exchange
+
+before, after, old_name, folder = map(Path, sys.argv[1:])
+ended, line = False, 0
+while not ended:
+    place = folder / str(line)
+    for name, whole in (("pz0", before), (".pz0.drawn", after), (old_name, before)):
+        shutil.copytree(whole, place / name, copy_function=os.link)
+    child = os.fork()
+    if child == 0:
+        left = line
+        def trace(frame, event, argument):
+            global left
+            if event == "line":
+                left -= 1
+                if left < 0:
+                    os.kill(os.getpid(), signal.SIGKILL)
+            return trace
+        sys.settrace(trace)
+        _exchange(place / "pz0", place / ".pz0.drawn", place / old_name)
+        os._exit(0)
+    ended, line = os.waitpid(child, 0)[1] == 0, line + 1
+"""
+"""Exchanges copies of two bundles, each time killed one line later, until that ends."""
+
+
+def test_a_kill_at_any_line_leaves_one_of_the_two(station: SteppedStation, tmp_path: Path) -> None:
+    """Complete, at the path that a start opens."""
+    path = tmp_path / "bundles" / "pz0"
+    kept = Path(draw(station, add="logo", points_mm=DENT, press_id=newest(station))["kept"])
+    words = [sys.executable, "-c", KILLED, kept, path, kept.name, tmp_path / "killed"]
+    subprocess.run(words, check=True, timeout=300)
+    states = {_digests(place): place for place in (tmp_path / "killed").iterdir()}
+
+    found = {Bundle.load(place / "pz0").digest for place in states.values()}
+    assert found == {Bundle.load(kept).digest, Bundle.load(path).digest}
+
+
+def _digests(place: Path) -> tuple[tuple[str, str], ...]:
+    found = sorted(place.glob("*/manifest.json"))
+    return tuple((one.parent.name, hashlib.sha256(one.read_bytes()).hexdigest()) for one in found)
 
 
 def test_presses_are_forgotten_in_turn(station: SteppedStation) -> None:
