@@ -78,7 +78,8 @@ def test_the_wheel_carries_the_manual(wheel_names: set[str]) -> None:
         *(ROOT / "firmware_notes").glob("*.md"),
         *(path for name in DEPLOYED for path in (ROOT / "deploy").glob(name) if path.is_file()),
     ]
-    pages = {path.relative_to(ROOT).as_posix() for path in found} | {"README.md", "CHANGELOG.md"}
+    pages = {path.relative_to(ROOT).as_posix() for path in found}
+    pages |= {"README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md"}
     shipped = {name.partition("/data/share/doc/gelgate/")[2] for name in wheel_names} - {""}
 
     assert shipped == pages
