@@ -98,8 +98,7 @@ def _build(
     listeners: list[Callable[[Message], object]] = [publisher.announce]
     status = StationStatus(lambda message: [hear(message) for hear in listeners], clock)
     closing.callback(publisher.stop)
-    if not config.keeps_heatmap:
-        _forget_last_heatmap(store, retained_state)
+    _forget_last_heatmap(config, store, retained_state)
     pictures = _open_pictures(config, store, bundles, publisher.wake)
     closing.callback(pictures.close)
     status.set_waiting_for("the sensor")
@@ -143,8 +142,10 @@ def _open_pictures(config: Config, store: Store, bundles: BundleSet, wake: Calla
     return Pictures(store, wake, draw_again, keeps_last=config.keeps_heatmap)
 
 
-def _forget_last_heatmap(store: Store, retained_state: RetainedState) -> None:
+def _forget_last_heatmap(config: Config, store: Store, retained_state: RetainedState) -> None:
     """Empty `last/heatmap`, where an earlier configuration may have left a picture. Errors: StoreError."""
+    if config.keeps_heatmap:
+        return
     empty = empty_last_heatmap()
     retained_state.announce(empty)
     doing, waiting = "forgetting the retained picture", (empty.topic,)
