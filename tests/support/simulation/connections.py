@@ -98,17 +98,21 @@ class Connections:
         return min((broker.next_ns for broker in self.brokers.values()), default=1 << 62)
 
     def drain(self) -> None:
-        """Let each sink send what it has, for a moment (docs/mqtt.md: what is left is sent by the next process)."""
+        """Let all sinks send what they have, beside each other, for a moment (docs/mqtt.md: what is left is sent by the
+        next process)."""
         until_ns = self.clock.now_ns + round(DRAINED_S * S)
-        for name in self.sinks:
-            turns, has_begun = self.turns[name], False
-            while self.clock.now_ns < until_ns and not self.is_dead():
-                has_begun |= not turns.is_waiting  # a step that began before has not seen the last messages
+        has_begun = {name: not self.turns[name].is_waiting for name in self.sinks}
+        going = list(self.sinks)
+        while going and self.clock.now_ns < until_ns and not self.is_dead():
+            for name in tuple(going):
+                turns = self.turns[name]
                 pause_s = turns.act()
-                if has_begun and pause_s > 0 and not turns.is_waiting:
-                    break
-                if turns.is_waiting:
-                    self.clock.sleep(min(pause_s, 0.1))
+                if has_begun[name] and pause_s > 0 and not turns.is_waiting:
+                    going.remove(name)
+                # A step that began before has not seen the last messages.
+                has_begun[name] |= not turns.is_waiting
+            if going and all(self.turns[name].is_waiting for name in going):
+                self.clock.sleep(0.01)
 
     def end_turns(self) -> None:
         """The process is gone."""
