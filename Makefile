@@ -35,7 +35,7 @@ tradeoff-picture: $(VENV)/.test
 PROCESSES ?= $(shell expr $$(nproc) + 1)
 test: $(VENV)/.test debian lint
 	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0
-	-PYTHONPATH=tests/support $(BIN)/python -m simulation --seed $(NEW_SEED) --seconds 30
+	-PYTHONPATH=tests/support $(BIN)/python -m simulation --seed $(NEW_SEED) --seconds 30 --no-shrink
 
 # What `make test` skips: the experiments (studies, trade-off, detectability, ...) and promises proved by simulation.
 test-lab: $(VENV)/.test debian

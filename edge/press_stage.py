@@ -76,6 +76,10 @@ class Selection(Protocol):
         """The bundle that judges presses now."""
 
     @property
+    def is_waiting(self) -> bool:
+        """Whether another bundle is selected and waits for the end of a press."""
+
+    @property
     def path(self) -> Path:
         """Where the bundle in use was opened from."""
 

@@ -162,6 +162,20 @@ def test_a_trigger_selects_its_part(tmp_path: Path, configure: Make, bundle: Pat
         assert station.result == ("done", 2, "error", Code.OTHER_PART)
 
 
+def test_a_trigger_takes_the_place_of_a_selection_that_waits(
+    tmp_path: Path, configure: Make, bundle: Path
+) -> None:
+    """Also for the part that is inspected until the end of the press."""
+    two_parts(tmp_path / "bundles", bundle)
+    with PlcStation(configure(inspection=f'bundle_folder = "{tmp_path / "bundles"}"')) as station:
+        station.play_until_pressed()
+        assert station.ask("select_part", part="PZ1")["is_waiting"]
+        station.trigger(1, part="PZ0")
+        station.play_presses(2)
+        assert station.result == ("done", 1, "fail", Code.NONE)
+        assert station.results[-1].part == "PZ0"
+
+
 def test_what_is_refused_is_an_act_once(configure: Make) -> None:
     """A PLC repeats what it writes many times a second."""
     with PlcStation(configure()) as station:

@@ -95,9 +95,9 @@ class HandshakeStage(PressStage):
             self._miss(Code.PIECE)
 
     def _select(self, part: PartPosition, trigger: Trigger) -> None:
-        """Select the part that a trigger names. Where that fails the result is an error."""
+        """Select the part that a trigger names, instead of one that waits. Where that fails the result is an error."""
         selection, before = self._parts.selection, self._parts.selection.part
-        if part == before:
+        if part == before and not selection.is_waiting:
             return
         if part not in selection.find_all(str(part)):  # a reload has taken its bundle away
             self._miss(Code.UNKNOWN_PART)
@@ -112,7 +112,7 @@ class HandshakeStage(PressStage):
             after={"part": part.part, "position": part.position},
         )
         try:
-            selection.select(part, why, is_pressed=self._has_contact)
+            selection.select(part, None if part == before else why, is_pressed=self._has_contact)
         except StoreError as error:
             log.error("the part '%s' that the PLC names is not selected: %s", part, error)
             self._miss(Code.OTHER_PART)

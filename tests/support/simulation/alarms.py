@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from simulation.lives import Station
+from simulation.plc import Server
 from simulation.sensor import SERIAL, S
 from simulation.surroundings import World
 
@@ -52,8 +53,9 @@ def _is_plc_silent(world: World, station: Station) -> bool:
     return world.has_plc and len(world.plcs) == 1 and world.plcs[0].mood in ("cut", "mute")
 
 
-def _may_plc_be_silent(world: World, station: Station) -> bool:
-    return world.has_plc and (world.plcs[0].mood != "up" or len(world.plcs) > 1)
+def _may_plc_be_named(world: World, station: Station) -> bool:
+    """Its watchdog stands still, or a result waits for its acknowledgement."""
+    return world.has_plc and (world.plcs[0].mood != "up" or len(world.plcs) > 1 or Server.now.has_result)
 
 
 def _never(world: World, station: Station) -> bool:
@@ -71,7 +73,7 @@ RULES = (
     Rule("actuator", _is_relay_away, 2.5, _is_relay_disturbed, 8.0),
     Rule("trigger_device", _is_pedal_away, 2.5, _is_pedal_away, 8.0),
     # A second without a beat; after a cable that was pulled its own old connection may write for three seconds.
-    Rule("plc", _is_plc_silent, 2.5, _may_plc_be_silent, 6.0),
+    Rule("plc", _is_plc_silent, 2.5, _may_plc_be_named, 6.0),
     # It ends when the gel is seen free.
     Rule("contact", _never, 0.0, _may_be_pressed, 8.0),
     # It ends with the next press that is recorded, or with the next report, every 10 s.

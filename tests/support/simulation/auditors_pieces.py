@@ -5,7 +5,7 @@ import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 
-from simulation.auditors_outputs import SHOWN_S
+from simulation.auditors_outputs import OPENED_S, SHOWN_S
 from simulation.lives import Station
 from simulation.outputs import LAMP
 from simulation.pieces import PLAN
@@ -17,10 +17,11 @@ Places = Mapping[str, list[str]]
 
 
 def audit_piece_lamp(world: World, station: Station) -> Iterator[str]:
-    """A pass goes off when the next piece is begun."""
+    """A pass goes off when the next piece is begun. A board that is plugged in may begin with any light."""
     relay, now_ns = world.relay, world.clock.now_ns
+    is_well = relay.mood == "up" and now_ns - relay.well_since_ns > OPENED_S * S and not station.is_held_up
     is_old = bool(station.seen) and station.seen[-1].noted_ns < world.pieces.changed_ns
-    is_shown = world.has_pieces and relay.is_on[LAMP] and relay.mood == "up" and not station.is_held_up
+    is_shown = world.has_pieces and relay.is_on[LAMP] and is_well
     since_ns = station.so_since("a pass of the piece before", is_shown and is_old)
     if since_ns is not None and now_ns - since_ns > SHOWN_S * S:
         yield "a pass of the piece before is shown"

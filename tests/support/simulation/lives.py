@@ -113,6 +113,7 @@ class Station:
         self._closing = ExitStack()
         self.loop: StationLoop
         world.is_dead = lambda: self.disk.is_dead
+        world.may_refuse = lambda: self.is_disk_disturbed
         world.connections.answer = self.answer
         hear_audits(self.disk)
 

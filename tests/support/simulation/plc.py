@@ -54,16 +54,22 @@ class Server:
     def __init__(self, clock: "SimulatedClock", is_dead: Callable[[], bool]) -> None:
         self._clock, self._is_dead = clock, is_dead
         self.registers: _Registers | None = None
+        self._handshake: Handshake | None = None
         self.is_frozen = False
         self._late: list[tuple[bytes, Line, str]] = []
         """Requests that came while the process got no time."""
 
+    @property
+    def has_result(self) -> bool:
+        """Whether a result waits for its acknowledgement."""
+        return self._handshake is not None and self._handshake.read().step == "done"
+
     def start(self, handshake: Handshake) -> None:
-        self.registers = _Registers(handshake, self._clock)
+        self._handshake, self.registers = handshake, _Registers(handshake, self._clock)
         self._late.clear()
 
     def close(self) -> None:
-        self.registers = None
+        self._handshake = self.registers = None
 
     def answer(self, request: bytes, line: Line, ip: str) -> bytes:
         """Errors: Cut."""

@@ -97,6 +97,7 @@ class World:
             name: Broker(name, random.Random(f"{seed} {name}"), self.clock, chosen.level) for name in names
         }
         self.is_dead = lambda: False
+        self.may_refuse = lambda: False  # what would have to be recorded
         self.connections = Connections(self.clock, self.brokers, lambda: self.is_dead())
         self.noticed_s = 0.15 + 2.5 / chosen.fps + chosen.sloth_s
         """A contact is a press so long after its begin at most: docs/contact.md has the times."""
@@ -126,8 +127,9 @@ class World:
         self.pedal = Pedal.now = Pedal(self.clock)
 
     def select_by_plc(self, part: str | None) -> None:
-        """Take the part that a trigger names; None where nobody knows whether it was taken."""
-        if part is None:
+        """Take the part that a trigger names; None where nobody knows whether it was taken. One that cannot be recorded
+        is not selected: the result is an error."""
+        if part is None or self.may_refuse():
             self.parts.forget(self.clock.now_ns)
         else:
             self.parts.select(self.clock.now_ns, part)
