@@ -47,20 +47,21 @@ def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
     unsaid_ns = station.so_since("a drop is not said", is_unsaid and not station.is_frozen)
     if unsaid_ns is not None and world.clock.now_ns - unsaid_ns > REPORTED_S * S:
         yield f"messages were dropped {REPORTED_S} s ago, and no alarm says so"
-    taken = [broker.results for broker in world.brokers.values()]
+    taken = [broker.results.keys() | broker.pieces.keys() for broker in world.brokers.values()]
     stayed = [WORTH[what] for row_id, (what, _) in station.waiting.items() if row_id in before]
     for row_id in before.keys() - station.waiting.keys():
-        what, press_id = before[row_id]
-        is_taken = what == "picture" or all(press_id in results for results in taken)
+        what, result_id = before[row_id]
+        is_taken = what == "picture" or all(result_id in results for results in taken)
         if not is_taken and min(stayed, default=3) < WORTH[what]:
-            yield f"the result of press {press_id}, a {what}, was dropped before what is worth less"
+            yield f"the result of {result_id}, a {what}, was dropped before what is worth less"
 
 
 def _describe(topic: str, content_type: str, payload: bytes) -> tuple[str, str]:
-    if topic != "result":
+    if topic not in ("result", "piece_result"):
         return "picture" if topic.startswith(("heatmap", "scoremap")) else "fail", topic
     result = json.loads(payload)
-    return "pass" if result["verdict"] == "pass" else "fail", result["press_id"]
+    own_id = result["press_id" if topic == "result" else "piece_id"]
+    return "pass" if result["verdict"] == "pass" else "fail", own_id
 
 
 def audit_file(station: Station) -> Iterator[str]:
