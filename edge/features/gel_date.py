@@ -11,8 +11,8 @@ from edge.store.gel_ledger import GelRecord
 __all__ = ["GelDateWatch"]
 
 LOOK_S: Final = 1.0
-# The alarm ends by the clock when that has shown an earlier day for this long: a clock that steps to and fro around
-# midnight, or an hour back at the end of summer time, does not end it.
+# The alarm ends by the clock when that has shown an earlier day for this long: a clock that steps forward and back
+# around midnight, or an hour back at the end of summer time, does not end it.
 EARLIER_S: Final = 2 * 3600
 
 
