@@ -50,10 +50,13 @@ dev: $(VENV)/.test
 	$(BIN)/python -m pip install --quiet --group dev
 	$(BIN)/pre-commit install
 
-# What a pull request is asked first: lint, types, the rules, and the tests that import what is changed since BASE.
+# What a pull request is asked first: lint, types, the rules, and the tests that import what is changed since BASE; and what
+# `gelgate new` wrote here.
 BASE ?= main
+NEW := $(dir $(wildcard */pyproject.toml))
 check: $(VENV)/.test lint
-	$(BIN)/pytest -q -n $(PROCESSES) --maxprocesses 8 --dist loadfile $$($(BIN)/python .ci/affected.py $(BASE))
+	$(if $(NEW),$(BIN)/mypy $(NEW))
+	$(BIN)/pytest -q -n $(PROCESSES) --maxprocesses 8 --dist loadfile $$($(BIN)/python .ci/affected.py $(BASE)) $(NEW)
 
 # What users get, written again after a change that is meant: messages, database, help, manifests, maps. Read the difference.
 golden: $(VENV)/.test

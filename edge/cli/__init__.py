@@ -73,7 +73,10 @@ _SECTIONS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "export": "Import trained backbones, or write graphs.",
             "bundle": "Acquire, inspect, verify, sign, carry over or teach a bundle.",
         },
-        "Research": {"lab": "Simulate, study accuracy, and train: the laboratory."},
+        "Research": {
+            "lab": "Simulate, study accuracy, and train: the laboratory.",
+            "new": "Write a sink, device, detector or feature to begin with.",
+        },
     }
 )
 

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import json
 from collections.abc import Callable
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,14 +19,20 @@ from edge.core.detector import Bank, Features, HasReference, Nominal, ScoreMaps
 from edge.core.errors import FrameCorrupt, GelgateError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Message
+from edge.core.press import Press
+from edge.core.verdict import Kind
+from edge.messaging.command_payloads import NoArguments
+from edge.press_stage import Alarms, Command, PressStage, StageParts
 from plugins import conformance
 from plugins.conformance import (
     DETECTOR_CHECKS,
     DEVICE_CHECKS,
+    FEATURE_CHECKS,
     OVERVIEW_CHECKS,
     SINK_CHECKS,
     DetectorCase,
     DeviceBench,
+    FeatureCase,
     OverviewBench,
     SinkBench,
 )
@@ -331,11 +338,91 @@ def test_a_wrong_sink_is_noticed(name: str) -> None:
     fails(SINK_CHECKS, name, subject)
 
 
+class Lamp(PressStage):
+    """A feature that is sound; each below is wrong in one way."""
+
+
+class Unexplained(Lamp):
+    commands = (Command("lamp", NoArguments, lambda stage, given: {}, ""),)
+
+
+class Passing(Lamp):
+    def judge(self, press: Press, *_: object) -> Press:
+        assert press.verdict is not None
+        return dataclasses.replace(press, verdict=dataclasses.replace(press.verdict, kind=Kind.PASS))
+
+
+class Scoring(Lamp):
+    def record(self, press: Press, gel: object) -> None:
+        assert press.score is not None
+
+
+class Raising(Lamp):
+    def __init__(self, alarms: Alarms | None = None) -> None:
+        self.alarm = alarms
+
+    @classmethod
+    def open(cls, parts: StageParts) -> "Raising":
+        return cls(parts.alarms)
+
+    def record(self, press: Press, gel: object) -> None:
+        assert self.alarm is not None
+        self.alarm.say("lamp", "it is on")
+
+
+class Answering(Lamp):
+    commands = (Command("lamp", NoArguments, lambda stage, given: {"press": stage}, "what it shows"),)
+
+
+class Once(Lamp):
+    """It makes its table when it is opened, and again at the next start."""
+
+    @classmethod
+    def open(cls, parts: StageParts) -> "Once":
+        parts.store.write("lamp", lambda connection: connection.execute("CREATE TABLE lamp (press)"))
+        return cls()
+
+
+class Closing(Lamp):
+    is_over = False
+
+    def close(self) -> None:
+        assert not self.is_over
+        self.is_over = True
+
+
+WRONG_FEATURES = {
+    "check_it_is_a_feature": Unexplained,
+    "check_presses_are_recorded": Passing,
+    "check_presses_without_a_score": Scoring,
+    "check_alarms_are_declared": Raising,
+    "check_requests": Answering,
+    "check_a_restart": Once,
+    "check_closed_twice": Closing,
+}
+
+
+@pytest.mark.parametrize("name", WRONG_FEATURES)
+def test_a_wrong_feature_is_noticed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the check that is about what is wrong; a sound one passes it."""
+    points = registry._points
+    for kind in (Lamp, WRONG_FEATURES[name]):
+        monkeypatch.setitem(globals(), "installed", kind)
+        lamp = [EntryPoint("lamp", f"{__name__}:installed", "gelgate.features")]
+        found = {**points("features"), "lamp": lamp}
+        monkeypatch.setattr(
+            registry, "_points", lambda group, found=found: found if group == "features" else points(group)
+        )
+        if kind is Lamp:
+            next(check for check in FEATURE_CHECKS if check.__name__ == name)(FeatureCase("lamp"))
+    fails(FEATURE_CHECKS, name, FeatureCase("lamp"))
+
+
 def test_each_check_has_a_plugin_that_fails_it() -> None:
     """A new check cannot be forgotten here."""
-    names = {check.__name__ for check in (*DETECTOR_CHECKS, *DEVICE_CHECKS, *SINK_CHECKS)}
+    names = {check.__name__ for check in (*DETECTOR_CHECKS, *DEVICE_CHECKS, *FEATURE_CHECKS, *SINK_CHECKS)}
 
-    assert names == {*WRONG_DETECTORS, *WRONG_SCORES, *WRONG_DEVICES, *WRONG_SINKS}
+    assert names == {*WRONG_DETECTORS, *WRONG_SCORES, *WRONG_DEVICES, *WRONG_FEATURES, *WRONG_SINKS}
 
 
 class ChangedOverview:

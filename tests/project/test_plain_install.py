@@ -25,6 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # In the order in which they are run: the line, its exit code, and words of what it says.
 VERBS: list[tuple[str, int, str]] = [
     ("devices", 0, ""),
+    ("new sink webhook", 0, "pytest webhook"),
     ("station docs", 0, "architecture"),
     ("station topics", 0, "result"),
     ("station install-service --print", 3, "/opt/gelgate"),

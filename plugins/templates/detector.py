@@ -1,0 +1,80 @@
+"""How far each place of a press is from the mean of the nominal presses at that place."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from edge.core.detector import Bank, Features, Grid, Mode, Nominal, Progress, ScoreMaps
+from edge.core.errors import FitError
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """What `gelgate fit --set` may set: nothing."""
+
+
+class Detector:
+    """It learns arrays from nominal presses, and writes an ONNX graph that scores with them.
+
+    The gateway runs the graph and never imports this file.
+    """
+
+    name = "template"
+    compares_places = True
+    is_baseline = False
+
+    def parameters(self, mode: Mode = "corrected", **overrides: object) -> Parameters:
+        """Return the parameters of a mode. Errors: FitError."""
+        if overrides:
+            raise FitError(f"{self.name} has no parameters, found {', '.join(overrides)}; leave them out")
+        return Parameters()
+
+    def taps(self, parameters: Parameters) -> tuple[str, ...]:
+        """Name the feature maps of the trunk that it reads."""
+        return ("layer1",)
+
+    def fit(
+        self,
+        nominal: Nominal,
+        grid: Grid,
+        parameters: Parameters,
+        rng: np.random.Generator,
+        progress: Progress,
+    ) -> Bank:
+        """Learn the bank. Errors: FitError."""
+        maps = nominal.features["layer1"]
+        if len(maps) == 0 or not np.isfinite(maps).all():
+            raise FitError(f"{self.name} needs presses with finite features, found {len(maps)} presses")
+        return Bank({"mean": maps.mean(axis=0)})
+
+    def reference_score(
+        self, features: Features, grid: Grid, bank: Bank, parameters: Parameters
+    ) -> ScoreMaps:
+        """Score as the graph does, in float64: the checks compare them. A detector may leave it out."""
+        difference = features["layer1"].astype(np.float64) - bank.arrays["mean"]
+        cells = np.sqrt((difference**2).sum(axis=1))
+        rows, columns = (large // small for large, small in zip(grid.frame, cells.shape[1:], strict=True))
+        score_map = cells.repeat(rows, axis=1).repeat(columns, axis=2)
+        return ScoreMaps(score_map, score_map.max(axis=(1, 2)))
+
+    def head(self, grid: Grid, bank: Bank, parameters: Parameters) -> bytes:
+        """Write the graph: the tap and the bank's arrays in, map and score of each press out."""
+        import onnx.parser
+
+        (c, h, w), (rows, columns) = grid.taps["layer1"], grid.frame
+        graph = onnx.parser.parse_model(HEAD % (c, h, w, c, h, w, rows / h, columns / w))
+        return bytes(graph.SerializeToString())
+
+
+# The language of `onnx.parser`: https://onnx.ai/onnx/repo-docs/Syntax.html
+HEAD = """<ir_version: 8, opset_import: ["": 17]>
+head (float[n, %d, %d, %d] layer1, float[%d, %d, %d] mean) => (float[n, H, W] score_map, float[n] score)
+<float[4] scales = {1.0, 1.0, %f, %f}, int64[1] channels = {1}> {
+    difference = Sub (layer1, mean)
+    cells = ReduceL2 <axes = [1]> (difference)
+    pixels = Resize <mode = "nearest"> (cells, , scales)
+    score_map = Squeeze (pixels, channels)
+    score = ReduceMax <axes = [1, 2], keepdims = 0> (score_map)
+}"""
+
+plugin = Detector()

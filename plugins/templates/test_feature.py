@@ -1,0 +1,19 @@
+"""The feature passes the checks of every feature, and counts."""
+
+from pathlib import Path
+
+from plugins.conformance import check_feature, open_played
+
+
+def test_it_conforms() -> None:
+    """`check_feature` names every fact that does not hold; the package must be installed."""
+    check_feature("template")
+
+
+def test_it_counts_the_presses_of_a_shift(tmp_path: Path) -> None:
+    """The third one ends it."""
+    with open_played(tmp_path) as station:
+        assert station.ask("template") == {}
+        station.play()
+        assert station.ask("template") == {"shift 1": 3}
+        assert station.raised == ["template"]
