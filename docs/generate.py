@@ -7,9 +7,12 @@ tree, mqtt.md from the payload models.
 import inspect
 import json
 import re
+import sys
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import distribution
 from itertools import chain
 from pathlib import Path
 from types import NoneType
@@ -469,7 +472,20 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "plc.md": plc_page,
 }
 
+
+def find_missing() -> list[str]:
+    """Return the entry points of pyproject.toml that are not installed: the pages would leave them out."""
+    project = tomllib.loads((FOLDER.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    installed = {(point.group, point.name) for point in distribution("gelgate").entry_points}
+    points = ((group, name) for group, names in project["entry-points"].items() for name in names)
+    return [f"{group}: {name}" for group, name in points if (group, name) not in installed]
+
+
 if __name__ == "__main__":
+    if missing := find_missing():
+        sys.exit(
+            f"not installed yet: {', '.join(missing)}; run `pip install -e . --no-deps`, then print again"
+        )
     for name, page in PAGES.items():
         (FOLDER / name).write_text(page(), encoding="utf-8")
         print(f"docs/{name}")

@@ -32,6 +32,11 @@ GENERATE = generator()
 PRINTED = {name: (DOCS / name).read_text(encoding="utf-8") for name in GENERATE.PAGES}
 
 
+def test_what_is_installed_is_this_tree() -> None:
+    """Else a new verb or plugin would vanish from the pages when they are printed."""
+    assert GENERATE.find_missing() == [], "run `pip install -e . --no-deps`"
+
+
 @pytest.mark.parametrize("name", GENERATE.PAGES)
 def test_a_printed_page_is_the_programs(name: str) -> None:
     """After a change of a command, key, error or topic the pages are printed again: `make docs`."""
