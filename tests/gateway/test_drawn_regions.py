@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from station import Motion, press_recording, station_config
+from station import Motion, mark_tried, press_recording, station_config
 from stepped_station import SteppedStation
 
 from edge.features import drawn_regions
@@ -227,16 +227,27 @@ while not ended:
 """Exchanges copies of two bundles, each time killed one line later, until that ends."""
 
 
-def test_a_kill_at_any_line_leaves_one_of_the_two(station: SteppedStation, tmp_path: Path) -> None:
-    """Complete, at the path that a start opens."""
+def test_a_station_starts_on_what_a_kill_at_any_line_leaves(
+    station: SteppedStation, tmp_path: Path, recording: Path
+) -> None:
+    """One of the two bundles, complete, at the path that it opens; what lies beside it in the folder is left."""
     path = tmp_path / "bundles" / "pz0"
     kept = Path(draw(station, add="logo", points_mm=DENT, press_id=newest(station))["kept"])
     words = [sys.executable, "-c", KILLED, kept, path, kept.name, tmp_path / "killed"]
     subprocess.run(words, check=True, timeout=300)
     states = {_digests(place): place for place in (tmp_path / "killed").iterdir()}
+    wanted = {Bundle.load(kept).digest: "fail", Bundle.load(path).digest: "pass"}
 
-    found = {Bundle.load(place / "pz0").digest for place in states.values()}
-    assert found == {Bundle.load(kept).digest, Bundle.load(path).digest}
+    judged = dict[str, str | None]()
+    for number, place in enumerate(states.values()):
+        folder = tmp_path / f"start{number}"
+        config = station_config(folder, recording, f'bundle_folder = "{place}"')
+        mark_tried(folder / "gelgate.db", place / "pz0")
+        with SteppedStation(config) as started:
+            started.play_presses(2)  # the second one has the dent
+            judged[started.results[1].bundle_id or ""] = started.verdicts[1]
+            assert started.raised == []
+    assert judged == wanted
 
 
 def _digests(place: Path) -> tuple[tuple[str, str], ...]:

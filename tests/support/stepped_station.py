@@ -20,6 +20,9 @@ from edge.store.press_store import Store
 
 S = TypeVar("S", bound=PressStage)
 
+# Of its own time: no recording is as long.
+_LONGEST_NS = 86_400 * 10**9
+
 
 class SteppedStation:
     """`read` is the reader's thread, `look` is the loop's; the clock moves as the recording is read."""
@@ -120,9 +123,12 @@ class SteppedStation:
             steps = None if steps is None else steps - 1
 
     def play_until(self, is_so: Callable[[], bool]) -> None:
-        """Read and look in turn until that is so; a recording that ends before is a failure."""
+        """Read and look in turn until that is so; a recording that ends before is a failure, and a sensor that cannot
+        be opened, as one that another station holds."""
+        until_ns = self.clock.monotonic_ns() + _LONGEST_NS
         while not is_so():
             assert not self.has_ended, "the recording is over, and it did not come to that"
+            assert self.clock.monotonic_ns() < until_ns, f"nothing comes: {self.alarm('device')}"
             self.play(1)
 
     def play_presses(self, number: int) -> None:
