@@ -199,7 +199,8 @@ class StationLoop:
         if (identity := self.parts.acquisition.status.identity) is not None:
             selection = self.parts.selection
             names = list(map(str, selection.bundles.bundles))
-            self.parts.status.info(selection.inspector.bundle, identity, names)
+            is_drawn_on = self.parts.config.features["drawn_regions"]
+            self.parts.status.info(selection.inspector.bundle, identity, names, is_drawn_on=is_drawn_on)
 
     def _start_session(self) -> InspectionSession:
         """The first frame: now the sensor is known, and with it the gel. Errors: StoreError."""

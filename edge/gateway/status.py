@@ -185,8 +185,16 @@ class StationStatus:
         with self._lock:
             self._piece_id = piece_id
 
-    def info(self, bundle: Bundle, identity: DeviceIdentity, parts: Sequence[str] = ()) -> None:
-        """The installed software and the connected sensor. parts: that can be selected."""
+    def info(
+        self,
+        bundle: Bundle,
+        identity: DeviceIdentity,
+        parts: Sequence[str] = (),
+        *,
+        is_drawn_on: bool = False,
+    ) -> None:
+        """The installed software and the connected sensor. parts: that can be selected. is_drawn_on: whether regions
+        are drawn at this station."""
         manifest, (x_mm, y_mm) = bundle.manifest, bundle.profile.mm_per_pixel
         payload = InfoPayload(
             time_ns=self._clock.time_ns(),
@@ -205,7 +213,7 @@ class StationStatus:
             false_alarms=promise(manifest.threshold),
             regions=(manifest.regions.describe() or None) if manifest.regions else None,
             region_names=tuple(one.name for one in manifest.regions.regions) if manifest.regions else (),
-            field_mm=(manifest.region.width * x_mm, manifest.region.height * y_mm),
+            field_mm=(manifest.region.width * x_mm, manifest.region.height * y_mm) if is_drawn_on else None,
             warnings=manifest.provenance.warnings,
         )
         self.announce(payload.message())

@@ -66,7 +66,8 @@ class InfoPayload(Payload):
     )
     region_names: tuple[str, ...] = Field(default=(), description="of the drawn regions")
     field_mm: tuple[float, float] | None = Field(
-        default=None, description="width and height of the inspected region"
+        default=None,
+        description="width and height of the inspected region; null where `cmd/set_regions` is not served",
     )
     warnings: tuple[str, ...] = Field(
         default=(),

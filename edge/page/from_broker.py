@@ -22,7 +22,13 @@ log = logging.getLogger(__name__)
 # The station answers within 5 s; a broker far away takes longer.
 ANSWER_S: Final = 15.0
 
-VERBS: Final = frozenset({"select_part", "acknowledge_alarm", "replace_gel"})
+# For a new bundle it has two minutes.
+DRAWN_S: Final = 135.0
+
+# Those that the page has buttons for; the station says which of them it serves.
+VERBS: Final = frozenset(
+    {"select_part", "begin_piece", "acknowledge_alarm", "replace_gel", "confirm_press", "set_regions"}
+)
 
 
 class BrokerStation:
@@ -63,6 +69,7 @@ class BrokerStation:
     def ask(self, verb: str, payload: bytes) -> bytes:
         """Publish the request, and return the station's answer. Errors: GelgateError, one sentence."""
         transaction = str(json.loads(payload)["transaction"])
+        within_s = DRAWN_S if verb == "set_regions" else self._answer_s
         connection, root = self._connection, self.root
         if connection is None:
             raise GelgateError(f"nothing was asked: {self.shown.station()['away']}")
@@ -71,14 +78,14 @@ class BrokerStation:
         try:
             connection.publish(Message(f"{root}/cmd/{verb}", payload, expiry_s=max(1, round(self._answer_s))))
             with self._changed:
-                self._changed.wait_for(lambda: self._answers[transaction] is not None, self._answer_s)
+                self._changed.wait_for(lambda: self._answers[transaction] is not None, within_s)
                 answer = self._answers[transaction]
         finally:
             with self._changed:
                 del self._answers[transaction]
         if answer is None:
             raise GelgateError(
-                f"the station did not answer within {self._answer_s:g} s; `gelgate station acts` there says whether "
+                f"the station did not answer within {within_s:g} s; `gelgate station acts` there says whether "
                 "it was done"
             )
         return answer

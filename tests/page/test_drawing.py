@@ -3,6 +3,7 @@
 import shutil
 import threading
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -10,58 +11,69 @@ import pytest
 from chromium import BROWSER_MS, wait_until
 from page_messages import TOKEN
 from ports import free_port
-from station import Motion, press_recording, station_config
+from station import MQTT, Motion, press_recording, station_config
 
 from edge.clock import SystemClock
 from edge.config import load_config
 from edge.gateway.build import open_station
 from edge.gateway.station_loop import StationLoop
+from edge.messaging.local_broker import LocalBroker, available_brokers
+from edge.messaging.mqtt_broker import Broker
 from edge.model.bundle import Bundle
+from edge.page.from_broker import BrokerStation, page_requests
+from edge.page.server import PageServer
+from edge.page.settings import PageSettings
 
+SECRET = "0123456789abcdef"
 CORNERS_MM = ((4.4, 3.8), (8.6, 3.8), (8.6, 8.1), (4.4, 8.1))
 """Around the film's dent, and the cells of the map that it reaches."""
 
 
 @pytest.fixture
-def running(tmp_path: Path, bundle: Path) -> Iterator[tuple[StationLoop, int, Path]]:
-    """A station whose presses are all dented, one every two seconds; gives the port of its page, and its bundle."""
+def running(tmp_path: Path, bundle: Path) -> Iterator[tuple[StationLoop, dict[str, int], Path]]:
+    """A station whose presses are all dented, one every two seconds; gives the ports of its page and of that from its
+    broker, and its bundle."""
+    if "mosquitto" not in available_brokers():
+        pytest.skip("SKIPPED, NOT TESTED: the broker mosquitto is not installed")
     port, mine = free_port(), shutil.copytree(bundle, tmp_path / "bundles" / "pz0")
-    token = tmp_path / "page.token"
-    token.write_text(TOKEN)
-    token.chmod(0o640)
-    sinks = f'[[sinks]]\nplugin = "page"\noptions = {{ port = {port}, token_file = "{token}" }}\n'
+    token, secret = tmp_path / "page.token", tmp_path / "line.secret"
+    for file, content in ((token, TOKEN), (secret, SECRET)):
+        file.write_text(content)
+        file.chmod(0o640)
     presses = press_recording(tmp_path / "presses", 2, dented=[0, 1], motion=Motion(free=28, idle=20), seed=5)
-    config = station_config(
-        tmp_path / "station",
-        presses,
-        mine,
-        sinks=sinks,
-        pace=1.0,
-        loop=True,
-        tables='[commands]\npage = ["set_regions"]',
-    )
     stop = threading.Event()
-    with open_station(load_config(config), SystemClock()) as gateway:
-        thread = threading.Thread(target=gateway.run, args=(stop,))
-        thread.start()
-        yield gateway, port, mine
-        stop.set()
-        thread.join()
+    with LocalBroker("mosquitto") as broker, ExitStack() as opened:
+        sinks = f'[[sinks]]\nplugin = "page"\noptions = {{ port = {port}, token_file = "{token}" }}\n'
+        verbs = f'[commands]\npage = ["set_regions"]\nsigned = ["set_regions"]\nsecret_file = "{secret}"'
+        given = {"sinks": sinks + MQTT % broker.port, "pace": 1.0, "loop": True, "tables": verbs}
+        config = station_config(tmp_path / "station", presses, mine, **given)  # type: ignore[arg-type]
+        afar = BrokerStation(Broker(broker.host, broker.port, "page"), "gelgate/+/+/+/gel/v1/#")
+        opened.callback(afar.close)
+        afar.start()
+        changes = page_requests(afar, SECRET.encode(), SystemClock())
+        page = PageServer(afar.shown, PageSettings(token_file=token), changes, SystemClock(), port=0)
+        opened.callback(page.close)
+        with open_station(load_config(config), SystemClock()) as gateway:
+            thread = threading.Thread(target=gateway.run, args=(stop,))
+            thread.start()
+            yield gateway, {"station": port, "broker": page.port}, mine
+            stop.set()
+            thread.join()
 
 
-@pytest.mark.parametrize("by", ["mouse", "finger"])
+@pytest.mark.parametrize(("by", "page"), [("mouse", "station"), ("finger", "station"), ("mouse", "broker")])
 def test_a_region_is_drawn_over_the_last_press(
-    browser: Any, running: tuple[StationLoop, int, Path], by: str
+    browser: Any, running: tuple[StationLoop, dict[str, int], Path], by: str, page: str
 ) -> None:
     """Its corners are where they were set, to a tenth of a millimetre; the next press passes there, and the act is
     written down; a stricter one is answered with the command that can; a region is removed again."""
-    gateway, port, mine = running
+    gateway, ports, mine = running
     tab = browser.new_page(viewport={"width": 1000, "height": 1100}, has_touch=by == "finger")
     tab.set_default_timeout(BROWSER_MS)
     wrong: list[str] = []
     tab.on("console", lambda message: wrong.append(message.text))
     tab.on("pageerror", lambda error: wrong.append(str(error)))
-    tab.goto(f"http://127.0.0.1:{port}/")
+    tab.goto(f"http://127.0.0.1:{ports[page]}/")
     tab.wait_for_selector("#verdict.fail")
     assert not tab.locator("#draw-region").is_visible()
     tab.fill("#by", "kim")
@@ -108,6 +120,7 @@ def test_a_region_is_drawn_over_the_last_press(
     acts = [
         (act.who, act.verb, act.outcome) for act in gateway.parts.store.acts() if act.verb == "set_regions"
     ]
-    assert acts == [("kim, at the page", "set_regions", outcome) for outcome in ("done", "done", "failed")]
+    who = {"station": "kim, at the page", "broker": "kim, at a page, over MQTT, signed"}[page]
+    assert acts == [(who, "set_regions", outcome) for outcome in ("done", "done", "failed")]
     tab.close()
     assert wrong == []
