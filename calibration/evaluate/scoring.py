@@ -13,6 +13,7 @@ from calibration.metrics import Measure, measure
 from calibration.progress import Advance
 from calibration.threads import one_blas_thread
 from edge.core.errors import DatasetError, NotScorable
+from edge.core.registration.pose import Pose
 from edge.core.verdict import Kind
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
@@ -37,6 +38,8 @@ class ScoredPress:
     anomaly_score: float
     trunk_ms: float
     head_ms: float
+    pose: Pose | None = None
+    """How the part lies; None for a bundle without registration."""
 
 
 @dataclass(frozen=True)
@@ -181,9 +184,8 @@ def score_presses(
                 unscorable.append((press, str(error)))
             else:
                 mask = np.ascontiguousarray(region.crop(press.mask()))
-                scored.append(
-                    ScoredPress(press, one.score_map, mask, one.anomaly_score, one.trunk_ms, one.head_ms)
-                )
+                times, pose = (one.trunk_ms, one.head_ms), one.registered and one.registered.pose
+                scored.append(ScoredPress(press, one.score_map, mask, one.anomaly_score, *times, pose))
             advance(done)
     return tuple(scored), tuple(unscorable)
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.evaluate.scoring import Evaluation, ScoredPress
+from edge.model.comparison import outline_regions
 from edge.pictures.press_picture import PressCaption, draw_press
 
 __all__ = ["draw_sheet"]
@@ -20,7 +21,8 @@ U8 = NDArray[np.uint8]
 
 
 def draw_sheet(evaluation: Evaluation) -> bytes:
-    """PNG bytes: four rows of up to four presses, each as a station shows it, with the mask's outline."""
+    """PNG bytes: four rows of up to four presses, each as a station shows it, with the mask's outline, and
+    those of drawn regions."""
     good = sorted((s for s in evaluation.scored if not s.press.is_defective), key=lambda s: -s.anomaly_score)
     bad = sorted((s for s in evaluation.scored if s.press.is_defective), key=lambda s: s.anomaly_score)
     rows = (
@@ -56,5 +58,7 @@ def _draw(one: ScoredPress, evaluation: Evaluation) -> U8:
         station=one.press.defect or "good",
         part=f"{one.press.part}/{one.press.position}",
         time="",
+        drawn=manifest.regions.describe() if manifest.regions else "",
     )
-    return draw_press(frame, one.score_map, caption, _PANEL)
+    outlines = outline_regions(evaluation.bundle, one.pose)
+    return draw_press(frame, one.score_map, caption, _PANEL, outlines=outlines)

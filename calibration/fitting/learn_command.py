@@ -50,8 +50,8 @@ def learn(given: LearnArguments) -> None:
     """Learn from what people said at the station.
 
     Presses that people call good are learnt beside the nominal ones, with the detector and the backbone of the bundle.
-    The new bundle is not written where it passes a press that people call damaged and that was found before, or fails
-    more good ones. Try it as a shadow (docs/operations.md).
+    Drawn regions stay. The new bundle is not written where it passes a press that people call damaged and that was
+    found before, or fails more good ones. Try it as a shadow (docs/operations.md).
     """
     import tempfile
 
@@ -60,6 +60,8 @@ def learn(given: LearnArguments) -> None:
     from calibration.fitting.fit_again import configure_again, read_again
     from calibration.fitting.learn import compare, write_pictures
     from calibration.fitting.presses.sources import check_present
+    from calibration.fitting.regions.drawing import draw_again
+    from calibration.progress import Report
     from edge.cli.options import database_path
     from edge.core.errors import FitError
     from edge.core.part_position import PartPosition
@@ -87,8 +89,9 @@ def learn(given: LearnArguments) -> None:
     learnt = sum(name.startswith(f"{pictures.name}/") for name in presses.names)
     typer.echo(f"{count_presses(len(presses))}, {learnt} of them from the station")
 
-    def fit_and_check(**how: object) -> Fitted:
-        fitted = fit_files(presses, config, **how)  # type: ignore[arg-type]
+    def fit_and_check(created: str, report: Report) -> Fitted:
+        fitted = fit_files(presses, config, created=created, report=report)
+        fitted = draw_again(old, fitted, presses, config, created)
         comparison = compare(old, fitted.bundle(), confirmed, database, given.threads)
         typer.echo(f"{comparison.describe()}; {comparison.changes()}")
         try:
@@ -139,13 +142,7 @@ def _read_words(database: Path, part: "PartPosition", old: "Bundle") -> "Confirm
 
 
 def warn_of_lost(old: "Bundle") -> None:
-    """Warn where the old bundle was taught damage, or has drawn regions, which the new one has to be given again."""
-    if old.manifest.regions is not None and old.manifest.regions.regions:
-        typer.echo(
-            "warning: the old bundle has drawn regions, and the new one has none: write them into a file with `gelgate "
-            "bundle regions OLD`, and give it to the new one with --file",
-            err=True,
-        )
+    """Warn where the old bundle was taught damage, which the new one has to be taught again."""
     taught = [name for one in old.manifest.facts.get("taught", ()) for name in one["presses"]]
     if taught:
         typer.echo(

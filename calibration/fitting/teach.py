@@ -4,7 +4,7 @@ A limit and a place leave bank and graphs as they are, and every score is at lea
 they find whatever was found before. Sound presses are scored by banks without them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -209,13 +209,13 @@ def lower_place(lesson: Lesson) -> Remedy | str:
     return Remedy("place", what, fitted, _see(seen, lesson.damaged, old)[0] * value)
 
 
-def change_method(lesson: Lesson, name: str, config: FitConfig) -> Remedy | str:
-    """Fit another method; say why not where that cannot be. config: the fit's, with that method."""
+def change_method(lesson: Lesson, name: str, fit: Callable[[], Fitted]) -> Remedy | str:
+    """Fit another method; say why not where that cannot be."""
     try:
-        fitted = fit_files(lesson.nominal, config, created=lesson.created)
+        fitted = fit()
     except FitError as error:
         return f"{name}: {error}"
-    scorer = Scorer(fitted.bundle(), config.threads)
+    scorer = Scorer(fitted.bundle(), lesson.config.threads)
     ratios = _see(scorer, lesson.damaged, lesson.old)[0]
     return Remedy(name, f"the method {name}", fitted, ratios * fitted.manifest.threshold.value)
 

@@ -12,6 +12,7 @@ from edge.cli.arguments import flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
 
 if TYPE_CHECKING:
+    from calibration.fitting.fit import Fitted
     from calibration.fitting.fit_config import FitConfig
     from calibration.fitting.learn import ConfirmedPresses
     from calibration.fitting.teach import Lesson, Remedy
@@ -186,7 +187,7 @@ def _try_remedies(given: TeachArguments, lesson: "Lesson") -> dict[str, "Remedy"
 
     methods = given.methods if given.methods is not None else list(_METHODS)
     wanted = {"limit": lambda: lower_limit(lesson), "place": lambda: lower_place(lesson)} | {
-        name: lambda name=name: change_method(lesson, name, _with_method(lesson.config, name))
+        name: lambda name=name: change_method(lesson, name, lambda: _fit_method(lesson, name))
         for name in methods
         if name != lesson.config.detector.name
     }
@@ -195,6 +196,16 @@ def _try_remedies(given: TeachArguments, lesson: "Lesson") -> dict[str, "Remedy"
         if isinstance(one, str):
             typer.echo(one)
     return {one.name: one for one in made if not isinstance(one, str)}
+
+
+def _fit_method(lesson: "Lesson", name: str) -> "Fitted":
+    """Fit another method, with the drawn regions of the bundle."""
+    from calibration.fitting.fit import fit_files
+    from calibration.fitting.regions.drawing import draw_again
+
+    config = _with_method(lesson.config, name)
+    fitted = fit_files(lesson.nominal, config, created=lesson.created)
+    return draw_again(lesson.old, fitted, lesson.nominal, config, lesson.created)
 
 
 def _with_method(config: "FitConfig", name: str) -> "FitConfig":

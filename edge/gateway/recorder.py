@@ -199,7 +199,7 @@ def press_drawing(
         time=iso_time(press.time_ns),
         drawn=manifest.regions.describe() if manifest.regions else "",
     )
-    outlines = outline_regions(bundle, press.registered)
+    outlines = outline_regions(bundle, press.registered and press.registered.pose)
     dimmed = _dim_unjudged(rgb, press, bundle)
     sheet = partial(encode_press, dimmed, score_map, caption, heatmap, outlines=outlines)
 

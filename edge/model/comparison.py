@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.core.registration.pose import Registered, warp
+from edge.core.registration.pose import Pose, Registered, warp
 from edge.model.bundle import Bundle
 from edge.pictures.nominal_pictures import Compared
 from edge.pictures.press_picture import Outline
@@ -36,9 +36,9 @@ def compare_press(
     return Compared(nominal, warp(found.difference, back), found.name)
 
 
-def outline_regions(bundle: Bundle, registered: Registered | None) -> list[Outline]:
+def outline_regions(bundle: Bundle, pose: Pose | None) -> list[Outline]:
     """Return the outlines of the drawn regions where the part lies in a press."""
     regions = bundle.manifest.regions.regions if bundle.manifest.regions else ()
-    scale, pose = bundle.profile.mm_per_pixel, None if registered is None else registered.pose
-    found = ((one, one.corners_in_press(scale, bundle.manifest.frame, pose)) for one in regions)
+    scale, frame = bundle.profile.mm_per_pixel, bundle.manifest.frame
+    found = ((one, one.corners_in_press(scale, frame, pose)) for one in regions)
     return [Outline(one.name, one.kind, corners) for one, corners in found]

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,9 @@ from calibration.evaluate.scoring import Evaluation, evaluate_bundle
 from calibration.evaluate.sheet import draw_sheet
 from calibration.folders import write_atomically
 from calibration.progress import progress
+from edge.core.drawn_regions import DrawnRegion, DrawnRegions
 from edge.core.errors import DatasetError, GelgateError
+from edge.core.registration.pose import Pose
 from edge.model.bundle_writer import write_bundle
 from edge.model.manifest import Provenance, ToleranceEntry
 
@@ -142,6 +145,33 @@ def test_reports(tmp_path: Path, evaluation: Evaluation) -> None:
     assert sheet is not None
     rows = np.split(sheet, 4)
     assert [row[40, 3, ::-1].tolist() for row in rows] == [PASS, FAIL, FAIL, PASS]
+
+
+@pytest.mark.parametrize("pose", [None, Pose(0.0, 0.0, 0.0), Pose(8.0, 0.0, 0.0)])
+def test_the_sheet_has_the_outlines_of_drawn_regions(evaluation: Evaluation, pose: Pose | None) -> None:
+    """In both panels, where the part lies."""
+    scale = evaluation.bundle.profile.mm_per_pixel[0]
+    corners = tuple((x * scale, y * scale) for x, y in ((8, 8), (16, 8), (16, 16), (8, 16)))
+    regions = DrawnRegions((DrawnRegion("logo", "ignore", corners),))
+    manifest = evaluation.bundle.manifest.model_copy(update={"regions": regions})
+    drawn = replace(
+        evaluation,
+        bundle=replace(evaluation.bundle, manifest=manifest),
+        scored=tuple(replace(one, pose=pose) for one in evaluation.scored),
+    )
+    sheets = [
+        cv2.imdecode(np.frombuffer(draw_sheet(one), np.uint8), cv2.IMREAD_COLOR).astype(int)
+        for one in (evaluation, drawn)
+    ]
+
+    panel = 36 + 40  # below the row's heading and the head of the first picture
+    changed = np.abs(sheets[1] - sheets[0]).sum(axis=2)[panel : panel + 384, : 384 + 8 + 384] > 60
+    factor, moved = 384 / evaluation.bundle.manifest.frame[0], 0 if pose is None else round(pose.x_px)
+    left, right, top = (round(factor * at) for at in (8 + moved, 16 + moved, 8))
+    for x in (0, 384 + 8):
+        found = np.flatnonzero(changed[:, x : x + 384][top + 20])
+        assert {min(left, right, key=lambda at, x=x: abs(x - at)) for x in found} == {left, right}
+        assert all(min(abs(x - left), abs(x - right)) <= 5 for x in found)
 
 
 def test_only_good_presses_give_reasons(tmp_path: Path, dataset: Path) -> None:

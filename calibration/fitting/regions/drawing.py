@@ -5,7 +5,7 @@ other. The same arithmetic in NumPy is `weigh`. Relief that is missing is a prop
 in ignored places too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,7 @@ from edge.model.manifest import REGION_WEIGHTS, Manifest, ThresholdEntry
 from edge.model.manifest_facts import DAMAGE_FOUND
 from edge.model.scorer import Scorer
 
-__all__ = ["draw_regions", "find_promise", "is_stricter"]
+__all__ = ["draw_again", "draw_regions", "find_promise", "is_stricter"]
 
 F32 = NDArray[np.float32]
 
@@ -46,12 +46,50 @@ _SAME: Final = 1e-4
 def draw_regions(
     path: Path, regions: Sequence[DrawnRegion], limit: ThresholdEntry | None, threads: int
 ) -> Fitted:
-    """Return the bundle at this path with these regions instead of its own; what they do not change stays byte for
-    byte. limit: its threshold with another promise; None where that holds as it is. Errors: FitError for regions that
-    the bundle cannot have, BundleError."""
+    """Return the bundle at this path with these regions instead of its own, the next revision; what they do not change
+    stays byte for byte. limit: its threshold with another promise; None where that holds as it is. Errors: FitError for
+    regions that the bundle cannot have, BundleError."""
     old = Bundle.load(path)
+    revision = (old.manifest.revision or 0) + 1
+    return _draw(old, open_archive(path).read, regions, {"threshold": limit, "revision": revision}, threads)
+
+
+def draw_again(
+    old: Bundle, fitted: Fitted, nominal: NominalPresses, config: FitConfig, created: str
+) -> Fitted:
+    """Return what was fitted in the place of the old bundle with the regions of that, and what its limit promises with
+    them. Errors: FitError where they would lie elsewhere on the part, or cannot be."""
+    regions = old.manifest.regions.regions if old.manifest.regions else ()
+    if not regions:
+        return fitted
+    new = fitted.bundle()
+    try:
+        before, now = (None if one is None else one.template for one in (old.registration, new.registration))
+        if not np.array_equal(before, now):  # type: ignore[arg-type]  # None is equal to None alone
+            raise FitError(
+                "the new fit brings presses to another pose, so they would lie elsewhere on the part"
+            )
+        limit = find_promise(new, regions, nominal, config, created) if is_stricter(new, regions) else None
+        return _draw(new, fitted.files.__getitem__, regions, {"threshold": limit}, config.threads)
+    except FitError as error:
+        names = " ".join(f"--remove '{one.name}'" for one in regions)
+        raise FitError(
+            f"the regions drawn on bundle {old.where} cannot be kept: {error}. To go on without them: `gelgate bundle "
+            f"regions {old.where} {names} -o PLAIN`, and use PLAIN instead"
+        ) from error
+
+
+def _draw(
+    old: Bundle,
+    read: Callable[[str], bytes],
+    regions: Sequence[DrawnRegion],
+    said: Mapping[str, Any],
+    threads: int,
+) -> Fitted:
+    """Draw the regions. read: gives a file of the bundle. said: of its manifest, what is not None. Errors: as
+    `draw_regions`."""
     _check_head(old)
-    manifest, archive = old.manifest, open_archive(path)
+    manifest = old.manifest
     try:
         for region in regions:
             region.check_inside(manifest.frame, old.profile.mm_per_pixel)
@@ -67,11 +105,11 @@ def draw_regions(
     new = replace(old, graphs=graphs, bank={**bank, REGION_WEIGHTS: weights})
     scorer = Scorer(new, threads)
     golden = [score_again(one, scorer) for one in old.golden]
-    files = {entry.file: archive.read(entry.file) for entry in manifest.files}
+    files = {entry.file: read(entry.file) for entry in manifest.files}
     keep = partial(keep_file, files)
     changes = _change_facts(manifest, drawn, float(weights.max()))
+    changes |= {name: value for name, value in said.items() if value is not None}
     changes |= {
-        "threshold": limit or manifest.threshold,
         "head": keep(HEAD, graphs.head or b""),
         "bank": {**manifest.bank, REGION_WEIGHTS: array_entry(REGION_WEIGHTS, Bank(new.bank), keep)},
         "golden": tuple(
@@ -88,7 +126,6 @@ def _change_facts(manifest: Manifest, drawn: DrawnRegions, most: float) -> dict[
     tolerance, larger = manifest.tolerance, max(most, 1.0)
     widened = {name: larger * getattr(tolerance, name) for name in ("score", "score_map", "measured")}
     return {
-        "revision": (manifest.revision or 0) + 1,
         "regions": drawn,
         "facts": {name: fact for name, fact in manifest.facts.items() if name not in _OF_OLD_SCORES},
         "tolerance": tolerance.model_copy(update=widened),

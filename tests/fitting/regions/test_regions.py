@@ -14,17 +14,17 @@ import pytest
 import tiny
 import turned_parts as parts
 from command_line import Outcome, gelgate
+from confirmed_station import say
 from registered_bundle import registered
 from station import gel, jpeg
 from typer.testing import CliRunner  # noqa: F401
 
-from calibration.fitting.learn_command import warn_of_lost
 from calibration.fitting.presses.nominal_presses import read_presses
-from calibration.fitting.regions.drawing import draw_regions
+from calibration.fitting.regions.drawing import draw_again, draw_regions
 from calibration.fitting.regions.texts import parse_region, read_regions, write_regions
 from edge.clock import SystemClock
 from edge.core.contact.mask import Touch
-from edge.core.drawn_regions import DrawnRegion
+from edge.core.drawn_regions import DrawnRegion, DrawnRegions
 from edge.core.errors import FitError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press
@@ -111,17 +111,40 @@ def test_regions_are_added_listed_and_removed(inspected: Inspected, tmp_path: Pa
     assert new["threshold"] == old["threshold"]
 
 
-def test_who_learns_again_is_told_of_the_regions(
-    inspected: Inspected, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    "drawn", [DENT, DENT.replace("ignore dent", "stricter dent 1.05")], ids=["ignore", "stricter"]
+)
+def test_regions_stay_with_a_bundle_that_is_learnt_again(
+    inspected: Inspected, station: Inspected, tmp_path: Path, drawn: str
 ) -> None:
-    """The new bundle has none."""
-    assert draw(inspected, tmp_path / "new", "--add", DENT).code == 0
-    for bundle, words in (
-        (tmp_path / "new", "drawn regions, and the new one has none"),
-        (inspected[0] / "old", ""),
-    ):
-        warn_of_lost(Bundle.load(bundle))
-        assert words in capsys.readouterr().err
+    """The same places on the part; a stricter one promises what fits without the press show, as when it was drawn."""
+    folder, ids = station
+    nominal = inspected[0] / "nominal"
+    assert draw(inspected, tmp_path / "drawn", nominal, "--add", drawn).code == 0
+    say(folder, {ids[0]: "good", ids[1]: "good"})
+
+    done = gelgate(
+        "bundle", "learn", tmp_path / "drawn", nominal, "-o", tmp_path / "new", "-c", folder / "gelgate.toml",
+        "--no-contact", inspected[0] / "free.jpg",
+    )  # fmt: skip
+
+    assert done.code == 0, done.err
+    old, new = Bundle.load(tmp_path / "drawn"), Bundle.load(tmp_path / "new")
+    assert new.manifest.regions.regions == old.manifest.regions.regions  # type: ignore[union-attr]
+    np.testing.assert_array_equal(new.bank[REGION_WEIGHTS], old.bank[REGION_WEIGHTS])
+    assert new.manifest.revision == 3
+    assert ("the promise with the drawn regions" in new.manifest.threshold.method) == ("stricter" in drawn)
+    assert gelgate("bundle", "verify", tmp_path / "new").code == 0
+
+
+def test_regions_that_would_lie_elsewhere_are_refused_with_the_way_on(tmp_path: Path) -> None:
+    """The new fit brings presses to a pose, and the old one had none."""
+    new = registered()
+    old = replace(new.bundle(), registration=None)
+    regions = DrawnRegions((DrawnRegion("logo", "ignore", ((1, 1), (2, 1), (2, 2))),))
+    old = replace(old, manifest=old.manifest.model_copy(update={"regions": regions}))
+    with pytest.raises(FitError, match=r"to another pose.*--remove 'logo' -o PLAIN`, and use PLAIN instead"):
+        draw_again(old, new, None, None, "2026-01-01")  # type: ignore[arg-type]
 
 
 def test_a_stricter_region_finds_a_fainter_dent_and_promises_anew(
