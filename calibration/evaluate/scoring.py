@@ -184,7 +184,10 @@ def score_presses(
                 unscorable.append((press, str(error)))
             else:
                 mask = np.ascontiguousarray(region.crop(press.mask()))
-                times, pose = (one.trunk_ms, one.head_ms), one.registered and one.registered.pose
+                times, pose = (
+                    (one.trunk_ms, one.head_ms),
+                    None if one.registered is None else one.registered.pose,
+                )
                 scored.append(ScoredPress(press, one.score_map, mask, one.anomaly_score, *times, pose))
             advance(done)
     return tuple(scored), tuple(unscorable)

@@ -60,5 +60,5 @@ def _draw(one: ScoredPress, evaluation: Evaluation) -> U8:
         time="",
         drawn=manifest.regions.describe() if manifest.regions else "",
     )
-    outlines = outline_regions(evaluation.bundle, one.pose)
-    return draw_press(frame, one.score_map, caption, _PANEL, outlines=outlines)
+    regions = outline_regions(evaluation.bundle, one.pose)
+    return draw_press(frame, one.score_map, caption, _PANEL, outlines=regions)

@@ -43,6 +43,7 @@ LEAST_JUDGED_MM2: Final = 1.0
 
 _MOST_POINTS: Final = 256
 _LONGEST_NAME: Final = 64
+_LEAST_AREA_MM2: Final = 1e-6
 # OpenCV draws polygons in this fraction of a pixel.
 _SHIFT: Final = 4
 
@@ -179,39 +180,18 @@ def region_at(
     return min(around)[-1] if around else None
 
 
-def _area(points: Points) -> float:
-    return (
-        sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in zip(points, (*points[1:], points[0]), strict=True))
-        / 2
-    )
-
-
 def _crosses_itself(points: Points) -> bool:
-    """Tell whether two sides that are no neighbours meet, two neighbours lie on each other, or there is no area."""
-    if len(set(points)) != len(points) or _area(points) == 0:
+    """Tell whether two sides have a point in common that is no corner of both, or there is no area."""
+    corners = np.array(points, np.float64)
+    (x, y), (to_x, to_y) = corners.T, np.roll(corners, -1, axis=0).T
+    if len(set(points)) != len(points) or abs((x * to_y - to_x * y).sum()) / 2 < _LEAST_AREA_MM2:
         return True
-    count = len(points)
-    sides = [(points[k], points[(k + 1) % count]) for k in range(count)]
-    return any(
-        _meet(*sides[j], *sides[k]) for j in range(count) for k in range(j + 2, count) if (k + 1) % count != j
-    )
-
-
-def _meet(
-    a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
-) -> bool:
-    """Tell whether the segments a-b and c-d have a point in common."""
-    sides = [_side(a, b, c), _side(a, b, d), _side(c, d, a), _side(c, d, b)]
-    if sides[0] * sides[1] < 0 and sides[2] * sides[3] < 0:
-        return True
-    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
-    return any(side == 0 and _is_between(*three) for side, three in zip(sides, ends, strict=True))
-
-
-def _side(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
-    """Say on which side of a-b the point c lies: above 0, below, or on the line."""
-    return float(np.sign((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])))
-
-
-def _is_between(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
-    return all(min(p, q) <= r <= max(p, q) for p, q, r in zip(a, b, c, strict=True))
+    # [j, k]: on which side of side j corner k lies, and whether it lies on it; its own two ends do, and are left out.
+    side = np.sign((to_x - x)[:, None] * (y - y[:, None]) - (to_y - y)[:, None] * (x - x[:, None]))
+    on = side == 0
+    for start, end in ((x, to_x), (y, to_y)):
+        low, high = np.minimum(start, end)[:, None], np.maximum(start, end)[:, None]
+        on &= (low <= start) & (start <= high)
+    own = np.eye(len(points), dtype=bool)
+    parted = side * np.roll(side, -1, axis=1) < 0  # side j parts the ends of side k
+    return bool((on & ~own & ~np.roll(own, 1, axis=1)).any() or (parted & parted.T).any())

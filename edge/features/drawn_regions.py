@@ -133,12 +133,17 @@ class DrawnRegionsStage(PressStage):
         ValueError, BundleError."""
         if not self._drawing.acquire(blocking=False):
             raise ValueError("another region is being drawn; ask again when that has ended")
-        new = path.with_name(f".{path.stem}.drawn{path.suffix}")
-        old = path.with_name(f".{path.stem}.{bundle.digest[:12]}{path.suffix}")
+        new, trunk = path.with_name(f".{path.stem}.drawn{path.suffix}"), (bundle.trunk_sha256 or "",)
         try:
+            before = Bundle.load(path, loaded=trunk)  # of a drawing a moment ago, or copied there by a person
+            if _fit_of(before) != _fit_of(bundle):
+                raise ValueError(
+                    f"bundle {path} is another one than the one that inspects; reload, and draw again"
+                )
+            old = path.with_name(f".{path.stem}.{before.digest[:12]}{path.suffix}")
             _run(["bundle", "regions", str(path), *change, "-o", str(new), "--overwrite", "--threads", "1"])
             try_bundle(new, threads=1)
-            made = Bundle.load(new, loaded=(bundle.trunk_sha256 or "",)).manifest
+            made = Bundle.load(new, loaded=trunk).manifest
             _exchange(path, new, old)
         finally:
             self._drawing.release()

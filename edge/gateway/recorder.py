@@ -199,9 +199,9 @@ def press_drawing(
         time=iso_time(press.time_ns),
         drawn=manifest.regions.describe() if manifest.regions else "",
     )
-    outlines = outline_regions(bundle, press.registered and press.registered.pose)
+    pose = None if press.registered is None else press.registered.pose
     dimmed = _dim_unjudged(rgb, press, bundle)
-    sheet = partial(encode_press, dimmed, score_map, caption, heatmap, outlines=outlines)
+    sheet = partial(encode_press, dimmed, score_map, caption, heatmap, outlines=outline_regions(bundle, pose))
 
     def draw() -> PressFiles:
         is_asked = press.word != Kind.PASS.value  # why a press passes nobody asks

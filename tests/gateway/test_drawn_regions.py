@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from station import Motion, mark_tried, press_recording, station_config
+from station import Motion, mark_tried, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
 from edge.features import drawn_regions
@@ -73,6 +73,31 @@ def test_a_region_is_drawn_seen_and_removed(station: SteppedStation, tmp_path: P
     station.play_presses(3)
     assert station.verdicts == ["fail", "pass", "fail"]
     assert station.said("info")["region_names"] == []
+
+
+def test_who_draws_before_the_first_revision_inspects_loses_neither(
+    station: SteppedStation, tmp_path: Path
+) -> None:
+    """Both regions are in the third revision, and each revision before stays under its own name."""
+    first, press = Bundle.load(tmp_path / "bundles" / "pz0").digest, newest(station)
+    wishes = [
+        station.ask("set_regions", add=name, points_mm=DENT, press_id=press) for name in ("logo", "seal")
+    ]
+    done = [wish() for wish in wishes]
+    assert [one["regions"] for one in done] == [["logo"], ["logo", "seal"]]
+    assert Bundle.load(done[0]["kept"]).digest == first
+    assert Bundle.load(done[1]["kept"]).manifest.revision == done[0]["revision"]
+
+
+def test_nothing_is_drawn_on_a_bundle_that_was_put_there_meanwhile(
+    station: SteppedStation, tmp_path: Path
+) -> None:
+    """The press lay as it did for the one that inspects."""
+    path = tmp_path / "bundles" / "pz0"
+    variant(Path(shutil.copytree(path, tmp_path / "copy")), path, part="PZ9")
+    with pytest.raises(ValueError, match="is another one than the one that inspects; reload, and draw again"):
+        station.ask("set_regions", add="logo", points_mm=DENT, press_id=newest(station))()
+    assert Bundle.load(path).manifest.regions is None
 
 
 def test_a_defect_says_in_which_region_it_lies(station: SteppedStation) -> None:

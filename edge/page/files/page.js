@@ -197,9 +197,13 @@ at("sheet").onpointerdown = (event) => {
   drawing.corners.push([within(place.x, drawing.wide), within(place.y - HEAD_PX, drawing.high)]);
   showCorners();
 };
-at("draw-form").onsubmit = () => {
+// What is drawn stays until the station has taken it: a corner is put right, and not the whole drawn again.
+at("draw-form").onsubmit = async (event) => {
+  event.preventDefault();
   const name = at("region-name").value.trim().replace(/[\s,]+/g, "-"), points = drawing.corners.map((corner) => corner.map((px) => Number((px * drawing.mm).toFixed(3))));
-  change(at("draw-region"), "set_regions", { add: name, kind: at("region-kind").value, points_mm: points, press_id: drawing.press }, saidOfRegions);
+  put("corners", t("asked…"));
+  const wanted = { add: name, kind: at("region-kind").value, points_mm: points, press_id: drawing.press };
+  if (await change(at("draw-sure"), "set_regions", wanted, saidOfRegions)) { at("draw").close(); } else { put("corners", at("said").textContent); }
 };
 
 function showStation(station) {
@@ -384,18 +388,21 @@ async function ask(verb, given, wanted) {
 }
 
 async function change(button, verb, wanted, done) {
-  if (key === null) { say(t("Not done: this page has locked itself; unlock it and say it again."), "error"); return; }
+  if (key === null) { say(t("Not done: this page has locked itself; unlock it and say it again."), "error"); return false; }
   button.disabled = true;
   say(t("asked…"), "");
+  let isDone = false;
   try {
     const data = await ask(verb, key, wanted);
     keepUnlocked();
     say(done(data), "ok");
+    isDone = true;
   } catch (error) {
     say(t("Not done: {why}", { why: error.message }), "error");
     if (error.isLocked) { lock(); }
   }
   button.disabled = false;
+  return isDone;
 }
 
 at("unlock").onsubmit = async (event) => {
