@@ -1,6 +1,7 @@
 """`gelgate new`: a plugin in a package of its own, which works and passes the checks of its kind as it is written.
 
-A file here and its test become NAME.py and test_NAME.py; where they say `template` the new name stands.
+A file here and its test become NAME.py and test_NAME.py in a folder gelgate-NAME; where they say `template` the new
+name stands.
 """
 
 import keyword
@@ -60,11 +61,12 @@ def new(
 ) -> None:
     """Write a sink, device, detector or feature to begin with.
 
-    A package in a folder NAME: code that works, a test that runs the published checks of its kind, pyproject.toml.
-    docs/plugins.md says what each kind does.
+    A package in a folder gelgate-NAME: code that works, a test that runs the published checks of its kind, and
+    pyproject.toml. docs/plugins.md says what each kind does.
     """
     check_name(kind, name)
-    here, folder = Path(__file__).parent, Path(name)
+    # Not the module's own name: pytest would take the folder for the module where both can be imported.
+    here, folder = Path(__file__).parent, Path(f"gelgate-{name}")
     try:
         folder.mkdir()
     except FileExistsError:

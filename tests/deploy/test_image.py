@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from tracked_tree import copy_tracked
 
 from edge.config import load_config
 
@@ -89,8 +90,16 @@ def test_the_steps_of_the_image_give_a_program_that_answers(tmp_path: Path) -> N
     run = partial(subprocess.run, check=True, timeout=1800, capture_output=True, text=True)
     run([sys.executable, "-m", "venv", tmp_path / "image"])
     pip = [tmp_path / "image/bin/python", "-m", "pip", "--disable-pip-version-check"]
-    run([*pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", tmp_path, ROOT])
-    run([*pip, "install", "--quiet", "--require-hashes", "--only-binary", ":all:", "-r", LOCK])
+    uv = [
+        Path(sys.executable).parent / "uv",
+        "pip",
+        "install",
+        "--quiet",
+        "--python",
+        tmp_path / "image/bin/python",
+    ]
+    run([*pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", tmp_path, copy_tracked(tmp_path / "source")])
+    run([*uv, "--require-hashes", "--only-binary", ":all:", "-r", LOCK])
     run([*pip, "install", "--quiet", "--no-index", "--no-deps", *tmp_path.glob("gelgate-*.whl")])
 
     assert "No broken requirements" in run([*pip, "check"]).stdout

@@ -39,7 +39,7 @@ def site(written: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with one of each kind, installed by pip."""
     site = tmp_path_factory.mktemp("site")
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--no-build-isolation"]
-    sources = [written / name for name in NAMES.values()]
+    sources = [written / f"gelgate-{name}" for name in NAMES.values()]
     subprocess.run([*pip, "--target", site, *sources], check=True, capture_output=True)
     return site
 
@@ -56,14 +56,21 @@ def test_what_is_written_is_linted_formatted_and_typed(written: Path) -> None:
     """Lint and format whatever the length of its name."""
     run(written, "ruff", "check", "--no-cache", ".")
     run(written, "ruff", "format", "--no-cache", "--check", ".")
-    run(written, "mypy", "--strict", "--cache-dir", os.devnull, *NAMES.values())
+    run(
+        written,
+        "mypy",
+        "--strict",
+        "--cache-dir",
+        os.devnull,
+        *(f"gelgate-{name}" for name in NAMES.values()),
+    )
 
 
 def test_its_own_tests_pass(written: Path, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The published checks, where the package is installed."""
     monkeypatch.setenv("PYTHONPATH", str(site))
     for name in NAMES.values():
-        run(written / name, "pytest", "-q", "-W", "error", "-p", "no:cacheprovider")
+        run(written / f"gelgate-{name}", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider")
 
 
 @pytest.mark.parametrize(
@@ -77,7 +84,7 @@ def test_its_own_tests_pass(written: Path, site: Path, monkeypatch: pytest.Monke
             "json",
             "'json' is the name of an installed module, which it would hide; choose another name",
         ),
-        ("sink", "here", "here is there already; choose another name, or remove it"),
+        ("sink", "here", "gelgate-here is there already; choose another name, or remove it"),
         *(
             ("device", name, f"'{name}' cannot name a module; expected a lower-case letter, then")
             for name in ("Camera", "my-camera", "../x", "1st", "class", "", "x" * 31)
@@ -89,11 +96,11 @@ def test_a_name_that_cannot_be_used(
 ) -> None:
     """One sentence, and nothing is written."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "here").mkdir()
+    (tmp_path / "gelgate-here").mkdir()
     done = gelgate("new", kind, name)
 
     assert (done.code, done.err.startswith(f"gelgate: {sentence}")) == (3, True), done.err
-    assert [*tmp_path.rglob("*")] == [tmp_path / "here"]
+    assert [*tmp_path.rglob("*")] == [tmp_path / "gelgate-here"]
 
 
 class Handler(BaseHTTPRequestHandler):

@@ -1,6 +1,6 @@
-"""Every verb in an environment made by `pip install .` alone: it works, or names at its start what it needs.
+"""Every verb in an environment with `gelgate` and no extras: it works, or names at its start what it needs.
 
-Run by `make test-plain`; the environment takes half a minute where pip has the wheels already.
+Run by `make test-plain`.
 """
 
 import os
@@ -14,18 +14,17 @@ import numpy as np
 import onnx.parser
 import pytest
 from station import JSONL, press_recording, station_config
+from tracked_tree import copy_tracked
 
 from edge import registry
 from edge.cli import place
 
 pytestmark = pytest.mark.plain
 
-ROOT = Path(__file__).resolve().parents[2]
-
 # In the order in which they are run: the line, its exit code, and words of what it says.
 VERBS: list[tuple[str, int, str]] = [
     ("devices", 0, ""),
-    ("new sink webhook", 0, "pytest webhook"),
+    ("new sink webhook", 0, "pytest gelgate-webhook"),
     ("station docs", 0, "architecture"),
     ("station topics", 0, "result"),
     ("station install-service --print", 3, "/opt/gelgate"),
@@ -122,15 +121,11 @@ THEIRS = """
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The `bin` of a new environment with the tree as git knows it, and no extras."""
-    home, source = tmp_path_factory.mktemp("environment"), tmp_path_factory.mktemp("source")
-    words = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    listed = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    for name in filter(None, listed.split("\0")):
-        if (ROOT / name).is_file():
-            (source / name).parent.mkdir(parents=True, exist_ok=True)
-            (source / name).write_bytes((ROOT / name).read_bytes())
+    home = tmp_path_factory.mktemp("environment")
+    source = copy_tracked(tmp_path_factory.mktemp("source"))
     subprocess.run([sys.executable, "-m", "venv", str(home)], check=True)
-    subprocess.run([home / "bin" / "pip", "install", "--quiet", str(source)], check=True)
+    uv = [Path(sys.executable).parent / "uv", "pip", "install", "--quiet", "--python", home / "bin/python"]
+    subprocess.run([*uv, source], check=True)
     return home / "bin"
 
 

@@ -8,6 +8,7 @@ from email.parser import Parser
 from pathlib import Path
 
 import pytest
+from tracked_tree import copy_tracked
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("gelgate", "edge", "plugins", "calibration", "export")
@@ -17,15 +18,7 @@ PACKAGES = ("gelgate", "edge", "plugins", "calibration", "export")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with an sdist of the tree as git knows it, and the wheel made from that sdist."""
     out = tmp_path_factory.mktemp("built")
-    source = tmp_path_factory.mktemp("source")
-    tracked = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-        cwd=ROOT, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    for name in filter(None, tracked.stdout.split("\0")):
-        if (ROOT / name).is_file():
-            (source / name).parent.mkdir(parents=True, exist_ok=True)
-            (source / name).write_bytes((ROOT / name).read_bytes())
+    source = copy_tracked(tmp_path_factory.mktemp("source"))
     build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(source)]
     subprocess.run(build, check=True, capture_output=True)
     return out
