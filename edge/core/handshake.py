@@ -67,7 +67,8 @@ CODES: Final = {
     Code.NOTHING_PRESSED: "nothing pressed the gel, or its press had its verdict before the trigger",
     Code.OTHER_PART: "the press was judged by the bundle of another part",
     Code.NOT_JUDGED: "the press could not be judged, or ended without a verdict",
-    Code.PIECE: "the piece of several places that the trigger names cannot begin: its id was used before",
+    Code.PIECE: "the piece of several places that the trigger names cannot begin, for its id was used before, or "
+    "was over when the press came",
 }
 """What each code means, for the manual."""
 
@@ -274,13 +275,26 @@ class HandshakeMachine:
             self._is_pressed = True
 
     def judge(
-        self, press_id: str, word: str, now_ns: int, *, part: str, score_ratio: float | None = None
+        self,
+        press_id: str,
+        word: str,
+        now_ns: int,
+        *,
+        part: str,
+        piece: str | None = None,
+        score_ratio: float | None = None,
     ) -> bool:
-        """A press of a part is judged. Return whether it is the answer. A pass is shown when it is recorded."""
+        """A press of a part is judged. Return whether it is the answer. A pass is shown when it is recorded.
+
+        piece: of several places, that the press counts for.
+        """
         if self.read(now_ns).step != "busy" or not self._is_pressed or self._awaited is not None:
             return False
         if self._part not in (None, part):
             self._finish("error", Code.OTHER_PART)
+            return False
+        if piece is not None and self._view.piece not in ("", piece):
+            self._finish("error", Code.PIECE)
             return False
         self._view = replace(self._view, press_id=press_id, score_ratio=score_ratio)
         if word in ("pass", "place"):

@@ -329,3 +329,25 @@ def test_a_trigger_that_names_a_piece_begins_it(
     ]
     assert (act.who, act.verb, act.outcome) == ("plc", "begin_piece", "refused")
     assert "the piece P1 is over (" in str(act.sentence)
+
+
+def test_a_press_of_the_next_piece_answers_no_trigger_for_the_one_before(
+    tmp_path: Path, configure: Make, bundle: Path
+) -> None:
+    """The piece was in progress when its trigger came, and the press that was held then ended it."""
+    bundles = two_parts(tmp_path / "bundles", bundle)
+    config = configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')
+    with PlcStation(config) as station:
+        station.play_until_ready()
+        assert station.trigger(1, piece="P1") is Code.NONE
+        station.play_until(lambda: station.seen.step == "done")
+        station.acknowledge()
+        station.play_until(lambda: not station.loop.is_pressed)
+        station.play_until_pressed()
+        assert station.trigger(2, piece="P1") is Code.NONE
+        station.play_until(lambda: station.seen.step == "done")
+        assert station.result == ("done", 2, "error", Code.PIECE)
+
+    pieces = [result.piece_id for result in station.results]
+    assert pieces[:2] == ["P1", "P1"]
+    assert pieces[2] not in ("P1", None)

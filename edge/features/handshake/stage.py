@@ -155,11 +155,12 @@ class HandshakeStage(PressStage):
         if press.label is None:
             manifest, verdict = inspector.bundle.manifest, press.verdict
             part = str(PartPosition(manifest.part, manifest.position))
+            piece = press.piece.piece_id if press.piece else None
             limit = verdict.threshold if verdict else None
             ratio = verdict.score / limit if verdict and verdict.score is not None and limit else None
             with self.port.machine() as (machine, now_ns):
                 word = press.shown or "place"
-                if machine.judge(press.press_id, word, now_ns, part=part, score_ratio=ratio):
+                if machine.judge(press.press_id, word, now_ns, part=part, piece=piece, score_ratio=ratio):
                     self._answer = (press.press_id, machine.read(now_ns).trigger_id)
         return press
 
