@@ -76,6 +76,8 @@ RULES = (
     Rule("plc", _is_plc_silent, 2.5, _may_plc_be_named, 6.0),
     # It ends when the gel is seen free.
     Rule("contact", _never, 0.0, _may_be_pressed, 8.0),
+    # It ends when the gel is seen free.
+    Rule("gel_overload", _never, 0.0, _may_be_pressed, 8.0),
     # It ends with the next press that is recorded, or with the next report, every 10 s.
     Rule("store", _never, 0.0, _is_disk_disturbed, 14.0),
 )
@@ -89,7 +91,9 @@ def audit_alarms(world: World, station: Station) -> Iterator[str]:
     for rule in RULES:
         is_so, may = rule.is_so(world, station), rule.may_be(world, station)
         # A sensor that is opened again may be well, until it is found that it is not; a frozen one stays the same.
-        again = world.sensor.given if world.sensor.is_frozen else world.sensor.openings
+        # A pause between pictures that show nothing is not their blindness.
+        sensor = world.sensor
+        again = sensor.given if sensor.is_frozen else (sensor.openings, sensor.is_silent, sensor.is_holding)
         so_since_ns = station.so_since(f"{rule.alarm} is so {again}", is_so and not is_held_up)
         well_since_ns = station.so_since(f"{rule.alarm} is well", not (is_so or may or is_held_up))
         is_late = so_since_ns is not None and now_ns - so_since_ns > rule.raised_s * S

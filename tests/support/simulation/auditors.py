@@ -14,7 +14,7 @@ from edge.store.integrity import check_database
 from edge.store.press_archive import ArchiveFolder
 from simulation.alarms import audit_alarms
 from simulation.auditors_brokers import audit_availability, audit_levels
-from simulation.auditors_contact import audit_contact, audit_lifts
+from simulation.auditors_contact import audit_contact, audit_lifts, audit_overloads
 from simulation.auditors_outbox import ARCHIVED, audit_archive, audit_file, audit_full_outbox, audit_memory
 from simulation.auditors_outputs import audit_lamp, audit_outputs
 from simulation.auditors_pieces import audit_piece_lamp, audit_pieces
@@ -110,6 +110,7 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from _audit_judged(station)
     yield from audit_outputs(world, station)
     yield from audit_lifts(world, station)
+    yield from audit_overloads(world, station)
     yield from audit_answers(world, station)
     yield from audit_pieces(world, station)
     yield from audit_retained(world, station)

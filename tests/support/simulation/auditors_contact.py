@@ -1,45 +1,87 @@
-"""What holds of the contact as a robot sees it (docs/contact.md, What a robot is told)."""
+"""What holds of the contact as a robot sees it, at a relay or at a broker (docs/contact.md, What a robot is told)."""
 
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 
 from simulation.alarms import is_sensor_lost
 from simulation.auditors_outputs import OPENED_S, SHOWN_S
+from simulation.brokers import Broker
+from simulation.hand import MadePress
 from simulation.lives import Station
-from simulation.outputs import FREE, LIFT
+from simulation.outputs import FREE, LIFT, OVERLOAD
 from simulation.sensor import S
 from simulation.surroundings import World
 
 UNSEEN_S = 0.27
 """What has not been seen for so long is not known."""
 
+FRESH_S = {"free": 3.0, "unknown": 3.0}
+"""A robot believes so long what a broker has handed over; by default 1 s (docs/contact.md)."""
+
+SENT_S = 1.0
+"""A change has come to the robot by then."""
+
 
 def audit_contact(world: World, station: Station) -> Iterator[str]:
     """What holds at each moment: nothing is said of a gel that nobody sees, nor what is over."""
-    relay, now_ns, presses = world.relay, world.clock.now_ns, world.hand.presses
-    is_well = relay.mood == "up" and now_ns - relay.well_since_ns > OPENED_S * S and not station.is_held_up
-    shown = [name for channel, name in ((LIFT, "lift"), (FREE, "free")) if relay.is_on[channel]]
-    is_lost = is_sensor_lost(world, station) and is_well
-    lost_ns = station.so_since("the contact is not seen", is_lost)
-    state = station.loop.parts.status.view().state
-    halted_ns = station.so_since(
-        f"the contact of no ready station {world.new_gel_ns}", is_well and state != "ready"
-    )
-    if not is_well or not shown:
+    relay, now_ns, is_held_up = world.relay, world.clock.now_ns, station.is_held_up
+    is_well = relay.mood == "up" and now_ns - relay.well_since_ns > OPENED_S * S and not is_held_up
+    channels = {LIFT: "lift", FREE: "free", OVERLOAD: "overload"}
+    shown = {name for channel, name in channels.items() if relay.is_on[channel]}
+    yield from _audit_shown(world, station, "the relay", shown if is_well else None, SHOWN_S)
+    for broker in world.brokers.values():
+        told = broker.contact
+        is_fresh = told is not None and now_ns - told.at_ns < FRESH_S.get(told.state, 1.0) * S
+        shown = {told.state} if told is not None and is_fresh and broker.says_ready else set()
+        is_told = broker.is_well and not is_held_up
+        yield from _audit_shown(world, station, broker.name, shown if is_told else None, SENT_S)
+    press, alarms = world.hand.press, station.loop.parts.status.view().alarms
+    is_hard = press is not None and press.way == "hard" and not press.why and not is_held_up
+    since_ns = station.so_since("a press is hard", is_hard)
+    if since_ns is None or now_ns - since_ns < (world.noticed_s + SHOWN_S) * S:
         return
-    if len(shown) > 1:
-        yield "lift and free are shown at once"
-    if lost_ns is not None and now_ns - lost_ns > (UNSEEN_S + SHOWN_S + 2 / station.fps) * S:
-        yield f"nothing is seen for {(now_ns - lost_ns) / S:.1f} s, and {shown[0]} is shown"
-    if halted_ns is not None and now_ns - halted_ns > SHOWN_S * S:
-        yield f"the station is {state}, and {shown[0]} is shown"
+    if "gel_overload" not in alarms:
+        yield "a press is hard, and the alarm gel_overload is not raised"
+    if is_well and not relay.is_on[OVERLOAD]:
+        yield "a press is hard, and the relay does not show it"
+
+
+def _audit_shown(
+    world: World, station: Station, where: str, shown: set[str] | None, within_s: float
+) -> Iterator[str]:
+    """shown: None where it may be anything. within_s: of a change, it is shown."""
+    now_ns, presses, is_known = world.clock.now_ns, world.hand.presses, shown is not None
+    state = station.loop.parts.status.view().state
+    lost_ns = station.so_since(
+        f"the contact is not seen, {where}", is_sensor_lost(world, station) and is_known
+    )
+    halted_ns = station.so_since(
+        f"the contact of no ready station {world.new_gel_ns}, {where}", is_known and state != "ready"
+    )
+    if shown is None:
+        return
+    said = shown & {"lift", "free", "overload"}
+    if len(said) > 1:
+        yield f"{where}: {' and '.join(sorted(said))} are shown at once"
+    if said and lost_ns is not None and now_ns - lost_ns > (UNSEEN_S + within_s + 2 / station.fps) * S:
+        yield f"{where}: nothing is seen for {(now_ns - lost_ns) / S:.1f} s, and {said.pop()} is shown"
+    if said and halted_ns is not None and now_ns - halted_ns > within_s * S:
+        yield f"{where}: the station is {state}, and {said.pop()} is shown"
     if not presses or presses[-1].why:
         return
     press, since_ns = presses[-1], presses[-1].end_ns or presses[-1].begin_ns
-    is_told = now_ns - since_ns > (world.noticed_s + SHOWN_S) * S
-    if "free" in shown and not press.end_ns and is_told:
-        yield f"press {press.number} is held, and free is shown"
-    if "lift" in shown and press.end_ns and is_told:
-        yield f"press {press.number} is over, and lift is shown"
+    if now_ns - since_ns > (world.noticed_s + within_s) * S:
+        yield from (f"{where}: press {press.number} is {what}" for what in _audit_press(press, said))
+
+
+def _audit_press(press: MadePress, said: set[str]) -> Iterator[str]:
+    if "free" in said and not press.end_ns:
+        yield "held, and free is shown"
+    if press.end_ns:
+        yield from (f"over, and {word} is shown" for word in said - {"free"})
+    if "overload" in said and press.way != "hard":
+        yield f"{press.way}, and overload is shown"
 
 
 def audit_lifts(world: World, station: Station) -> Iterator[str]:
@@ -52,3 +94,35 @@ def audit_lifts(world: World, station: Station) -> Iterator[str]:
         if not begun or not (own or begun[0].why):
             number = begun[0].number if begun else "none"
             yield f"lift was shown at {one.told_ns / S:.3f} s, and press {number} was not recorded yet"
+    for broker in world.brokers.values():
+        yield from (f"{broker.name}: {what}" for what in _audit_messages(world, station, broker))
+
+
+def _audit_messages(world: World, station: Station, broker: Broker) -> Iterator[str]:
+    """A message says of which press it is."""
+    frame_ns = {seen.press_id: seen.frame_ns or seen.judged_ns for seen in station.seen if seen.noted_ns}
+    for press_id, told in broker.lifts.items():
+        if not told.is_at_once:
+            continue
+        if press_id is None or press_id not in frame_ns:
+            yield f"lift of the press {press_id}, which is not recorded, at {told.at_ns / S:.3f} s"
+            continue
+        begun = [
+            press
+            for press in world.hand.presses
+            if press.begin_ns <= told.at_ns - (world.noticed_s + SENT_S) * S
+        ]
+        if begun and begun[-1].begin_ns > frame_ns[press_id] and not begun[-1].why:
+            yield f"lift of an earlier press than {begun[-1].number}, which is on the gel, at {told.at_ns / S:.3f} s"
+
+
+def audit_overloads(world: World, station: Station) -> Iterator[str]:
+    """Each overload is an act, but of a database that was removed."""
+    hard = [press for press in world.hand.presses if press.way == "hard"]
+    least = 0 if station.lost_rows else sum(not press.why for press in hard)
+    with closing(
+        sqlite3.connect(f"file:{station.disk.folder / 'gelgate.db'}?mode=ro", uri=True)
+    ) as connection:
+        acts = connection.execute("SELECT count(*) FROM acts WHERE verb = 'overload'").fetchone()[0]
+    if not least <= acts <= len(hard):
+        yield f"{acts} overloads are acts, and {least} to {len(hard)} presses were so hard"

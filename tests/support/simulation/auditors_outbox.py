@@ -94,10 +94,14 @@ def audit_archive(station: Station) -> Iterator[str]:
     A kill may leave one more, until the next press; a full disk files of a press that has none there.
     """
     folder = station.disk.folder / "gelgate.archive"
-    records = [path.read_text() for path in folder.glob("presses/*.json")]
+    records = [path.read_bytes() for path in folder.glob("presses/*.json")]
     if len(records) > ARCHIVED + bool(station.killed_ns):
         yield f"{len(records)} presses are in an archive of {ARCHIVED}"
-    left = [path.name for path in folder.glob("objects/*") if not any(path.name in text for text in records)]
+    left = [
+        path.name
+        for path in folder.glob("objects/*")
+        if not any(path.name.encode() in record for record in records)
+    ]
     if left and not station.disk.full_since_ns:
         yield f"the archive has {len(left)} files that no press needs"
 

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from simulation.lives import Seen, Station
-from simulation.plc import TIMEOUT_S, WRITES_ALONE_S, Asked, Plc, Shown
+from simulation.plc import TIMEOUT_S, Asked, Plc, Shown
+from simulation.plc_lines import WRITES_ALONE_S
 from simulation.sensor import S
 from simulation.surroundings import World
 
@@ -22,7 +23,6 @@ def audit_plcs(world: World, station: Station) -> Iterator[str]:
     halted_ns = station.so_since(f"a PLC waits for a ready station {world.new_gel_ns}", is_halted) or now_ns
     asked = {number: one for plc in world.plcs for number, one in plc.asked.items()}
     for plc in world.plcs:
-        yield from (f"PLC {plc.ip}: {what}" for what in plc.found)
         news, plc.shown = plc.shown, []
         for shown in news:
             said = f"PLC {plc.ip} at {shown.at_ns / S:.3f} s, trigger {shown.trigger_id}"
@@ -61,10 +61,12 @@ def _audit_trigger(shown: Shown, own: Asked) -> Iterator[str]:
 def audit_answers(world: World, station: Station) -> Iterator[str]:
     """Each result is that of one recorded press: the first that began after its trigger."""
     found: dict[int, set[str]] = {}
+    pieces: dict[int, object] = {}
     for broker in world.brokers.values():
         for press_id, results in broker.results.items():
             if (number := results[0]["trigger_id"]) is not None:
                 found.setdefault(int(str(number)), set()).add(press_id)
+                pieces[int(str(number))] = results[0]["piece_id"]
     for other in world.plcs[1:]:
         yield from _audit_writers(world.plcs[0], other)
     parts = {row[0]: row[2] for row in station.rows()}
@@ -73,6 +75,10 @@ def audit_answers(world: World, station: Station) -> Iterator[str]:
             presses = found.get(number, set())
             if len(presses) > 1:
                 yield f"trigger {number} was answered by the presses {', '.join(sorted(presses))}"
+            words = {word for word, _ in own.words}
+            is_of_piece = world.has_pieces and own.piece and words & {"pass", "fail", "place"}
+            if is_of_piece and pieces.get(number, own.piece) != own.piece:
+                yield f"trigger {number} of {own.piece} was answered by a press of {pieces[number]}"
             for word, shown_ns in own.words:
                 if word != "error":
                     said = f"trigger {number}, {word} at {shown_ns / S:.3f} s"
@@ -98,14 +104,14 @@ def _audit_answer(
     parts: dict[str, str],
 ) -> Iterator[str]:
     may_be = [seen for seen in station.seen if own.sent_ns <= (seen.frame_ns or seen.judged_ns)]
-    may_be = [seen for seen in may_be if seen.word == word and seen.judged_ns <= shown_ns]
-    if word == "pass":
+    may_be = [seen for seen in may_be if (seen.shown or "place") == word and seen.judged_ns <= shown_ns]
+    if word in ("pass", "place"):
         may_be = [seen for seen in may_be if seen.noted_ns <= shown_ns and seen.press_id in parts]
     if presses:
         may_be = [seen for seen in may_be if seen.press_id in presses]
     if not may_be:
         is_unrecorded = any(own.sent_ns <= ended_ns for ended_ns in station.ended_ns)
-        if word == "pass" or not is_unrecorded:
+        if word in ("pass", "place") or not is_unrecorded:
             yield f"no press after it is a {word} that was recorded by then"
         return
     if own.part and own.part not in {parts.get(seen.press_id, own.part) for seen in may_be}:

@@ -44,9 +44,22 @@ if TYPE_CHECKING:
 S = 10**9
 NARROW_BYTES = 900
 """Less than a picture has, and more than a state."""
+WELL_S = 3.0
+"""What was sent to a broker that hung has come so long after it goes on."""
 TAKES_NOTHING = ("away", "silent", "kicks", "denies")
 CUTS = ("away", "kicks", "denies", "is narrow", "lets one in")
 """Moods that begin with the end of every connection."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a robot that subscribes was told of the contact by a station that is ready, and when."""
+
+    at_ns: int
+    state: str
+    press_id: str | None
+    is_at_once: bool
+    """The broker has been well for a while, and hands over what comes."""
 
 
 @dataclass
@@ -86,6 +99,10 @@ class Broker:
         self.results: dict[str, list[dict[str, object]]] = {}
         self.pieces: dict[str, list[dict[str, object]]] = {}
         self.order: list[str] = []
+        self.contact: Told | None = None
+        """The newest; and the first `lift` of each press."""
+        self.lifts: dict[str | None, Told] = {}
+        self.well_since_ns = 0
         self.pictures: Counter[str] = Counter()
         self.said: Counter[str] = Counter()
         """What went wrong, and how often."""
@@ -122,7 +139,7 @@ class Broker:
         """It is up again, and its subscriber gets what was delayed."""
         if self.mood == "is narrow":
             self._cut()
-        self.mood = "up"
+        self.mood, self.well_since_ns = "up", self._clock.now_ns
         if self.away_since_ns is not None:
             self.outages.append((self.away_since_ns, self._clock.now_ns))
             self.away_since_ns = None
@@ -316,9 +333,32 @@ class Broker:
         elif message.topic == "piece_result":
             piece = json.loads(message.payload)
             self.pieces.setdefault(piece["piece_id"], []).append(piece)
+        elif message.topic == "contact" and message.payload:
+            self._tell_robot(json.loads(message.payload))
         elif kind == "heatmap":
             self.pictures[press_id] += 1
             if message.payload and press_id.encode() not in message.payload:
                 self.misnamed.append(press_id)
         elif kind == "cmd":
             self.responses.append((press_id, json.loads(message.payload)))
+
+    @property
+    def is_well(self) -> bool:
+        """It has been up for a while: what hung is over."""
+        return self.mood == "up" and self._clock.now_ns - self.well_since_ns > WELL_S * S
+
+    @property
+    def says_ready(self) -> bool:
+        """What it retains of the station is `ready`."""
+        return bool(json.loads(self.retained.get("state", b"{}")).get("state") == "ready")
+
+    def _tell_robot(self, said: dict[str, object]) -> None:
+        """A robot takes nothing from a station that is not ready (docs/contact.md)."""
+        if not self.says_ready:
+            self.contact = None
+            return
+        press_id = None if said["press_id"] is None else str(said["press_id"])
+        told = Told(self._clock.now_ns, str(said["state"]), press_id, self.is_well)
+        self.contact = told
+        if told.state == "lift":
+            self.lifts.setdefault(press_id, told)

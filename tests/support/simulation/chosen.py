@@ -54,10 +54,10 @@ class Chosen:
     has_shadow: bool = False
     has_robot: bool = False
     """It holds each part until the station says that it may be lifted, or its patience ends."""
-    has_plc: bool = False
-    """It triggers, and reads what answers; only with `trigger = "automatic"`."""
+    plc: str = ""
+    """`modbus` or `opcua`: it triggers, and reads what answers; only with `trigger = "automatic"`."""
     piece: str = ""
-    """The order of a plan of places, `fixed` or `free`; empty for none. Without a PLC, and as it is with one."""
+    """The order of a plan of places, `fixed` or `free`; empty for none. A PLC begins the pieces, else a person."""
 
     @classmethod
     def of(cls, rng: random.Random, names: Sequence[str]) -> "Chosen":
@@ -78,6 +78,6 @@ class Chosen:
             rng.random() < 0.25,
             rng.random() < 0.25,
             rng.random() < 0.3,
-            rng.random() < 0.4,
+            rng.choice(("", "", "modbus", "modbus", "opcua")),
             rng.choice(("", "", "fixed", "free")),
         )

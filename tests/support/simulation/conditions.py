@@ -8,8 +8,9 @@ from simulation.brokers import Broker
 from simulation.faults import MOODS
 from simulation.lives import Station
 from simulation.options import MESSAGES
-from simulation.outputs import GATE, LAMP, REJECT
+from simulation.outputs import GATE, LAMP, OVERLOAD, REJECT
 from simulation.plc import STEPS
+from simulation.plc_lines import PORTS
 from simulation.surroundings import World
 
 SOMETIMES = (
@@ -77,11 +78,13 @@ SOMETIMES = (
     "a shadow passed what failed",
     "a robot lifted at the word of the station",
     "a robot was told nothing, and lifted",
-    *(f"a PLC was shown {word}" for word in ("pass", "fail", "error")),
+    "a robot was told of an overload",
+    *(f"a PLC was shown {word} over {plc}" for word in ("pass", "fail", "error", "place") for plc in PORTS),
     *(f"the cable of a PLC was pulled at {step}" for step in STEPS),
     "a pass was taken back from a PLC",
     "a second PLC was refused",
     "a second PLC wrote",
+    "a PLC had two places pressed, and the piece passed",
     *(f"a piece was {verdict}" for verdict in ("pass", "fail", "incomplete")),
     "a piece took too long",
     "plc mute",
@@ -101,6 +104,7 @@ def reached_at_end(world: World, station: Station) -> Iterator[str]:
         "a press had no verdict": bool(words & {"rejected", "error"}),
         "a press was lost, with a reason": len(station.seen) < len(world.hand.presses),
         "a lamp showed a pass": LAMP in channels,
+        "a robot was told of an overload": OVERLOAD in channels,
         "a pulse threw out a part": REJECT in channels,
         "a pulse let a part through": GATE in channels,
         "a pulse was not given in time": "pulse" in station.loop.parts.status.view().alarms,
@@ -129,7 +133,15 @@ def reached_at_end(world: World, station: Station) -> Iterator[str]:
 def _of_plcs(world: World) -> Iterator[str]:
     for plc in world.plcs:
         words = [[word for word, _ in asked.words] for asked in plc.asked.values()]
-        yield from (f"a PLC was shown {said[0]}" for said in words if said)
+        yield from (f"a PLC was shown {said[0]} over {world.server.kind}" for said in words if said)
+        passed = {
+            asked.piece for asked in plc.asked.values() if [word for word, _ in asked.words][:1] == ["pass"]
+        }
+        placed = {
+            asked.piece for asked in plc.asked.values() if [word for word, _ in asked.words][:1] == ["place"]
+        }
+        if passed & placed:
+            yield "a PLC had two places pressed, and the piece passed"
         yield from ("a pass was taken back from a PLC" for said in words if said == ["pass", "error"])
         yield from (f"the cable of a PLC was pulled at {step}" for step in plc.cuts)
     for plc in world.plcs[1:]:

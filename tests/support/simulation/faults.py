@@ -8,7 +8,7 @@ from edge.core.errors import StoreError
 from simulation.chosen import SMALL_MB
 from simulation.outputs import LAMP
 from simulation.people import PEOPLE
-from simulation.plc import STEPS, Plc
+from simulation.plc import STEPS
 from simulation.sensor import OTHER_SERIAL, SERIAL, S
 
 if TYPE_CHECKING:
@@ -311,9 +311,7 @@ def join_plc(run: "Simulation", rng: random.Random) -> float:
         return 60.0
     plcs = run.world.plcs
     number = 1_000_000 * len(plcs)
-    plc = Plc(run.world.clock, run.world.server, random.Random(rng.random()), f"10.0.1.{len(plcs)}", number)
-    plcs.append(plc)
-    plc.on_part = run.world.select_by_plc
+    plc = run.world.add_plc(random.Random(rng.random()), f"10.0.1.{len(plcs)}", number)
     end = run.join("second plc", plc.act)
 
     def leave() -> None:

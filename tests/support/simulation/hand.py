@@ -18,7 +18,9 @@ Phase = tuple[float, str]
 """Depth, 0 to 1, and what is on the gel: `sound`, `dented` or `glaring`."""
 FREE: Phase = (0.0, "sound")
 NOT_SETTLED = {"rejected"}
-WAYS = ("steady", "slow", "hesitating", "brief", "long")
+WAYS = ("steady", "slow", "hesitating", "brief", "long", "hard")
+HARD = 3.0
+"""So much deeper than other presses is a hard one."""
 ROBOT_WAITS_S = 2.5
 """For the word of the station; then it lifts."""
 PATIENCE = 0.9
@@ -55,6 +57,8 @@ class MadePress:
         word = {"sound": "pass", "dented": "fail", "glaring": "error"}[self.what]
         if not self.is_asked:
             return NOT_SETTLED
+        if self.way == "hard":
+            return {word, "fail", "error", *NOT_SETTLED}
         return {word, *NOT_SETTLED} if self.way == "brief" else {word}
 
 
@@ -113,7 +117,7 @@ class Hand:
             else:
                 self._begin(now_ns)
         phase, press = self._phases.popleft(), self.press
-        if press and self.may_lift is not None and phase[0] == 1.0 and press.way != "brief":
+        if press and self.may_lift is not None and phase[0] >= 1.0 and press.way != "brief":
             self._hold(press, phase, now_ns)
         if press and phase == FREE:
             press.end_ns = now_ns
@@ -137,7 +141,7 @@ class Hand:
 
     def _begin(self, now_ns: int) -> None:
         what = self._rng.choices(("sound", "dented", "glaring"), (77, 20, 3))[0]
-        way = self._rng.choices(WAYS, (74, 8, 8, 4, 6))[0]
+        way = self._rng.choices(WAYS, (70, 8, 8, 4, 6, 4))[0]
         self._was_off = False
         self.presses.append(MadePress(len(self.presses), now_ns, what, way))
         self._phases.extend((depth, what) for depth in self._depths(way))
@@ -155,7 +159,7 @@ class Hand:
         elif way == "hesitating":
             yield from repeat(0.6, self._frames(0.12, 0.2, 2))
         least_s, most_s = (1.5, 2.5) if way == "long" else (0.5, 0.75)
-        yield from repeat(1.0, self._frames(least_s, most_s, 5))
+        yield from repeat(HARD if way == "hard" else 1.0, self._frames(least_s, most_s, 5))
         yield 0.3
 
     def _frames(self, least_s: float, most_s: float, fewest: int) -> int:

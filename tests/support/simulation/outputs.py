@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from simulation.surroundings import SimulatedClock
 
 S = 10**9
-LAMP, REJECT, GATE, LIFT, FREE = 1, 2, 3, 4, 5
+LAMP, REJECT, GATE, LIFT, FREE, OVERLOAD = 1, 2, 3, 4, 5, 6
 DEADLINE_S = 0.5
 """Of both pulses: a part that fails is thrown out, one that passes is let through."""
 
@@ -28,6 +28,7 @@ outputs = [
   {{ channel = {GATE}, when = ["pass"], pulse_ms = 200, deadline_ms = {1000 * DEADLINE_S} }},
   {{ channel = {LIFT}, when = ["lift"] }},
   {{ channel = {FREE}, when = ["free"] }},
+  {{ channel = {OVERLOAD}, when = ["overload"] }},
 ]
 [[triggers]]
 plugin = "simulated"
@@ -49,13 +50,13 @@ class Relay:
     now: ClassVar["Relay"]
     """That of the run that is on."""
     name = "simulated relay"
-    channels = FREE
+    channels = OVERLOAD
 
     def __init__(self, clock: "SimulatedClock", is_dead: Callable[[], bool], rng: random.Random) -> None:
         self._clock, self._is_dead, self._rng = clock, is_dead, rng
         self.mood = "up"
         self.well_since_ns = 0
-        self.is_on = dict.fromkeys((LAMP, REJECT, GATE, LIFT, FREE), False)
+        self.is_on = dict.fromkeys((LAMP, REJECT, GATE, LIFT, FREE, OVERLOAD), False)
         self.switched: list[Switching] = []
 
     def mend(self) -> None:

@@ -258,4 +258,32 @@ BUGS = (
         "is_other_piece = False",
         "a pass of the piece before is shown",
     ),
+    Bug(
+        "an overload raises no alarm",
+        "edge/features/contact_state.py",
+        '        if follower.state == "overload" and not self._is_overloaded:\n',
+        "        if False:\n",
+        "alarm gel_overload is not raised",
+    ),
+    Bug(
+        "a robot at a broker is told of a change with the next repetition",
+        "edge/features/contact_state.py",
+        "        if state == self._said and now_ns",
+        "        if now_ns",
+        "broker.: press .* is (held|over), and",
+    ),
+    Bug(
+        "two sessions call methods",
+        "plugins/handshakes/opcua.py",
+        "        if (sentence := self._refuse_writer()) is not None:\n",
+        "        if (sentence := self._refuse_writer()) is not None and False:\n",
+        "as 10.0.0.1 did",
+    ),
+    Bug(
+        "a trigger begins no piece",
+        "edge/features/handshake/stage.py",
+        "        if trigger.piece and self._parts.config.piece is not None:\n",
+        "        if False:\n",
+        "was answered by a press of",
+    ),
 )

@@ -1,19 +1,15 @@
-"""PLCs at the register map of a station (docs/plc.md), each with a line that may be cut, and the server that they ask.
-
-The registers are those of the Modbus server; a request is a call in place of a packet.
-"""
+"""PLCs at the registers or the nodes of a station (docs/plc.md), each with a line that may be cut, and their server."""
 
 import random
-import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from edge.core.handshake import Handshake
 from edge.core.ports import Clock
-from plugins.handshakes.modbus import _Registers
 from simulation.bundles import PARTS
 from simulation.options import NoOptions
+from simulation.plc_lines import PORTS, Line, ModbusPort, OpcUaPort
 
 if TYPE_CHECKING:
     from simulation.surroundings import SimulatedClock
@@ -26,37 +22,31 @@ plugin = "simulated"
 timeout_s = {TIMEOUT_S}
 watchdog_s = {WATCHDOG_S}
 """
-TRIGGER, ACKNOWLEDGE, WATCHDOG = 0, 1, 2
-WORDS = ("pass", "fail", "unsure", "rejected", "error")
+WORDS = ("pass", "fail", "unsure", "rejected", "error", "place")
 STEPS = ("ready", "ask", "trigger", "wait", "acknowledge", "release")
-WRITES_ALONE_S = 3.0
 BEATS_S, ASKS_S = 0.3, 0.12
 GIVES_UP_S = 25.0
+
+Port = ModbusPort | OpcUaPort
+T = TypeVar("T")
 
 
 class Cut(Exception):
     """A request has no answer."""
 
 
-class Line:
-    """A connection of one client, as the server sees it."""
-
-    def __init__(self) -> None:
-        self.is_gone = False
-
-
 class Server:
-    """The port of the station, over all of its lives. on_start: the registers of a new life, or None."""
+    """The port of the station, over all of its lives. kind: of `PORTS`."""
 
     now: ClassVar["Server"]
     name = "simulated"
 
-    def __init__(self, clock: "SimulatedClock", is_dead: Callable[[], bool]) -> None:
-        self._clock, self._is_dead = clock, is_dead
-        self.registers: _Registers | None = None
+    def __init__(self, clock: "SimulatedClock", is_dead: Callable[[], bool], kind: str) -> None:
+        self._clock, self._is_dead, self.kind = clock, is_dead, kind
+        self._port: Port | None = None
         self._handshake: Handshake | None = None
         self.is_frozen = False
-        self._late: list[tuple[bytes, Line, str]] = []
+        self._late: list[Callable[[Port], object]] = []
         """Requests that came while the process got no time."""
 
     @property
@@ -65,29 +55,29 @@ class Server:
         return self._handshake is not None and self._handshake.read().step == "done"
 
     def start(self, handshake: Handshake) -> None:
-        self._handshake, self.registers = handshake, _Registers(handshake, self._clock)
+        self._handshake, self._port = handshake, PORTS[self.kind](handshake, self._clock)
         self._late.clear()
 
     def close(self) -> None:
-        self._handshake = self.registers = None
+        self._handshake = self._port = None
 
-    def answer(self, request: bytes, line: Line, ip: str) -> bytes:
+    def answer(self, request: Callable[[Port], T]) -> T:
         """Errors: Cut."""
-        if self.registers is None or self._is_dead():
+        if self._port is None or self._is_dead():
             raise Cut
         if self.is_frozen:
-            self._late.append((request, line, ip))
+            self._late.append(request)
             raise Cut
         late, self._late = self._late, []
         for one in late:
-            self.registers.answer(*one)  # type: ignore[arg-type]  # a line in place of a connection
-        return self.registers.answer(request, line, ip)  # type: ignore[arg-type]
+            one(self._port)
+        return request(self._port)
 
     def forget(self, line: Line) -> None:
         """The server notices that a connection has ended."""
         line.is_gone = True
-        if self.registers is not None:
-            self.registers.forget(line)  # type: ignore[arg-type]
+        if self._port is not None:
+            self._port.forget(line)
 
 
 class ServerPlugin:
@@ -107,12 +97,11 @@ class Shown:
     """The status word with the id, read in one request."""
 
     at_ns: int
-    bits: int
+    bits: Collection[str]
     trigger_id: int
 
     def has(self, name: str) -> bool:
-        names = ("ready", "busy", "done", *WORDS, "not passed")
-        return bool(self.bits >> names.index(name) & 1)
+        return name in self.bits
 
     @property
     def words(self) -> list[str]:
@@ -125,7 +114,8 @@ class Asked:
 
     sent_ns: int
     part: str | None
-    """That it names."""
+    """That it names, and the piece."""
+    piece: str
     taken_ns: int | None = None
     acknowledged_ns: int | None = None
     """The answer to an acknowledgement came then."""
@@ -150,8 +140,6 @@ class Plc:
         self.on_part: Callable[[str | None], None] = lambda part: None
         """Called with the part that a trigger has selected; None where nobody knows whether it has."""
         self.asked: dict[int, Asked] = {}
-        self.found: list[str] = []
-        """What must not be."""
         self.shown: list[Shown] = []
         """What it has read, and no auditor has looked at."""
         self.writes_ns: list[int] = []
@@ -160,7 +148,10 @@ class Plc:
         self.left_ns = 1 << 62
         self.cuts: set[str] = set()
         """The steps at which its cable was pulled."""
-        self._line, self._step, self._next_id, self._id = Line(), "ready", first_id, 0
+        self.on_piece: Callable[[int, str | None], None] | None = None
+        """Called with what is known since when, where the station has a plan of places; None while nobody knows."""
+        self._piece = ""
+        self._line, self._step, self._next_id, self._id = Line(clock, ip), "ready", first_id, 0
         self._since_ns = self._beat_ns = 0
         self._is_high = self._has_cut = False
         self._pause_s = 0.0
@@ -175,7 +166,7 @@ class Plc:
         try:
             if self.mood != "mute" and now_ns - self._beat_ns > BEATS_S * S:
                 self._beat_ns, self._is_high = now_ns, not self._is_high
-                self._write_coils(WATCHDOG, [self._is_high])
+                self._write(lambda port, line: port.beat(line, self._is_high))
             getattr(self, f"_{self._step}")()
         except Cut:
             self._reconnect()
@@ -194,7 +185,7 @@ class Plc:
 
     def _ready(self) -> None:
         shown = self._look()
-        if shown is None or self._clock.now_ns < self._since_ns + self._pause_s * S:
+        if self._clock.now_ns < self._since_ns + self._pause_s * S:
             return
         if shown.has("done") or shown.has("busy"):  # of before, as after a restart of the PLC
             self._go("acknowledge")
@@ -204,18 +195,21 @@ class Plc:
     def _ask(self) -> None:
         self._id, self._next_id = self._next_id, self._next_id + 1
         part = self._rng.choice((None, None, None, *PARTS))
-        text = b"" if part is None else f"{part}/pos1".encode()
-        words = struct.pack(">I32s32s", self._id, f"piece {self._id}".encode(), text)
-        self.asked[self._id] = Asked(1 << 62, part)
-        self._request(struct.pack(">BHHB", 16, 0, len(words) // 2, len(words)) + words)
+        if self.on_piece is None or not self._piece or self._rng.random() < 0.4:
+            self._piece = f"piece {self._id}"
+        piece = "" if self.on_piece and self._rng.random() < 0.1 else self._piece
+        asked = self.asked[self._id] = Asked(1 << 62, part, piece)
+        self._request(lambda port, line: port.load(line, self._id, piece, _name(asked.part)))
         self._go("trigger")
 
     def _trigger(self) -> None:
-        asked = self.asked[self._id]
+        number, asked = self._id, self.asked[self._id]
         asked.sent_ns = self._clock.now_ns
         if asked.part is not None:
             self.on_part(None)
-        if self._write_coils(TRIGGER, [True]):
+        if self.on_piece is not None and asked.piece:
+            self.on_piece(asked.sent_ns, None)
+        if self._write(lambda port, line: port.trigger(line, number, asked.piece, _name(asked.part))):
             asked.taken_ns = self._clock.now_ns
             if asked.part is not None:
                 self.on_part(asked.part)
@@ -224,9 +218,10 @@ class Plc:
             self._go("release")
 
     def _wait(self) -> None:
-        shown = self._look()
-        if shown is None:
-            return
+        shown, asked = self._look(), self.asked[self._id]
+        is_answered = shown.trigger_id == self._id and shown.has("done") and not shown.has("error")
+        if self.on_piece is not None and asked.piece and asked.taken_ns and is_answered:
+            self.on_piece(asked.taken_ns, asked.piece)
         if shown.trigger_id != self._id or self._clock.now_ns - self._since_ns > GIVES_UP_S * S:
             self._go("acknowledge")  # the station has begun anew, or does not end it
         elif shown.has("done") and self.mood != "slow":
@@ -234,12 +229,12 @@ class Plc:
 
     def _acknowledge(self) -> None:
         shown = self._look()
-        if self._write_coils(ACKNOWLEDGE, [True]) and shown is not None and shown.trigger_id in self.asked:
+        if self._write(lambda port, line: port.acknowledge(line)) and shown.trigger_id in self.asked:
             self.asked[shown.trigger_id].acknowledged_ns = self._clock.now_ns
         self._go("release")
 
     def _release(self) -> None:
-        if self._write_coils(TRIGGER, [False, False]):
+        if self._write(lambda port, line: port.lower(line)):
             self._pause_s = self._rng.choice((0.0, 0.0, 0.7, 1.5))
             self._go("ready")
 
@@ -251,38 +246,43 @@ class Plc:
         ended."""
         if self._rng.random() < 0.5:
             self._server.forget(self._line)
-        self._line = Line()
+        self._line = Line(self._clock, self.ip)
         if self._step in ("ask", "trigger") or self._rng.random() < 0.5:
             self._go("release")
 
     # Requests
 
-    def _look(self) -> Shown | None:
-        answer = self._request(struct.pack(">BHH", 4, 0, 3))
-        if answer[0] != 4:
-            self.found.append(f"the PLC reads, and is answered exception {answer[1:].hex()}")
-            return None
-        bits, high, low = struct.unpack(">HHH", answer[2:])
-        shown = Shown(self._clock.now_ns, bits, high << 16 | low)
+    def _look(self) -> Shown:
+        shown = Shown(self._clock.now_ns, *self._request(lambda port, line: port.read(line)))
         self.shown.append(shown)
         return shown
 
-    def _write_coils(self, start: int, bits: list[bool]) -> bool:
-        packed = sum(bit << n for n, bit in enumerate(bits))
-        answer = self._request(struct.pack(">BHHBB", 15, start, len(bits), 1, packed))
-        is_taken = answer[0] == 15
+    def _write(self, request: Callable[[Port, Line], bool | None]) -> bool:
+        """Return whether it was taken; None where there is nothing to write."""
+        if (is_taken := self._request(request)) is None:
+            return True
         (self.writes_ns if is_taken else self.refused_ns).append(self._clock.now_ns)
         return is_taken
 
-    def _request(self, request: bytes) -> bytes:
+    def _request(self, request: Callable[[Port, Line], T]) -> T:
         """Errors: Cut; the request may have arrived all the same."""
         if self.cut_at == self._step:
             self.cut_at = None
             self.cuts.add(self._step)
             self.on_cut()
+        line = self._line
+
+        def ask(port: Port) -> T:
+            line.heard_ns = self._clock.now_ns
+            return request(port, line)
+
         if self.mood == "cut":
             is_under_way, self._has_cut = not self._has_cut, True
             if is_under_way and self._rng.random() < 0.5:
-                self._server.answer(request, self._line, self.ip)
+                self._server.answer(ask)
             raise Cut
-        return self._server.answer(request, self._line, self.ip)
+        return self._server.answer(ask)
+
+
+def _name(part: str | None) -> str:
+    return "" if part is None else f"{part}/pos1"

@@ -18,7 +18,7 @@ from simulation.bundles import PARTS
 from simulation.chosen import Chosen
 from simulation.connections import Connections
 from simulation.hand import MadePress
-from simulation.outputs import LIFT, Pedal, Relay
+from simulation.outputs import LIFT, OVERLOAD, Pedal, Relay
 from simulation.pieces import PieceWorker
 from simulation.plc import Plc, Server
 from simulation.sensor import SERIAL, S, Sensor
@@ -58,8 +58,9 @@ class Selected:
 
     @property
     def changed_ns(self) -> int:
-        """When it was changed last."""
-        return self._changes[-1][0]
+        """When it was changed last; 0 where nobody knows to what."""
+        when, part = self._changes[-1]
+        return when if part is not None else 0
 
     def select(self, now_ns: int, part: str) -> None:
         """Take a selection that the station has confirmed."""
@@ -69,6 +70,11 @@ class Selected:
     def forget(self, now_ns: int) -> None:
         """A selection that waits may be lost: a restart, or a disk without room."""
         self._changes.append((now_ns, None))
+
+    def settle(self, since_ns: int, part: str | None) -> None:
+        """Take what is known since then, or is not, unless it was changed after it."""
+        if self._changes[-1][0] <= since_ns and self._changes[-1] != (since_ns, part):
+            self._changes.append((since_ns, part))
 
     def allows(self, press: MadePress, name: str) -> bool:
         """Tell whether a press may be of this: what was selected at its begin, which is noticed a moment later."""
@@ -105,19 +111,19 @@ class World:
         self.gels = Selected(f"{SERIAL}-1", self.noticed_s)
         self.relay = Relay.now = Relay(self.clock, lambda: self.is_dead(), random.Random(f"{seed} relay"))
         if chosen.has_robot:
-            self.hand.may_lift = lambda: self.relay.is_on[LIFT]
-        self.server = Server.now = Server(self.clock, lambda: self.is_dead())
-        self.has_plc = chosen.has_plc and chosen.trigger == "automatic"
-        self.has_pieces = bool(chosen.piece) and chosen.trigger == "automatic" and not self.has_plc
+            self.hand.may_lift = lambda: self.relay.is_on[LIFT] or self.relay.is_on[OVERLOAD]
+        self.server = Server.now = Server(self.clock, lambda: self.is_dead(), chosen.plc)
+        self.has_plc = bool(chosen.plc) and chosen.trigger == "automatic"
+        self.has_pieces = bool(chosen.piece) and chosen.trigger == "automatic"
         self.pieces = Selected("", self.noticed_s)
         """The piece that the person has begun."""
         if self.has_pieces:
             self.parts.forget(self.clock.now_ns)  # the plan selects the bundle
         self.worker = PieceWorker(random.Random(f"{seed} pieces"), chosen.piece)
-        own = Plc(self.clock, self.server, random.Random(f"{seed} plc"), "10.0.0.1", 1)
-        self.plcs = [own] if self.has_plc else []
+        self.plcs: list[Plc] = []
         """That of the cell, and others that came."""
-        own.on_part = self.select_by_plc
+        if self.has_plc:
+            self.add_plc(random.Random(f"{seed} plc"), "10.0.0.1", 1)
         self.may_lack_files = False
         """The power was lost, or the disk was full, so the archive may lack presses."""
         self.new_gel_ns = -S
@@ -125,6 +131,16 @@ class World:
         self.said: list[str] = []
         """How a stop of the service ended, where it did not end well."""
         self.pedal = Pedal.now = Pedal(self.clock)
+
+    def add_plc(self, rng: random.Random, ip: str, first_id: int) -> Plc:
+        """Add a PLC, which selects parts and begins pieces."""
+        plc = Plc(self.clock, self.server, rng, ip, first_id)
+        if self.has_pieces:
+            plc.on_piece = self.pieces.settle
+        else:
+            plc.on_part = self.select_by_plc
+        self.plcs.append(plc)
+        return plc
 
     def select_by_plc(self, part: str | None) -> None:
         """Take the part that a trigger names; None where nobody knows whether it was taken. One that cannot be recorded

@@ -54,7 +54,7 @@ class Threads:
         connections.on_news = self._wake_waiting
         self.own = threads
         plcs = [Actor("plc", plc.act) for plc in run.world.plcs]
-        if run.world.has_pieces:
+        if run.world.has_pieces and not run.world.has_plc:
             plcs.append(Actor("person with a plan", lambda: run.world.worker.act(run)))
         self.all = [self.camera, *threads, Actor("brokers", self._work), *plcs]
 
