@@ -146,7 +146,7 @@ class Shown:
             if content is None:
                 self._alarms.pop(name, None)
             elif name in {*known, *self._alarms} or len(self._alarms.keys() - known) < MOST_FOREIGN_ALARMS:
-                advice = {"what_to_do": kind.what_to_do, "can_acknowledge": kind.stays}
+                advice = {"title": kind.title, "what_to_do": kind.what_to_do, "can_acknowledge": kind.stays}
                 self._alarms[name] = {**content, "alarm": name, **advice}
             self._note()
 

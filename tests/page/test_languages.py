@@ -1,5 +1,7 @@
 """The operator's page in other languages: every text is in every catalogue, and none is cut or left in English."""
 
+import ast
+import inspect
 import json
 import re
 from html.parser import HTMLParser
@@ -8,18 +10,32 @@ from typing import Any, get_args
 
 import pytest
 from chromium import BROWSER_MS, wait_until
-from page_pictures import SCENES, TOKEN, served
+from page_messages import press
+from page_pictures import READY, SCENES, TOKEN, Scene, served
 
+from edge.core.drift import MEASURES
 from edge.core.gel_life import GelState
+from edge.core.gel_scars import causes
+from edge.core.imaging.quality import Reason
 from edge.core.verdict import Cause, Kind
+from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.status_payloads import StatePayload
 from edge.page.server import LANGUAGES
 
 FILES = Path(__file__).resolve().parents[2] / "edge" / "page" / "files"
 SCRIPT = (FILES / "page.js").read_text(encoding="utf-8")
-# What a station or a person says in one word, which the page looks up.
+# The sentences of `edge/core/gel_scars/causes.py` without values, which are all.
+BLAMES = {
+    ast.literal_eval(call.args[1])
+    for call in ast.walk(ast.parse(inspect.getsource(causes)))
+    if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Blame"
+}
+# What a station or a person says in words that do not change, which the page looks up.
 WORDS = {
-    *(str(one.value) for kinds in (Kind, Cause, GelState) for one in kinds),
+    *(text for kind in ALARMS.values() for text in (kind.title, kind.what_to_do)),
+    *(text for measure in MEASURES for text in (measure.title, measure.what_to_do)),
+    *BLAMES,
+    *(str(one.value) for kinds in (Kind, Cause, GelState, Reason) for one in kinds),
     *get_args(StatePayload.model_fields["state"].annotation),
     *("error", "incomplete", "damaged", "cannot tell"),
 }
@@ -73,7 +89,7 @@ def test_no_text_is_missing_or_unused_and_each_keeps_its_values(language: str) -
     words = catalogue(language)
 
     assert (texts() - set(words), set(words) - texts()) == (set(), set())
-    fields = re.compile(r"\{\w+\}")
+    fields = re.compile(r"\{\w+\}|`[^`]+`")  # values, and what is typed
     assert [
         text for text in words if sorted(fields.findall(text)) != sorted(fields.findall(words[text]))
     ] == []
@@ -112,6 +128,9 @@ def test_the_page_speaks_the_language_of_the_browser_and_nothing_is_cut(
         assert tab.inner_text("#verdict").lower() == words["fail"].lower()
         assert tab.inner_text("#gel-title") == words["Gel"]
         assert words["due"] in tab.inner_text("#gel")
+        said = tab.inner_text("#alarms .alarm p")
+        assert said.startswith(f"{words[ALARMS['gel'].title]}\ngel S-1 is due: 812 of 1000 presses")
+        assert words[ALARMS["gel"].what_to_do].replace("`", "") in said
         assert tab.get_attribute("html", "lang") == language
         assert tab.get_attribute("#press", "aria-label") == words["Last press"]
         assert tab.evaluate("document.scrollingElement.scrollWidth <= innerWidth")
@@ -125,4 +144,23 @@ def test_the_page_speaks_the_language_of_the_browser_and_nothing_is_cut(
         tab.wait_for_selector("#verdict.fail")
         assert tab.inner_text("#gel-title") == "Gel"
         assert tab.inner_text("#receivers-title") == "Receivers"
+    context.close()
+
+
+def test_a_rejected_press_says_why_in_the_language(browser: Any) -> None:
+    """By the reason's code; what is beside the part, and why it fails, are sentences of the catalogue or English."""
+    context = browser.new_context(locale="de", viewport={"width": 1280, "height": 800})
+    tab = context.new_page()
+    tab.set_default_timeout(BROWSER_MS)
+    rejected = press(
+        6, verdict=Kind.REJECTED, score=None, score_ratio=None, reason="off_position: press again"
+    )
+    blamed = press(7, verdict=Kind.FAIL, cause=Cause.PART, cause_text="no mark of the free gel explains it")
+    for messages, selector, words in (
+        (rejected, "#why", "liegt nicht an seiner Stelle: press again"),
+        (blamed, "#cause", "keine Marke des freien Gels erklärt es"),
+    ):
+        with served(Scene((*READY, *messages))) as port:
+            tab.goto(f"http://127.0.0.1:{port}/")
+            tab.locator(selector, has_text=words).wait_for()
     context.close()

@@ -3,7 +3,8 @@
 const AGAIN_MS = 1000, FRESH_MS = 300, LOCK_AFTER_MS = 5 * 60 * 1000;
 const at = (id) => document.getElementById(id);
 const word = (press) => press.verdict || "error";
-// The text in the language of the page, by the English one; values stand in braces. What the station says is English.
+// The text in the language of the page, by the English one; values stand in braces. A sentence of the station with
+// names and numbers in it is English.
 let translations = {};
 const t = (text, values = {}) => (translations[text] || text).replace(/\{(\w+)\}/g, (all, name) => values[name]);
 const put = (id, text) => { if (at(id).textContent !== text) { at(id).textContent = text; } };
@@ -48,10 +49,11 @@ const words = (text) => text.split("`").map((part, n) => element(n % 2 ? "code" 
 
 function showAlarm(alarm) {
   const row = element("div", "", `alarm ${alarm.severity}`), about = element("p", "");
+  if (translations[alarm.title]) { about.append(element("strong", t(alarm.title)), document.createElement("br")); }
   about.append(...words(alarm.text));
   if (alarm.what_to_do) {
     const todo = element("strong", `${t("What to do:")} `);
-    todo.append(...words(alarm.what_to_do));
+    todo.append(...words(t(alarm.what_to_do)));
     about.append(document.createElement("br"), todo);
   }
   row.append(about);
@@ -306,8 +308,8 @@ function showChart(chart, drift) {
   const value = (number) => Number(number.toPrecision(3)) + unit;
   const said = chart.count < drift.learnt ? t("{count} of {learnt} presses learnt", { ...drift, ...chart })
     : [t("{newest} lately, {mean} in the mean:", { newest: value(chart.newest), mean: value(chart.mean) }),
-      !chart.shift ? t("no shift") : `${chart.shift > 0 ? t("higher than before") : t("lower than before")}; ${chart.what_to_do}`].join(" ");
-  item.append(element("span", `${chart.title}: ${said}`), sketch(chart, drift.limit));
+      !chart.shift ? t("no shift") : `${chart.shift > 0 ? t("higher than before") : t("lower than before")}; ${t(chart.what_to_do)}`].join(" ");
+  item.append(element("span", `${t(chart.title)}: ${said}`), sketch(chart, drift.limit));
   return item;
 }
 
@@ -330,9 +332,9 @@ function showPresses(presses, piece) {
   at("verdict").style.setProperty("--letters", at("verdict").textContent.length);
   if (!last) { return; }
   put("facts", [named(last), ratio(last) && t("{ratio} × threshold", { ratio: ratio(last) }), clock(last)].filter(Boolean).join(" · "));
-  const why = last.reason || last.error || (last.press_again || {}).reason;
+  const why = (last.reason || last.error || (last.press_again || {}).reason || "").replace(/^[a-z_]+(?=:)/, (code) => t(code));
   put("why", [why, last.cause && t("cause: {cause}", { cause: t(last.cause) })].filter(Boolean).join(" · "));
-  put("cause", last.cause_text || "");
+  put("cause", t(last.cause_text || ""));
   if (shownPress !== null && shownPress !== last.press_id) { // two passes in a row are two
     at("verdict").classList.add("fresh");
     setTimeout(() => at("verdict").classList.remove("fresh"), FRESH_MS);
