@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
 
+from pydantic import BaseModel
+
 from edge.config import Config
 from edge.core.contact.events import Event, PressSettled
 from edge.core.contact.press_detector import Look
@@ -134,6 +136,8 @@ class StageParts:
     use it."""
     listen: Callable[[Callable[[Message], object]], None]
     """Lets a stage hear what the station says of itself: state, alarms, stats. Any thread calls it then."""
+    options: Any = None
+    """Of the stage that is made, an instance of its `Options`; None where it has none."""
 
 
 @dataclass(frozen=True)
@@ -188,6 +192,9 @@ class PressStage:
 
     alarms: ClassVar[Mapping[str, Alarm]] = {}
     """The alarms that a feature of another package raises, by id; gelgate's own are in `alarm_payload.ALARMS`."""
+
+    Options: ClassVar[type[BaseModel] | None] = None
+    """What the table `[feature.NAME]` of a feature of another package may have; None for no such table."""
 
     is_awaited: ClassVar[bool] = False
     """Whether a person or a machine waits for what it shows: it takes a recorded press, and closes, before the others.

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -330,6 +330,10 @@ class Config(Table):
         default_factory=list, description="lights and relays; one table each"
     )
     handshake: HandshakeTable | None = Field(default=None, description="a server for a PLC")
+    feature: dict[str, dict[str, Any]] = Field(
+        default_factory=dict,
+        description="options of features of other packages, a table `[feature.NAME]` each",
+    )
 
     @property
     def keeps_heatmap(self) -> bool:

@@ -8,6 +8,7 @@ import random
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import partial
 
 from edge import registry
@@ -24,7 +25,7 @@ from edge.gateway.command_table import (
     trigger_by_pedal,
 )
 from edge.gateway.commands import Commands, policy_of
-from edge.gateway.features import load_features
+from edge.gateway.features import load_features, read_options
 from edge.gateway.loop_calls import LoopCalls
 from edge.gateway.opening import BundleOpener, device_opener, first_part
 from edge.gateway.part_selection import PartSelection
@@ -159,11 +160,15 @@ def _open_stages(
     """Open the features that are configured. instead: of features of these names. Errors: ConfigError."""
     features, stages = load_features(parts.config), dict[str, PressStage]()
     for name in (*(name for name in instead if name not in features), *features):
-        stage = instead.get(name) or features[name].open(parts)
+        stage = instead.get(name) or _open_stage(name, features[name], parts)
         if stage is not None:
             closing.callback(stage.close)
             stages[name] = stage
     return stages
+
+
+def _open_stage(name: str, feature: type[PressStage], parts: StageParts) -> PressStage | None:
+    return feature.open(replace(parts, options=read_options(name, feature, parts.config)))
 
 
 def _open_bundles(

@@ -88,17 +88,20 @@ class PlayedStation:
 
 
 @contextmanager
-def open_played(folder: Path, first: PressStage | None = None) -> Iterator[PlayedStation]:
+def open_played(folder: Path, first: PressStage | None = None, tables: str = "") -> Iterator[PlayedStation]:
     """Open a station with all features that are installed.
 
     folder: takes its files; the second time, as after a restart, they are there. first: a stage before the others.
+    tables: of its configuration, as TOML.
     """
     files = {name: folder / name for name in ("recording", "bundle", "database")}
     if not files["recording"].exists():
         _record(files["recording"])
         _write_bundle(files["bundle"])
     config = folder / "gelgate.toml"
-    config.write_text(_CONFIG.format(**{name: json.dumps(str(path)) for name, path in files.items()}))
+    config.write_text(
+        _CONFIG.format(**{name: json.dumps(str(path)) for name, path in files.items()}) + tables
+    )
     results: list[ResultPayload] = []
     opened = open_station(
         load_config(config),

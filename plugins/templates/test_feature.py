@@ -11,8 +11,8 @@ def test_it_conforms() -> None:
 
 
 def test_it_counts_the_presses_of_a_shift(tmp_path: Path) -> None:
-    """The third one ends it."""
-    with open_played(tmp_path) as station:
+    """The second one ends it."""
+    with open_played(tmp_path, tables="[feature.template]\ngoal = 2") as station:
         assert station.ask("template") == {}
         station.play()
         assert station.ask("template") == {"shift 1": 3}

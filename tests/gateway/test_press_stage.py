@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import pytest
+from pydantic import BaseModel, Field
 from stepped_station import SteppedStation
 
 from edge import registry
@@ -22,7 +23,7 @@ from edge.messaging.command_payloads import NoArguments
 from edge.messaging.sink_worker import RetainedState
 from edge.model.inspector import Inspector
 from edge.page.shown import Shown
-from edge.press_stage import Command, PressStage
+from edge.press_stage import Command, PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
 
 
@@ -234,3 +235,52 @@ def test_the_calls_of_a_press_come_in_order(config: Path) -> None:
         for word in ("pass", "fail", "pass")
         for call in ("begin", "admit False", f"judge {word}", f"record {word}")
     ]
+
+
+class LampOptions(BaseModel, extra="forbid", frozen=True):
+    watts: int = Field(default=5, ge=1)
+
+
+class LampWithOptions(PressStage):
+    Options = LampOptions
+
+    def __init__(self, options: LampOptions) -> None:
+        self.options = options
+
+    @classmethod
+    def open(cls, parts: StageParts) -> "LampWithOptions":
+        return cls(parts.options)
+
+
+@pytest.mark.parametrize(
+    ("tables", "sentence"),
+    [
+        ("[feature.lmp]", "'feature.lmp': no installed feature .* under this name; did you mean 'lamp'?"),
+        ("[feature.scars]", "'feature.scars': no installed feature .* under this name; known: lamp"),
+        ("[feature.lamp]\nwatt = 3", "'feature.lamp.watt' is not known; did you mean 'watts'?"),
+        (
+            "[feature.lamp]\nwatts = 0",
+            "'feature.lamp.watts' is 0: Input should be greater than or equal to 1",
+        ),
+        ("[feature]\nlamp = 3", "'feature.lamp' is 3: expected a table"),
+    ],
+)
+def test_options_that_a_feature_does_not_have(
+    tables: str, sentence: str, config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One sentence; without its table a feature has its defaults."""
+    install(monkeypatch, f"{__name__}:LampWithOptions")
+    config.write_text(f"{config.read_text()}\n{tables}\n")
+    with pytest.raises(ConfigError, match=sentence):
+        load_features(load_config(config))
+
+
+@pytest.mark.parametrize(("tables", "watts"), [("", 5), ("[feature.lamp]\nwatts = 60", 60)])
+def test_a_feature_has_its_options(
+    tables: str, watts: int, config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of its table, or its defaults."""
+    install(monkeypatch, f"{__name__}:LampWithOptions")
+    config.write_text(f"{config.read_text()}\n{tables}\n")
+    with SteppedStation(config) as station:
+        assert station.find(LampWithOptions).options.watts == watts

@@ -418,6 +418,31 @@ def test_a_wrong_feature_is_noticed(name: str, monkeypatch: pytest.MonkeyPatch) 
     fails(FEATURE_CHECKS, name, FeatureCase("lamp"))
 
 
+class ResultsBench(benches.MemoryBench):
+    """Its sink keeps results alone, as their length."""
+
+    def open(self, station: Any) -> Any:
+        sink, ours = super().open(station), Message("result", b"")
+
+        def send(message: Message) -> None:
+            if message.topic == ours.topic:
+                sink.send(dataclasses.replace(message, payload=b"%d" % len(message.payload)))
+
+        return Changed(sink, send=send)
+
+
+class TranslatingBench(ResultsBench):
+    def arrives(self, topic: str, message: Message) -> tuple[str, bytes] | None:
+        return (topic, b"%d" % len(message.payload)) if topic.endswith("/result") else None
+
+
+def test_a_sink_that_translates_is_checked_where_its_bench_says_how() -> None:
+    """Else what it leaves out or writes in another form is a message lost."""
+    conformance.check_sink(TranslatingBench)
+    with pytest.raises(ExceptionGroup):
+        conformance.check_sink(ResultsBench)
+
+
 def test_each_check_has_a_plugin_that_fails_it() -> None:
     """A new check cannot be forgotten here."""
     names = {check.__name__ for check in (*DETECTOR_CHECKS, *DEVICE_CHECKS, *FEATURE_CHECKS, *SINK_CHECKS)}

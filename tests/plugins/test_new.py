@@ -20,7 +20,7 @@ from plugins.templates.command import GROUPS
 
 ROOT = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
-NAMES = {"sink": "webhook", "device": "watched_folder", "detector": "mean_distance", "feature": "shifts"}
+NAMES = {"sink": "webhook", "device": "watched_folder", "detector": "deviations", "feature": "shifts"}
 LONG = "a_name_of_thirty_characters_ok"
 
 
@@ -141,9 +141,9 @@ def test_from_nominal_presses_to_a_verdict_at_the_webhook(
     assert "found    watched folder, serial ACME0001, 320x240" in listed.out
     nominal = press_recording(tmp_path / "nominal", 12, seed=1)
     line = press_recording(tmp_path / "line", 3, dented=[1], seed=2)
-    options = ["--part", "bolt", "--method", "mean_distance", "--no-trunk", "--backbone", "tactile_lite0"]
+    options = ["--part", "bolt", "--method", "deviations", "--no-trunk", "--backbone", "tactile_lite0"]
     fit = gelgate("fit", nominal, "-o", "bolt", *options, "--set", "threshold=30")
-    assert (fit.code, "mean_distance" in fit.out) == (0, True), fit.err
+    assert (fit.code, "deviations" in fit.out) == (0, True), fit.err
     run(tmp_path, "gelgate", "bundle", "verify", "bolt")
 
     with server() as webhook:
