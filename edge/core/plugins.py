@@ -38,6 +38,7 @@ __all__ = [
     "HasWarnings",
     "Played",
     "PlaysRecording",
+    "RecordsDialogue",
     "Resettable",
     "SinkPlugin",
     "TriggerPlugin",
@@ -49,7 +50,7 @@ AnyOptions = TypeVar("AnyOptions", bound="BaseModel", contravariant=True)
 
 @runtime_checkable
 class DevicePlugin(Protocol[OptionsT]):
-    """Finds and opens sensors of one kind. Optional: `Resettable`, `PlaysRecording`.
+    """Finds and opens sensors of one kind. Optional: `Resettable`, `PlaysRecording`, `RecordsDialogue`.
 
     `Options` validates the plugin's TOML table and refuses unknown keys. The same options value is passed to every
     `open`, so a device that is opened again after a fault is the same one. Options with a field `controls`, a
@@ -72,6 +73,15 @@ class Resettable(Protocol[AnyOptions]):
 
     def reset(self, options: AnyOptions) -> str:
         """Reset the sensor selected by the options, and return its name. Errors: as `DevicePlugin.open`."""
+
+
+@runtime_checkable
+class RecordsDialogue(Protocol[AnyOptions]):
+    """A device plugin that can keep what its driver and a sensor say to each other."""
+
+    def record_dialogue(self, options: AnyOptions, clock: Clock) -> Sequence[str]:
+        """Open the sensor selected by the options for some frames; returns the lines of a file, in which no picture can
+        be seen. Errors: DeviceNotFound."""
 
 
 @runtime_checkable

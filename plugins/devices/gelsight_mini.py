@@ -11,7 +11,7 @@ import usb.core
 import usb.util
 from pydantic import BaseModel, ConfigDict, Field
 
-from edge.core.plugins import DevicePlugin, Resettable
+from edge.core.plugins import DevicePlugin, RecordsDialogue, Resettable
 from edge.core.ports import Clock, Device, DiscoveredDevice
 from plugins.devices.uvc.controls import report_unset
 from plugins.devices.uvc.faults import guarded
@@ -45,7 +45,9 @@ class GelsightMiniOptions(BaseModel):
     )
 
 
-class GelsightMini(DevicePlugin[GelsightMiniOptions], Resettable[GelsightMiniOptions]):
+class GelsightMini(
+    DevicePlugin[GelsightMiniOptions], Resettable[GelsightMiniOptions], RecordsDialogue[GelsightMiniOptions]
+):
     """The plugin."""
 
     Options = GelsightMiniOptions
@@ -72,6 +74,12 @@ class GelsightMini(DevicePlugin[GelsightMiniOptions], Resettable[GelsightMiniOpt
             sensor.device.reset()
             usb.util.dispose_resources(sensor.device)
         return who
+
+    def record_dialogue(self, options: GelsightMiniOptions, clock: Clock) -> list[str]:
+        """Through libusb, whatever `stream` says. Errors: DeviceNotFound."""
+        from plugins.devices.uvc.dialogue import record_dialogue
+
+        return record_dialogue(get_backend(), options.serial, clock)
 
 
 plugin = GelsightMini()

@@ -19,9 +19,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr
 from edge.clock import SystemClock
 from edge.core.errors import FrameCorrupt
 from edge.core.imaging.image_bytes import comment, kind, with_comment
-from edge.core.plugins import DevicePlugin
+from edge.core.plugins import DevicePlugin, RecordsDialogue
 from edge.core.ports import Clock, Device, DiscoveredDevice
 from edge.recording.format import Recording, RecordingHeader
+from plugins.devices.uvc.dialogue import record_dialogue
 from plugins.devices.uvc.identity import choose, discover
 from plugins.devices.uvc.stream import UvcSensor
 from plugins.devices.virtual.bus import VirtualBus
@@ -113,7 +114,7 @@ class Bench:
         self.bus.plug_in(self.sensor, port=port)
 
 
-class UsbMock(DevicePlugin[UsbMockOptions]):
+class UsbMock(DevicePlugin[UsbMockOptions], RecordsDialogue[UsbMockOptions]):
     """The plugin."""
 
     Options = UsbMockOptions
@@ -134,16 +135,26 @@ class UsbMock(DevicePlugin[UsbMockOptions]):
         """Open the sensor. Errors: RecordingError, DeviceNotFound, DeviceBusy (also by a process that plays it)."""
         bench = self.bench(options, clock)
         on_bus = choose(discover(bench.bus), options.serial)
-        # Two stations of one computer may play the same recording as two sensors.
-        own = f"-{options.serial}" if options.serial else ""
-        lock_name = f"virtual-{options.recording.resolve()}{own}"[-200:]
-        sensor = UvcSensor.open(bench.bus, on_bus, clock, lock_name=lock_name, controls=options.controls)
+        sensor = UvcSensor.open(
+            bench.bus, on_bus, clock, lock_name=_lock_name(options), controls=options.controls
+        )
         if options.pace == 0:
             sensor.played_ns = bench.sensor.played_ns
         return sensor
 
+    def record_dialogue(self, options: UsbMockOptions, clock: Clock) -> list[str]:
+        """Errors: RecordingError, DeviceNotFound."""
+        bus = self.bench(options, clock).bus
+        return record_dialogue(bus, options.serial, clock, lock_name=_lock_name(options))
+
 
 plugin = UsbMock()
+
+
+def _lock_name(options: UsbMockOptions) -> str:
+    """Two stations of one computer may play the same recording as two sensors."""
+    own = f"-{options.serial}" if options.serial else ""
+    return f"virtual-{options.recording.resolve()}{own}"[-200:]
 
 
 def _board(header: RecordingHeader, serial: str | None) -> Board:
