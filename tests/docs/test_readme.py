@@ -20,7 +20,7 @@ PAGES = [
 ]
 PRINTED = "printed from the program"
 APP: Any = typer.main.get_command(build())
-TARGETS = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+TARGETS = re.findall(r"^([a-z0-9-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
 
 
 def fenced(page: Path) -> Iterator[str]:
