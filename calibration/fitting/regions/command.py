@@ -37,7 +37,7 @@ class RegionsArguments:
         typer.Option(
             metavar="TEXT",
             help="'ignore NAME x,y x,y x,y', 'judge NAME ...' or 'stricter NAME FACTOR ...': corners in mm from the "
-            "top left corner of the inspected region, or the path of a mask, a picture that is white inside.",
+            "top left corner of the inspected region.",
         ),
     ] = None
     file: Annotated[
@@ -96,7 +96,7 @@ def _change(given: RegionsArguments, old: "Bundle") -> list["DrawnRegion"]:
             raise ConfigError(f"--remove: the bundle has no region '{name}'; {known}")
         del kept[name]
     added = [] if given.file is None else read_regions(given.file)
-    return [*kept.values(), *added, *(one for text in given.add or () for one in parse_region(text, old))]
+    return [*kept.values(), *added, *map(parse_region, given.add or ())]
 
 
 def _find_promise(

@@ -1,7 +1,7 @@
 """A bundle with other drawn regions: its head weighs the score map, its golden frames and its promise are new.
 
 The weights are one more array of the bank, so the gateway, the exports and other programs score such a bundle as any
-other. The same arithmetic in NumPy is `weigh`. Relief that is missing is a property of the whole press, so it counts
+other. Relief that is missing is a property of the whole press, so it counts
 in ignored places too.
 """
 
