@@ -13,6 +13,7 @@ from chromium import BROWSER_MS, wait_until
 from page_messages import press
 from page_pictures import READY, SCENES, TOKEN, Scene, served
 
+from edge.core.drawn_regions import RegionKind
 from edge.core.drift import MEASURES
 from edge.core.gel_life import GelState
 from edge.core.gel_scars import causes
@@ -35,6 +36,7 @@ WORDS = {
     *(text for kind in ALARMS.values() for text in (kind.title, kind.what_to_do)),
     *(text for measure in MEASURES for text in (measure.title, measure.what_to_do)),
     *BLAMES,
+    *("ignored", "of", *get_args(RegionKind), "no region is drawn any more"),
     *(str(one.value) for kinds in (Kind, Cause, GelState, Reason) for one in kinds),
     *get_args(StatePayload.model_fields["state"].annotation),
     *("error", "incomplete", "damaged", "cannot tell"),
