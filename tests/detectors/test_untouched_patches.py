@@ -7,6 +7,7 @@ alarms; without its frames, or its cells of presses, so does gel that only those
 its test fails when the map is set to zero beyond the touched cells.
 """
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,18 @@ EXACT = {"dims": None, "is_balanced": False}
 EACH = pytest.mark.parametrize("detector", [patchcore, inreach], ids=lambda d: d.name)
 
 
+@cache
+def _drawn(n: int, seed: int, noise: float) -> list[np.ndarray]:
+    """What is the same for every place that is touched: gel, relief, the ways in which the gel moves, and its noise."""
+    part, rng = np.random.default_rng(7), np.random.default_rng(seed)
+    shape = (n, CHANNELS, SIDE, SIDE)
+    gel = part.uniform(1, 2, (CHANNELS, 1, 1))
+    relief, ways = part.normal(0, 1, shape[1:]), part.normal(0, 1, (2, CHANNELS))
+    varied = relief + rng.normal(0, 0.2, shape)
+    moved = np.einsum("nkhw,kc->nchw", rng.normal(0, 1, (n, 2, SIDE, SIDE)), ways)
+    return [gel + rng.normal(0, 1, shape) * np.where(KEPT, 0.02, noise), varied, moved]
+
+
 def frames(
     n: int, seed: int, touched: np.ndarray = TOUCHED, moving: float = 0.0, noise: float = 0.02
 ) -> Features:
@@ -47,15 +60,8 @@ def frames(
     Elsewhere the gel may vary. moving: by how much, in the same two directions at every cell. noise: by how much each
     number varies independently.
     """
-    part, rng = np.random.default_rng(7), np.random.default_rng(seed)
-    shape = (n, CHANNELS, SIDE, SIDE)
-    here = touched[::4, ::4]
-    gel = part.uniform(1, 2, (CHANNELS, 1, 1))
-    relief, ways = part.normal(0, 1, shape[1:]), part.normal(0, 1, (2, CHANNELS))
-    varied = relief + rng.normal(0, 0.2, shape)
-    moved = np.einsum("nkhw,kc->nchw", rng.normal(0, 1, (n, 2, SIDE, SIDE)), ways)
-    own = rng.normal(0, 1, shape) * np.where(KEPT, 0.02, noise)
-    return {"layer1": (gel + own + here * varied + moving * moved * ~KEPT).astype(np.float32)}
+    gel, varied, moved = _drawn(n, seed, noise)
+    return {"layer1": (gel + touched[::4, ::4] * varied + moving * moved * ~KEPT).astype(np.float32)}
 
 
 def fitted(detector: Any, nominal: Nominal, grid: Grid = GRID, **choice: Any) -> tuple[Any, Bank]:

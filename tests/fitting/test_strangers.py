@@ -25,15 +25,20 @@ X, Y = COLUMNS / 160 - 1, ROWS / 120 - 1
 DOTS = lattice((240, 320))
 
 
+@cache
+def noise_of(number: int) -> NDArray[np.float64]:
+    return np.random.default_rng(number).normal(0, 1, (240, 320, 3))
+
+
 def gel(number: int, added: float | NDArray[np.float64] = 0.0, tilt: float = 0.0) -> U8:
     """The gel under a light that falls off to the sides, and what a part adds."""
     light = np.stack(
         [130 - 30 * X**2 + 20 * Y, 120 + 25 * X - 10 * X * Y, 110 - 20 * Y**2 + tilt * X], axis=-1
     )
-    noise = np.random.default_rng(number).normal(0, 1, light.shape)
-    return np.clip(np.rint(light + added + noise), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(light + added + noise_of(number)), 0, 255).astype(np.uint8)
 
 
+@cache
 def press(number: int) -> U8:
     """A ball in a fixture, one side brighter, the other darker."""
     x, y, radius = np.random.default_rng([1, number]).uniform((155, 115, 58), (165, 125, 64))
@@ -47,8 +52,7 @@ def curved(number: int) -> U8:
 
 
 def same(number: int) -> U8:
-    noise = np.random.default_rng(number).normal(0, 1, (240, 320, 3))
-    return np.clip(np.rint(press(1) + noise), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(press(1) + noise_of(number)), 0, 255).astype(np.uint8)
 
 
 def bright(number: int) -> U8:
@@ -61,7 +65,7 @@ def blurred(number: int) -> U8:
 
 def unfocused(number: int) -> U8:
     """A lens blurs the part, and the camera's grain stays."""
-    noise = np.random.default_rng(number).normal(0, 1, (240, 320, 3))
+    noise = noise_of(number)
     sharp = press(number) - noise
     return np.clip(np.rint(cv2.GaussianBlur(sharp, (0, 0), 4) + noise), 0, 255).astype(np.uint8)
 
@@ -99,7 +103,7 @@ BAD: dict[str, tuple[Presses, Presses, U8 | None, str]] = {
 
 def save(path: Path, rgb: U8) -> Path:
     path.parent.mkdir(exist_ok=True)
-    cv2.imwrite(str(path), np.ascontiguousarray(rgb[..., ::-1]))
+    cv2.imwrite(str(path), np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 0])
     return path
 
 

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from station import station_config
+from station import mark_tried, station_config
 from stepped_station import SteppedStation
 
 FIVE = {
@@ -23,7 +23,9 @@ def limit(bundle: Path, **changes: Any) -> dict[str, Any]:
 
 def configure(folder: Path, presses: Path, bundle: Path, *shadows: Path) -> Path:
     named = ", ".join(f'"{path}"' for path in shadows)
-    return station_config(folder, presses, f'bundle = "{bundle}"\nshadows = [{named}]')
+    config = station_config(folder, presses, f'bundle = "{bundle}"\nshadows = [{named}]')
+    mark_tried(folder / "gelgate.db", *(one for one in (bundle, *shadows) if one.is_dir()))
+    return config
 
 
 def adopt(station: SteppedStation) -> Any:

@@ -8,7 +8,7 @@ import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -85,19 +85,38 @@ def press_recording(
     """Untouched gel, then so many presses of one part; those numbered in `dented` are damaged. Labels number them.
     light, light_at_end: of the lamps, as a share; the first throughout where there is no other. shading: of another
     gel, in levels."""
-    motion = motion or Motion()
+    lamps = (light, light if light_at_end is None else light_at_end)
+    film = _film(presses, tuple(dented), motion or Motion(), seed, lamps, shading)
+    with RecordingWriter(folder, replace(HEADER, nominal_fps=fps)) as writer:
+        for number, (payload, press) in enumerate(film):
+            writer.add(payload, round(number * 1e9 / fps), {"press": press})
+    return folder
+
+
+@lru_cache(maxsize=64)
+def _film(
+    presses: int,
+    dented: tuple[int, ...],
+    motion: Motion,
+    seed: int,
+    lamps: tuple[float, float],
+    shading: float,
+) -> list[tuple[bytes, int | None]]:
+    """Each frame with the number of its press: drawn once for the many tests that want the same."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]] / SIZE[0]
     added = shading * np.sin(6 * x + 4 * y)[..., None] * np.array([1.0, -0.6, 0.4])
     phases: list[tuple[float, int | None]] = [(0.0, None)] * motion.free
     for press in range(presses):
         phases += [(0.5, press)] + [(1.0, press)] * motion.hold + [(0.3, press)] + [(0.0, None)] * motion.idle
-    with RecordingWriter(folder, replace(HEADER, nominal_fps=fps)) as writer:
-        for number, (depth, press) in enumerate(phases):
-            now = light + ((light_at_end or light) - light) * number / len(phases)
-            frame = np.rint(now * (gel(rng, depth, press in dented) + added)).astype(np.uint8)
-            writer.add(jpeg(frame), round(number * 1e9 / fps), {"press": press})
-    return folder
+    film = []
+    for number, (depth, press) in enumerate(phases):
+        frame = gel(rng, depth, press in dented)
+        if lamps != (1.0, 1.0) or shading:
+            now = lamps[0] + (lamps[1] - lamps[0]) * number / len(phases)
+            frame = np.rint(now * (frame + added)).astype(np.uint8)
+        film.append((jpeg(frame), press))
+    return film
 
 
 def small_bundle(

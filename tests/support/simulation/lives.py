@@ -106,7 +106,9 @@ class Station:
         self.waiting: dict[int, tuple[str, str]] = {}
         """Rows of the outbox as last looked at: what each is (`picture`, `pass`, `fail`), and its press."""
         self.filled: dict[str, dict[str, str]] = {}
-        """What was pressed of each piece."""
+        """What was pressed of each piece, as the database that is there knows it."""
+        self.has_lost_pieces = False
+        """A database was removed, so an id may be used again."""
         self._asked = 0
         self._read_config = read_config
         self._trunks = TrunkSessions(1)
@@ -221,6 +223,8 @@ class Station:
         path = self.disk.folder / "gelgate.db"
         self.world.pieces.forget(self.world.clock.now_ns)
         self.lost_rows += self.rows()[len(self.lost_rows) :]
+        self.filled.clear()
+        self.has_lost_pieces = True
         self.unseen_in.clear()
         self.is_loss_open = bool(self.lost_rows)
         self.dropped_before += Counter(self.dropped)
