@@ -63,8 +63,10 @@ class ContactWatch(PressStage):
         self._reach = _place_reach(inspector)
 
     def see(self, event: Event) -> None:
+        """Say at once that a press rests. What else an event means is said with the look at its frame."""
         self.follower.see(event)
-        self._say()
+        if isinstance(event, PressSettled):
+            self._say()
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         self.follower.judge(press.press_id)

@@ -10,6 +10,7 @@ import pytest
 from station import station_config, variant
 from stepped_station import SteppedStation
 
+from edge.core.contact.events import PressEnded
 from edge.core.ports import Message
 from edge.features.contact_state import ContactWatch
 
@@ -47,6 +48,18 @@ def test_each_press_goes_through_all_states(station: SteppedStation, said: list[
     assert {one["press_id"] for one in lifted} == {result.press_id for result in station.results}
     assert {one["guidance"] for one in lifted} == {"lift"}
     assert all(one["depth_share"] == pytest.approx(1, abs=0.15) for one in lifted)
+
+
+def test_no_lift_is_said_without_its_press(
+    station: SteppedStation, said: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither when its press ends before the look at that frame, and what lasts is said again just then."""
+    monkeypatch.setattr("edge.features.contact_state._PRESSED_S", 0.0)
+    watch = station.find(ContactWatch)
+    assert watch is not None
+    station.play_until(lambda: watch.follower.state == "lift")
+    watch.see(PressEnded(station.clock.monotonic_ns(), sequence=1, began_ns=0))
+    assert all(one["press_id"] for one in said if one["state"] == "lift")
 
 
 def test_what_lasts_is_said_again(station: SteppedStation, said: list[dict[str, Any]]) -> None:

@@ -158,7 +158,7 @@ class Hand:
             yield from (round(0.4 + 0.6 * step / steps, 1) for step in range(steps))
         elif way == "hesitating":
             yield from repeat(0.6, self._frames(0.12, 0.2, 2))
-        least_s, most_s = (1.5, 2.5) if way == "long" else (0.5, 0.75)
+        least_s, most_s = (1.5, 2.5) if way in ("long", "hard") else (0.5, 0.75)
         yield from repeat(HARD if way == "hard" else 1.0, self._frames(least_s, most_s, 5))
         yield 0.3
 

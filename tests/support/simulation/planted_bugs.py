@@ -270,7 +270,7 @@ BUGS = (
         "edge/features/contact_state.py",
         "        if state == self._said and now_ns",
         "        if now_ns",
-        "broker.: press .* is (held|over), and",
+        "broker.: (press .* is (held|over), and|lift of )",
     ),
     Bug(
         "two sessions call methods",
@@ -280,9 +280,9 @@ BUGS = (
         "as 10.0.0.1 did",
     ),
     Bug(
-        "a trigger begins no piece",
-        "edge/features/handshake/stage.py",
-        "        if trigger.piece and self._parts.config.piece is not None:\n",
+        "a press of another piece answers a trigger",
+        "edge/core/handshake.py",
+        '        if piece is not None and self._view.piece not in ("", piece):\n',
         "        if False:\n",
         "was answered by a press of",
     ),
