@@ -128,5 +128,5 @@ class Refusing(PressStage):
     def admit(self, press: Press) -> Press:
         self._presses += 1
         if self._presses == 1:
-            return press.reject(Rejection(Reason.NO_PART, "there is no part"))
+            return press.reject(Rejection(Reason.FEATURE, "the check refuses it"))
         return replace(press, error=self.fault) if self._presses == 2 else press

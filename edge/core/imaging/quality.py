@@ -49,6 +49,7 @@ class Reason(StrEnum):
     GEL_PROOF = "gel_proof"
     NO_PLACE = "no_place"
     ALL_IGNORED = "all_ignored"
+    FEATURE = "feature"
 
 
 @dataclass(frozen=True)
