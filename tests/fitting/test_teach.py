@@ -18,11 +18,14 @@ from calibration.fitting.fit import fit_files
 from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append
 from calibration.fitting.limits.threshold import conformal_threshold, promise_at
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
-from calibration.fitting.teach import Lesson, Remedy, lower_limit, lower_place, why_not
+from calibration.fitting.teach import Lesson, Remedy, change_method, lower_limit, lower_place, why_not
+from calibration.fitting.teach_command import _fit_method
 from edge.core.detector import Bank
+from edge.core.drawn_regions import DrawnRegion, DrawnRegions
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.model.bundle import Bundle
+from edge.model.manifest import REGION_WEIGHTS
 from edge.model.scorer import Scorer
 from edge.store.history import HistoryQuery, read_history
 
@@ -151,6 +154,20 @@ def test_a_place_finds_what_stands_out_there_alone(lesson: Lesson) -> None:
     pictures = place.fitted.bundle().nominal_pictures
     assert pictures is not None
     assert pictures == lesson.old.nominal_pictures  # what people are shown stays
+
+
+def test_another_method_keeps_the_drawn_regions(lesson: Lesson, other_package: None) -> None:
+    """With what its own limit promises with them."""
+    seam = DrawnRegion("seam", "stricter", ((1.0, 1.0), (3.0, 1.0), (3.0, 3.0)), 1.5)
+    drawn = lesson.old.manifest.model_copy(update={"regions": DrawnRegions((seam,))})
+    old = dataclasses.replace(lesson.old, manifest=drawn)
+
+    remedy = change_method(lesson, "tiny", lambda: _fit_method(dataclasses.replace(lesson, old=old), "tiny"))
+
+    assert isinstance(remedy, Remedy)
+    assert remedy.fitted.manifest.regions == drawn.regions
+    assert (remedy.fitted.bundle().bank[REGION_WEIGHTS] == 1.5).any()
+    assert "the promise with the drawn regions" in remedy.fitted.manifest.threshold.method
 
 
 def test_a_later_lesson_keeps_the_earlier_one(lesson: Lesson) -> None:
