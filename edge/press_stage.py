@@ -24,6 +24,7 @@ from edge.core.press import Press, PressLabel
 from edge.messaging.alarm_payload import Alarm
 from edge.messaging.command_payloads import CommandArguments
 from edge.messaging.result_payload import ResultPayload
+from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.store.acts import Act
 from edge.store.gel_ledger import GelRecord
@@ -256,6 +257,10 @@ class PressStage:
 
     def keep(self, press: Press, inspector: Inspector) -> Press:
         """Return the judged press with what is kept of it. It is the last call that has its frame and maps."""
+        return press
+
+    def draw_again(self, press: Press, bundle: Bundle) -> Press:
+        """Return a press of the archive, whose picture was not drawn, with what its picture shows besides."""
         return press
 
     def fields(self, press: Press) -> Mapping[str, Any]:

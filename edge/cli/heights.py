@@ -1,6 +1,5 @@
 """`gelgate station heights`: the height map of a press in millimetres, as a file, and the roughness of a region."""
 
-import io
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -142,8 +141,6 @@ def _decode(payload: bytes, name: str) -> "U8":
 
 def _archived(prefix: str, database: Path, archive: Path | None) -> tuple["U8", "U8", str, str, int]:
     """A press of the archive: its picture, its free gel, sensor, id and time. Errors: ArchiveError, HeightError."""
-    import numpy as np
-
     from edge.core.errors import HeightError
     from edge.core.heights.height_map import free_picture
     from edge.store.press_archive import ArchiveFolder, find_press
@@ -151,14 +148,13 @@ def _archived(prefix: str, database: Path, archive: Path | None) -> tuple["U8", 
     known = find_press(database, prefix)
     folder = ArchiveFolder(archive or database.with_suffix(".archive"))
     then = folder.press(known.press_id, known.evidence)
-    if then.reference is None:
+    view = folder.read_reference(then)
+    if view is None:
         raise HeightError(
             f"press {then.press_id} has no free gel in the archive, for it was judged before one was learnt; "
             "choose a later press"
         )
-    data = folder.read(then.reference, f"the free gel of press {then.press_id}")
     frame = folder.read(then.frame, f"the judged frame of press {then.press_id}")
-    view = np.load(io.BytesIO(data), allow_pickle=False)
     rgb = _decode(frame, f"press {then.press_id}")
     return rgb, free_picture(view), then.serial, then.press_id, then.time_ns
 

@@ -227,7 +227,8 @@ class GelTable(Table):
     )
     heights: Path | None = Field(
         default=None,
-        description="of `gelgate lab calibrate --heights`, for `gelgate station heights`; see heights.md",
+        description="of `gelgate lab calibrate --heights`: sizes and depths of deviations, and `gelgate station "
+        "heights`; see heights.md",
     )
 
 
@@ -357,6 +358,7 @@ class Config(Table):
             "scars": True,
             "press_again": self.inspection.press_again != "never",
             "drift": True,
+            "deviations": self.gel.heights is not None,
             "drawn_regions": "set_regions" in served,
             "piece": True,
             "outputs": bool(self.triggers or self.actuators),

@@ -1,12 +1,12 @@
 """Where on the sensor a defect lies: the connected parts of a score map above the threshold, in pixels and mm."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Defect", "find_defects"]
+__all__ = ["Defect", "find_defects", "longest_extent"]
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,10 @@ class Defect:
     """Its pixels."""
     score: float
     """The largest in it."""
+    inside: NDArray[np.bool_] = field(
+        default_factory=lambda: np.ones((1, 1), np.bool_), compare=False, repr=False
+    )
+    """bool, of its box: its pixels."""
 
 
 def find_defects(score_map: NDArray[np.floating], threshold: float) -> list[Defect]:
@@ -31,13 +35,22 @@ def find_defects(score_map: NDArray[np.floating], threshold: float) -> list[Defe
     for n in range(1, count):
         left, top, width, height, _ = stats[n]
         box = np.s_[top : top + height, left : left + width]
-        highest = score_map[box][labels[box] == n].max()
-        defects.append(_defect(stats[n], centroids[n], float(highest)))
+        inside = labels[box] == n
+        defects.append(_defect(stats[n], centroids[n], float(score_map[box][inside].max()), inside))
     return sorted(defects, key=lambda defect: -defect.score)
 
 
-def _defect(stats: NDArray[np.int32], centroid: NDArray[np.float64], peak: float) -> Defect:
+def longest_extent(places: NDArray[np.bool_]) -> float:
+    """Measure from edge to edge of the two pixels that are farthest from each other, pixels. places: bool (h, w), not
+    empty."""
+    outline = cv2.convexHull(cv2.findNonZero(places.astype(np.uint8)))[:, 0].astype(np.float64)
+    return float(np.hypot(*(outline[:, None] - outline[None]).transpose(2, 0, 1)).max()) + 1.0
+
+
+def _defect(
+    stats: NDArray[np.int32], centroid: NDArray[np.float64], peak: float, inside: NDArray[np.bool_]
+) -> Defect:
     left, top, width, height, area = (int(value) for value in stats)
     # OpenCV puts the middle of the first pixel at 0; half a pixel more makes it agree with the box's edges.
     x, y = (float(value) + 0.5 for value in centroid)
-    return Defect((left, top, width, height), (x, y), area, peak)
+    return Defect((left, top, width, height), (x, y), area, peak, inside)

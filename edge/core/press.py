@@ -1,5 +1,6 @@
 """A press: the one value that grows from the frame that settles to the row and the message that it becomes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import Touch
 from edge.core.contact.reference import View
+from edge.core.heights.deviation import Measured
 from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Rejection
@@ -134,6 +136,8 @@ class Press:
     """When it was judged, wall clock."""
     bundle_id: str = ""
     """Digest of the bundle that judged it."""
+    measure: Callable[[], Measured] | None = None
+    """Measures its deviations in mm, which takes long; None where they cannot be measured."""
     evidence: bytes | None = None
     """SHA-256 of what was kept of it; None where nothing was."""
 
@@ -182,4 +186,6 @@ class Press:
     def drop_pictures(self) -> "Press":
         """Return it without frame and maps, to wait for the database in little memory."""
         scars = None if self.scars is None else replace(self.scars, masked=None)
-        return replace(self, rgb=None, score_map=None, judged=None, registered=None, scars=scars)
+        return replace(
+            self, rgb=None, score_map=None, judged=None, registered=None, scars=scars, measure=None
+        )

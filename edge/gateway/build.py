@@ -6,7 +6,7 @@ What belongs to one session of a sensor is made by the loop, when the first fram
 import logging
 import random
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -100,7 +100,7 @@ def _build(
     status = StationStatus(lambda message: [hear(message) for hear in listeners], clock)
     closing.callback(publisher.stop)
     _forget_last_heatmap(config, store, retained_state)
-    pictures = _open_pictures(config, store, bundles, publisher.wake)
+    pictures = _open_pictures(config, store, bundles, publisher.wake, lambda: by_name.values())
     closing.callback(pictures.close)
     status.set_waiting_for("the sensor")
     device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
@@ -135,10 +135,16 @@ def _build(
     )
 
 
-def _open_pictures(config: Config, store: Store, bundles: BundleSet, wake: Callable[[], None]) -> Pictures:
+def _open_pictures(
+    config: Config,
+    store: Store,
+    bundles: BundleSet,
+    wake: Callable[[], None],
+    stages: Callable[[], Iterable[PressStage]],
+) -> Pictures:
     def draw_again(press_id: str) -> PressFiles:
         opened = [one.bundle for one in (*bundles.bundles.values(), *bundles.shadows.values())]
-        return draw_archived(press_id, store, opened, config.station.heatmap)
+        return draw_archived(press_id, store, opened, config.station.heatmap, stages())
 
     return Pictures(store, wake, draw_again, keeps_last=config.keeps_heatmap)
 

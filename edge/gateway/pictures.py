@@ -104,6 +104,7 @@ class Pictures:
             self._store.queue_picture(
                 press_id,
                 lambda is_newest: picture_messages(press_id, files, is_last=self._keeps_last and is_newest),
+                files.deviations.first.model_dump(exclude={"remark"}) if files.deviations else {},
             )
         except StoreError as error:
             log.warning("the picture of press %s waits: %s", press_id, error)

@@ -9,17 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.core.contact.mask import Touch
 from edge.core.defects import find_defects
 from edge.core.drawn_regions import region_at
 from edge.core.errors import ArchiveError
+from edge.core.heights.deviation import Measured
 from edge.core.imaging.decode import decode
 from edge.core.imaging.followed_light import FollowedLight
 from edge.core.imaging.frames import CameraFrame
 from edge.core.ports import Clock, Message
-from edge.core.press import Press, ScarFindings
+from edge.core.press import JudgedFrame, Press, ScarFindings
 from edge.core.sink_context import Place
 from edge.core.verdict import Blame, Cause, Kind, Verdict
 from edge.gateway.pictures import PressDrawing
+from edge.messaging.deviation_payload import DeviationPlace, DeviationsPayload
 from edge.messaging.payload_base import iso_time
 from edge.messaging.result_payload import (
     MOST_DEFECTS,
@@ -201,18 +204,27 @@ def press_drawing(
     )
     pose = None if press.registered is None else press.registered.pose
     dimmed = _dim_unjudged(rgb, press, bundle)
-    sheet = partial(encode_press, dimmed, score_map, caption, heatmap, outlines=outline_regions(bundle, pose))
+    sheet = partial(encode_press, dimmed, score_map, form=heatmap, outlines=outline_regions(bundle, pose))
+    measure = press.measure
 
     def draw() -> PressFiles:
         is_asked = press.word != Kind.PASS.value  # why a press passes nobody asks
         lit = rgb if press.light is None else press.light.restore(rgb, bundle.region, bundle.profile.size)
         compared = compare_press(bundle, lit, score_map, press.registered) if is_asked else None
-        return PressFiles(sheet(compared=compared), encode_scores(score_map, caption))
+        measured = None if measure is None else _deviations(measure(), press)
+        said = caption if measured is None else caption._replace(deviation=str(measured.first))
+        return PressFiles(sheet(caption=said, compared=compared), encode_scores(score_map, said), measured)
 
     return draw
 
 
-def draw_archived(press_id: str, store: Store, bundles: Iterable[Bundle], heatmap: PictureForm) -> PressFiles:
+def draw_archived(
+    press_id: str,
+    store: Store,
+    bundles: Iterable[Bundle],
+    heatmap: PictureForm,
+    stages: Iterable[PressStage] = (),
+) -> PressFiles:
     """Draw a recorded press again, from what its verdict was made from: the same pictures, byte for byte.
 
     Nothing is scored, so another thread than that of the scorer may call it. Errors: ArchiveError for a press that is
@@ -242,9 +254,22 @@ def draw_archived(press_id: str, store: Store, bundles: Iterable[Bundle], heatma
         registered=None if part is None else part.open().register(filled),
         light=light,
         scars=None if then.masked is None else ScarFindings(blame, archive.read_masked(then)),
+        judged=JudgedFrame(CameraFrame(frame, 0, 0), Touch(*then.touch), archive.read_reference(then)),
     )
+    for stage in stages:
+        press = stage.draw_again(press, bundle)
     draw = press_drawing(press, bundle, then.station, heatmap)
     return PressFiles() if draw is None else draw()
+
+
+def _deviations(measured: Measured, press: Press) -> DeviationsPayload:
+    return DeviationsPayload(
+        time_ns=press.time_ns,
+        press_id=press.press_id,
+        calibration=measured.calibration,
+        reason=measured.reason or None,
+        deviations=[DeviationPlace.of(one) for one in measured.deviations],
+    )
 
 
 def _dim_unjudged(rgb: NDArray[np.uint8], press: Press, bundle: Bundle) -> NDArray[np.uint8]:

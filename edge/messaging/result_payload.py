@@ -7,12 +7,13 @@ from typing import ClassVar, Final, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from edge.core.defects import Defect
+from edge.core.defects import Defect, longest_extent
 from edge.core.imaging.quality import Reason
 from edge.core.ports import Message
 from edge.core.reference_press.outcome import Outcome, Signal
 from edge.core.registration.pose import Registered
 from edge.core.verdict import Cause, Kind
+from edge.messaging.deviation_payload import DeviationsPayload
 from edge.messaging.payload_base import Payload, PressId
 from edge.messaging.status_payloads import GelPayload
 from edge.pictures.image_file import content_type
@@ -55,6 +56,11 @@ class DefectPlace(_Part):
 
     box_px: tuple[int, int, int, int] = Field(description="left, top, width, height")
     box_mm: Box = Field(description="the same in millimetres")
+    size_px: float | None = Field(
+        default=None,
+        ge=0,
+        description="the longest extent of it, pixels; in mm, with the depth: `deviations_topic`",
+    )
     centroid_px: Pair = Field(description="x, y of its centre of area")
     centroid_mm: Pair = Field(description="the same in millimetres")
     area_mm2: float = Field(ge=0, description="its area in square millimetres")
@@ -74,6 +80,7 @@ class DefectPlace(_Part):
                 round(width * x_mm, 3),
                 round(height * y_mm, 3),
             ),
+            size_px=round(longest_extent(defect.inside), 1),
             centroid_px=(round(x, 1), round(y, 1)),
             centroid_mm=(round(x * x_mm, 3), round(y * y_mm, 3)),
             area_mm2=round(defect.area_px * x_mm * y_mm, 4),
@@ -227,6 +234,11 @@ class ResultPayload(Payload):
     overview_topic: str | None = Field(
         default=None, description="where the overview camera's still is sent, below the root"
     )
+    deviations_topic: str | None = Field(
+        default=None,
+        description="where sizes and depths of `defects` in mm are sent, below the root; null for a gel whose heights "
+        "are not calibrated, and where there is nothing to measure",
+    )
     part_codes: list[str] | None = Field(
         default=None, description="codes read on the part before the press; null without an overview camera"
     )
@@ -278,6 +290,8 @@ class PressFiles(NamedTuple):
     """For people: PNG or JPEG."""
     score_map: bytes = b""
     """For programs: PNG."""
+    deviations: DeviationsPayload | None = None
+    """What was measured of it; None where nothing is measured."""
 
 
 def picture_messages(press_id: str, files: PressFiles, *, is_last: bool = False) -> Sequence[Message]:
@@ -286,6 +300,7 @@ def picture_messages(press_id: str, files: PressFiles, *, is_last: bool = False)
     sheet_type = content_type(files.sheet) if files.sheet else "image/jpeg"
     sheet = Message(f"heatmap/{press_id}", files.sheet, qos=1, content_type=sheet_type)
     return [
+        *([] if files.deviations is None else [files.deviations.message()]),
         Message(f"scoremap/{press_id}", files.score_map, qos=1, content_type="image/png"),
         sheet,
         *([replace(sheet, topic="last/heatmap", retain=True)] if is_last else []),

@@ -348,7 +348,7 @@ class SinkWorker:
 def _press_id(message: Message) -> str | None:
     """The press that a message is about, for the log."""
     kind, _, name = message.topic.partition("/")
-    if kind in ("heatmap", "scoremap"):
+    if kind in ("heatmap", "scoremap", "deviations"):
         return name
     if kind not in ("result", "last") or message.content_type != "application/json":
         return None

@@ -6,6 +6,7 @@ from pydantic import BaseModel
 
 from edge.messaging.alarm_payload import AlarmPayload
 from edge.messaging.command_payloads import CommandRequest, CommandResponse
+from edge.messaging.deviation_payload import DeviationsPayload
 from edge.messaging.piece_payloads import PiecePayload, PieceResultPayload
 from edge.messaging.result_payload import ReferencePayload, ResultPayload
 from edge.messaging.status_payloads import (
@@ -58,6 +59,13 @@ TOPICS: Final[tuple[Topic, ...]] = (
         "PNG",
         "the scores of one press for programs, just before its `heatmap`; empty where there are none",
         may_be_empty=True,
+    ),
+    Topic(
+        "deviations/<press id>",
+        1,
+        False,
+        DeviationsPayload,
+        "sizes and depths of a press's `defects` in mm, just before its `scoremap`; only of a calibrated gel",
     ),
     Topic(
         "overview/<press id>", 1, False, "JPEG", "the overview camera's still of the part before the press"

@@ -75,6 +75,9 @@ class PressCaption(NamedTuple):
     drawn: str = ""
     """What drawn regions ignore; empty without any."""
 
+    deviation: str = ""
+    """Depth and size of the deviation with the highest score, mm; empty where they are not known."""
+
     def texts(self) -> dict[str, str]:
         """Keyword to text, as in the file."""
         x, y = self.mm_per_pixel
@@ -84,9 +87,10 @@ class PressCaption(NamedTuple):
             "mm_per_pixel": f"{x:.6g} {y:.6g}",
         }
         texts = {keyword: numbers.get(keyword) or str(value) for keyword, value in self._asdict().items()}
-        return {keyword: text for keyword, text in texts.items() if text or keyword != "drawn"}
+        return {keyword: text for keyword, text in texts.items() if text or keyword not in _OPTIONAL}
 
 
+_OPTIONAL: Final = {"drawn", "deviation"}
 TEXT_KEYWORDS: Final = PressCaption._fields
 
 
@@ -142,9 +146,8 @@ def draw_press(
         _draw_compared(sheet[_HEADER + height : _HEADER + height + more], compared, relative)
     _draw_legend(sheet[_HEADER : _HEADER + height, 2 * width + 2 * _GAP :], caption.threshold)
     _draw_header(sheet, caption)
-    foot = (
-        f"{caption.part}   {caption.station}   {caption.time}   {caption.press_id}   {caption.drawn}".rstrip()
-    )
+    said = (caption.deviation, caption.part, caption.station, caption.time, caption.press_id, caption.drawn)
+    foot = "   ".join(one for one in said if one)
     _write(sheet, foot, 6, sheet.shape[0] - 9, 0.42)
     return sheet
 

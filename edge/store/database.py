@@ -29,7 +29,7 @@ __all__ = [
     "schema_version",
 ]
 
-SCHEMA_VERSION: Final = 14
+SCHEMA_VERSION: Final = 15
 
 # The scripts that make each version of the tables from the one before. A new file runs all of them, so it has the same
 # tables as one that was migrated. A migration adds; it removes no row. A new column of a table that is chained

@@ -49,12 +49,19 @@ class HistoryRow:
     """What the shadow bundle says, JSON (`edge.core.shadow.ShadowVerdict`); None without one."""
     piece_id: str | None = None
     """The piece of several places that it is of, each part and position a place; None without one."""
+    depth_mm: float | None = None
+    """How much deeper the part is at its highest score than a good one; None where it is not told, as of the next."""
+    depth_u95_mm: float | None = None
+    size_mm: float | None = None
+    size_u95_mm: float | None = None
 
 
 COLUMNS: Final = tuple(field.name for field in fields(HistoryRow))
 
-# Those of the table of presses; the others come from the acts.
-_STORED: Final = ("shadow", "piece_id", *COLUMNS[: COLUMNS.index("person_verdict")])
+_MEASURED: Final = ("depth_mm", "depth_u95_mm", "size_mm", "size_u95_mm")
+# Those come from the acts, the others from the table of presses.
+_OF_PEOPLE: Final = ("person_verdict", "damage_kind", "person")
+_STORED: Final = tuple(name for name in COLUMNS if name not in _OF_PEOPLE)
 _OF_GEL_SERIAL: Final = "SELECT serial, gel_id FROM gels WHERE gel_serial = ? COLLATE NOCASE"
 
 
@@ -103,10 +110,12 @@ def read_history(path: Path, query: HistoryQuery) -> Iterator[HistoryRow]:
             "ORDER BY number DESC LIMIT ?) ORDER BY number",
             (*values, limit),
         )
-        for shadow, piece_id, *row in rows:
-            settled = settle(said.get(row[1], ()))
+        for row in rows:
+            stored = dict(zip(_STORED, row, strict=True))
+            settled = settle(said.get(stored["press_id"], ()))
             people = (settled.saying, settled.kind, settled.person) if settled else (None, None, None)
-            yield HistoryRow(*(*row, *people, shadow, piece_id))
+            stored.update(zip(_OF_PEOPLE, people, strict=True))
+            yield HistoryRow(**stored)
 
 
 # Rows of one row group of a Parquet file; all of them are in memory at once.
@@ -157,7 +166,7 @@ def _write_parquet(path: Path, rows: Iterator[HistoryRow]) -> None:
     from pyarrow import parquet
 
     types = {"number": pa.int64(), "time_ns": pa.timestamp("ns", "UTC")}
-    types |= {name: pa.float64() for name in ("running_s", "score", "threshold")}
+    types |= {name: pa.float64() for name in ("running_s", "score", "threshold", *_MEASURED)}
     schema = pa.schema([(name, types.get(name, pa.string())) for name in COLUMNS])
     with parquet.ParquetWriter(path, schema) as writer:
         while group := list(map(vars, islice(rows, GROUP_ROWS))):

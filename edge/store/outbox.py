@@ -133,8 +133,10 @@ def put_picture(
     press_id: str,
     make_messages: Callable[[bool], Iterable[Message]],
     running_ns: int,
+    measured: Mapping[str, float | None] | None = None,
 ) -> None:
-    """Add the picture of a press where it is owed. make_messages: from whether this is the newest press of a part."""
+    """Add the picture of a press where it is owed. make_messages: from whether this is the newest press of a part.
+    measured: columns of the press that are known only now."""
     owed = "FROM owed_pictures WHERE press_id = ?"
     row = connection.execute(f"SELECT verdict, time_ns {owed}", (press_id,)).fetchone()
     if row is None:
@@ -142,6 +144,9 @@ def put_picture(
     newest = connection.execute("SELECT press_id FROM presses ORDER BY number DESC LIMIT 1").fetchone()
     put(connection, make_messages(newest == (press_id,)), row[0], row[1], running_ns)
     connection.execute(f"DELETE {owed}", (press_id,))
+    if measured:
+        columns = ", ".join(f"{name} = ?" for name in measured)
+        connection.execute(f"UPDATE presses SET {columns} WHERE press_id = ?", (*measured.values(), press_id))
 
 
 def enforce(connection: sqlite3.Connection, bounds: Bounds, running_ns: int) -> None:

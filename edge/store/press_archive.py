@@ -10,6 +10,7 @@ Nothing here stops an inspection: a press that cannot be archived is recorded wi
 """
 
 import hashlib
+import io
 import logging
 import os
 import re
@@ -263,8 +264,6 @@ def _write(path: Path, data: bytes) -> None:
         part.unlink(missing_ok=True)
 
 
-_COLUMNS = "number, press_id, time_ns, evidence"
-
 # A prefix that fits more presses is answered with this number of them.
 _SHOWN = 4
 
@@ -311,10 +310,8 @@ def presses_since(database: Path, since_ns: int | None = None) -> Iterator[Known
 
 def _presses(database: Path, condition: str, values: tuple[object, ...], limit: int) -> Iterator[KnownPress]:
     with open_read_only(database, "reading what is archived") as connection:
-        rows = connection.execute(
-            f"SELECT {_COLUMNS} FROM presses WHERE {condition} ORDER BY number LIMIT ?", (*values, limit)
-        )
-        for row in rows:
+        query = f"SELECT number, press_id, time_ns, evidence FROM presses WHERE {condition} ORDER BY number LIMIT ?"
+        for row in connection.execute(query, (*values, limit)):
             yield KnownPress(*row)
 
 
@@ -322,12 +319,10 @@ def _describe(database: Path) -> str:
     """Describe the database: which ledger, and which presses it has."""
     with open_read_only(database, "reading what is archived") as connection:
         ledger_id = head(connection).ledger_id
-        presses, first, last = connection.execute(
-            "SELECT count(*), min(press_id), max(press_id) FROM presses"
-        ).fetchone()
-    return f"database {database} (ledger {ledger_id}, {presses} presses" + (
-        f", {first} to {last})" if presses else ")"
-    )
+        query = "SELECT count(*), min(press_id), max(press_id) FROM presses"
+        presses, first, last = connection.execute(query).fetchone()
+    which = f", {first} to {last}" if presses else ""
+    return f"database {database} (ledger {ledger_id}, {presses} presses{which})"
 
 
 class ArchiveFolder:
@@ -365,6 +360,13 @@ class ArchiveFolder:
         """The places of a press that were not judged, bool (h, w) of its score map."""
         data, shape = self._read_of(press, press.masked, "mask of places that were not judged")
         return np.unpackbits(np.frombuffer(data, np.uint8), count=shape[0] * shape[1]).reshape(shape) > 0
+
+    def read_reference(self, press: ArchivedPress) -> NDArray[np.float32] | None:
+        """The free gel that a press was compared with, float32 (120, 160, 3); None where none was learnt."""
+        if press.reference is None:
+            return None
+        data = self.read(press.reference, f"the free gel of press {press.press_id}")
+        return np.asarray(np.load(io.BytesIO(data), allow_pickle=False), np.float32)
 
     def _read_of(
         self, press: ArchivedPress, digest: Digest | None, name: str

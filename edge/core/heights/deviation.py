@@ -1,0 +1,157 @@
+"""Size and depth of a deviation: what a press shows at one place otherwise than a good part does there, in mm.
+
+Both are height maps of the same gel. They are levelled against each other around the deviation, for no two presses are
+equally deep or straight; what remains there of the difference is what good presses differ by, and no depth within it is
+told.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.core.defects import longest_extent
+from edge.core.heights.calibration import HeightCalibration
+
+__all__ = ["Deviation", "Measured", "measure_deviation"]
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Around the places above the limit: where their flanks may lie, and up to where sound gel is compared.
+_FLANK_MM, _AROUND_MM = 0.4, 1.6
+# Of the places around, at least this share must be sound and seen: a plane through fewer says nothing of the middle.
+_LEAST_AROUND: Final = 1 / 3
+_ROUNDS, _KEEP_SIGMAS, _MAD_TO_SIGMA = 4, 3.0, 1.4826
+# What is narrow looks shallower and wider than it is: coat and lens leave of a wave of 0.25 mm 0.4, of 0.5 mm 0.8. By
+# so many mm2 over the width squared a depth may be larger: simulated parts, `tests/bench/test_deviations.py`.
+_NARROW_MM2: Final = 0.1
+_NARROW_MM: Final = 0.4
+# Differences below a tenth of a micrometre are arithmetic.
+_LEAST_LEFT_MM: Final = 1e-4
+# By so many pixels the outline of what is small may be wrong, both ends together.
+_EDGES_PX: Final = 3.0
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """What is known of one deviation. A value that is not told from its error is None."""
+
+    depth_mm: float | None = None
+    """How much deeper the part is there than a good one; below 0 where it stands out."""
+    depth_u95_mm: float | None = None
+    """By how much the depth may be wrong, 95 %; without a depth, how deep it may be."""
+    size_mm: float | None = None
+    """The longest extent of what is above half of the depth."""
+    size_u95_mm: float | None = None
+    remark: str = ""
+    """Why something is None, or less sure than it looks."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What was measured of one press."""
+
+    calibration: str
+    """Its name."""
+    deviations: tuple[Deviation, ...] = ()
+    """In the order of its defects."""
+    reason: str = ""
+    """Why nothing was."""
+
+
+class _Levelled(NamedTuple):
+    difference_mm: F64
+    """Press less good part, float64 (h, w), 0 on the whole around the deviation."""
+    left_mm: float
+    """The largest that remains there."""
+
+
+def measure_deviation(
+    press_mm: F64, good_mm: Sequence[F64], places: Mask, sound: Mask, calibration: HeightCalibration
+) -> Deviation:
+    """Measure the deviation at these places, by the good press that fits best around them.
+
+    press_mm, good_mm: heights, float64 (h, w), NaN where nothing is seen. places: bool (h, w), above the limit. sound:
+    bool (h, w), judged and not above it.
+    """
+    px_mm = calibration.mm_per_px
+    if not places.any():
+        return Deviation(remark="it has no place in the picture")
+    reach = _dilate(places, _AROUND_MM / px_mm)
+    flank = _dilate(places, _FLANK_MM / px_mm)
+    around = reach & ~flank & sound
+    expected = _LEAST_AROUND * np.pi * _AROUND_MM**2 / px_mm**2
+    levelled = [_level(press_mm - good, around, expected) for good in good_mm]
+    best = min((one for one in levelled if one is not None), key=lambda one: one.left_mm, default=None)
+    if best is None:
+        return Deviation(
+            remark="too little around it is sound and seen, so there is nothing to compare it with"
+        )
+    difference, seen = best.difference_mm, np.isfinite(best.difference_mm)
+    if not (flank & seen).any():
+        return Deviation(remark="no good press of the bundle shows this place")
+    peak = int(np.where(flank & seen, np.abs(difference), -1.0).argmax())
+    raised, sign = abs(float(difference.flat[peak])), float(np.sign(difference.flat[peak]))
+    shown = np.where(reach & seen, sign * difference, -np.inf)
+    length, width = _extent(shown, raised / 2, peak, px_mm)
+    share = calibration.height_u95 + 2 * calibration.scale_u95
+    told = best.left_mm + share * raised
+    u95 = told + _NARROW_MM2 / width**2 * raised
+    if raised <= told:
+        remark = (
+            f"what shows of its depth is within {_round(told):g} mm, by which the places around it differ"
+        )
+        return Deviation(None, _round(u95), remark=remark)
+    moved = [
+        _extent(shown, raised / 2 + by, peak, px_mm)[0] - length
+        for by in (-best.left_mm / 2, best.left_mm / 2)
+    ]
+    size_u95 = max(abs(one) for one in moved) + _EDGES_PX * px_mm + calibration.scale_u95 * length
+    remark = "it is as narrow as what the gel shows, and may be deeper" if width < _NARROW_MM else ""
+    depth = _round(-sign * raised), _round(u95)
+    if length <= size_u95:
+        return Deviation(*depth, remark="its outline is not told from the places around it")
+    return Deviation(*depth, _round(length), _round(size_u95), remark)
+
+
+def _level(difference: F64, around: Mask, expected: float) -> _Levelled | None:
+    """Level a difference by a plane through the places around, without those that fit it badly; None for too few."""
+    usable = around & np.isfinite(difference)
+    rows, columns = np.nonzero(usable)
+    if len(rows) < max(4, _LEAST_AROUND * expected):
+        return None
+    at = np.column_stack([columns, rows, np.ones(len(rows))])
+    values = difference[usable]
+    kept = np.ones(len(rows), np.bool_)
+    for _ in range(_ROUNDS):
+        plane = np.linalg.lstsq(at[kept], values[kept], rcond=None)[0]
+        left = np.abs(values - at @ plane)
+        kept = left <= max(_KEEP_SIGMAS * _MAD_TO_SIGMA * float(np.median(left[kept])), _LEAST_LEFT_MM)
+    down, across = np.mgrid[0 : difference.shape[0], 0 : difference.shape[1]]
+    levelled = difference - (plane[0] * across + plane[1] * down + plane[2])
+    return _Levelled(np.asarray(levelled), float(left.max()))
+
+
+def _extent(shown: F64, level: float, peak: int, px_mm: float) -> tuple[float, float]:
+    """Return length and width of what hangs together with the peak above a level, mm."""
+    above = shown >= min(max(level, _LEAST_LEFT_MM), 0.98 * float(shown.flat[peak]))
+    labels = cv2.connectedComponents(above.astype(np.uint8), connectivity=8)[1]
+    inside = labels == labels.flat[peak]
+    framed = cv2.copyMakeBorder(inside.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    inscribed = 2.0 * float(cv2.distanceTransform(framed, cv2.DIST_L2, 5).max()) - 1.0
+    return longest_extent(inside) * px_mm, inscribed * px_mm
+
+
+def _dilate(places: Mask, reach_px: float) -> Mask:
+    reach = max(1, round(reach_px))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    return np.asarray(cv2.dilate(places.astype(np.uint8), kernel) > 0)
+
+
+def _round(mm: float) -> float:
+    """To micrometres."""
+    return round(mm, 3)

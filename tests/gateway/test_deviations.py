@@ -1,0 +1,118 @@
+"""A calibrated station says how large and how deep a deviation is, after its result; or why it does not."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import gelgate
+from lit_surface import calibration, other_gel
+from station import station_config
+from stepped_station import SteppedStation
+
+from edge.core.heights.calibration import CELLS, HeightCalibration
+from edge.core.heights.height_map import free_picture
+from edge.core.imaging.sensor_check import colour_cells
+from edge.gateway.pictures import Pictures
+from edge.heights.calibration_file import write_calibration
+from edge.messaging.result_payload import PressFiles
+from edge.model.bundle import Bundle
+from edge.pictures.image_file import texts
+from edge.store.history import HistoryQuery, read_history
+from edge.store.outbox import Outbox
+
+
+def of_gel(bundle: Path) -> HeightCalibration:
+    """A calibration whose gel is that of the recordings; its heights are of no real unit."""
+    view = np.asarray(Bundle.load(bundle).free_view, np.float32)
+    return replace(calibration(), free_levels=colour_cells(free_picture(view), CELLS))
+
+
+def configure(folder: Path, recording: Path, bundle: Path, made: HeightCalibration | None) -> Path:
+    (folder / "gel.toml").write_text("" if made is None else write_calibration(made))
+    return station_config(folder, recording, bundle, tables=f"[gel]\nheights = '{folder / 'gel.toml'}'")
+
+
+def sent(folder: Path) -> dict[str, bytes]:
+    """Every message that waits, in order."""
+    with Outbox(folder / "gelgate.db") as opened:
+        return {row.message.topic: row.message.payload for row in opened.pending("mqtt", 100)}
+
+
+@pytest.fixture
+def played(tmp_path: Path, recording: Path, bundle: Path) -> Iterator[SteppedStation]:
+    with SteppedStation(configure(tmp_path, recording, bundle, of_gel(bundle))) as station:
+        station.play()
+        yield station
+
+
+def test_what_was_measured_follows_the_result(played: SteppedStation, tmp_path: Path) -> None:
+    """Before the pictures, in their texts, and in the history; a pass is not measured."""
+    topics = [result.deviations_topic for result in played.results]
+    dented = played.results[1]
+    name = f"deviations/{dented.press_id}"
+    assert topics == [None, name, None]
+    messages = sent(tmp_path)
+    order = list(messages)
+    assert order.index(name) + 1 == order.index(f"scoremap/{dented.press_id}")
+
+    said = json.loads(messages[name])
+    assert (said["press_id"], said["calibration"], said["reason"]) == (dented.press_id, "lit", None)
+    assert len(said["deviations"]) == len(dented.defects or [])
+    first = said["deviations"][0]
+    assert first["depth_u95_mm"] > 0
+    shown = texts(messages[f"heatmap/{dented.press_id}"]).get("deviation", "")
+    assert (first["depth_mm"] is not None) == shown.startswith("depth ")
+    row = list(read_history(tmp_path / "gelgate.db", HistoryQuery()))[1]
+    assert (row.depth_mm, row.depth_u95_mm, row.size_mm, row.size_u95_mm) == tuple(
+        first[key] for key in ("depth_mm", "depth_u95_mm", "size_mm", "size_u95_mm")
+    )
+
+
+def test_another_gel_is_not_measured(tmp_path: Path, recording: Path, bundle: Path) -> None:
+    """The message says so, and the history has no number."""
+    with SteppedStation(configure(tmp_path, recording, bundle, other_gel())) as station:
+        station.play()
+        said = json.loads(sent(tmp_path)[f"deviations/{station.results[1].press_id}"])
+    assert "another gel, sensor or crop" in said["reason"]
+    assert said["deviations"] == []
+    assert list(read_history(tmp_path / "gelgate.db", HistoryQuery()))[1].depth_u95_mm is None
+
+
+def test_without_a_calibration_a_size_is_in_pixels(station: SteppedStation, tmp_path: Path) -> None:
+    station.play()
+    dented = station.results[1]
+    assert dented.deviations_topic is None
+    assert dented.defects
+    assert 1 < (dented.defects[0].size_px or 0) <= np.hypot(*dented.defects[0].box_px[2:])
+    assert not any(topic.startswith("deviations/") for topic in sent(tmp_path))
+
+
+def test_it_is_measured_again_after_a_stop(
+    tmp_path: Path, recording: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the archive, the same values and the same picture."""
+    config, expected = configure(tmp_path, recording, bundle, of_gel(bundle)), dict[str, PressFiles]()
+    with monkeypatch.context() as killed:
+        killed.setattr(Pictures, "add", lambda self, one: expected.setdefault(one.press_id, one.draw()))
+        with SteppedStation(config) as station:
+            station.play()
+    with SteppedStation(config) as station:
+        station.parts.pictures.start()
+        station.parts.pictures.close()
+    waiting = sent(tmp_path)
+    measured = {press_id: files.deviations for press_id, files in expected.items() if files.deviations}
+    assert len(measured) == 1
+    for press_id, payload in measured.items():
+        assert waiting[f"deviations/{press_id}"] == payload.encode()
+        assert waiting[f"heatmap/{press_id}"] == expected[press_id].sheet
+
+
+def test_a_damaged_calibration_is_a_sentence_at_the_check(
+    tmp_path: Path, recording: Path, bundle: Path
+) -> None:
+    done = gelgate("check", "-c", configure(tmp_path, recording, bundle, None))
+    assert done.code != 0
+    assert "gel.toml" in done.out + done.err
