@@ -71,7 +71,7 @@ def measure(
     for kind in KINDS:
         for severity in (0.3, 0.6, 1.0):
             defect = place_defect(kind, severity, part, depth_mm, rng)
-            rgb, mask = one.damage(part, defect, depth_mm, (kind, severity))
+            rgb, mask = one.damage(part, defect, depth_mm, (kind, f"{severity:g}"))
             if not mask.any():
                 continue
             places = dilate(largest(dilate(mask, 5)), 2)
