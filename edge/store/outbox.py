@@ -35,6 +35,12 @@ __all__ = [
 ROW_OVERHEAD_BYTES: Final = 256
 
 
+Make = Callable[[bool], Iterable[Message]]
+"""Makes messages of a press, from whether it is the newest one of a part."""
+Measured = Mapping[str, float | None] | None
+"""Columns of a press that are known only when its picture is drawn."""
+
+
 class DropPriority(IntEnum):
     """What is dropped first when there is no room; column `worth` of the tables.
 
@@ -131,12 +137,11 @@ def owed_pictures(connection: sqlite3.Connection) -> list[str]:
 def put_picture(
     connection: sqlite3.Connection,
     press_id: str,
-    make_messages: Callable[[bool], Iterable[Message]],
+    make_messages: Make,
     running_ns: int,
-    measured: Mapping[str, float | None] | None = None,
+    measured: Measured = None,
 ) -> None:
-    """Add the picture of a press where it is owed. make_messages: from whether this is the newest press of a part.
-    measured: columns of the press that are known only now."""
+    """Add the picture of a press where it is owed. measured: written into the press."""
     owed = "FROM owed_pictures WHERE press_id = ?"
     row = connection.execute(f"SELECT verdict, time_ns {owed}", (press_id,)).fetchone()
     if row is None:

@@ -217,17 +217,11 @@ class Store:
         """The ids of recorded presses whose picture is not queued, oldest first."""
         return self.read("reading the owed pictures", outbox.owed_pictures)
 
-    def queue_picture(
-        self,
-        press_id: str,
-        make_messages: Callable[[bool], Sequence[Message]],
-        measured: Mapping[str, float | None] | None = None,
-    ) -> None:
-        """Queue the messages of an owed picture; without effect where none is owed. make_messages: from whether this is
-        the newest press of a part. measured: columns of the press that are known only now."""
+    def queue_picture(self, press_id: str, make: outbox.Make, measured: outbox.Measured = None) -> None:
+        """Queue what is owed of a press, as `put_picture` says; without effect where nothing is."""
         with self._database.writing(f"queueing the picture of press {press_id}") as connection:
             running_ns = self._running.store(connection)
-            outbox.put_picture(connection, press_id, make_messages, running_ns, measured)
+            outbox.put_picture(connection, press_id, make, running_ns, measured)
             outbox.enforce(connection, self._bounds, running_ns)
 
     def read(self, doing: str, query: Callable[[sqlite3.Connection], T]) -> T:

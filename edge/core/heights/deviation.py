@@ -111,11 +111,14 @@ def measure_deviation(
         for by in (-best.left_mm / 2, best.left_mm / 2)
     ]
     size_u95 = max(abs(one) for one in moved) + _EDGES_PX * px_mm + calibration.scale_u95 * length
-    remark = "it is as narrow as what the gel shows, and may be deeper" if width < _NARROW_MM else ""
     depth = _round(-sign * raised), _round(u95)
+    if width < _NARROW_MM:
+        return Deviation(
+            *depth, remark="it is as narrow as what the gel shows, and may be deeper and shorter"
+        )
     if length <= size_u95:
         return Deviation(*depth, remark="its outline is not told from the places around it")
-    return Deviation(*depth, _round(length), _round(size_u95), remark)
+    return Deviation(*depth, _round(length), _round(size_u95))
 
 
 def _level(difference: F64, around: Mask, expected: float) -> _Levelled | None:

@@ -78,8 +78,9 @@ def test_a_narrow_deviation_may_be_deeper() -> None:
     x, _ = grid()
     scratch = 0.1 * np.exp(-((x / 0.09) ** 2)) * disc((0.0, 0.0), 1.0)
     found = measure(dome() - scratch, disc((0.0, 0.0), 1.0))
-    assert "may be deeper" in found.remark
+    assert "may be deeper and shorter" in found.remark
     assert (found.depth_u95_mm or 0) > 0.05
+    assert found.size_mm is None
 
 
 SPOT = disc((0.0, 0.0), 0.6)
