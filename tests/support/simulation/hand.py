@@ -76,7 +76,7 @@ def draw_gel(rng: np.random.Generator, depth: float, what: str) -> NDArray[np.ui
 def pictures(phase: Phase) -> Sequence[bytes]:
     """JPEGs of one phase, each with other noise: so many that none comes again soon, also where some are left out."""
     rng = np.random.default_rng(200 + round(100 * phase[0]) + len(phase[1]))
-    return tuple(jpeg(draw_gel(rng, *phase)) for _ in range(13))
+    return tuple(jpeg(draw_gel(rng, *phase)) for _ in range(29))
 
 
 class Hand:
