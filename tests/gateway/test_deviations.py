@@ -116,3 +116,15 @@ def test_a_damaged_calibration_is_a_sentence_at_the_check(
     done = gelgate("check", "-c", configure(tmp_path, recording, bundle, None))
     assert done.code != 0
     assert "gel.toml" in done.out + done.err
+
+
+def test_an_archived_press_is_measured_by_its_id(played: SteppedStation, tmp_path: Path) -> None:
+    """`station heights` takes picture, free gel and calibration from the station."""
+    press_id = played.results[1].press_id
+    words = (press_id[:20], "-c", tmp_path / "gelgate.toml", "-o", tmp_path / "press.npz")
+    done = gelgate("station", "heights", *words)
+    assert done.code == 0, done.err
+    with np.load(tmp_path / "press.npz", allow_pickle=False) as read:
+        assert str(read["source"]) == press_id
+        assert np.isfinite(read["heights_mm"]).all()
+        assert read["touched"].any()
