@@ -60,7 +60,7 @@ VOLATILE: Final = (
 # Fields that measure this machine; their keys are compared, their values are not.
 MEASURED: Final = {
     *("latency_ms", "latency_ms_p50", "latency_ms_max", "disk_free_bytes", "outbox_bytes"),
-    *("bytes", "size_bytes", "measured", "cost"),
+    *("bytes", "size_bytes", "measured", "cost", "python", "numpy", "onnxruntime"),
 }
 DECIMAL: Final = re.compile(r"(?<![\d.])\d+\.\d+(?![\d.])")
 PNG, JPEG = b"\x89PNG", b"\xff\xd8"

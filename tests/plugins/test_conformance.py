@@ -119,8 +119,23 @@ def test_every_built_in_device_overview_camera_and_sink_has_a_bench() -> None:
 SUBSPACE: Any = registry.detector("subspace")
 
 
+class Shown:
+    """A part of the inner thing, which one of that name on the changed thing hides."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, changed: Any, kind: type) -> Any:
+        return getattr(changed._inner, self._name)
+
+
 class Changed:
     """Something else with some of its parts replaced."""
+
+    def __new__(cls, inner: Any, **parts: Any) -> Any:
+        # From Python 3.12 on the check against a protocol does not ask `__getattr__`.
+        shown = {name: Shown(name) for name in dir(inner) if not name.startswith("_")}
+        return super().__new__(type("Changed", (cls,), shown))
 
     def __init__(self, inner: Any, **parts: Any) -> None:
         self._inner = inner
