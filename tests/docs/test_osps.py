@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).resolve().parents[2] / "docs/osps.md"
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs/osps.md"
 ROWS = re.findall(r"^\| OSPS-(\S+) \| .+? \| (.+) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
 # docs/versions/2026-08-28-checklist.md of github.com/ossf/security-baseline: level 1, then level 2.
 CONTROLS = """\
@@ -23,8 +24,9 @@ def test_every_control_has_its_row() -> None:
 
 @pytest.mark.parametrize(("control", "evidence"), ROWS)
 def test_evidence_is_there(control: str, evidence: str) -> None:
-    """Each path that is named exists; without one the row says why the control is not met."""
-    paths = re.findall(r"\]\(([^)#]+)\)", evidence)
+    """Each page and file that is named exists; without one the row says why the control is not met."""
+    paths = [PAGE.parent / page for page in re.findall(r"\]\(([^)#]+)", evidence)]
+    paths += [ROOT / name for name in re.findall(r"`([\w./-]*[./][\w./-]+|LICENSE)`", evidence)]
 
     assert paths or re.match(r"not met, because \w+", evidence)
-    assert [path for path in paths if not (PAGE.parent / path).exists()] == []
+    assert [path for path in paths if not path.exists()] == []

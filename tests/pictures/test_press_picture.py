@@ -90,14 +90,16 @@ def test_a_threshold_below_zero_has_its_picture() -> None:
 @pytest.mark.parametrize("form", ["jpeg", "png"])
 def test_the_file_says_what_it_shows(form: PictureForm) -> None:
     """Press id, verdict, score, threshold, mm per pixel, station, part and time are in the texts of either form; where
-    regions are drawn, what they ignore."""
+    regions are drawn, what they ignore; where heights are measured, the deviation."""
     plain = texts(encode_press(press(40, 56), with_defect(40, 56), CAPTION, form))
-    drawn = CAPTION._replace(drawn="ignored: 3.0 mm2 of 9 mm2; 1 ignore")
+    drawn = CAPTION._replace(
+        drawn="ignored: 3.0 mm2 of 9 mm2; 1 ignore", deviation="0.10 ± 0.02 mm deep, 0.8 ± 0.1 mm"
+    )
     data = encode_press(press(40, 56), with_defect(40, 56), drawn, form)
 
     found = texts(data)
-    assert {*TEXT_KEYWORDS} - {*plain} == {"drawn"}
-    assert found["drawn"] == drawn.drawn
+    assert {*TEXT_KEYWORDS} - {*plain} == {"drawn", "deviation"}
+    assert (found["drawn"], found["deviation"]) == (drawn.drawn, drawn.deviation)
     assert content_type(data) == f"image/{form}"
     assert tuple(found) == TEXT_KEYWORDS
     assert found["press_id"] == CAPTION.press_id
@@ -161,7 +163,7 @@ def test_a_program_reads_the_scores_from_the_map(shift: float) -> None:
     assert np.abs(read - cells).max() <= float(said["step"]) / 2 * (1 + 1e-6)
     assert read.max() == pytest.approx(float(scores.max()), rel=1e-12)
     assert said["mm_per_pixel"] == f"{CELL * 0.0634:.6g} {CELL * 0.0634:.6g}"
-    assert {*said} == {*TEXT_KEYWORDS, *SCALE_KEYWORDS} - {"drawn"}
+    assert {*said} == {*TEXT_KEYWORDS, *SCALE_KEYWORDS} - {"drawn", "deviation"}
 
 
 def test_a_map_of_one_score_has_no_step() -> None:
