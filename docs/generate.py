@@ -1,7 +1,7 @@
 """Writes the pages of this folder that are printed from the program: `make docs`. Tests compare page and program.
 
 cli.md from the commands, config.md from the configuration's models and the plugins' options, errors.md from the error
-tree, mqtt.md from the payload models.
+tree, mqtt.md from the payload models, processors.md from the runs that were sent.
 """
 
 import inspect
@@ -447,6 +447,63 @@ def _places(rows: Iterable[tuple[str, int, str]]) -> Iterator[str]:
         start += count
 
 
+# What a press takes on the processors of which somebody sent the figures
+
+
+def processors_page() -> str:
+    """A row for each file of the folder `processors`, the fastest first."""
+    runs = [
+        json.loads(path.read_text(encoding="utf-8"))
+        for path in sorted((FOLDER / "processors").glob("*.json"))
+    ]
+    runs.sort(key=lambda run: run["stages"]["outbox"]["median"])
+    heading = [_row(*_PROCESSOR_COLUMNS), _row(*("---" for _ in _PROCESSOR_COLUMNS))]
+    return "\n".join([NOTICE, _PROCESSORS, *heading, *map(_processor, runs), ""])
+
+
+_PROCESSORS: Final = """# Processors
+
+A reference. What a press takes on each machine of which a run was sent: milliseconds from the settled frame to the
+outbox, and what a gateway takes of the machine. Send yours as a file of `docs/processors` with a pull request:
+
+```
+gelgate demo --keep
+gelgate lab bench demo/bundle demo/recordings/seed-0/test --json > docs/processors/NAME.json
+make docs
+```
+
+Runs of unlike bundles, sensors or versions do not compare; a load at the start of more than a half says that the
+machine was not alone. [performance.md](performance.md) has the stages of one machine, and what the floors are.
+"""
+_PROCESSOR_COLUMNS: Final = (
+    "processor, cores",
+    "system",
+    "gelgate, onnxruntime",
+    "bundle",
+    "outbox, median / p99 ms",
+    "of its floor",
+    "a press, ms of processor",
+    "memory, MB",
+    "load",
+)
+
+
+def _processor(run: Mapping[str, Any]) -> str:
+    machine, outbox, pressing = run["machine"], run["stages"]["outbox"], run["pressing"] or {}
+    press, memory = pressing.get("press_cpu_ms"), pressing.get("memory_bytes")
+    return _row(
+        f"{machine['processor']}, {machine['cores']}",
+        f"{machine['system']}, Python {machine['python']}",
+        f"{machine['libraries']['gelgate']}, {machine['libraries']['onnxruntime']}",
+        run["bundle"],
+        f"{outbox['median']:.1f} / {outbox['p99']:.1f}",
+        f"{outbox['ratio']:.2f}",
+        "" if press is None else f"{press:.0f}",
+        "" if memory is None else f"{memory / 1e6:.0f}",
+        f"{machine['load_at_start']:g}",
+    )
+
+
 # Writing
 
 
@@ -470,6 +527,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "parameters.md": parameters_page,
     "mqtt.md": lambda: reference(every_command()),
     "plc.md": plc_page,
+    "processors.md": processors_page,
 }
 
 
