@@ -150,6 +150,8 @@ _FIELDS: Final[Mapping[str, tuple[tuple[str, DataType, str], ...]]] = {
         ("Press/Sequence", _I, "sequence"),
         ("Press/Part", _S, "part"),
         ("Press/Position", _S, "position"),
+        ("Press/Piece", _S, "piece_id"),
+        ("Press/Place", _S, "place"),
         ("Press/Verdict", _S, "verdict"),
         ("Press/Reason", _S, "reason"),
         ("Press/Error", _S, "error"),
@@ -159,6 +161,12 @@ _FIELDS: Final[Mapping[str, tuple[tuple[str, DataType, str], ...]]] = {
         ("Press/Defect Area mm2", _D, "defect_area_mm2"),
         ("Press/Cause", _S, "cause"),
         ("Press/Blind Area mm2", _D, "blind_area_mm2"),
+    ),
+    "piece": (("Piece/In Progress", _S, "piece_id"),),
+    "piece_result": (
+        ("Piece/Id", _S, "piece_id"),
+        ("Piece/Verdict", _S, "verdict"),
+        ("Piece/Ended By", _S, "ended_by"),
     ),
     "gel": (
         ("Gel/Id", _S, "gel_id"),
@@ -190,7 +198,7 @@ def metrics_of(message: Message, time_ms: int) -> Iterator[Metric]:
     if kind == "alarm":
         yield Metric(f"Alarm/{alarm}", _B, bool(message.payload), time_ms)
     elif message.topic in _FIELDS:
-        content = json.loads(message.payload)
+        content = json.loads(message.payload or b"{}")  # empty: the station has no `[piece]` any more
         if not isinstance(content, dict):
             raise ValueError("expected a JSON object")
         own_ms, is_late = content.get("time_ms", time_ms), bool(content.get("is_replayed", False))

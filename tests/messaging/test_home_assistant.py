@@ -13,12 +13,15 @@ import pytest
 from recorded_presses import GEL, result, unscored
 
 from edge.core.gel_life import GelState
+from edge.core.part_position import PartPosition
+from edge.core.piece import Piece
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.core.verdict import Cause, Kind
 from edge.messaging.descriptions.dashboards import discovery, discovery_topic
 from edge.messaging.descriptions.station import DescribedStation
 from edge.messaging.local_broker import LocalBroker
+from edge.messaging.piece_payloads import PiecePayload
 from edge.messaging.result_payload import press_messages
 from edge.messaging.status_payloads import (
     GelPayload,
@@ -47,6 +50,11 @@ HALTED = [StatePayload(time_ns=1, state="halted", reason="no sensor").message()]
 LOST = [StatePayload(time_ns=1, state="lost").message()]
 
 
+def piece(**given: Any) -> Message:
+    place = PartPosition("PZ0", "left")
+    return PiecePayload.of(Piece("P2", 0, (place,), "fixed"), 1, **given).message()
+
+
 def stats(**more: Any) -> list[Message]:
     numbers = {"uptime_s": 1.0, "frames": 1, "frames_corrupt": 0, "delivered_fps": 18.0, "presses": 1}
     return [StatsPayload(time_ns=1, **numbers, **more).message()]
@@ -65,6 +73,9 @@ def stats(**more: Any) -> list[Message]:
         ("cause", FAILED, "gel"),
         ("cause", PASSED, "none"),
         ("blind_share", FAILED, "0.02"),
+        ("piece", [piece(is_begun=True, last=("P1", "pass"))], "in progress"),
+        ("piece", [piece(is_begun=False, last=("P1", "pass"))], "pass"),
+        ("piece", [piece(is_begun=False, last=None)], "none"),
         ("time", FAILED, "2001-09-09T01:46:40.000000Z"),
         ("state", HALTED, "halted"),
         ("gel_state", WORN, "replace"),

@@ -10,12 +10,15 @@ import pytest
 from recorded_presses import GEL, result
 
 from edge.core.errors import SinkRejected, SinkUnavailable
+from edge.core.part_position import PartPosition
+from edge.core.piece import Piece
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.core.verdict import Kind
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.payload_base import as_replayed
+from edge.messaging.piece_payloads import PiecePayload, PieceResultPayload
 from edge.messaging.result_payload import press_messages
 from edge.messaging.status_payloads import (
     InfoPayload,
@@ -39,6 +42,7 @@ from .conftest import PATIENCE_S, ROOT, Listen, Listener
 NODE = "line1-press2"
 STATE = StatePayload(time_ns=10**18, state="ready").message()
 FAILED = press_messages(result(time_ns=10**18, verdict=Kind.FAIL, score=2.5, score_ratio=2.5), GEL)
+PIECE = Piece("P1", 0, (PartPosition("PZ0", "left"),), "free")
 Open = Callable[[LocalBroker], SparkplugSink]
 
 
@@ -85,6 +89,9 @@ def test_every_metric_is_a_field_of_a_payload() -> None:
         STATE,
         *FAILED,
         AlarmPayload(time_ns=1, alarm="gel", text="due").message(),
+        PiecePayload.of(PIECE, 1, is_begun=True, last=None).message(),
+        Message(PiecePayload.topic, b"", retain=True),
+        PieceResultPayload.of(PIECE, "next piece", 1).message(),
         InfoPayload(time_ns=1, gelgate_version="1").message(),
         StatsPayload(time_ns=1, uptime_s=1, frames=1, frames_corrupt=0, delivered_fps=1, presses=1).message(),
     ],
