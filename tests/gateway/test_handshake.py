@@ -128,7 +128,7 @@ def test_by_command_the_trigger_asks_for_the_verdict_of_the_press_that_is_held(c
     with PlcStation(configure(trigger="command")) as station:
         station.play_until_ready()
         station.trigger(1)
-        station.turn()
+        station.turn(2)
         assert station.result == ("done", 1, "error", Code.NOTHING_PRESSED)
         station.acknowledge()
         station.play_until_pressed()
@@ -139,8 +139,24 @@ def test_by_command_the_trigger_asks_for_the_verdict_of_the_press_that_is_held(c
         assert station.result == ("done", 2, "pass", Code.NONE)
         station.acknowledge()
         station.trigger(3)
-        station.turn()
+        station.turn(2)
         assert station.result == ("done", 3, "error", Code.NOTHING_PRESSED)
+
+
+def test_by_command_no_frame_of_before_the_trigger_is_judged(configure: Make) -> None:
+    """The loop is some frames behind, and the part was lifted before the trigger: its press is no answer, even though
+    the loop still sees it."""
+    with PlcStation(configure(trigger="command", pace=1.0)) as station:
+        station.play_until_ready()
+        station.play_until_pressed()
+        station.read(14)
+        assert station.trigger(1) is Code.NONE
+        assert station.loop.session is not None
+        station.look()
+        assert not station.loop.session.has_contact
+        station.play(1)
+        assert station.result == ("done", 1, "error", Code.NOTHING_PRESSED)
+    assert [(result.verdict, result.trigger_id) for result in station.results] == [("rejected", None)]
 
 
 def test_a_trigger_selects_its_part(tmp_path: Path, configure: Make, bundle: Path) -> None:

@@ -263,6 +263,25 @@ def test_a_piece_that_cannot_begin_is_refused_and_nothing_changes(
         assert station.said("piece") == said
 
 
+def test_a_press_that_began_before_its_piece_is_of_none(configure: Make) -> None:
+    """The loop is some frames behind: when the piece is begun something presses already, and is not seen yet. It may
+    be the piece before."""
+    with PieceStation(configure(plan(), pace=1.0)) as station:
+        station.play_until(lambda: station.loop.session is not None and station.loop.session.has_contact)
+        frames = station.parts.acquisition.status.frames
+    with PieceStation(configure(plan(), pace=1.0)) as station:
+        station.play_until(lambda: station.parts.acquisition.status.frames == frames - 8)
+        station.read(10)
+        station.ask("begin_piece", piece_id="P2")
+        station.look()
+        station.play_presses(3)
+
+    refused = station.results[0]
+    assert (refused.verdict, refused.place) == ("rejected", None)
+    assert str(refused.reason).startswith("no_place: the press began before the piece P2")
+    assert station.words[1:] == [("PZ0/left", "pass"), ("PZ0/middle", "pass")]
+
+
 def test_nothing_is_counted_that_is_not_recorded(configure: Make) -> None:
     """While the database refuses the first press, the others are refused: they are pressed again."""
     with PieceStation(configure(plan(), presses=5)) as station:

@@ -54,6 +54,10 @@ class HandshakeStage(PressStage):
         self._has_contact = False
         self._piece_id: str | None = None
         self._answer = ("", 0)
+        self._asked: tuple[Trigger, int] | None = None
+        """By command: the trigger that waits for a frame of after it, and its time."""
+        self._asked_id = 0
+        """By command: the trigger that the loop was asked to answer."""
         self._alarm: str | None = None
 
     @classmethod
@@ -76,17 +80,36 @@ class HandshakeStage(PressStage):
 
     def _triggered(self, trigger: Trigger, part: PartPosition | None) -> None:
         """Let the loop do what a trigger asks for. The server's thread calls it."""
-        if trigger.piece and self._parts.config.piece is not None:
-            self._parts.post(partial(self._begin_piece, trigger))
         if part is not None:
             self._parts.post(partial(self._select, part, trigger))
         if self._is_command:
+            self._parts.post(partial(self._wait, trigger, self._clock.monotonic_ns()))
+        else:
+            self._parts.post(partial(self._begin_piece, trigger))
+
+    def _wait(self, trigger: Trigger, asked_ns: int) -> None:
+        self._asked = trigger, asked_ns
+
+    def _ask_for_verdict(self) -> None:
+        """Ask for the verdict of the press that is held, once the loop has seen a frame of after the trigger: one of
+        before may show a press that was lifted since."""
+        if self._asked is None or self._frame is None:
+            return
+        trigger, asked_ns = self._asked
+        if self._time_of(self._frame.timestamp_ns) < asked_ns:
+            return
+        self._asked = None
+        with self.port.machine() as (machine, now_ns):
+            seen = machine.read(now_ns)
+        if (seen.step, seen.trigger_id) == ("busy", trigger.trigger_id):
+            self._asked_id = trigger.trigger_id
+            self._begin_piece(trigger)
             self._parts.trigger()
 
     def _begin_piece(self, trigger: Trigger) -> None:
         """Begin the piece of several places that a trigger names, unless it is in progress. Where that fails the result
         is an error."""
-        if trigger.piece == self._piece_id:
+        if trigger.piece in ("", self._piece_id) or self._parts.config.piece is None:
             return
         try:
             self._parts.do("begin_piece", {"piece_id": trigger.piece})
@@ -160,7 +183,10 @@ class HandshakeStage(PressStage):
             ratio = verdict.score / limit if verdict and verdict.score is not None and limit else None
             with self.port.machine() as (machine, now_ns):
                 word = press.shown or "place"
-                if machine.judge(press.press_id, word, now_ns, part=part, piece=piece, score_ratio=ratio):
+                is_early = self._is_command and machine.read(now_ns).trigger_id != self._asked_id
+                if not is_early and machine.judge(
+                    press.press_id, word, now_ns, part=part, piece=piece, score_ratio=ratio
+                ):
                     self._answer = (press.press_id, machine.read(now_ns).trigger_id)
         return press
 
@@ -175,6 +201,7 @@ class HandshakeStage(PressStage):
 
     def turn(self, mounted: Mounted | None) -> None:
         self._has_contact = mounted is not None and mounted.has_contact
+        self._ask_for_verdict()
 
     def show(self, view: StationView) -> None:
         self._piece_id = view.piece_id
