@@ -153,6 +153,10 @@ class HandshakeServer(Protocol):
     def name(self) -> str:
         """Such as `Modbus TCP at 192.168.0.5:502`."""
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether it served, and its thread has ended."""
+
     def start(self, handshake: Handshake) -> None:
         """Serve in the background until `close`."""
 

@@ -316,6 +316,10 @@ class ModbusServer(ThreadingTCPServer):
         host, port = self.socket.getsockname()[:2]
         return f"Modbus TCP at {host}:{port}"
 
+    @property
+    def has_ended(self) -> bool:
+        return self._thread.ident is not None and not self._thread.is_alive()
+
     def start(self, handshake: Handshake) -> None:
         self.registers = _Registers(handshake, self._clock)
         self._thread.start()

@@ -75,6 +75,10 @@ class OpcUaServer:
         self._has_begun, self._fault = threading.Event(), ""
         self._thread = threading.Thread(target=self._run, name="opcua", daemon=True)
 
+    @property
+    def has_ended(self) -> bool:
+        return self._thread.ident is not None and not self._thread.is_alive()
+
     def start(self, handshake: Handshake) -> None:
         """Serve when it returns, which takes a second or two. Errors: ConfigError."""
         self._handshake = handshake

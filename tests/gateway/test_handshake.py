@@ -253,6 +253,22 @@ def test_a_result_that_is_not_acknowledged_is_an_alarm(configure: Make) -> None:
         assert station.alarm("plc") is None
 
 
+def test_a_server_that_ends_by_itself_is_an_alarm(configure: Make) -> None:
+    """The PLC has lost its connection, and nobody else would know."""
+    with PlcStation(configure()) as station:
+        station.play_until_ready()
+        stage = station.find(HandshakeStage)
+        stage.start()
+        station.turn()
+        assert station.alarm("plc") is None
+        server = stage._server
+        assert isinstance(server, ModbusServer)
+        server.shutdown()
+        server._thread.join()
+        station.turn()
+        assert "has ended by itself, so the PLC reaches nothing" in str(station.alarm("plc"))
+
+
 def test_after_a_restart_nothing_is_left(configure: Make) -> None:
     """No result of before, and no trigger."""
     config = configure()

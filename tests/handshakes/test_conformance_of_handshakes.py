@@ -155,6 +155,7 @@ def test_a_wrong_server_is_noticed(wrong: type[_Wrong]) -> None:
     class Server:
         def __init__(self, inner: HandshakeServer) -> None:
             self.inner, self.name, self.close = inner, inner.name, inner.close
+            self.has_ended = False
 
         def start(self, handshake: Handshake) -> None:
             self.inner.start(wrong(handshake))  # type: ignore[arg-type]

@@ -263,6 +263,19 @@ def test_the_connection_is_cut_at_every_step(served: Served, step: int, word: st
     assert (seen["JobId"], seen["ResultId"], seen["ResultContent"]) == (8, "P8", other)
 
 
+def test_a_thread_that_fails_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The station says so: the PLC has lost its connection."""
+    with contextlib.closing(Served()) as served:
+        assert not served.server.has_ended
+
+        async def fail(*given: object) -> None:
+            raise RuntimeError("planted")
+
+        monkeypatch.setattr(served.server, "_push", fail)
+        served.server._thread.join()
+        assert served.server.has_ended
+
+
 def test_a_port_that_is_taken_and_a_missing_package_are_sentences(monkeypatch: pytest.MonkeyPatch) -> None:
     """At `gelgate check`, and at the start."""
     with contextlib.closing(OpcUaServer("127.0.0.1", 0)) as server:

@@ -209,7 +209,12 @@ class HandshakeStage(PressStage):
             seen = machine.show(view, self._gel_left_percent, now_ns)
             is_silent, is_unread = machine.is_silent(now_ns), machine.is_unread(now_ns)
         alarm = None
-        if is_silent:
+        if self._server.has_ended:
+            alarm = (
+                f"{self._server.name} has ended by itself, so the PLC reaches nothing; see the log, and restart the "
+                "gateway"
+            )
+        elif is_silent:
             alarm = "the PLC's watchdog stands still, so its triggers are refused"
         elif is_unread:
             alarm = f"the PLC does not acknowledge the result of trigger {seen.trigger_id}, so the next is refused"

@@ -40,6 +40,7 @@ class Server:
 
     now: ClassVar["Server"]
     name = "simulated"
+    has_ended = False
 
     def __init__(self, clock: "SimulatedClock", is_dead: Callable[[], bool], kind: str) -> None:
         self._clock, self._is_dead, self.kind = clock, is_dead, kind
