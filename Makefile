@@ -108,7 +108,7 @@ QUICK := $(addprefix tests/,cli compatibility config core detectors devices digi
 test-quick: $(VENV)/.test
 	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 $(QUICK)
 
-# That under the newer Pythons that are claimed, of Debian's newer releases, in folders beside the system.
+# That under newer Pythons, of Debian's newer releases, in folders beside the system.
 # `make test VENV=.venv-3.14 PYTHON=$$PWD/.venv-python3.14/usr/bin/python3.14` is all of it.
 NEWER := 3.13 3.14
 test-pythons: $(NEWER:%=$(VENV)-python%/.made)

@@ -401,10 +401,21 @@ def tree() -> Iterator[tuple[type[errors.GelgateError], str, str]]:
 
 
 def plc_page() -> str:
-    """The page as it is, with the tables of its map printed again."""
-    page, end = (FOLDER / "plc.md").read_text(encoding="utf-8"), "<!-- end -->\n"
-    for module, lines in (("registers", _registers()), ("nodes", _opcua_nodes())):
-        start = f"<!-- printed from plugins/handshakes/{module}.py -->\n"
+    """Print the page again, with the tables of its map."""
+    return _print_tables(
+        "plc.md",
+        {
+            "plugins/handshakes/registers.py": _registers(),
+            "plugins/handshakes/nodes.py": _opcua_nodes(),
+        },
+    )
+
+
+def _print_tables(name: str, tables: Mapping[str, Iterable[str]]) -> str:
+    """Return a page as it is, with the lines between its marks printed again. tables: by what they are printed from."""
+    page, end = (FOLDER / name).read_text(encoding="utf-8"), "<!-- end -->\n"
+    for source, lines in tables.items():
+        start = f"<!-- printed from {source} -->\n"
         before, _, rest = page.partition(start)
         page = before + start + "\n".join(lines) + "\n" + end + rest.partition(end)[2]
     return page
@@ -451,30 +462,16 @@ def _places(rows: Iterable[tuple[str, int, str]]) -> Iterator[str]:
 
 
 def processors_page() -> str:
-    """A row for each file of the folder `processors`, the fastest first."""
+    """Print the page again with a row for each file of the folder `processors`, the fastest first."""
     runs = [
         json.loads(path.read_text(encoding="utf-8"))
         for path in sorted((FOLDER / "processors").glob("*.json"))
     ]
     runs.sort(key=lambda run: run["stages"]["outbox"]["median"])
-    heading = [_row(*_PROCESSOR_COLUMNS), _row(*("---" for _ in _PROCESSOR_COLUMNS))]
-    return "\n".join([NOTICE, _PROCESSORS, *heading, *map(_processor, runs), ""])
+    heading = (_row(*_PROCESSOR_COLUMNS), _row(*("---" for _ in _PROCESSOR_COLUMNS)))
+    return _print_tables("processors.md", {"docs/processors": ("", *heading, *map(_processor, runs), "")})
 
 
-_PROCESSORS: Final = """# Processors
-
-A reference. What a press takes on each machine of which a run was sent: milliseconds from the settled frame to the
-outbox, and what a gateway takes of the machine. Send yours as a file of `docs/processors` with a pull request:
-
-```
-gelgate demo --keep
-gelgate lab bench demo/bundle demo/recordings/seed-0/test --json > docs/processors/NAME.json
-make docs
-```
-
-Runs of unlike bundles, sensors or versions do not compare; a load at the start of more than a half says that the
-machine was not alone. [performance.md](performance.md) has the stages of one machine, and what the floors are.
-"""
 _PROCESSOR_COLUMNS: Final = (
     "processor, cores",
     "system",

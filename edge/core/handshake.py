@@ -155,7 +155,7 @@ class HandshakeServer(Protocol):
 
     @property
     def has_ended(self) -> bool:
-        """Whether it served, and its thread has ended."""
+        """Tell whether it served, and its thread has ended."""
 
     def start(self, handshake: Handshake) -> None:
         """Serve in the background until `close`."""

@@ -55,5 +55,5 @@ class Deviations(PressStage):
         return replace(press, measure=lambda: measure(press, find()[:MOST_DEFECTS], bundle, serial))
 
     def fields(self, press: Press) -> Mapping[str, Any]:
-        """Where its deviations come."""
+        """Say where its deviations are sent."""
         return {"deviations_topic": f"deviations/{press.press_id}"} if press.measure else {}

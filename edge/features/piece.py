@@ -70,10 +70,10 @@ class Pieces(PressStage):
         self._is_command = parts.config.inspection.trigger == "command"
         self._has_contact = False
         self._is_undecided = False  # it is pressed, and the press has no verdict
-        self._begun_ns = 0  # when a request began the piece in progress, monotonic
-        self._press_ns: int | None = (
-            None  # of the frame with which the newest press began; None for a recorded one
-        )
+        self._begun_ns = 0
+        """When a request began the piece in progress, monotonic."""
+        self._press_ns: int | None = None
+        """The time of the frame with which the newest press began; None for a recorded one."""
         self._is_recorded = True  # the newest frame is one that is made on demand
         self._said: object = None
         self._warned: str | None = None

@@ -35,7 +35,7 @@ class DeviationPlace(BaseModel):
 
     @classmethod
     def of(cls, deviation: Deviation) -> Self:
-        return cls(**{name: value or None for name, value in vars(deviation).items()})
+        return cls(**{**vars(deviation), "remark": deviation.remark or None})
 
     def __str__(self) -> str:
         said = [
@@ -61,7 +61,7 @@ class DeviationsPayload(Payload):
 
     @property
     def first(self) -> DeviationPlace:
-        """That of the highest score, empty where nothing was measured."""
+        """The deviation of the highest score, empty where nothing was measured."""
         return self.deviations[0] if self.deviations else DeviationPlace()
 
     def message(self) -> Message:

@@ -50,7 +50,7 @@ def check_feature(name: str) -> None:
 
 
 def check_it_is_a_feature(case: FeatureCase) -> None:
-    """It is a class of PressStage, each of whose requests and alarms is explained."""
+    """The entry point is a class of PressStage, each of whose requests and alarms is explained."""
     for command in case.kind.commands:
         require(bool(command.verb and command.help), f"the request '{command.verb}' has no help")
     require(bool({*case.kind.alarms} <= {*list_alarms()}), f"{[*case.kind.alarms]} are not known as alarms")
@@ -76,7 +76,7 @@ def check_presses_without_a_score(case: FeatureCase) -> None:
 
 
 def check_alarms_are_declared(case: FeatureCase) -> None:
-    """What it raises while presses are inspected is known as an alarm: others are not published."""
+    """Each alarm that it raises while presses are inspected is known: others are not published."""
     with case.station() as station:
         station.play()
         unknown = {*station.raised} - {*ALARMS, *list_alarms()}
@@ -97,7 +97,7 @@ def check_requests(case: FeatureCase) -> None:
 
 
 def check_a_restart(case: FeatureCase) -> None:
-    """It starts again on the database that it leaves."""
+    """A station starts again on the database that the feature leaves."""
     with TemporaryDirectory() as folder:
         for _ in range(2):
             with open_played(Path(folder)) as station:

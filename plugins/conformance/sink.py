@@ -50,7 +50,7 @@ class Translates(Protocol):
     """A bench whose sink leaves messages out, or writes them in another form."""
 
     def arrives(self, topic: str, message: Message) -> tuple[str, bytes] | None:
-        """What the receiver has of a message, (topic, payload), None for nothing; topic: the full one."""
+        """Return what the receiver has of a message, (topic, payload), None for nothing; topic: the full one."""
         ...
 
 
@@ -146,7 +146,7 @@ SINK_CHECKS: Final[tuple[Callable[[SinkBench], None], ...]] = collect(globals(),
 
 
 def _expect(bench: SinkBench, messages: Sequence[Message]) -> list[tuple[str, bytes]]:
-    """What the receiver has of these messages, in order."""
+    """Return what the receiver has of these messages, in order."""
     sent = ((f"{ROOT}/{message.topic}", message) for message in messages)
     if not isinstance(bench, Translates):
         return [(topic, message.payload) for topic, message in sent]

@@ -143,7 +143,7 @@ class UsbMock(DevicePlugin[UsbMockOptions], RecordsDialogue[UsbMockOptions]):
         return sensor
 
     def record_dialogue(self, options: UsbMockOptions, clock: Clock) -> list[str]:
-        """Errors: RecordingError, DeviceNotFound."""
+        """Record it on the virtual bus. Errors: RecordingError, DeviceNotFound."""
         bus = self.bench(options, clock).bus
         return record_dialogue(bus, options.serial, clock, lock_name=_lock_name(options))
 

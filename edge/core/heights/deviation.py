@@ -156,5 +156,5 @@ def _dilate(places: Mask, reach_px: float) -> Mask:
 
 
 def _round(mm: float) -> float:
-    """To micrometres."""
+    """Round to micrometres."""
     return round(mm, 3)

@@ -57,7 +57,7 @@ class DialogueRecorder:
         self._handles: dict[int, tuple[object, int]] = {}
 
     def enumerate_devices(self) -> Iterator[Any]:
-        """Other kinds of devices are nobody's business."""
+        """List the sensors; other kinds of devices are nobody's business."""
         for device in self._backend.enumerate_devices():
             seen = self._backend.get_device_descriptor(device)
             if (seen.idVendor, seen.idProduct) == (VENDOR_ID, PRODUCT_ID):
@@ -72,7 +72,7 @@ class DialogueRecorder:
         return handle
 
     def close_device(self, handle: Any) -> None:
-        """It is not kept: Python closes when it collects."""
+        """Close it. The call is not kept: Python closes when it collects."""
         self._backend.close_device(handle)
 
     def get_parent(self, device: Any) -> None:
@@ -189,7 +189,7 @@ class DialoguePlayer:
         return self
 
     def read(self, timeout_ms: int) -> list[Packet]:
-        """As of `PacketStream`. After its end nothing more comes in time."""
+        """Read as `PacketStream` does. After the end nothing more comes in time."""
         batches = self._answers[json.dumps(["packets"])]
         if not batches:
             self._clock.sleep(timeout_ms / 1000)
@@ -234,7 +234,7 @@ def record_dialogue(
 def listen(
     backend: Any, sensor: SensorOnBus, clock: Clock, *, lock_name: str | None = None
 ) -> dict[str, Any]:
-    """What the driver makes of a sensor: its identity, its controls, and the length of each frame or a fault."""
+    """Return what the driver makes of a sensor: its identity, its controls, and the length of each frame or a fault."""
     heard: dict[str, Any] = {"product": sensor.discovered.product, "frames": []}
     try:
         opened = UvcSensor.open(backend, sensor, clock, lock_name=lock_name, controls=MINI_CONTROLS)
@@ -269,7 +269,7 @@ def _as_json(names: str) -> Callable[[Any], dict[str, Any]]:
 
 
 def _value(answer: Any) -> Any:
-    """The answer of a line. Errors: what the bus had raised there."""
+    """Return the answer of a line. Errors: what the bus had raised there."""
     if not (isinstance(answer, dict) and "error" in answer):
         return answer
     if not answer["error"]:
