@@ -11,7 +11,6 @@ import asyncio
 import logging
 import socket
 import threading
-import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from contextvars import ContextVar
@@ -40,7 +39,6 @@ log = logging.getLogger(__name__)
 WRITER_S: Final = 3.0
 # Subscriptions are told of changes this often; whoever reads gets the value of that moment.
 PUSH_S: Final = 0.02
-START_S: Final = 30.0
 MOST_CONNECTIONS: Final = 32
 
 _caller: ContextVar[Any] = ContextVar("session")
@@ -61,7 +59,8 @@ class OpcUaOptions(BaseModel, extra="forbid", frozen=True):
 class OpcUaServer:
     """A `HandshakeServer`, on a thread with a loop of its own. Errors: OSError for a port that cannot be taken."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, clock: Clock) -> None:
+        self._clock = clock
         self._held = _listen(host, port)  # until it serves
         self._address: tuple[str, int] = self._held.getsockname()[:2]
         self.name = "OPC UA at opc.tcp://{}:{}".format(*self._address)
@@ -83,10 +82,9 @@ class OpcUaServer:
         """Serve when it returns, which takes a second or two. Errors: ConfigError."""
         self._handshake = handshake
         self._thread.start()
-        if not self._has_begun.wait(START_S) or self._fault:
-            raise ConfigError(
-                f"{self.name} cannot be served: {self._fault or 'it takes too long'}; see the log"
-            )
+        self._has_begun.wait()
+        if self._fault:
+            raise ConfigError(f"{self.name} cannot be served: {self._fault}; see the log")
 
     def close(self) -> None:
         self._held.close()
@@ -100,7 +98,8 @@ class OpcUaServer:
         except Exception as error:
             self._fault = repr(error)
             log.exception("%s has ended", self.name)
-        self._has_begun.set()
+        finally:
+            self._has_begun.set()
 
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -127,7 +126,7 @@ class OpcUaServer:
         server.set_server_name("gelgate")
         server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
         server.iserver.max_connections = MOST_CONNECTIONS
-        _note_callers(server)
+        _note_callers(server, self._clock)
         space = await server.register_namespace(NAMESPACE)
         root = await server.nodes.objects.add_object(f"ns={space};s=VisionSystem", f"{space}:VisionSystem")
         folders = {"": root}
@@ -200,9 +199,8 @@ class OpcUaServer:
         """Let one session call methods at a time; return why this one may not."""
         session, writer = _caller.get(), self._writer
         is_other = writer is not None and writer is not session and writer.is_activated()
-        if (
-            is_other and time.monotonic() - writer._last_activity <= WRITER_S
-        ):  # asyncua keeps it for its time-out
+        # asyncua keeps a session that is not heard any more for its time-out
+        if is_other and self._clock.monotonic_ns() - writer.heard_ns <= WRITER_S * 1e9:
             return (
                 f"a second client, {session.name}, calls a method while {writer.name} does; it may read, and call "
                 f"{WRITER_S:g} s after the other's last request"
@@ -260,19 +258,23 @@ def _arguments(types: Mapping[str, str]) -> list[Any]:
     ]
 
 
-def _note_callers(server: "Server") -> None:
-    """Let a method know which session calls it: asyncua does not say."""
+def _note_callers(server: "Server", clock: Clock) -> None:
+    """Let a method know which session calls it, and each session when it was heard: asyncua does not say."""
     create = server.iserver.create_session
 
     def create_session(*arguments: Any, **options: Any) -> Any:
         session = create(*arguments, **options)
-        call = session.call
+        call, touch = session.call, session.touch
+
+        def hear() -> None:
+            touch()
+            session.heard_ns = clock.monotonic_ns()
 
         async def noted(*arguments: Any) -> Any:
             _caller.set(session)
             return await call(*arguments)
 
-        session.call = noted
+        session.call, session.touch = noted, hear
         return session
 
     server.iserver.create_session = create_session
@@ -290,7 +292,7 @@ class OpcUa(HandshakePlugin[OpcUaOptions]):
     def open(self, options: OpcUaOptions, clock: Clock) -> OpcUaServer:
         needs("opcua", 'handshake.plugin = "opcua"')
         try:
-            return OpcUaServer(options.host, options.port)
+            return OpcUaServer(options.host, options.port, clock)
         except OSError as error:
             raise ConfigError(
                 f"handshake.options: {options.host}:{options.port} cannot be served ({error.strerror or error}); "

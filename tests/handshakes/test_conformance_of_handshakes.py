@@ -1,5 +1,6 @@
 """Every built-in server for a PLC passes the published checks, and each check notices what it is about."""
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -94,8 +95,10 @@ class OpcUaBench:
 
 @pytest.mark.parametrize("bench", [ModbusBench, OpcUaBench])
 def test_every_built_in_server_passes(bench: Callable[[], Any]) -> None:
-    """All checks."""
+    """All checks. No thread of theirs is left that would keep a program from its end."""
+    before = threading.enumerate()
     check_handshake(bench)
+    assert [one for one in threading.enumerate() if not one.daemon and one not in before] == []
 
 
 class _Wrong:

@@ -22,7 +22,8 @@ class Served:
     """A server on a bench, and its clients."""
 
     def __init__(self) -> None:
-        self.server = OpcUaServer("127.0.0.1", 0)
+        self.clock = ManualClock()
+        self.server = OpcUaServer("127.0.0.1", 0, self.clock)
         self.begin()
         self.server.start(self)  # type: ignore[arg-type]  # it hands on to the present handshake
         self._clients: list[OpcUaPlc] = []
@@ -168,15 +169,20 @@ def test_no_node_can_be_written(served: Served, plc: OpcUaPlc) -> None:
 
 
 def test_a_second_plc_may_read_and_call_nothing(served: Served, plc: OpcUaPlc) -> None:
-    """Until the first is gone."""
+    """Until the first is not heard any more, or is gone."""
     plc.start_job(1)
     second = served.client()
     assert second.acknowledge() == "BadUserAccessDenied"
     assert second.beat() == "BadUserAccessDenied"
     assert "a second client" in served.handshake.refused[-1][1]
     assert second.read()["JobId"] == 1
-    plc.close()
+    served.clock.sleep(opcua.WRITER_S)
+    assert second.acknowledge() == "BadUserAccessDenied"
+    served.clock.sleep(0.001)
     assert second.acknowledge() == "Good"
+    assert plc.acknowledge() == "BadUserAccessDenied"
+    second.close()
+    assert plc.acknowledge() == "Good"
 
 
 def test_one_request_reads_one_moment(served: Served, plc: OpcUaPlc) -> None:
@@ -195,9 +201,11 @@ def test_one_request_reads_one_moment(served: Served, plc: OpcUaPlc) -> None:
 
     thread = threading.Thread(target=work)
     thread.start()
-    seen = [plc.read() for _ in range(200)]
-    stop.set()
-    thread.join()
+    try:
+        seen = [plc.read() for _ in range(200)]
+    finally:  # else it triggers in every test that follows
+        stop.set()
+        thread.join()
     for one in seen:
         assert one["IsPass"] is not one["IsNotPassed"]
         assert one["IsAvailable"] is (one["ResultContent"] != "")
@@ -245,7 +253,7 @@ def test_the_connection_is_cut_at_every_step(served: Served, step: int, word: st
     ]
     for one in steps[:step]:
         one()
-    plc.client.aio_obj.uaclient.protocol.transport.abort()  # no farewell: the session stays open
+    plc.cut()
     back = served.client()
     seen = back.read()
     if seen["JobId"] == 7 and not seen["IsAvailable"]:
@@ -254,7 +262,7 @@ def test_the_connection_is_cut_at_every_step(served: Served, step: int, word: st
     assert (seen["JobId"], seen["ResultContent"]) == ((7, word) if step else (0, ""))
     assert seen["IsPass"] is (step > 0 and word == "pass")
     while back.acknowledge() == "BadUserAccessDenied":  # the server has yet to notice
-        pass
+        served.clock.sleep(1)
     assert back.start_job(8) == "Good"
     assert back.read()["IsPass"] is False
     other = {"pass": "fail", "fail": "pass"}[word]
@@ -278,7 +286,7 @@ def test_a_thread_that_fails_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_port_that_is_taken_and_a_missing_package_are_sentences(monkeypatch: pytest.MonkeyPatch) -> None:
     """At `gelgate check`, and at the start."""
-    with contextlib.closing(OpcUaServer("127.0.0.1", 0)) as server:
+    with contextlib.closing(OpcUaServer("127.0.0.1", 0, ManualClock())) as server:
         port = int(server.name.rpartition(":")[2])
         with pytest.raises(
             ConfigError, match=rf"127.0.0.1:{port} cannot be served \(Address already in use\)"

@@ -13,6 +13,7 @@ import pytest
 from handshake_bench import Bench, BenchHandshake
 from opcua_plc import JOBS, RESULT
 
+from edge.clock import SystemClock
 from edge.core.handshake import Trigger
 from plugins.handshakes.nodes import NAMESPACE, VARIABLES
 from plugins.handshakes.opcua import OpcUaServer
@@ -70,7 +71,7 @@ def ask(handshake: BenchHandshake, tmp_path: Path) -> Iterator[Ask]:
     """A session of node-opcua."""
     if not (INSTALLED / "node_modules/node-opcua-client").is_dir() or shutil.which("node") is None:
         pytest.skip(f"SKIPPED, NOT TESTED: node-opcua-client is not installed in {INSTALLED}")
-    server = OpcUaServer("127.0.0.1", 0)
+    server = OpcUaServer("127.0.0.1", 0, SystemClock())
     with contextlib.closing(server):
         server.start(handshake)
         with subprocess.Popen(

@@ -10,14 +10,20 @@ from plugins.handshakes.nodes import METHODS, NAMESPACE, VARIABLES
 
 JOBS = "VisionStateMachine/AutomaticModeStateMachine"
 RESULT = "ResultManagement/LatestResult"
+# Of an answer, and between two looks whether the server lives: so long that a busy machine cuts no connection.
+PATIENCE_S = 120
 
 
 class OpcUaPlc:
     """One session."""
 
     def __init__(self, address: str) -> None:
-        self.client: Any = Client(address, timeout=10)
-        self.client.connect()
+        self.client: Any = Client(address, timeout=PATIENCE_S, watchdog_intervall=PATIENCE_S)
+        try:
+            self.client.connect()
+        except Exception:
+            self.close()  # its thread would keep the program from its end
+            raise
         self.space = self.client.get_namespace_index(NAMESPACE)
 
     def node(self, path: str) -> Any:
@@ -47,6 +53,10 @@ class OpcUaPlc:
 
     def beat(self) -> str:
         return self.call("Station/Beat")
+
+    def cut(self) -> None:
+        """End the connection without a farewell: the session stays open."""
+        self.client.tloop.loop.call_soon_threadsafe(self.client.aio_obj.uaclient.protocol.transport.abort)
 
     def close(self) -> None:
         client, self.client = self.client, None

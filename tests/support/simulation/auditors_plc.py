@@ -5,7 +5,6 @@ from itertools import pairwise
 
 from simulation.lives import Seen, Station
 from simulation.plc import TIMEOUT_S, Asked, Plc, Shown
-from simulation.plc_lines import WRITES_ALONE_S
 from simulation.sensor import S
 from simulation.surroundings import World
 
@@ -14,6 +13,9 @@ HALTED_S = 0.5
 
 LATE_S = 0.5
 """A trigger is done so soon after its time: with the next read."""
+
+WRITES_ALONE_S = 3.0
+"""Nobody else writes so long after a PLC wrote, unless it is gone."""
 
 
 def audit_plcs(world: World, station: Station) -> Iterator[str]:

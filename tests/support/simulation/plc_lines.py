@@ -5,7 +5,6 @@ The registers and the nodes are those of the program. A session of OPC UA is kno
 
 import asyncio
 import struct
-import time
 from collections.abc import Collection
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
@@ -20,9 +19,7 @@ from plugins.handshakes.registers import STATUS_BITS
 if TYPE_CHECKING:
     from simulation.surroundings import SimulatedClock
 
-S = 10**9
 TRIGGER, ACKNOWLEDGE, WATCHDOG = 0, 1, 2
-WRITES_ALONE_S = 3.0
 
 Seen = tuple[Collection[str], int]
 """The names of the bits that are set, and the id, of one request."""
@@ -38,11 +35,6 @@ class Line:
 
     def is_activated(self) -> bool:
         return not self.is_gone
-
-    @property
-    def _last_activity(self) -> float:
-        is_heard = self.clock.now_ns - self.heard_ns <= WRITES_ALONE_S * S
-        return time.monotonic() if is_heard else float("-inf")
 
 
 class ModbusPort:
@@ -85,8 +77,8 @@ class ModbusPort:
 class _Nodes(OpcUaServer):
     """Without a socket and a thread."""
 
-    def __init__(self, handshake: Handshake) -> None:
-        self._handshake, self._view, self._writer = handshake, None, None
+    def __init__(self, handshake: Handshake, clock: Clock) -> None:
+        self._handshake, self._clock, self._view, self._writer = handshake, clock, None, None
         self._loop = cast(asyncio.AbstractEventLoop, SimpleNamespace(call_soon=lambda do: None))
 
 
@@ -94,7 +86,7 @@ class OpcUaPort:
     """The nodes of one life."""
 
     def __init__(self, handshake: Handshake, clock: Clock) -> None:
-        self._nodes = _Nodes(handshake)
+        self._nodes = _Nodes(handshake, clock)
 
     def forget(self, line: Line) -> None:
         """The session is gone, which the server asks it."""
