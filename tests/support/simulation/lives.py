@@ -88,7 +88,7 @@ class Station:
         """When it was not ready, about each time that the camera makes a frame."""
         self.unseen_in: list[tuple[int, int]] = []
         """The life in which a time without sight ended that must be in the acts, and when."""
-        self._since_ns: dict[str, int] = {}
+        self._since: dict[str, tuple[object, int]] = {}
         self.found: list[str] = []
         """What must not be, and was seen on the way."""
         self.signed = set[str]()
@@ -123,7 +123,7 @@ class Station:
         """Begin a life."""
         self.lives += 1
         self.fed_ns.clear()
-        self._since_ns.clear()
+        self._since.clear()
         clock = self.world.clock
         self.began_ns = clock.now_ns
         if self.was_waiting or self.world.has_plc:
@@ -179,12 +179,11 @@ class Station:
         if not self.is_disk_disturbed and not self.is_frozen:
             self.unseen_in.append((self.lives, self.world.clock.now_ns))
 
-    def so_since(self, name: str, is_so: bool) -> int | None:
-        """Since when something is so in this life; None where it is not."""
-        if not is_so:
-            self._since_ns.pop(name, None)
-            return None
-        return self._since_ns.setdefault(name, self.world.clock.now_ns)
+    def so_since(self, name: str, is_so: bool, of: object = None) -> int | None:
+        """Since when something is so in this life, without a change of what it is so of; None where it is not."""
+        if not is_so or self._since.get(name, (of,))[0] != of:
+            self._since.pop(name, None)
+        return self._since.setdefault(name, (of, self.world.clock.now_ns))[1] if is_so else None
 
     def stop(self) -> None:
         """End in order, as at SIGTERM."""
