@@ -3,7 +3,7 @@
 `python tests/bench/peers.py DATASET FOLDER --part PZ3 --position pos1` in an environment of its own (docs/studies.md).
 They run as anomalib defines them, in PyTorch, on a ResNet-18 with the weights of the shipped trunk, so that methods and
 programs are compared and not weights. Their published figures are for other weights and pictures (MVTec AD), which are
-not at hand here; each row says so.
+not at hand here.
 
 Ref: anomalib 2.7 (Apache-2.0), models/image/padim and models/image/patchcore, with their default settings.
 """
@@ -33,11 +33,6 @@ from calibration.fitting.trunks import open_trunk
 from calibration.progress import progress
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 from edge.core.imaging.frames import CameraFrame
-
-NOTE: Final = (
-    "Not compared with its published figure: that is for MVTec AD and ImageNet weights, and the dataset is not at "
-    "hand. Here it runs on the weights of the shipped trunk."
-)
 
 PRESSES: Final = 20
 LAYERS: Final = {"padim": ["layer1", "layer2", "layer3"], "patchcore": ["layer2", "layer3"]}
@@ -242,9 +237,7 @@ def _row(method: str, model: Any, accuracy: dict[str, Any], seconds: float, plan
         "content_sha256": content.hexdigest(),
         "fit_s": {"features": 0.0, "bank": seconds},
         "work": {"float32": float(counter.get_total_flops()), "int8": 0.0, "bytes": float(bank + trunk)},
-        "note": NOTE,
         "peak_memory_bytes": None,
-        "command": "python tests/bench/peers.py",
     }
 
 

@@ -65,8 +65,6 @@ def row(
             for name, share in (("decode", 0.4), ("trunk", 0.4), ("head", 0.2))
         },
         "floor": {"ms": ms / 5, "binds": "arithmetic"},
-        "command": f"gelgate lab tradeoff paper --part PZ3 --position pos1 --seed 0 --point {key} --bundle padim",
-        "note": "",
         "peak_memory_bytes": 100_000_000,
         "dataset_sha256": "ef" * 32,
         "machine": MACHINE,

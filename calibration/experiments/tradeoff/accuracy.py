@@ -1,6 +1,6 @@
 """How good one point is: four measures of its scored presses, with intervals bootstrapped by piece."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -15,13 +15,8 @@ __all__ = ["FALSE_ALARMS", "MEASURES", "Truth", "measure_accuracy"]
 FALSE_ALARMS: Final = 0.01
 """The false-positive rate of AU-PRO (pixels) and of the recall (presses)."""
 
-MEASURES: Final[Mapping[str, str]] = {
-    "aupro_fpr01": "AU-PRO up to 1 % false positives",
-    "pixel_auprc": "AUPRC of pixels",
-    "image_auroc": "AUROC of presses",
-    "recall_fpr01": "recall at 1 % false alarms",
-}
-"""Each measure with its name for people."""
+MEASURES: Final = ("aupro_fpr01", "pixel_auprc", "image_auroc", "recall_fpr01")
+"""AU-PRO, AUPRC of pixels, AUROC of presses, and recall of presses."""
 
 Float = NDArray[np.float64]
 

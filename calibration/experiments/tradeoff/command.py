@@ -8,7 +8,7 @@ import typer
 
 from calibration.experiments.tradeoff.chosen_bundle import bundle_of
 from calibration.experiments.tradeoff.figure import say_cost, svg
-from calibration.experiments.tradeoff.page import table, write_page
+from calibration.experiments.tradeoff.front import table
 from calibration.experiments.tradeoff.pick import pick, read_limits
 from calibration.experiments.tradeoff.plan import Run, RunSettings
 from calibration.experiments.tradeoff.rows import Row
@@ -31,7 +31,7 @@ class TradeoffArguments:
         Path, typer.Argument(help="the folder of presses, good ones and defective ones with masks")
     ]
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="the folder for rows.jsonl and tradeoff.html")
+        Path, typer.Option("--output", "-o", help="the folder for rows.jsonl and tradeoff.svg")
     ] = Path("tradeoff")
     part: Annotated[str | None, typer.Option(help="the part; optional for a dataset of one part")] = None
     position: Annotated[str | None, typer.Option(help="the position; optional for one position")] = None
@@ -55,9 +55,6 @@ class TradeoffArguments:
         Path | None,
         typer.Option(help="where the chosen bundle is written, a folder or a name ending in .zip"),
     ] = None
-    picture: Annotated[Path | None, typer.Option(help="also draw the rows as an SVG file of this name")] = (
-        None
-    )
     rounds: Annotated[int, typer.Option(help="rounds of timing", min=7)] = 25
     minutes: Annotated[float, typer.Option(help="after this many no new round of timing begins", min=0)] = (
         12.0
@@ -80,7 +77,7 @@ def tradeoff(given: TradeoffArguments) -> None:
     """Measure what accuracy costs: time, memory, presses.
 
     Some 80 operating points in one run: detectors, trunks, precisions, bank sizes, resolutions, numbers of presses.
-    Writes a row for each and a page to explore them. With limits it chooses a point and writes its bundle. A folder
+    Writes a row for each and a picture of them. With limits it chooses a point and writes its bundle. A folder
     that holds rows is not measured again; an interrupted run goes on.
     """
     needs("studies", "tradeoff")
@@ -91,7 +88,9 @@ def tradeoff(given: TradeoffArguments) -> None:
         _write_bundle(given.point, run, given.bundle or Path(given.point), given.overwrite)
         return
     rows = read_or_measure(run, given.output, given.overwrite, progress, typer.echo)
-    _report(rows, given.output, given.picture)
+    picture = given.output / "tradeoff.svg"
+    write_atomically(picture, svg(rows))
+    typer.echo(f"{table(rows)}\n{say_cost(rows)}\n{len(rows)} points; the picture is {picture}")
     if limits:
         picked = pick(rows, limits)
         if picked.row is None:
@@ -109,16 +108,6 @@ def _require_sense(given: TradeoffArguments, has_limits: bool) -> None:
         raise ConfigError(f"{given.bundle} exists already; choose another name or add --overwrite")
     if given.output.exists() and not given.output.is_dir():
         raise ConfigError(f"--output {given.output} is a file; name a folder")
-
-
-def _report(rows: list[Row], output: Path, picture: Path | None) -> None:
-    """Write the page, and the picture where wanted; print the front and what it costs."""
-    page = write_page(rows, output)
-    if picture is not None:
-        write_atomically(picture, svg(rows))
-    typer.echo(table(rows))
-    typer.echo(say_cost(rows))
-    typer.echo(f"{len(rows)} points; the page is {page}")
 
 
 def _write_bundle(key: str, run: Run, bundle: Path, overwrite: bool, row: Row | None = None) -> None:

@@ -11,9 +11,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from calibration.experiments.tradeoff.front import list_front, verdict_ms
+from calibration.experiments.tradeoff.front import FIRST, list_front, verdict_ms
 from calibration.experiments.tradeoff.machine import busy
-from calibration.experiments.tradeoff.page import FIRST, METHOD_NAMES
 from calibration.experiments.tradeoff.rows import Row, read_rows
 from calibration.fitting.trunks import DEFAULT_BACKBONE
 
@@ -22,6 +21,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["figure", "name_point", "say_cost", "svg"]
+
+METHOD_NAMES: Final = {
+    "padim": "PaDiM",
+    "spade": "SPADE",
+    "fapm": "FAPM",
+    "inreach": "InReaCh",
+    "patchcore": "PatchCore",
+    "subspace": "PCA subspace",
+    "anomalib_padim": "anomalib's PaDiM",
+    "anomalib_patchcore": "anomalib's PatchCore",
+}
 
 MARKS: Final = {
     "padim": ("o", "#1f5fa8"),
@@ -85,7 +95,7 @@ def figure(rows: Sequence[Row], medians: Mapping[str, float] | None = None) -> "
     from matplotlib.figure import Figure
 
     drawn = [row for row in rows if row["accuracy"][FIRST]["value"] is not None]
-    front = list_front(drawn, FIRST)
+    front = list_front(drawn)
     below = BELOW_IN + (LATER_IN if medians else 0)
     height = below + PLOT_IN + LABEL_IN * len(front) + 0.48
     made = Figure(figsize=(WIDTH_IN, height), facecolor="white")
@@ -119,7 +129,7 @@ def figure(rows: Sequence[Row], medians: Mapping[str, float] | None = None) -> "
 
 def say_cost(rows: Sequence[Row]) -> str:
     """Return one sentence on what accuracy costs in time: the front, and the best peer."""
-    front = list_front(rows, FIRST)
+    front = list_front(rows)
     if not front:
         return "No point has an accuracy."
     parts = [f"AU-PRO {_value(front[0]):.3f} takes {verdict_ms(front[0]):.0f} ms ({name_point(front[0])})"]

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.experiments.harness.runner import Show
-from calibration.experiments.tradeoff.page import write_page
 from calibration.experiments.tradeoff.plan import Run, RunSettings
 from calibration.experiments.tradeoff.run import read_or_measure
 from calibration.progress import progress
@@ -35,6 +34,4 @@ def tradeoff(
     import pandas as pd
 
     run = Run.of(RunSettings(Path(dataset), **asked), methods, backbones)
-    rows = read_or_measure(run, Path(output), overwrite, show, print)
-    write_page(rows, Path(output))
-    return pd.json_normalize(rows)
+    return pd.json_normalize(read_or_measure(run, Path(output), overwrite, show, print))

@@ -172,12 +172,3 @@ class Run:
             [LR_VIEW.mask(press) for press in self.chosen.scored],
             np.concatenate([np.ones((1, label.size)), drawn]),
         )
-
-    @property
-    def command(self) -> str:
-        """The command that measures these presses again, with the dataset's folder name alone."""
-        chosen = self.chosen
-        return (
-            f"gelgate lab tradeoff {chosen.root.name} --part {chosen.part} --position {chosen.position} "
-            f"--seed {self.settings.seed}"
-        )

@@ -16,7 +16,6 @@ from calibration.experiments.harness.presses import presses_of
 from calibration.experiments.tradeoff.point import VIEWS, View
 from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from edge.core.errors import DatasetError
-from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = ["Chosen", "Seen", "choose_presses", "see"]
 
@@ -161,10 +160,3 @@ def on_common_grid(score_map: NDArray[np.float32]) -> NDArray[np.float32]:
         return score_map
     size = region.width, region.height
     return np.asarray(cv2.resize(score_map, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def mm_per_pixel(profile: SensorProfile) -> tuple[float, float]:
-    """Millimetres per pixel along x and y: the high resolution is compressed along one axis."""
-    low = VIEWS["lr"].profile
-    x = 1 / profile.pixels_per_mm
-    return x, (low.size[1] / low.pixels_per_mm) / profile.size[1]

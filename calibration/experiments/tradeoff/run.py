@@ -90,9 +90,8 @@ def measure(run: Run, folder: Path, show: Show, others: Others = lambda run, fra
     frames = _frames(points, chosen)
     trunks = [row["trunk_sha256"] for row in rows]
     lanes = bundle_lanes(points, bundles, trunks, frames, settings.threads)
-    for row, most, point in zip(rows, memory, points, strict=True):
-        command = f"{run.command} --point {point.key} --bundle {point.method}"
-        row |= {"peak_memory_bytes": most, "note": "", "command": command}
+    for row, most in zip(rows, memory, strict=True):
+        row["peak_memory_bytes"] = most
     for row, lane in others(run, frames):
         rows.append(row)
         lanes.append(lane)

@@ -5,13 +5,12 @@ from hypothesis import strategies as st
 from tradeoff_rows import row
 
 from calibration.experiments.tradeoff.front import list_front, verdict_ms
-from calibration.experiments.tradeoff.page import FIRST
 
 
 def front(accuracy: list[float | None], times: list[float]) -> list[int]:
     """The points on the front, by their place."""
     rows = [row(str(k), value, ms) for k, (value, ms) in enumerate(zip(accuracy, times, strict=True))]
-    return sorted(int(one["key"]) for one in list_front(rows, FIRST))
+    return sorted(int(one["key"]) for one in list_front(rows))
 
 
 def test_a_point_that_is_worse_in_both_is_dominated() -> None:

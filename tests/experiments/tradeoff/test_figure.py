@@ -1,6 +1,5 @@
-"""The page and the picture of a run, made from rows alone."""
+"""The picture of a run, made from rows alone."""
 
-import re
 from typing import Any
 
 import pytest
@@ -8,8 +7,7 @@ from tradeoff_rows import row, rows_of_a_run
 
 from calibration.experiments.tradeoff.bench_command import read_medians
 from calibration.experiments.tradeoff.figure import LATER, figure, name_point
-from calibration.experiments.tradeoff.front import list_front, verdict_ms
-from calibration.experiments.tradeoff.page import FIRST, page
+from calibration.experiments.tradeoff.front import FIRST, list_front, verdict_ms
 
 
 @pytest.fixture(scope="module")
@@ -17,28 +15,10 @@ def rows() -> list[dict[str, Any]]:
     return rows_of_a_run()
 
 
-def test_the_page_is_one_small_file_without_network(rows: list[dict[str, Any]]) -> None:
-    """Below 1 MB, nothing is loaded, and its policy forbids to load anything."""
-    text = page(rows)
-    assert len(text.encode()) < 1_000_000
-    assert not re.search(r"(src|href)=[\"'](?!data:)", text)
-    assert set(re.findall(r"https?://[^\"'\s<]+", text)) <= {"http://www.w3.org/2000/svg"}
-    assert "default-src 'none'" in text
-
-
-def test_a_row_cannot_end_the_script(rows: list[dict[str, Any]]) -> None:
-    """A name with a closing tag stays data."""
-    text = page([rows[0] | {"note": "</script><b>"}])
-    assert "</script><b>" not in text
-    assert "\\u003c/script>" in text
-
-
 def test_a_point_without_accuracy_is_no_error(rows: list[dict[str, Any]]) -> None:
-    """It is in the data as null, and the picture leaves it out."""
-    undefined = row("none.t", None)
-    text = page([*rows, undefined])
-    assert "null" in text
-    assert figure([*rows, undefined]).axes
+    """The picture leaves it out."""
+    marks = [len(axes.collections) for axes in figure(rows).axes]
+    assert [len(axes.collections) for axes in figure([*rows, row("none.t", None)]).axes] == marks
 
 
 def test_the_picture_has_every_point_and_names_the_front(rows: list[dict[str, Any]]) -> None:
@@ -50,7 +30,7 @@ def test_the_picture_has_every_point_and_names_the_front(rows: list[dict[str, An
     names = [text.get_text() for axes in (near, far) for text in axes.texts]
     assert sorted(names)[:-1] == sorted(
         f"{name_point(one)}\n{one['accuracy'][FIRST]['value']:.3f} in {verdict_ms(one):.0f} ms"
-        for one in list_front(rows, FIRST)
+        for one in list_front(rows)
     )
 
 
