@@ -17,7 +17,6 @@ from calibration.experiments.studies.cross_position_study import (
     hold_out_both,
     study_cross_position,
 )
-from calibration.experiments.studies.notebook import study
 from edge.core.errors import DatasetError
 
 
@@ -49,18 +48,6 @@ def folder(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def rows(folder: Path) -> list[dict[str, Any]]:
     return read_rows(folder / "rows.jsonl")
-
-
-def test_from_python_the_rows_are_a_frame(dataset: Path, folder: Path, rows: list[dict[str, Any]]) -> None:
-    """The same study continued from Python: no cell is left, and the frame has its rows."""
-    pytest.importorskip("pandas", reason="SKIPPED, NOT TESTED: the extra `studies` brings pandas")
-    asked: dict[str, Any] = {"methods": ("subspace",), "seeds": 2, "held_out": 2, "show": quiet}
-    found = study("cross-position", dataset, folder, fraction=1.0, splits=("press", "specimen"), **asked)
-
-    assert list(found["key"]) == [row["key"] for row in rows]
-    assert list(found["aupro_001"]) == [row["aupro_001"] for row in rows]
-    with pytest.raises(TypeError, match="seed"):
-        study("cross-position", dataset, folder, seed=2)
 
 
 def test_there_is_a_row_for_every_share_seed_and_split(rows: list[dict[str, Any]]) -> None:

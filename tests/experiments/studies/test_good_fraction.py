@@ -1,4 +1,4 @@
-"""Validation 1 on a small dataset: rows, continuation, both splits, the paper's mode, refusals, and Python."""
+"""Validation 1 on a small dataset: rows, continuation, both splits, the paper's mode, and refusals."""
 
 import shutil
 from dataclasses import replace
@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 from command_line import gelgate
-from matplotlib.figure import Figure
 from study_cells import quiet
 from study_dataset import study_dataset
 
@@ -19,7 +18,6 @@ from calibration.experiments.harness.presses import StudyPresses
 from calibration.experiments.harness.rows import read_rows
 from calibration.experiments.harness.study import Options, check_same, make_cells
 from calibration.experiments.studies.good_fraction_study import study_good_fraction
-from calibration.experiments.studies.notebook import figure, study
 from calibration.experiments.studies.resolution_study import ViewPlace
 from calibration.fitting.trunks import open_trunk
 from edge.core.errors import ConfigError, DatasetError
@@ -255,24 +253,3 @@ def test_cells_of_one_seed_come_before_those_of_the_next(tmp_path: Path) -> None
 
     assert [cell.seed for cell in cells] == [0] * 4 + [1] * 4 + [2] * 4
     assert len({cell.key for cell in cells}) == 12
-
-
-def test_a_study_from_python_is_a_frame(dataset: Path, tmp_path: Path) -> None:
-    """The same rows, and a figure of them; a position can be chosen."""
-    found = study(
-        "good-fraction",
-        dataset,
-        tmp_path,
-        methods=["subspace"],
-        position="pos2",
-        seeds=1,
-        fractions=[0.5, 1.0],
-        shots=[1],
-        held_out=2,
-        show=quiet,
-    )
-
-    assert set(found["position"]) == {"pos2"}
-    assert len(found) == 3
-    assert isinstance(figure(found), Figure)
-    assert isinstance(figure(found[found["shots"].notna()]), Figure)
