@@ -187,8 +187,8 @@ class HandshakeMachine:
     timeout_ns: from the trigger to the recorded press. watchdog_ns: between two beats of the PLC at most; None where it
     gives none. is_command: a trigger asks for the verdict of the press that is held, not of the next one.
 
-    The loop tells of presses: `look` for each frame; `begin`, `judge` and `record` for each press of a part; `show`
-    with each turn. The PLC asks: `read`, `trigger`, `acknowledge`, `beat`.
+    The loop tells of presses: `reach` after the frames of before a trigger; `look` for each frame; `begin`, `judge` and
+    `record` for each press of a part; `show` with each turn. The PLC asks: `read`, `trigger`, `acknowledge`, `beat`.
     """
 
     def __init__(self, timeout_ns: int, watchdog_ns: int | None, now_ns: int, *, is_command: bool) -> None:
@@ -200,6 +200,7 @@ class HandshakeMachine:
         self._trigger_ns = 0
         self._part: str | None = None
         self._is_touched = True  # until the gel is seen free
+        self._is_reached = False  # every frame of before the trigger was looked at
         self._needs_free = True  # before a press can be the answer
         self._is_pressed = False  # by the press that answers
         self._awaited: tuple[str, str] | None = (
@@ -237,9 +238,14 @@ class HandshakeMachine:
             self._view, step="busy", trigger_id=trigger.trigger_id, piece=trigger.piece, refused=Code.NONE
         )
         self._last_id, self._trigger_ns, self._part = trigger.trigger_id, now_ns, part
-        self._needs_free = self._is_touched
-        self._is_pressed, self._awaited = self._is_command, None
+        self._is_reached, self._is_pressed, self._awaited = False, False, None
         return None
+
+    def reach(self, trigger_id: int) -> None:
+        """Every frame of before this trigger was looked at: the next press may answer it, by command the one that is
+        held."""
+        if trigger_id == self._view.trigger_id:
+            self._is_reached, self._needs_free, self._is_pressed = True, self._is_touched, self._is_command
 
     def refuse(self, refusal: Refusal) -> Refusal:
         """Show why a trigger was refused, and return it."""
@@ -260,22 +266,18 @@ class HandshakeMachine:
         self.read(now_ns)
         self._beat_ns, self._has_beaten = now_ns, True
 
-    def look(self, is_touched: bool, frame_ns: int) -> None:
-        """Take whether a frame shows the gel touched. frame_ns: its time."""
+    def look(self, is_touched: bool) -> None:
+        """Take whether a frame shows the gel touched."""
         self._is_touched = is_touched
-        if frame_ns < self._trigger_ns:
-            self._needs_free = is_touched
-        elif not is_touched:
-            self._needs_free = False
+        self._needs_free &= is_touched
 
-    def begin(self, began_ns: int, now_ns: int) -> None:
-        """A press of a part begins. It answers a trigger that came while the gel was free. began_ns: the time of the
-        frame that shows it."""
-        if self.read(now_ns).step != "busy" or self._is_command:
+    def begin(self, now_ns: int) -> None:
+        """A press of a part begins. It answers a trigger that came while the gel was free."""
+        if self.read(now_ns).step != "busy" or not self._is_reached or self._is_command:
             return
         if self._is_pressed:  # the one before has ended without a verdict
             self._finish("error", Code.NOT_JUDGED)
-        elif began_ns >= self._trigger_ns and not self._needs_free:
+        elif not self._needs_free:
             self._is_pressed = True
 
     def judge(

@@ -18,7 +18,6 @@ from edge.config import Config
 from edge.config.piece_table import PieceTable
 from edge.core.contact.events import Event, PressBegan, PressSettled
 from edge.core.errors import ConfigError, StoreError
-from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
 from edge.core.piece import End, Piece, PieceVerdict, PlacePress, check_places
@@ -70,11 +69,6 @@ class Pieces(PressStage):
         self._is_command = parts.config.inspection.trigger == "command"
         self._has_contact = False
         self._is_undecided = False  # it is pressed, and the press has no verdict
-        self._begun_ns = 0
-        """When a request began the piece in progress, monotonic."""
-        self._press_ns: int | None = None
-        """The time of the frame with which the newest press began; None for a recorded one."""
-        self._is_recorded = True  # the newest frame is one that is made on demand
         self._said: object = None
         self._warned: str | None = None
 
@@ -95,13 +89,9 @@ class Pieces(PressStage):
         if config.piece is not None:
             yield "piece", partial(_describe, config)
 
-    def take(self, frame: CameraFrame) -> None:
-        self._is_recorded = frame.is_on_demand
-
     def see(self, event: Event) -> None:
         if isinstance(event, PressBegan):
             self._is_undecided = True
-            self._press_ns = None if self._is_recorded else event.timestamp_ns
 
     def admit(self, press: Press) -> Press:
         """Return it with its piece and place, and rejected where the piece is not to be pressed there now."""
@@ -128,9 +118,6 @@ class Pieces(PressStage):
         """Find the piece of a press: (piece, whether it begins with it, why the press is refused)."""
         if self._waiting_id is not None or self._is_stale:
             return None, False, "the press before is not recorded yet; press again when the station is ready"
-        if self._piece is not None and self._is_too_old:
-            began = f"the press began before the piece {self._piece.piece_id}"
-            return None, False, f"{began}; lift the part, and press it again"
         codes, piece = _codes(press), self._piece
         if len(codes) > 1:
             return piece, False, f"codes of several pieces are seen: {', '.join(codes)}; leave one in view"
@@ -145,12 +132,6 @@ class Pieces(PressStage):
             known = str(error)
         new = Piece(piece_id, press.time_ns, self._plan, self._order)
         return (new, True, None) if known is None else (piece, False, known)
-
-    @property
-    def _is_too_old(self) -> bool:
-        """Tell whether the newest press began before its piece, which may be seen late. By command it is held, and
-        meant."""
-        return not self._is_command and self._press_ns is not None and self._press_ns < self._begun_ns
 
     def _find_known(self, piece_id: str) -> str | None:
         """Say why no piece may begin with this id; None for a new one. Errors: StoreError."""
@@ -230,7 +211,6 @@ class Pieces(PressStage):
             pieces.begin(connection, piece)
 
         self._change("beginning a piece", change)
-        self._begun_ns = self._clock.monotonic_ns()
         self._select()
         return piece
 

@@ -83,7 +83,7 @@ def _build(
     stages: Mapping[str, PressStage],
 ) -> Parts:
     """Build the parts. closing: gets the calls that close them."""
-    calls, retained_state = LoopCalls[StationLoop](), RetainedState()
+    calls, retained_state = LoopCalls[StationLoop](clock), RetainedState()
     retained_state.announce(asyncapi_message(describe_station(config)))
     # The lock first: a second gateway must not migrate the tables of this one, or take its place at the broker.
     lock = PublisherLock(config.store.path)

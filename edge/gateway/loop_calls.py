@@ -1,5 +1,10 @@
-"""Calls of other threads, done by the station's loop between two frames, so that only the loop changes its state."""
+"""Calls of other threads, done by the station's loop between two frames, so that only the loop changes its state.
 
+The loop may be 0.8 s of frames behind, so calls and frames are taken in the order of their times: whoever asked, a
+frame that came before a request never answers it, and a press that was over is of the part, piece and gel before it.
+"""
+
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -7,6 +12,7 @@ from concurrent.futures import Future
 from typing import Final, Generic, TypeVar
 
 from edge.core.errors import GelgateError
+from edge.core.ports import Clock
 
 __all__ = ["LoopCalls"]
 
@@ -23,9 +29,10 @@ class LoopCalls(Generic[C]):
     A call gets the argument of `serve`: the loop's own state, which no other thread may use.
     """
 
-    def __init__(self, answer_s: float = ANSWER_S) -> None:
-        self._answer_s = answer_s
-        self._waiting: deque[Callable[[C], None]] = deque()
+    def __init__(self, clock: Clock, answer_s: float = ANSWER_S) -> None:
+        self._clock, self._answer_s = clock, answer_s
+        self._waiting: deque[tuple[int, Callable[[C], object]]] = deque()
+        """The calls, each with the time at which it came, monotonic."""
         self._lock = threading.Lock()
         self._is_closed = False
 
@@ -47,7 +54,7 @@ class LoopCalls(Generic[C]):
         with self._lock:
             if self._is_closed:
                 raise GelgateError("the station is ending; ask again when it runs")
-            self._waiting.append(done)
+            self._waiting.append((self._clock.monotonic_ns(), done))
         try:
             return future.result(self._answer_s)
         except TimeoutError:
@@ -61,12 +68,12 @@ class LoopCalls(Generic[C]):
         """Let the loop call `do`, without waiting for it. After the end it is not called. `do` handles its errors."""
         with self._lock:
             if not self._is_closed:
-                self._waiting.append(lambda state: (do(state), None)[1])
+                self._waiting.append((self._clock.monotonic_ns(), do))
 
-    def serve(self, state: C) -> None:
-        """Do the waiting calls."""
-        while self._waiting:
-            self._waiting.popleft()(state)
+    def serve(self, state: C, before_ns: float = math.inf) -> None:
+        """Do the waiting calls that came before that time, which is that of the frame to be looked at next."""
+        while self._waiting and self._waiting[0][0] < before_ns:
+            self._waiting.popleft()[1](state)
 
     def close(self, state: C) -> None:
         """Accept no more calls and do those that wait. May be called again."""

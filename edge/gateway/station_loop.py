@@ -6,6 +6,7 @@ so a test can drive it in any order; `run` adds the waiting.
 """
 
 import logging
+import math
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -150,7 +151,9 @@ class StationLoop:
         """Take one turn, with the next frame if there is one. Without a frame a store that refused is tried again at
         once, with one after STORE_RETRY_S."""
         parts, now_ns = self.parts, self.parts.clock.monotonic_ns()
-        parts.calls.serve(self)
+        # A frame that is made on demand was not waiting: its time is that of a recording.
+        is_live = frame is not None and not frame.is_on_demand
+        parts.calls.serve(self, frame.timestamp_ns if frame is not None and is_live else math.inf)
         if self._is_reload_wanted:
             self._is_reload_wanted = False
             parts.selection.reload()

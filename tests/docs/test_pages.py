@@ -10,6 +10,7 @@ import pytest
 
 from edge.cli import EXIT_CODES, EXIT_MEANINGS
 from edge.cli.run import example
+from edge.clock import SystemClock
 from edge.config import Config, load_config
 from edge.core import errors
 from edge.gateway.command_table import every_command, station_handlers
@@ -68,7 +69,7 @@ def test_every_key_says_what_it_means() -> None:
 
 def test_every_command_verb_is_in_the_manual() -> None:
     """What a running station answers to is the table that the page prints, with every argument of every verb."""
-    handlers = station_handlers(LoopCalls(), every_command())
+    handlers = station_handlers(LoopCalls(SystemClock()), every_command())
     rows = {line.split("`")[1]: line for line in PRINTED["mqtt.md"].splitlines() if line.startswith("| `")}
 
     assert set(handlers) == {command.verb for command in every_command()}

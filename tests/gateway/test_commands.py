@@ -8,6 +8,7 @@ import pytest
 from station import Motion, press_recording, station_config
 from stepped_station import SteppedStation
 
+from edge.clock import ManualClock, SystemClock
 from edge.core.errors import GelgateError
 from edge.gateway.command_table import every_command, station_handlers
 from edge.gateway.loop_calls import LoopCalls
@@ -79,7 +80,7 @@ def test_arguments_that_cannot_be_are_refused(arguments: dict[str, object], word
 
 def test_a_call_is_done_by_the_thread_that_serves_and_answered_to_the_asker() -> None:
     """Its fault too, which does not end the loop."""
-    calls, done = LoopCalls[str](), list[object]()
+    calls, done = LoopCalls[str](SystemClock()), list[object]()
 
     def do(name: str) -> None:
         done.append((name, threading.get_ident()))
@@ -89,9 +90,23 @@ def test_a_call_is_done_by_the_thread_that_serves_and_answered_to_the_asker() ->
     assert done == [("loop", threading.get_ident())]
 
 
+def test_calls_and_frames_are_taken_in_the_order_of_their_times() -> None:
+    """A frame that came before a call, or with it, is looked at before it, however the call was made."""
+    clock, done = ManualClock(), list[str]()
+    calls = LoopCalls[str](clock)
+    calls.post(lambda frame: done.append(f"post {frame}"))
+
+    def look() -> None:
+        calls.serve("before", clock.monotonic_ns())
+        calls.serve("after", clock.monotonic_ns() + 1)
+
+    answer(lambda: calls.ask(lambda frame: done.append(f"ask {frame}")), look)
+    assert done == ["post after", "ask after"]
+
+
 def test_a_call_that_was_refused_is_not_done_later() -> None:
     """It was not answered in time, or the loop has ended; one that was posted is done once."""
-    calls, done = LoopCalls[str](answer_s=0.01), list[str]()
+    calls, done = LoopCalls[str](SystemClock(), answer_s=0.01), list[str]()
     with pytest.raises(GelgateError, match=r"did not answer within 0\.01 s, and has not done it"):
         calls.ask(done.append)
     calls.post(done.append)

@@ -128,7 +128,7 @@ def test_by_command_the_trigger_asks_for_the_verdict_of_the_press_that_is_held(c
     with PlcStation(configure(trigger="command")) as station:
         station.play_until_ready()
         station.trigger(1)
-        station.turn(2)
+        station.turn()
         assert station.result == ("done", 1, "error", Code.NOTHING_PRESSED)
         station.acknowledge()
         station.play_until_pressed()
@@ -139,7 +139,7 @@ def test_by_command_the_trigger_asks_for_the_verdict_of_the_press_that_is_held(c
         assert station.result == ("done", 2, "pass", Code.NONE)
         station.acknowledge()
         station.trigger(3)
-        station.turn(2)
+        station.turn()
         assert station.result == ("done", 3, "error", Code.NOTHING_PRESSED)
 
 

@@ -1,15 +1,20 @@
 """The station's loop, one step at a time: nothing sleeps, and a test decides the order."""
 
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from station import Motion, station_config, two_parts
 from stepped_station import SteppedStation
 
 from edge.core.errors import DeviceNotFound, StoreError
 from edge.gateway import inspection_session
 from edge.messaging.command_payloads import SelectPartArguments
 from edge.store.press_store import Store
+
+# Of the recording: the reader's first step opens it.
+FREE_FRAMES, PRESS_FRAMES = 1 + Motion().free, Motion().hold + Motion().idle
 
 
 @pytest.mark.parametrize("verb", ["relearn", "replace_gel", "trigger"])
@@ -26,6 +31,39 @@ def test_a_part_can_be_selected_before_the_sensor_is_known(station: SteppedStati
         station.ask("select_part", part="PZ9")
     with pytest.raises(ValueError, match="expected either part, with or without position, or name"):
         SelectPartArguments.of({"part": "PZ0", "name": "PZ0"})
+
+
+@pytest.mark.parametrize(
+    ("verb", "arguments", "trigger", "seen", "first"),
+    [
+        ("trigger", {}, "command", 3, ("rejected", "PZ0", "TEST0001-1")),
+        ("select_part", {"part": "PZ1"}, "automatic", 0, ("pass", "PZ0", "TEST0001-1")),
+        ("replace_gel", {"gel_id": "next"}, "automatic", 0, ("pass", "PZ0", "TEST0001-1")),
+    ],
+)
+def test_no_request_acts_on_a_press_that_was_over_before_it(
+    tmp_path: Path,
+    recording: Path,
+    bundle: Path,
+    verb: str,
+    arguments: dict[str, str],
+    trigger: str,
+    seen: int,
+    first: tuple[str, ...],
+) -> None:
+    """The loop has looked at the first `seen` frames of a press when the request comes. The press has no verdict by
+    command, and is of the part and the gel of before."""
+    line = two_parts(tmp_path / "bundles", bundle) + '\npart = "PZ0"'
+    config = station_config(tmp_path, recording, line, trigger=trigger, pace=1.0)
+    with SteppedStation(config) as station:
+        station.play(FREE_FRAMES + seen)
+        station.read(PRESS_FRAMES - seen)
+        station.parts.calls.post(lambda loop: station.ask(verb, **arguments))
+        with suppress(ValueError):
+            station.look()
+            station.play_presses(1)
+        pressed = station.results[0]
+    assert (pressed.verdict, pressed.part, pressed.gel_id) == first
 
 
 def test_a_requested_reload_is_served_by_the_bundles_thread(station: SteppedStation) -> None:

@@ -197,7 +197,7 @@ class Asked:
     answers: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.calls: LoopCalls[None] = LoopCalls(answer_s=5.0)
+        self.calls: LoopCalls[None] = LoopCalls(ManualClock(), answer_s=5.0)
         if self.lock is not None:
             self.calls._lock = self.lock
 
@@ -315,9 +315,10 @@ class Answered:
             self.port._lock = lock
         now_ns = self.clock.monotonic_ns()
         machine.show(StationView("ready"), 42, now_ns)
-        machine.look(False, now_ns)
+        machine.look(False)
         machine.trigger(Trigger(1), now_ns)
-        machine.begin(now_ns, now_ns)
+        machine.reach(1)
+        machine.begin(now_ns)
         machine.judge("P1", "pass", now_ns, part="A/1")
         self.is_recorded = False
         self.passed: list[tuple[int, bool]] = []

@@ -24,7 +24,7 @@ class Bench:
         self.machine.show(StationView(self.state, alarms=frozenset(alarms)), 42, self.now_ns)
 
     def look(self, is_touched: bool) -> None:
-        self.machine.look(is_touched, self.now_ns)
+        self.machine.look(is_touched)
 
     def wait(self, seconds: float) -> None:
         """Time passes while the loop turns."""
@@ -32,14 +32,17 @@ class Bench:
             self.now_ns += round(seconds * S / 20)
             self.show()
 
-    def trigger(self, trigger_id: int, part: str | None = None) -> Code:
+    def trigger(self, trigger_id: int, part: str | None = None, *, is_behind: bool = False) -> Code:
+        """is_behind: the loop has frames of before it to look at, and does not reach it."""
         refusal = self.machine.trigger(Trigger(trigger_id), self.now_ns, part)
+        if refusal is None and not is_behind:
+            self.machine.reach(trigger_id)
         return Code.NONE if refusal is None else refusal.code
 
     def begin(self) -> None:
         self.now_ns += S // 20
         self.look(True)
-        self.machine.begin(self.now_ns, self.now_ns)
+        self.machine.begin(self.now_ns)
 
     def judge(self, word: str, press_id: str = "P1", part: str = "A/1") -> None:
         self.now_ns += S // 20
@@ -86,6 +89,7 @@ class BenchHandshake:
         with self._lock:
             refusal = self.bench.machine.trigger(trigger, self.bench.now_ns)
             if refusal is None:
+                self.bench.machine.reach(trigger.trigger_id)
                 self.taken.append(trigger)
             return refusal
 

@@ -12,13 +12,12 @@ from typing import Any, Self, final
 from edge import registry
 from edge.clock import SystemClock
 from edge.config import Config, HandshakeTable
-from edge.core.contact.events import Event, PressBegan, PressSettled, TriggerRepeated, TriggerWithoutContact
+from edge.core.contact.events import Event, PressSettled, TriggerRepeated, TriggerWithoutContact
 from edge.core.contact.press_detector import Look
 from edge.core.digital_io import StationView
 from edge.core.errors import GelgateError, StoreError
 from edge.core.gel_life import GelState
 from edge.core.handshake import Code, HandshakeMachine, HandshakeServer, Trigger
-from edge.core.imaging.frames import CameraFrame
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.core.press import Press, PressLabel
@@ -48,16 +47,10 @@ class HandshakeStage(PressStage):
             round(table.timeout_s * 1e9), watchdog_ns, now_ns, is_command=self._is_command
         )
         self.port = Port(machine, parts.selection, parts.store, parts.clock, self._triggered)
-        self._frame: CameraFrame | None = None
-        self._began_ns = 0
         self._gel_left_percent = 0
         self._has_contact = False
         self._piece_id: str | None = None
         self._answer = ("", 0)
-        self._asked: tuple[Trigger, int] | None = None
-        """By command: the trigger that waits for a frame of after it, and its time."""
-        self._asked_id = 0
-        """By command: the trigger that the loop was asked to answer."""
         self._alarm: str | None = None
 
     @classmethod
@@ -82,33 +75,15 @@ class HandshakeStage(PressStage):
         """Let the loop do what a trigger asks for. The server's thread calls it."""
         if part is not None:
             self._parts.post(partial(self._select, part, trigger))
+        self._parts.post(partial(self._reach, trigger))
         if self._is_command:
-            self._parts.post(partial(self._wait, trigger, self._clock.monotonic_ns()))
-        else:
-            self._parts.post(partial(self._begin_piece, trigger))
-
-    def _wait(self, trigger: Trigger, asked_ns: int) -> None:
-        self._asked = trigger, asked_ns
-
-    def _ask_for_verdict(self) -> None:
-        """Ask for the verdict of the press that is held, once the loop has seen a frame of after the trigger: one of
-        before may show a press that was lifted since."""
-        if self._asked is None or self._frame is None:
-            return
-        trigger, asked_ns = self._asked
-        if self._time_of(self._frame.timestamp_ns) < asked_ns:
-            return
-        self._asked = None
-        with self.port.machine() as (machine, now_ns):
-            seen = machine.read(now_ns)
-        if (seen.step, seen.trigger_id) == ("busy", trigger.trigger_id):
-            self._asked_id = trigger.trigger_id
-            self._begin_piece(trigger)
             self._parts.trigger()
 
-    def _begin_piece(self, trigger: Trigger) -> None:
+    def _reach(self, trigger: Trigger) -> None:
         """Begin the piece of several places that a trigger names, unless it is in progress. Where that fails the result
         is an error."""
+        with self.port.machine() as (machine, _):
+            machine.reach(trigger.trigger_id)
         if trigger.piece in ("", self._piece_id) or self._parts.config.piece is None:
             return
         try:
@@ -144,16 +119,11 @@ class HandshakeStage(PressStage):
         with self.port.machine() as (machine, now_ns):
             machine.miss(code, now_ns)
 
-    def take(self, frame: CameraFrame) -> None:
-        self._frame = frame
-
     def mount(self, gel: GelRecord) -> None:
         self._gel_left_percent = _left(gel)
 
     def see(self, event: Event) -> None:
         match event:
-            case PressBegan():
-                self._began_ns = self._time_of(event.timestamp_ns)
             case TriggerWithoutContact() | TriggerRepeated() if self._is_command:
                 self._miss(Code.NOTHING_PRESSED)
             case _:
@@ -161,17 +131,12 @@ class HandshakeStage(PressStage):
 
     def look(self, look: Look) -> None:
         with self.port.machine() as (machine, _):
-            machine.look(look.phase != "free", self._time_of(look.timestamp_ns))
-
-    def _time_of(self, frame_ns: int) -> int:
-        """Return when a frame was taken; one that is made on demand has its recorded time, and is taken now."""
-        is_on_demand = self._frame is None or self._frame.is_on_demand
-        return self._clock.monotonic_ns() if is_on_demand else frame_ns
+            machine.look(look.phase != "free")
 
     def begin(self, label: PressLabel | None) -> PressLabel | None:
         if label is None:
             with self.port.machine() as (machine, now_ns):
-                machine.begin(self._began_ns, now_ns)
+                machine.begin(now_ns)
         return label
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
@@ -183,10 +148,7 @@ class HandshakeStage(PressStage):
             ratio = verdict.score / limit if verdict and verdict.score is not None and limit else None
             with self.port.machine() as (machine, now_ns):
                 word = press.shown or "place"
-                is_early = self._is_command and machine.read(now_ns).trigger_id != self._asked_id
-                if not is_early and machine.judge(
-                    press.press_id, word, now_ns, part=part, piece=piece, score_ratio=ratio
-                ):
+                if machine.judge(press.press_id, word, now_ns, part=part, piece=piece, score_ratio=ratio):
                     self._answer = (press.press_id, machine.read(now_ns).trigger_id)
         return press
 
@@ -201,7 +163,6 @@ class HandshakeStage(PressStage):
 
     def turn(self, mounted: Mounted | None) -> None:
         self._has_contact = mounted is not None and mounted.has_contact
-        self._ask_for_verdict()
 
     def show(self, view: StationView) -> None:
         self._piece_id = view.piece_id

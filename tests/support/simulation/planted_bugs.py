@@ -205,8 +205,8 @@ BUGS = (
     Bug(
         "a PLC is answered by the press that is held",
         "edge/core/handshake.py",
-        "        self._is_pressed, self._awaited = self._is_command, None\n",
-        "        self._is_pressed, self._awaited = True, None\n",
+        "self._is_touched, self._is_command\n",
+        "self._is_touched, True\n",
         "had begun before it|no press after it",
     ),
     Bug(
