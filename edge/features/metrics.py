@@ -41,6 +41,7 @@ METRICS: Final[Mapping[str, tuple[str, str, str, str]]] = {
     "presses": ("counter", "presses", "", "recorded presses"),
     "presses_interrupted": ("counter", "presses_interrupted", "", "drops while the gel was pressed"),
     "verdicts": ("counter", "verdicts", "verdict", "presses by verdict; error for none"),
+    "pieces": ("counter", "pieces", "verdict", "pieces of several places that are over, by verdict"),
     "reconnects": ("counter", "sensor_reconnects", "", "reconnections of the sensor"),
     "latency_ms_p50": ("gauge", "latency_median_milliseconds", "", "rest to verdict, median"),
     "latency_ms_max": ("gauge", "latency_max_milliseconds", "", "rest to verdict, largest"),

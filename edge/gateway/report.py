@@ -8,6 +8,7 @@ import shutil
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple
@@ -25,6 +26,7 @@ from edge.messaging.sink_worker import SinkCounters
 from edge.messaging.status_payloads import StatsPayload
 from edge.store.acts import Act
 from edge.store.outbox import OutboxStatus
+from edge.store.pieces import count_ended
 from edge.store.press_store import Store
 
 __all__ = [
@@ -119,6 +121,8 @@ class Summary:
     presses: int = 0
     has_ended: bool = False
     """A recording was played to its end."""
+    pieces: Counter[str] = field(default_factory=Counter)
+    """Verdict to number of the pieces of several places that are over."""
     verdicts: Counter[str] = field(default_factory=Counter)
     """Word to number, `error` for a press without a verdict, `reference` and `study` for presses of master pieces and
     studies."""
@@ -166,6 +170,7 @@ class Summary:
             "presses": self.presses,
             "presses_interrupted": self.frames.interrupted,
             "verdicts": dict(self.verdicts),
+            "pieces": dict(self.pieces),
             "latency_ms_p50": median(self.latencies_ms) if self.latencies_ms else None,
             "latency_ms_max": max(self.latencies_ms, default=None),
         }
@@ -245,6 +250,9 @@ class Report:
         self._was_held_up = False
         self._started_ns = clock.monotonic_ns()
         self._outbox = publisher.outbox_status()
+        self._last_piece = 0
+        self._count_pieces()
+        self.summary.pieces.clear()  # of earlier runs
 
     def count_frame(self, frame: CameraFrame, *, has_contact: bool) -> None:
         """Count a frame for which this machine was too slow."""
@@ -269,6 +277,7 @@ class Report:
         status.say("disk", self._free_space.check(), "warning")
         try:
             self._note_clock_step()
+            self._count_pieces()
             if session is not None:
                 session.see_gel(self._store.gel(session.gel.serial, self._clock.time_ns()))
             outbox, head = self._publisher.outbox_status(), str(self._store.ledger_head())
@@ -331,6 +340,12 @@ class Report:
             self._overload.skip(self.summary.frames)
             self._was_held_up = False
         self._status.say("overload", self._overload.step(self.summary.frames))
+
+    def _count_pieces(self) -> None:
+        """Count the pieces that are over since the last call. Errors: StoreError."""
+        count = partial(count_ended, after=self._last_piece)
+        ended, self._last_piece = self._store.read("counting pieces", count)
+        self.summary.pieces.update(ended)
 
     def _note_clock_step(self) -> None:
         """Write it into the log and the table of acts. Errors: StoreError."""

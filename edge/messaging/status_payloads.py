@@ -98,6 +98,9 @@ class StatsPayload(Payload):
         description="frames were dropped while the gel was pressed: their presses may be missed",
     )
     verdicts: dict[str, int] = Field(default_factory=dict, description="verdict to number; `error` for none")
+    pieces: dict[str, int] = Field(
+        default_factory=dict, description="verdict to number of the pieces of several places that are over"
+    )
     reconnects: int = Field(default=0, ge=0, description="of the sensor")
     latency_ms_p50: float | None = Field(default=None, description="rest to verdict, of scored presses only")
     latency_ms_max: float | None = Field(default=None, description="likewise")

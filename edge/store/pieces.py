@@ -14,7 +14,16 @@ from edge.core.ports import Message
 from edge.store import ledger_chain, outbox
 from edge.store.database import insert
 
-__all__ = ["KEPT_PIECES", "LastPiece", "begin", "end", "is_recorded", "read_last", "read_verdict"]
+__all__ = [
+    "KEPT_PIECES",
+    "LastPiece",
+    "begin",
+    "count_ended",
+    "end",
+    "is_recorded",
+    "read_last",
+    "read_verdict",
+]
 
 # Rows kept, some 250 bytes each: as many as presses.
 KEPT_PIECES: Final = 1_000_000
@@ -66,6 +75,13 @@ def read_last(connection: sqlite3.Connection) -> LastPiece | None:
     for part, position, press_id, word in presses:
         piece = piece.take(PartPosition(part, position), press_id, word)
     return LastPiece(piece, ended_by, verdict)
+
+
+def count_ended(connection: sqlite3.Connection, after: int) -> tuple[dict[str, int], int]:
+    """Count the pieces that are over by their verdict, of those after a number; return the number of the last too."""
+    query = "SELECT verdict, COUNT(*), MAX(number) FROM pieces WHERE number > ? AND ended_ns NOTNULL GROUP BY verdict"
+    rows = connection.execute(query, (after,)).fetchall()
+    return {verdict: count for verdict, count, _ in rows}, max((last for *_, last in rows), default=after)
 
 
 def is_recorded(connection: sqlite3.Connection, press_id: str) -> bool:

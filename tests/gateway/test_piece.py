@@ -235,6 +235,8 @@ def test_the_next_piece_ends_the_one_before(configure: Make) -> None:
         station.play()
         (ended,) = station.ended()
         said = station.said("piece")
+        station.loop.publish_stats()
+        assert station.loop.summary.fields()["pieces"] == {"incomplete": 1}
 
     assert answer == {"piece_id": "P2", "expected": ["PZ0/left"]}
     assert (ended["piece_id"], ended["verdict"], ended["ended_by"]) == ("P1", "incomplete", "next piece")
@@ -324,6 +326,11 @@ def test_a_piece_goes_on_after_a_restart(configure: Make) -> None:
         station.play_presses(2)
         (ended,) = station.ended()
         assert station.parts.status.view().piece_id is None
+        station.loop.publish_stats()
+        assert station.loop.summary.fields()["pieces"] == {"pass": 1}
+    with PieceStation(config) as station:
+        station.loop.publish_stats()
+        assert station.loop.summary.fields()["pieces"] == {}, "of an earlier run"
 
     assert (ended["piece_id"], ended["verdict"]) == ("P1", "pass")
 
