@@ -85,13 +85,17 @@ Phase = Literal["unseen", "free", "touching", "pressed", "resting", "decided"]
 a press; resting: a press without a verdict that is at rest; decided: one whose frame is chosen, or that has none."""
 
 
-def phase_of(track: Track, settings: ContactSettings) -> Phase:
+def phase_of(track: Track, seen: Observation | None, settings: ContactSettings) -> Phase:
     """Return what the last view shows. A press that shows nothing in two views is over, a moment before its end."""
     if track.is_interrupted or (track.last_ns or 0) < track.blind_until_ns or not track.is_counted:
         return "unseen"
     match track.state:
-        case State.NO_CONTACT | State.RECOVERY:
+        case State.NO_CONTACT:
             return "free"
+        case State.RECOVERY:  # of a corrected reference the next view is the first that shows anything
+            if seen is None or seen.is_black or track.frames == 1:
+                return "free"
+            return "touching" if _is_touch(track, seen, settings) else "free"
         case State.APPROACH:
             return "touching"
         case State.EARLY_RELEASE:
@@ -131,12 +135,17 @@ def level_of(track: Track, seen: Observation, settings: ContactSettings) -> Sign
     """Clear, faint or touch: hysteresis above the residue of the last press, by area, relief and strength."""
     if _is_clear(track, seen, settings):
         return Signal.CLEAR
-    is_touch = (
+    is_touch = _is_touch(track, seen, settings) and not _is_recoil(track, seen, settings)
+    return Signal.TOUCH if is_touch else Signal.FAINT
+
+
+def _is_touch(track: Track, seen: Observation, settings: ContactSettings) -> bool:
+    """Tell whether something touches beyond the residue of the last press."""
+    return (
         seen.area >= settings.on_area + track.residue
         or seen.relief >= settings.on_area + _RESIDUE_TIMES * track.relief_residue
         or _stands_out(track, seen, settings)
     )
-    return Signal.TOUCH if is_touch and not _is_recoil(track, seen, settings) else Signal.FAINT
 
 
 def _is_recoil(track: Track, seen: Observation, settings: ContactSettings) -> bool:

@@ -95,6 +95,7 @@ class ContactTracker:
         self._baseline, self._free = _Mean(), _Mean()
         self._free_looks: tuple[View, ...] = ()
         self._newest_free: tuple[View, ...] = ()
+        self._free_ns = 0
         self._rest: View | None = None
         self.level: View | None = None
         """The last view, at the reference's level where there is one: float32 (h, w, 3)."""
@@ -120,7 +121,7 @@ class ContactTracker:
     @property
     def phase(self) -> Phase:
         """What the last view shows, for a robot or a hand."""
-        return phase_of(self._track, self.settings)
+        return phase_of(self._track, self.seen, self.settings)
 
     @property
     def candidates(self) -> frozenset[int]:
@@ -145,10 +146,11 @@ class ContactTracker:
         """The newest view of the free gel as the sensor showed it, but for the last two: they may show an approach."""
         return self._newest_free[0] if self._newest_free else None
 
-    def is_due(self, timestamp_ns: int, *, is_held: bool = False) -> bool:
-        """False for a frame that need not be decoded: nothing presses, or a press that has its verdict `is_held` as
-        before, and the last look was a moment ago."""
-        idle = self.state in IDLE or (is_held and self.state is State.CONTACT)
+    def is_due(self, timestamp_ns: int, *, is_held: bool = False, is_new: bool = False) -> bool:
+        """False for a frame that need not be decoded: nothing touches and it hardly shows anything `is_new`, or a press
+        that has its verdict `is_held` as before, and the last look was a moment ago."""
+        is_free = self.state in IDLE and not is_new and self.phase != "touching"
+        idle = is_free or (is_held and self.state is State.CONTACT)
         last_ns = self._track.last_ns
         return not idle or last_ns is None or timestamp_ns - last_ns >= self.settings.idle_interval_s * 1e9
 
@@ -168,8 +170,10 @@ class ContactTracker:
             views = [self._recent[frame.sequence].level for frame in self._track.window.frames]
             self._refer_to(Reference(np.mean(views, axis=0, dtype=np.float32)))
         self.level = level
-        if self.state in (State.NO_CONTACT, State.RECOVERY) and not seen.is_black:
-            self._newest_free = (*self._newest_free[-2:], view)
+        # Looks that follow each other at once may all show an approach.
+        is_apart = timestamp_ns - self._free_ns >= self.settings.idle_interval_s * 1e9
+        if self.state in IDLE and not seen.is_black and is_apart:
+            self._newest_free, self._free_ns = (*self._newest_free[-2:], view), timestamp_ns
         if self._track.still_ns == timestamp_ns:
             self._rest = level
         kept = self.candidates
@@ -317,7 +321,8 @@ class ContactTracker:
             self._free.clear()
             return []
         self._free.add(view, timestamp_ns)
-        self._free_looks = (*self._free_looks[-2:], view)
+        if self._free_ns == timestamp_ns:
+            self._free_looks = (*self._free_looks[-2:], view)
         if timestamp_ns - self._free.since_ns < self.settings.refresh_s * 1e9:
             return []
         old = self.reference

@@ -1,4 +1,4 @@
-"""A press that has its verdict is not looked at in every frame, and its lift is seen in the same frame as before."""
+"""Which frames are looked at by their compressed size: of a press that has its verdict, and of the free gel."""
 
 from itertools import count
 
@@ -9,7 +9,7 @@ from ball_frames import PROFILE, frames
 from press_films import random_film
 
 from edge.core.contact import press_detector
-from edge.core.contact.press_detector import HeldPress, PressDetector
+from edge.core.contact.press_detector import HeldPress, IdleSizes, PressDetector
 from edge.core.contact.table import State
 from edge.core.imaging.decode import decode_view
 from edge.core.imaging.frames import CameraFrame
@@ -97,3 +97,54 @@ def test_another_state_ends_it() -> None:
     press.look(State.RELEASE, 1100, is_settled=False)
     press.look(State.CONTACT, 1100, is_settled=False)
     assert not press.is_as_before(1100)
+
+
+@pytest.mark.parametrize("fps", [10, 18.75, 30, 60])
+def test_chance_adds_few_looks_at_the_free_gel(fps: float) -> None:
+    """Sizes of noise alone: at most 1.3 times the looks at every 0.15 s."""
+    sizes, rng, looks, last_ns = IdleSizes(), np.random.default_rng(5), [0, 0], [-(10**9)] * 2
+    for number in range(20_000):
+        now_ns = round(number * 1e9 / fps)
+        is_record = sizes.is_record(int(rng.normal(10_000, 40)), now_ns)
+        for k, is_woken in enumerate((False, is_record)):
+            if is_woken or now_ns - last_ns[k] >= 0.15e9:
+                looks[k], last_ns[k] = looks[k] + 1, now_ns
+    assert looks[0] < looks[1] < 1.3 * looks[0]
+
+
+@pytest.mark.parametrize(
+    ("before", "size", "is_record"),
+    [
+        ([100, 104, 102], 105, True),
+        ([100, 104, 102], 99, True),
+        ([100, 104, 102], 104, False),
+        ([90, *[102] * 10], 91, True),
+        ([102] * 10, 102, False),
+        ([], 100, False),
+    ],
+    ids=["larger", "smaller", "as one before", "as one long ago", "never changes", "first"],
+)
+def test_a_record_is_beyond_the_last_half_second(before: list[int], size: int, is_record: bool) -> None:
+    sizes = IdleSizes()
+    for number, earlier in enumerate(before):
+        sizes.is_record(earlier, number * 54_000_000)
+    assert sizes.is_record(size, len(before) * 54_000_000) is is_record
+
+
+def phases(depths: list[float]) -> list[str]:
+    detector = PressDetector(PROFILE)
+    return [detector.feed(frame).phase for frame in frames(depths)]
+
+
+def test_a_contact_that_begins_is_said_with_its_first_frame() -> None:
+    """Not at the next look at the free gel; `start` is every place within the interval of looks."""
+    for start in range(60, 64):
+        assert phases([*[0.0] * start, *[0.3] * 3])[start] == "touching"
+
+
+def test_what_touches_after_a_release_is_said_and_begins_no_press() -> None:
+    """As foam that springs back: less than a tenth of the last press, within three seconds."""
+    after = phases([*[0.0] * 60, *[1.0] * 20, *[0.0] * 10, *[0.02] * 12, *[0.0] * 6])
+    assert set(after[86:90]) == {"free"}
+    assert set(after[91:102]) == {"touching"}
+    assert set(after[103:]) == {"free"}
