@@ -14,7 +14,7 @@ __all__ = ["presses_in"]
 
 def presses_in(recording: Recording, profile: SensorProfile) -> tuple[str, list[str]]:
     """Look through a recording as the gateway would: what is found, and what a person should know before its use."""
-    detector = PressDetector(profile, is_prompt=False)
+    detector = PressDetector(profile)
     counts: Counter[type] = Counter()
     touches, reliefs = list[Touch](), list[float]()
     for recorded in recording:

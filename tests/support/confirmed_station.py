@@ -49,7 +49,7 @@ def inspected(tmp_path_factory: pytest.TempPathFactory, other_package: None) -> 
     folder = tmp_path_factory.mktemp("learn")
     nominal = press_recording(folder / "nominal", 8, motion=Motion(hold=8, idle=20), seed=1)
     fit(nominal, folder / "old", "--set", "gain=2.0")
-    presses = press_recording(folder / "presses", 6, dented=[2, 4], motion=Motion(hold=8, idle=34), seed=5)
+    presses = press_recording(folder / "presses", 6, dented=[2, 4], motion=Motion(hold=8, idle=34), seed=7)
     with SteppedStation(station_config(folder, presses, folder / "old")) as station:
         station.play_presses(6)
         ids = [result.press_id for result in station.results]

@@ -29,7 +29,7 @@ class PressFinder:
     """Feed it every frame of one sensor, in order. settled: presses found so far."""
 
     def __init__(self, profile: SensorProfile, settings: ContactSettings | None = None) -> None:
-        self.detector = PressDetector(profile, settings, is_prompt=False)
+        self.detector = PressDetector(profile, settings)
         self.settled = 0
         self._last_free: CameraFrame | None = None
 

@@ -120,7 +120,6 @@ class Look:
 class PressDetector:
     """Finds the presses in one sensor's frames. Feed every frame, in order; it has no clock but the frames' times.
 
-    is_prompt: frames of the free gel whose size is new are looked at too; for a recording, which nobody waits for, not.
     corrupt: frames that could not be read, or are blind. first_fault: why, for the first of them. newest: the last that
     showed the gel. sight: whether the frames show it.
     """
@@ -131,8 +130,6 @@ class PressDetector:
         settings: ContactSettings | None = None,
         stored: Reference | None = None,
         witness: Reference | None = None,
-        *,
-        is_prompt: bool = True,
     ) -> None:
         self.tracker = ContactTracker(settings, stored, witness)
         self.sight = Sight()
@@ -145,7 +142,7 @@ class PressDetector:
         self._shown_ns: int | None = None
         self.newest: CameraFrame | None = None
         self._kept: dict[int, CameraFrame] = {}
-        self._held, self._sizes = HeldPress(), IdleSizes() if is_prompt else None
+        self._held, self._sizes = HeldPress(), IdleSizes()
         self._interruption_s = 0.0
 
     def feed(self, frame: CameraFrame) -> Look:
@@ -177,7 +174,7 @@ class PressDetector:
         events = self._interrupted_before(frame)
         size = len(frame.payload)
         is_held = self._held.is_as_before(size)
-        is_new = self._sizes is not None and self._sizes.is_record(size, frame.timestamp_ns)
+        is_new = self._sizes.is_record(size, frame.timestamp_ns)
         if not self.tracker.is_due(frame.timestamp_ns, is_held=is_held, is_new=is_new):
             self._shown_ns = frame.timestamp_ns  # as far as it is known
             return events, None
