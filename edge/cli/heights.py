@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 import typer
 
@@ -13,16 +13,28 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from edge.core.heights.calibration import HeightCalibration
     from edge.core.heights.height_map import HeightMap
 
     U8 = NDArray[np.uint8]
 
 __all__ = ["heights"]
 
+_UNCALIBRATED: Final = (
+    "this sensor is not calibrated, so nothing of it can be said in millimetres; make a calibration with `gelgate lab "
+    "calibrate --heights`, and name it with --calibration or as `gel.heights`"
+)
+
 
 def heights(
-    press: Annotated[str, typer.Argument(metavar="PRESS", help="An archived press_id, or a picture.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="A name ending in .png, .npz or .x3p.")],
+    press: Annotated[
+        str, typer.Argument(metavar="PRESS", help="An archived press_id, a picture, or a recording's folder.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Write the map: a name ending in .png, .npz or .x3p."),
+    ] = None,
+    number: Annotated[int, typer.Option(min=1, help="Which press at rest of a recording.")] = 1,
     free: Annotated[
         Path | None, typer.Option(help="A picture of the free gel, where PRESS is a picture.")
     ] = None,
@@ -42,53 +54,50 @@ def heights(
     ] = None,
     overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
 ) -> None:
-    """Measure a press in millimetres.
+    """Measure a press in millimetres, without a calibration in pixels.
 
     Writes how far each place of the gel is raised above the free gel, with its uncertainty; docs/heights.md says what
     a gel can show, and how well. .png: 16 bits, with its scale as text; .npz: for numpy; .x3p: ISO 25178-72.
     """
-    from edge.core.errors import ConfigError
     from edge.core.heights.calibration import SIZE
     from edge.core.heights.height_map import measure_heights
     from edge.core.heights.roughness import measure_roughness
     from edge.core.imaging.region import Region
-    from edge.heights.calibration_file import read_calibration
     from edge.heights.files import encode_heights
     from edge.messaging.payload_base import iso_time
 
     _check_words(output, cut_off_mm, overwrite=overwrite)
     part = None if region is None else Region.parse(region, SIZE)
-    made_with = read_calibration(calibration or _configured(config))
-    if Path(press).is_file():
-        if free is None:
-            raise ConfigError(f"{press} is a picture; give one of the free gel with --free")
-        rgb, free_rgb, serial, source, time_ns = (
-            _picture(Path(press)),
-            _picture(free),
-            None,
-            press,
-            time.time_ns(),
-        )
+    made_with = _calibration(calibration, config, is_needed=output is not None or part is not None)
+    if Path(press).is_dir():
+        shown = _recorded(Path(press), number)
+    elif Path(press).is_file():
+        shown = _pictures(Path(press), free)
     else:
-        rgb, free_rgb, serial, source, time_ns = _archived(press, database_path(config, database), archive)
-    found = measure_heights(rgb, free_rgb, made_with, serial)
+        shown = _archived(press, database_path(config, database), archive)
+    if made_with is None:
+        _say_pixels(shown)
+        return
+    found = measure_heights(shown.rgb, shown.free_rgb, made_with, shown.serial)
     _say(found)
     if part is not None:
         for one in measure_roughness(found, part, cut_off_mm):
             typer.echo(str(one))
-    output.write_bytes(encode_heights(found, source, iso_time(time_ns), output.suffix))
-    typer.echo(printable(f"written: {output}"))
+    if output is not None:
+        output.write_bytes(encode_heights(found, shown.source, iso_time(shown.time_ns), output.suffix))
+        typer.echo(printable(f"written: {output}"))
 
 
-def _check_words(output: Path, cut_off_mm: float, *, overwrite: bool) -> None:
+def _check_words(output: Path | None, cut_off_mm: float, *, overwrite: bool) -> None:
     """Errors: ConfigError, HeightError before any work is done."""
     from edge.core.errors import ConfigError, HeightError
     from edge.core.heights.roughness import CUT_OFFS_MM
     from edge.heights.files import check_form
 
-    check_form(output)
-    if output.exists() and not overwrite:
-        raise ConfigError(f"{output} exists; name another file, or replace it with --overwrite")
+    if output is not None:
+        check_form(output)
+        if output.exists() and not overwrite:
+            raise ConfigError(f"{output} exists; name another file, or replace it with --overwrite")
     if cut_off_mm not in CUT_OFFS_MM:
         raise HeightError(
             f"a cut-off is {' or '.join(f'{one:g}' for one in CUT_OFFS_MM)} mm, found {cut_off_mm:g}: shorter waves a "
@@ -96,18 +105,35 @@ def _check_words(output: Path, cut_off_mm: float, *, overwrite: bool) -> None:
         )
 
 
-def _configured(config: Path) -> Path:
-    """The station's calibration. Errors: ConfigError."""
+def _calibration(named: Path | None, config: Path, *, is_needed: bool) -> "HeightCalibration | None":
+    """The calibration that is named, else the station's; None without one. Errors: ConfigError, where one is needed."""
     from edge.config import load_config
     from edge.core.errors import ConfigError
+    from edge.heights.calibration_file import read_calibration
 
-    path = load_config(config).gel.heights if config.exists() else None
-    if path is None:
-        raise ConfigError(
-            "this sensor is not calibrated, so nothing of it can be said in millimetres; make a calibration with "
-            "`gelgate lab calibrate --heights`, and name it with --calibration or as `gel.heights`"
-        )
-    return path
+    path = named or (load_config(config).gel.heights if config.exists() else None)
+    if path is None and is_needed:
+        raise ConfigError(f"{_UNCALIBRATED}; without -o and --region it is measured in pixels")
+    return None if path is None else read_calibration(path)
+
+
+class _Shown(NamedTuple):
+    """A press and its free gel, uint8 (240, 320, 3) each, of the sensor, from where, and when, Unix time."""
+
+    rgb: "U8"
+    free_rgb: "U8"
+    serial: str | None
+    source: str
+    time_ns: int
+
+
+def _pictures(press: Path, free: Path | None) -> _Shown:
+    """Two files. Errors: ConfigError, HeightError."""
+    from edge.core.errors import ConfigError
+
+    if free is None:
+        raise ConfigError(f"{press} is a picture; give one of the free gel with --free")
+    return _Shown(_picture(press), _picture(free), None, str(press), time.time_ns())
 
 
 def _picture(path: Path) -> "U8":
@@ -139,8 +165,8 @@ def _decode(payload: bytes, name: str) -> "U8":
         raise HeightError(f"{name}: {error}") from error
 
 
-def _archived(prefix: str, database: Path, archive: Path | None) -> tuple["U8", "U8", str, str, int]:
-    """A press of the archive: its picture, its free gel, sensor, id and time. Errors: ArchiveError, HeightError."""
+def _archived(prefix: str, database: Path, archive: Path | None) -> _Shown:
+    """A press of the archive. Errors: ArchiveError, HeightError."""
     from edge.core.errors import HeightError
     from edge.core.heights.height_map import free_picture
     from edge.store.press_archive import ArchiveFolder, find_press
@@ -156,7 +182,34 @@ def _archived(prefix: str, database: Path, archive: Path | None) -> tuple["U8", 
         )
     frame = folder.read(then.frame, f"the judged frame of press {then.press_id}")
     rgb = _decode(frame, f"press {then.press_id}")
-    return rgb, free_picture(view), then.serial, then.press_id, then.time_ns
+    return _Shown(rgb, free_picture(view), then.serial, then.press_id, then.time_ns)
+
+
+def _recorded(folder: Path, number: int) -> _Shown:
+    """A press of a recording. Errors: RecordingError, HeightError."""
+    from edge.core.errors import RecordingError
+    from edge.core.heights.height_map import free_picture
+    from edge.recording.format import Recording
+    from edge.recording.presses_in import find_settled
+
+    recording = Recording.open(folder)
+    settled = find_settled(recording, number)
+    if settled.frame is None or settled.findings is None:
+        raise RecordingError(f"press {number} of recording {folder} has no frame; choose another")
+    name = f"{folder}, press {number}"
+    rgb, free_rgb = _decode(settled.frame.payload, name), free_picture(settled.findings.free)
+    return _Shown(rgb, free_rgb, recording.header.serial, name, time.time_ns())
+
+
+def _say_pixels(shown: _Shown) -> None:
+    from edge.core.defects import longest_extent
+    from edge.core.heights.height_map import find_touched
+
+    touched = find_touched(shown.rgb, shown.free_rgb)[1]
+    typer.echo(
+        f"{int(touched.sum())} pixels touched, {longest_extent(touched):.0f} from end to end, in the picture of 320x240"
+    )
+    typer.echo(_UNCALIBRATED)
 
 
 def _say(found: "HeightMap") -> None:

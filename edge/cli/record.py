@@ -10,13 +10,12 @@ from edge import registry
 from edge.cli.arguments import flatten, plugin_options
 from edge.clock import SystemClock
 from edge.core.errors import ConfigError, FrameCorrupt, GelgateError, RecordingEnded
-from edge.core.imaging.known_profiles import PROFILES
 from edge.core.imaging.known_profiles import profile as named
 from edge.core.imaging.sensor_profile import cut_in_words
 from edge.recording.format import Recording, RecordingHeader, RecordingWriter
 from edge.recording.from_images import PressLift, images_in, record_images
 from edge.recording.from_video import film_of, record_video
-from edge.recording.presses_in import presses_in
+from edge.recording.presses_in import find_profile, presses_in
 
 __all__ = ["RecordArguments", "record"]
 
@@ -169,8 +168,7 @@ def _from_video(given: RecordArguments, path: Path) -> str:
 def _say_presses(out: Path, name: str) -> None:
     """Print what the gateway would find, with this profile or one for frames of this size."""
     recording = Recording.open(out)
-    mode = recording.header.mode
-    profile = PROFILES.get(name) or next((known for known in PROFILES.values() if known.native == mode), None)
+    mode, profile = recording.header.mode, find_profile(recording, name)
     if profile is None:
         typer.echo(f"presses in it are not counted: no sensor profile has frames of {mode[0]}x{mode[1]}")
         return

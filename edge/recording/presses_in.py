@@ -1,4 +1,4 @@
-"""What contact detection finds in a recording: how many presses, how many rested, and what is wrong with its frames."""
+"""What contact detection finds in a recording: its presses, how many rested, and what is wrong with its frames."""
 
 from collections import Counter
 
@@ -6,10 +6,35 @@ from edge.core.contact.events import PressNotSettled, PressSettled, ReferenceCor
 from edge.core.contact.mask import Touch
 from edge.core.contact.press_detector import PressDetector
 from edge.core.contact.wear import foreign_free_gel
+from edge.core.errors import RecordingError
+from edge.core.imaging.known_profiles import PROFILES
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.recording.format import Recording
 
-__all__ = ["presses_in"]
+__all__ = ["find_profile", "find_settled", "presses_in"]
+
+
+def find_profile(recording: Recording, name: str | None = None) -> SensorProfile | None:
+    """Return the profile of this name, else the one of the recording's name, else one for frames of its size."""
+    header = recording.header
+    known = PROFILES.get(name or "") or PROFILES.get(header.profile or "")
+    return known or next((one for one in PROFILES.values() if one.native == header.mode), None)
+
+
+def find_settled(recording: Recording, number: int) -> PressSettled:
+    """Find a press that rested, as the gateway would, by its number from 1 on. Errors: RecordingError."""
+    profile = find_profile(recording)
+    if profile is None:
+        raise RecordingError(f"no sensor profile has frames of the size of recording {recording.folder}")
+    detector, count = PressDetector(profile), 0
+    for recorded in recording:
+        for event in detector.feed(recorded.frame).events:
+            count += isinstance(event, PressSettled)
+            if isinstance(event, PressSettled) and count == number:
+                return event
+    raise RecordingError(
+        f"recording {recording.folder} has {count} presses at rest, found --number {number}; count from 1"
+    )
 
 
 def presses_in(recording: Recording, profile: SensorProfile) -> tuple[str, list[str]]:

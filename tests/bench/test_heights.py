@@ -7,29 +7,19 @@ the errors are of five folds; on the gelslam gel the balls of one size are also 
 other alone. Where a ball lies, and so its depth, is found in its picture; its radius was measured with a gauge.
 """
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
 from ball_presses import RADIUS_MM, frames, nominal, renderer
+from real_balls import real_balls
 
-from calibration.fitting.presses.nominal_presses import NominalPresses, read_presses
 from calibration.sensor_fit.ball import Ball, ball_height
 from calibration.sensor_fit.heights import HeldBall, calibrate_heights, measure_presses
 from calibration.simulator.field_of_view import LR, grids
 from edge.core.heights.calibration import HeightCalibration
 from edge.core.heights.height_map import measure_heights
-from edge.core.imaging.known_profiles import profile
-from edge.core.imaging.region import Region
 
-_SETS = {
-    "gelslam, 6.31 mm": ("rpl-cmu__gelslam/6.310mm", "rpl-cmu__gelslam/background.png", 3.155),
-    "gelslam, 9.50 mm": ("rpl-cmu__gelslam/9.500mm", "rpl-cmu__gelslam/background.png", 4.75),
-    "skleff1994, 9.47 mm": ("skleff1994__gs_sdk/9.470mm", "skleff1994__gs_sdk/background.png", 4.735),
-    "FabPrez, 5.0 mm": ("FabPrez__Taxim/gsmini_ball5.0", "FabPrez__Taxim/gsmini_ball5.0/frame_0.jpg", 2.5),
-}
 _OTHER = {"gelslam, 6.31 mm": "gelslam, 9.50 mm", "gelslam, 9.50 mm": "gelslam, 6.31 mm"}
 _HEAD = (
     "\n| balls | calibrated with | n | radius, median, sd | top, mean, sd, mm | places within the uncertainty |\n"
@@ -56,11 +46,8 @@ def within(balls: Sequence[HeldBall], made: HeightCalibration) -> float:
 @pytest.mark.bench
 def test_balls_of_known_size() -> None:
     """The uncertainty covers 95 % of the places in balls that were held out."""
-    folder = os.environ.get("TACTILE")
-    if folder is None:
-        pytest.skip("SKIPPED, NOT TESTED: name the folder of public frames with TACTILE")
+    given = real_balls()
     print(_HEAD)
-    given = {name: (presses(Path(folder), *paths), radius) for name, (*paths, radius) in _SETS.items()}
     for name, (shown, radius) in given.items():
         found = calibrate_heights(shown, "ball", radius, LR.mm_per_px[0])
         print(row(name, "the others, five folds", found.held, radius, found.calibration), flush=True)
@@ -69,16 +56,6 @@ def test_balls_of_known_size() -> None:
             others, size = given[other]
             balls = measure_presses(found.calibration, others, size)
             print(row(other, f"{name} alone", balls, size, found.calibration), flush=True)
-
-
-def presses(folder: Path, balls: str, free: str) -> NominalPresses:
-    own = profile("mini_lr")
-    sources = sorted(
-        path
-        for path in (folder / balls).rglob("*")
-        if path.suffix in (".png", ".jpg") and path.name != "frame_0.jpg"
-    )
-    return read_presses(sources, own, Region.full(own.size), no_contact=[folder / free])
 
 
 @pytest.mark.bench

@@ -1,6 +1,7 @@
 """`gelgate station heights`: a height map as files of three kinds, and every input that cannot serve."""
 
 import io
+import re
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from pathlib import Path
@@ -13,6 +14,7 @@ from lit_surface import MM_PER_PX, calibration, free_gel, grid, light
 
 from edge.heights.calibration_file import read_calibration, write_calibration
 from edge.pictures.image_file import texts
+from edge.recording.format import RecordingHeader, RecordingWriter
 
 
 @pytest.fixture
@@ -127,13 +129,43 @@ def test_bad_input_is_a_sentence(
 
 
 def test_without_a_calibration_nothing_is_in_millimetres(folder: Path, tmp_path: Path) -> None:
+    """It is measured in pixels, which is said; no map is written, whose unit would be a millimetre."""
     words = ("--free", folder / "free.png", "-o", tmp_path / "a.png", "-c", tmp_path / "none.toml")
-    done = gelgate("station", "heights", folder / "press.png", *words)
-    assert "this sensor is not calibrated, so nothing of it can be said in millimetres" in done.sentence()
+    said = "this sensor is not calibrated, so nothing of it can be said in millimetres"
+    assert said in gelgate("station", "heights", folder / "press.png", *words).sentence()
+    done = gelgate("station", "heights", folder / "press.png", *words[:2], *words[4:])
+    assert done.code == 0
+    assert said in done.out
+    pixels, across = (float(word) for word in re.findall(r"(\d+) pixels touched, (\d+) from", done.out)[0])
+    true_px = 2 * np.sqrt(36 - 5.1**2) / MM_PER_PX
+    assert across == pytest.approx(true_px, rel=0.06)
+    assert pixels == pytest.approx(np.pi / 4 * true_px**2, rel=0.1)
+    assert "mm" not in done.out.replace(said, "")
     done = gelgate(
         "station", "heights", folder / "press.png", *words[2:], "--calibration", folder / "gel.toml"
     )
     assert "give one of the free gel with --free" in done.sentence()
+
+
+def test_a_press_of_a_recording_is_measured(folder: Path, tmp_path: Path) -> None:
+    """Against the free gel of its recording, as high as by two pictures of it; a number that is not there is said."""
+    frames = [folder / "free.png"] * 30 + [folder / "press.png"] * 14 + [folder / "free.png"] * 8
+    with RecordingWriter(
+        tmp_path / "presses", RecordingHeader("GelSight Mini", "T1", (320, 240), 18.75)
+    ) as writer:
+        rng = np.random.default_rng(0)
+        for number, path in enumerate(frames):
+            noisy = cv2.imread(str(path)) + rng.normal(0, 1, (240, 320, 3))
+            payload = cv2.imencode(".png", np.clip(np.rint(noisy), 0, 255).astype(np.uint8))[1].tobytes()
+            writer.add(payload, round(number * 1e9 / 18.75))
+    words = ("--calibration", folder / "gel.toml", "-o", tmp_path / "a.npz")
+    done = gelgate("station", "heights", tmp_path / "presses", *words)
+    assert done.code == 0, done.err
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as read:
+        assert read["heights_mm"].max() == pytest.approx(0.9, rel=0.06)
+        assert str(read["source"]) == f"{tmp_path / 'presses'}, press 1"
+    refused = gelgate("station", "heights", tmp_path / "presses", *words[:2], "--number", 2).sentence()
+    assert "has 1 presses at rest, found --number 2" in refused
 
 
 def test_equal_pictures_give_equal_heights(folder: Path, tmp_path: Path) -> None:

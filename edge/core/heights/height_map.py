@@ -13,7 +13,7 @@ from edge.core.heights.calibration import SIZE, HeightCalibration, place_powers
 from edge.core.heights.integration import integrate
 from edge.core.heights.slopes import SlopeFinder
 
-__all__ = ["HeightMap", "free_picture", "measure_heights", "part_heights"]
+__all__ = ["HeightMap", "find_touched", "free_picture", "measure_heights", "part_heights"]
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
@@ -22,8 +22,9 @@ Mask = NDArray[np.bool_]
 
 # Heights brighten the gel a little, so slopes and heights are found in turns; the third moves none by 2 micrometres.
 _TURNS: Final = 3
-# A touch changes the colours, smoothed over 2 pixels, by more than this many levels; noise and drift reach 6.
-_TOUCHED_LEVELS, _SMOOTH_PX, _LEAST_TOUCHED_MM2 = 10.0, 2.0, 0.3
+# A touch changes the colours, smoothed over 2 pixels, by more than this many levels; noise and drift reach 6. The least
+# is a third of a square millimetre.
+_TOUCHED_LEVELS, _SMOOTH_PX, _LEAST_TOUCHED_PX = 10.0, 2.0, 75
 _SATURATED_LEVEL, _MOST_SATURATED = 254, 0.1
 # The gel is lifted around a touch; what is free lies beyond.
 _LIFTED_MM, _LEAST_FREE = 1.5, 0.05
@@ -58,19 +59,9 @@ def measure_heights(
     Errors: HeightError for another size or gel, a picture without contact, one that is saturated, and a part that
     covers the view.
     """
-    for name, picture in (("press", rgb), ("free gel", free_rgb)):
-        if picture.shape != (SIZE[1], SIZE[0], 3):
-            raise HeightError(
-                f"the picture of the {name} is {picture.shape[1]}x{picture.shape[0]}, heights are calibrated at "
-                f"{SIZE[0]}x{SIZE[1]}; give the maker's crop"
-            )
     if reason := calibration.why_not(free_rgb, serial):
         raise HeightError(reason)
-    press, ground = rgb.astype(np.float32), free_rgb.astype(np.float32)
-    # Noise makes a fitted gain too small, and a hundredth of the light tilts the heights by a tenth of a millimetre.
-    levels = fit_levels(_smooth(press), _smooth(ground))
-    change = levels.applied(press) - ground
-    touched = _find_touched(change, rgb, calibration.mm_per_px)
+    change, touched = find_touched(rgb, free_rgb)
     reach = round(_LIFTED_MM / calibration.mm_per_px)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     free = cv2.dilate(touched.astype(np.uint8), kernel) == 0
@@ -88,6 +79,40 @@ def measure_heights(
         calibration.mm_per_px,
         calibration,
     )
+
+
+def find_touched(rgb: U8, free_rgb: U8) -> tuple[F32, Mask]:
+    """Find where a part touches, bool (240, 320), by the change of the colours, float32 (240, 320, 3).
+
+    Errors: HeightError for another size, a picture without contact, and one that is saturated.
+    """
+    for name, picture in (("press", rgb), ("free gel", free_rgb)):
+        if picture.shape != (SIZE[1], SIZE[0], 3):
+            raise HeightError(
+                f"the picture of the {name} is {picture.shape[1]}x{picture.shape[0]}, heights are calibrated at "
+                f"{SIZE[0]}x{SIZE[1]}; give the maker's crop"
+            )
+    press, ground = rgb.astype(np.float32), free_rgb.astype(np.float32)
+    # Noise makes a fitted gain too small, and a hundredth of the light tilts the heights by a tenth of a millimetre.
+    change = fit_levels(_smooth(press), _smooth(ground)).applied(press) - ground
+    smooth = _smooth(np.linalg.norm(change, axis=2).astype(np.float32))
+    # A flat top has the colours of the free gel: what an outline encloses is touched.
+    outlines, _ = cv2.findContours(
+        np.asarray(smooth > _TOUCHED_LEVELS, np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
+    touched = cv2.drawContours(np.zeros(smooth.shape, np.uint8), outlines, -1, 1, cv2.FILLED) > 0
+    if touched.sum() < _LEAST_TOUCHED_PX:
+        raise HeightError(
+            f"nothing presses the gel: colours change by {smooth.max():.0f} levels at most, {_TOUCHED_LEVELS:.0f} over "
+            f"{_LEAST_TOUCHED_PX} pixels are expected; give a picture of a press and one of the free gel"
+        )
+    saturated = float((rgb[touched] >= _SATURATED_LEVEL).any(axis=1).mean())
+    if saturated > _MOST_SATURATED:
+        raise HeightError(
+            f"{saturated:.0%} of the contact is saturated, at most {_MOST_SATURATED:.0%} are accepted, for a colour at "
+            "its end tells no slope; lower the exposure"
+        )
+    return change, touched
 
 
 def part_heights(
@@ -118,28 +143,6 @@ def part_heights(
 
 def _smooth(picture: F32) -> F32:
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), _SMOOTH_PX), np.float32)
-
-
-def _find_touched(change: F32, rgb: U8, mm_per_px: float) -> Mask:
-    """Find where the part touches. Errors: HeightError."""
-    smooth = _smooth(np.linalg.norm(change, axis=2).astype(np.float32))
-    # A flat top has the colours of the free gel: what an outline encloses is touched.
-    outlines, _ = cv2.findContours(
-        np.asarray(smooth > _TOUCHED_LEVELS, np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
-    )
-    touched = cv2.drawContours(np.zeros(smooth.shape, np.uint8), outlines, -1, 1, cv2.FILLED) > 0
-    if touched.sum() * mm_per_px**2 < _LEAST_TOUCHED_MM2:
-        raise HeightError(
-            f"nothing presses the gel: colours change by {smooth.max():.0f} levels at most, {_TOUCHED_LEVELS:.0f} over "
-            f"{_LEAST_TOUCHED_MM2} mm2 are expected; give a picture of a press and one of the free gel"
-        )
-    saturated = float((rgb[touched] >= _SATURATED_LEVEL).any(axis=1).mean())
-    if saturated > _MOST_SATURATED:
-        raise HeightError(
-            f"{saturated:.0%} of the contact is saturated, at most {_MOST_SATURATED:.0%} are accepted, for a colour at "
-            "its end tells no slope; lower the exposure"
-        )
-    return touched
 
 
 def _level(heights: F64, free: Mask | None) -> F64:
