@@ -119,8 +119,6 @@ _GROUPS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "detectability": "Measure the smallest damage found, by place.",
             "train-backbone": "Train the tactile backbone on simulated presses.",
             "evaluate-backbone": "Compare backbones on presses that training never draws.",
-            "evaluate-new-gel": "What a bundle loses on a new gel, and how to keep it.",
-            "evaluate-scars": "How scars of the gel and damage are distinguished.",
             "month": "A month on the line: dust, wear, drift, a person.",
         },
     }

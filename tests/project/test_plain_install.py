@@ -59,8 +59,6 @@ VERBS: list[tuple[str, int, str]] = [
     ("station reference press --config gelgate.toml", 3, "names no master piece"),
     ("station reference chart --config gelgate.toml", 0, "no reference press"),
     ("lab msa plan --pieces 2 --operators 2 --repeats 2 -o plan.toml", 0, "8 presses"),
-    ("lab evaluate-scars --set nothing", 3, "no set is named"),
-    ("lab evaluate-new-gel --set nothing", 3, "no set is named"),
     (
         "lab calibrate nominal/frames --simulator --no-contact nominal/frames/000000.jpg --ball-radius-mm 3 -o s.toml",
         3,
