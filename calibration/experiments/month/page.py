@@ -28,31 +28,22 @@ station whose bundle stays as it was fitted, and at one that learns from a perso
 """
 _WORLD: Final = """## What happens
 
-Each part is random, fitted with 24 pieces (8 of them pressed twice) of one batch on a new gel. Then, with assumed
-sizes:
+Each part is random, fitted with 24 pieces (8 of them pressed twice) of one batch on a new gel. All sizes are assumed:
 
 - **Gel.** A grain or a hair settles every 60 presses, and stays until it is wiped: each morning, and where the station
-  says so. A scratch, a dent or a rubbed place of the coat comes every 400 presses and stays. The coat wears over half
-  of the month as over a gel's rated life. In the middle of the month another gel is mounted, and recorded as such; and
-  on the morning after a station still asked for one in the evening.
-- **Lamps** lose a fifth of their light, evenly.
-- **Operator.** Place (sd 0.15 mm), turn (1 degree) and depth (4 %) wander slowly, besides the jitter of each press. The
-  gel is free for 0.3 to 1.6 s between presses.
-- **Batches.** Every three days another one: relief up to 4 % higher or lower, size up to 0.3 %, tool marks of 1 to
-  3 um. The fit saw none.
+  says so. A scratch, a dent or a rubbed place comes every 400 presses and stays. The coat wears. In the middle of the
+  month another gel is mounted, and on the morning after a station still asked for one in the evening.
+- **Lamps** lose a fifth of their light. **Operator:** place (sd 0.15 mm), turn (1 degree) and depth (4 %) wander; the
+  gel is free for 0.3 to 1.6 s between presses. **Batches:** every three days, relief up to 4 % and size up
+  to 0.3 % different, tool marks of 1 to 3 um.
 - **Damage.** 1 % of the pieces, of six kinds that the fit does not render; one piece in 500 is of another part.
-- **The person** answers the station's own questions in the evening, ten a day, and where a day has fewer than 50
-  presses one for each five; 3 % of the answers are wrong. Nobody else helps: nobody
-  [carries the bundle over](gel.md#carry-a-bundle-over) to the other gel.
+- **The person** answers ten of the station's questions a day, one for each five presses where a day has fewer than 50;
+  3 % of the answers are wrong. Nobody [carries the bundle over](gel.md#carry-a-bundle-over) to the other gel.
 
-What is real: the station from the camera's bytes on (contact, scores, gel marks and scars, press again, drift, proof on
-the gel, archive, database, questions), its settings by default, and `gelgate bundle learn` with its refusals. What is
-not: the gel, the parts and the operator are the simulator's; the station has no threads, and its clock is the line's;
-messages go to memory; an answer is written as the page's request writes it, without the page; of a press of an earlier
-day, about which the station asks again, the person knows as much. A press that the station asks for again is made, up
-to three of a piece. The new bundle is a shadow the next day; in the morning and in the evening it is asked to take
-over, which the station refuses where it is worse, or has to [wait](operations.md#the-page-at-the-station). As long as
-it waits no other one is learnt, unless the station asks for it.
+The station is real from the camera's bytes on, with its settings by default, without threads and with the line's clock;
+messages go to memory. A press that it asks for again is made, up to three of a piece. A new bundle is a shadow the next
+day, asked to take over in the morning and in the evening; as long as it
+[waits](operations.md#the-page-at-the-station), no other one is learnt unless the station asks for it.
 
 A piece counts by the verdict of its last press. A *false alarm* is a sound piece that does not pass in the end,
 whatever the verdict is. An *escape* is a damaged piece, or one of another part, that passes.
@@ -81,9 +72,7 @@ def page(rows: Sequence[Row], link: str, command: str) -> str:
             f"![False alarms and escapes by day]({link})\n",
             markdown_table(["", *ARMS], _totals(rows)),
             *(f"- `{arm}`: {what}." for arm, what in ARMS.items()),
-            "\n## By day\n",
-            markdown_table(_DAY_HEADING, _by_day(rows)),
-            "## What escaped, what was blamed, what was said\n",
+            "\n## What escaped, what was blamed, what was said\n",
             markdown_table(["", *ARMS], _details(rows)),
             _WORLD.rstrip(),
             "",
@@ -137,31 +126,6 @@ def _count_bad_days(own: list[Row]) -> str:
     later = [[row for row in own if row["day"] == day] for day in days]
     bad = sum(_total(day, "false_alarms") > _MOST_FALSE * _total(day, "sound") for day in later)
     return f"{bad} of {len(later)}"
-
-
-_DAY_HEADING: Final = (
-    "day",
-    *(f"{what}, {arm}" for what in ("false alarms", "escapes", "unsure", "alarms") for arm in ARMS),
-    "asked",
-)
-
-
-def _by_day(rows: Sequence[Row]) -> list[list[object]]:
-    lines = []
-    for day in range(1, rows[0]["days"] + 1):
-        here = [row for row in rows if row["day"] == day]
-        both = [_of(here, arm) for arm in ARMS]
-        lines.append(
-            [
-                day,
-                *(f"{_total(own, 'false_alarms')} of {_total(own, 'sound')}" for own in both),
-                *(f"{_total(own, 'escapes')} of {_total(own, 'not_sound')}" for own in both),
-                *(_total(own, "unsure") for own in both),
-                *(sum(sum(row["alarms"].values()) for row in own) for own in both),
-                _total(both[-1], "asked"),
-            ]
-        )
-    return lines
 
 
 def _details(rows: Sequence[Row]) -> list[list[str]]:
