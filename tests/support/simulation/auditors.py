@@ -79,9 +79,9 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     is_unsaid = station.is_loss_open and "counts" not in station.loop.parts.status.view().alarms
     lost_ns = station.so_since("a loss is not said", is_unsaid and station.loop.session is not None)
     now_ns = world.clock.now_ns
-    since_ns = station.so_since(
-        "a request waits", bool(station.loop.parts.calls._waiting) and not station.is_frozen
-    )
+    waiting = station.loop.parts.calls._waiting  # others may have come since
+    oldest_ns = waiting[0][0] if waiting else None
+    since_ns = station.so_since(f"a request waits {oldest_ns}", bool(waiting) and not station.is_held_up)
     if since_ns is not None and now_ns - since_ns > ANSWERED_S * S:
         yield f"a request has no answer after {ANSWERED_S} s"
     if lost_ns is not None and now_ns - lost_ns > ANSWERED_S * S:

@@ -8,7 +8,7 @@ from edge.core.errors import StoreError
 from simulation.chosen import SMALL_MB
 from simulation.outputs import LAMP
 from simulation.people import PEOPLE
-from simulation.plc import STEPS
+from simulation.plc import STEPS, Server
 from simulation.sensor import OTHER_SERIAL, SERIAL, S
 
 if TYPE_CHECKING:
@@ -294,7 +294,7 @@ def disturb_plc(run: "Simulation", rng: random.Random) -> float:
         plc.mood = "cut"
         run.for_a_while("plc cut", lasts_s, plc.mend)
 
-    kind = rng.choice(("cut", "cut at", "cut at", "cut at", "mute", "slow"))
+    kind = rng.choice(("cut", "cut at", "cut at", "mute", "slow", "slow"))
     if plc.mood != "up" or kind == "cut":
         pull()
     elif kind == "cut at":
@@ -369,12 +369,19 @@ def _is_press_unrecorded(run: "Simulation") -> bool:
     return _is_press_waiting(run) if "fill disk" in run.chosen.rates else _is_pressed_unjudged(run)
 
 
+def _is_pass_at_plc(run: "Simulation") -> bool:
+    """A PLC that is slow has a pass that it does not acknowledge yet."""
+    plcs = run.world.plcs
+    return not run.world.has_plc or (plcs[0].mood == "slow" and Server.now.is_pass)
+
+
 MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "select part": _is_pressed_unjudged,
     "replace gel": _is_pass_shown,
     "kill": _is_press_unrecorded,
     "lose power": _is_press_unrecorded,
     "stop": _is_press_waiting,
+    "unplug": _is_pass_at_plc,
 }
 """When a fault does most harm: every other one waits for it."""
 

@@ -55,6 +55,11 @@ class Server:
         """Whether a result waits for its acknowledgement."""
         return self._handshake is not None and self._handshake.read().step == "done"
 
+    @property
+    def is_pass(self) -> bool:
+        """Whether it is a pass."""
+        return self._handshake is not None and self._handshake.read().is_pass
+
     def start(self, handshake: Handshake) -> None:
         self._handshake, self._port = handshake, PORTS[self.kind](handshake, self._clock)
         self._late.clear()
