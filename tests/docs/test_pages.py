@@ -1,12 +1,11 @@
 """Documentation is tested: printed pages are those of the program, and every name is explained in docs/."""
 
 import importlib
-import importlib.util
 import re
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from scripts import load_script
 
 from edge.cli import EXIT_CODES, EXIT_MEANINGS
 from edge.cli.run import example
@@ -20,16 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 
 
-def generator() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("docs_generate", DOCS / "generate.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-GENERATE = generator()
+GENERATE = load_script("docs/generate.py")
 PRINTED = {name: (DOCS / name).read_text(encoding="utf-8") for name in GENERATE.PAGES}
 
 

@@ -94,7 +94,7 @@ def certificates(tmp_path: Path) -> Path:
     def openssl(command: str) -> None:
         subprocess.run(["openssl", *command.split()], cwd=tmp_path, check=True, capture_output=True)
 
-    openssl(f"req -x509 -newkey {KEY} -nodes -days 2 -subj /CN=ca -keyout ca.key -out ca.pem")
+    openssl(f"req -x509 -newkey {KEY} -nodes -days 2 -subj /CN=ca -addext keyUsage=critical,keyCertSign -keyout ca.key -out ca.pem")
     (tmp_path / "names").write_text("subjectAltName=IP:127.0.0.1")
     for name in ("server", "client"):
         openssl(f"req -newkey {KEY} -nodes -subj /CN={name} -keyout {name}.key -out {name}.csr")

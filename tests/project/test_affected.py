@@ -1,11 +1,8 @@
 """`.ci/affected.py` chooses the tests of `make check`."""
 
-import importlib.util
-from pathlib import Path
-
 import pytest
+from scripts import load_script
 
-SCRIPT = Path(__file__).resolve().parents[2] / ".ci/affected.py"
 TEXTS = {
     "tests/project/test_shape.py": "",
     "tests/project/test_boundaries.py": "",
@@ -32,11 +29,7 @@ TEXTS = {
 )
 def test_what_imports_the_changed_is_chosen_and_the_rules_always(changed: str, expected: set[str]) -> None:
     """Neither a longer name nor a module of the support is taken for a test of it."""
-    spec = importlib.util.spec_from_file_location("affected", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    affected = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(affected)
+    affected = load_script(".ci/affected.py")
 
     always = {"tests/project/test_shape.py", "tests/project/test_boundaries.py"}
     assert set(affected.choose_tests([changed], TEXTS)) == always | expected

@@ -1,5 +1,6 @@
 """What outside tools say of the repository. The tools have an environment of their own: `make test-trust`."""
 
+import json
 import os
 import subprocess
 import tomllib
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import tiny
+from scripts import load_script
 
 from edge.cli.bill_of_materials import bill_of_materials
 from edge.model.bundle_writer import write_bundle
@@ -29,7 +31,7 @@ def run_judge(*words: str) -> subprocess.CompletedProcess[str]:
         ("codespell",),
         ("pre-commit", "validate-config"),
         ("reuse", "lint"),
-        ("../citation/bin/cffconvert", "--validate"),
+        ("check-jsonschema", "--builtin-schema", "vendor.citation-file-format", "CITATION.cff"),
     ],
     ids=lambda words: words[0],
 )
@@ -51,10 +53,22 @@ sys.exit(str(JsonStrictValidator(SchemaVersion.V1_6).validate_str(Path(sys.argv[
 
 @pytest.mark.trust
 def test_a_bill_of_materials_is_as_the_schema_of_cyclonedx_says(tmp_path: Path) -> None:
-    """All packages of this environment, a bundle and its trunk; a wrong word is found."""
+    """All packages of this environment, a bundle and its trunk, and a weakness (`make vex`); a wrong word is found."""
     _, files = tiny.tiny_files(tiny.tiny_bank())
     bill, wrong = tmp_path / "bill.json", tmp_path / "wrong.json"
-    bill.write_text(bill_of_materials([write_bundle(tmp_path / "bolt", files)]))
+    content = json.loads(bill_of_materials([write_bundle(tmp_path / "bolt", files)]))
+    package = next(one for one in content["components"] if one["name"] == "numpy")
+    weakness = {"id": "PYSEC-2019-179", "aliases": ["CVE-2019-1010083"], "description": "Memory."}
+    statement = {
+        "id": "CVE-2019-1010083",
+        "package": "numpy",
+        "state": "not_affected",
+        "detail": "Never called.",
+    }
+    content["vulnerabilities"] = [
+        load_script(".ci/vex.py").describe(weakness, package["bom-ref"], "numpy", [statement])
+    ]
+    bill.write_text(json.dumps(content))
     wrong.write_text(bill.read_text().replace('"library"', '"book"'))
 
     done = run_judge("python", "-c", VALIDATE, str(bill))

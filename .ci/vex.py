@@ -1,0 +1,98 @@
+"""Write the bill of materials of this environment, with what is known against its packages and what that means (VEX).
+
+    python .ci/vex.py PIP_AUDIT OUTPUT
+
+pip-audit asks the database of PyPI. Without an answer for every package nothing is written: silence is no good news.
+deploy/vex.toml has the statements, kept by hand; a weakness without one stands as `in_triage`, and the end is 1.
+"""
+
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import Any
+from uuid import NAMESPACE_URL, uuid5
+
+from edge.cli.bill_of_materials import bill_of_materials
+
+STATEMENTS = Path(__file__).resolve().parents[1] / "deploy/vex.toml"
+KEYS = {"id", "package", "state", "justification", "detail"}
+
+
+def main(pip_audit: str, output: Path) -> None:
+    """Write the document; end with a sentence and 1 where something is unknown, undecided, or exploitable."""
+    bill = json.loads(bill_of_materials([]))
+    packages = {
+        one["purl"].removeprefix("pkg:pypi/"): one["bom-ref"]
+        for one in bill["components"]
+        if one.get("purl", "").startswith("pkg:pypi/")
+    }
+    statements = tomllib.loads(STATEMENTS.read_text(encoding="utf-8")).get("statement", [])
+    answers = ask(pip_audit, sorted(packages))
+    known = [
+        describe(weakness, packages[f"{answer['name']}@{answer['version']}"], answer["name"], statements)
+        for answer in answers
+        for weakness in answer["vulns"]
+    ]
+    bill["vulnerabilities"] = known
+    bill["serialNumber"] = f"urn:uuid:{uuid5(NAMESPACE_URL, bill['serialNumber'] + json.dumps(known))}"
+    output.write_text(json.dumps(bill, indent=2) + "\n", encoding="utf-8")
+    open_ones = [
+        f"{one['id']} of {one['affects'][0]['ref']} is {one['analysis']['state']}"
+        for one in known
+        if one["analysis"]["state"] in ("in_triage", "exploitable")
+    ]
+    print(f"{output}: {len(packages)} packages asked, {len(known)} weaknesses known, {len(open_ones)} open")
+    if open_ones:
+        sys.exit("; ".join(open_ones) + f"; {STATEMENTS.name} takes a statement, or a newer version mends it")
+
+
+def ask(pip_audit: str, packages: list[str]) -> list[dict[str, Any]]:
+    """Return what pip-audit says of each package. Ends with 1 where it cannot say it of all."""
+    with NamedTemporaryFile("w", suffix=".txt") as pinned:
+        pinned.write("".join(f"{one.replace('@', '==')}\n" for one in packages))
+        pinned.flush()
+        words = [pip_audit, "-r", pinned.name, "--no-deps", "--disable-pip", "--format", "json"]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+    try:
+        answers = {
+            f"{one['name']}@{one['version']}": one
+            for one in json.loads(done.stdout)["dependencies"]
+            if "vulns" in one
+        }
+    except ValueError:
+        answers = {}
+    if missing := [one for one in packages if one not in answers]:
+        sys.exit(
+            f"UNKNOWN, NOT CHECKED: pip-audit has no answer for {len(missing)} of {len(packages)} packages, "
+            f"such as {missing[0]}; nothing was written. Is the database of PyPI reachable? {done.stderr[-300:]}"
+        )
+    return list(answers.values())
+
+
+def describe(
+    weakness: dict[str, Any], reference: str, package: str, statements: list[dict[str, str]]
+) -> dict[str, Any]:
+    """Return a weakness as CycloneDX has it, with the statement that names it by any of its numbers."""
+    numbers = [weakness["id"], *weakness["aliases"]]
+    analysis = {"state": "in_triage"}
+    for one in statements:
+        if unknown := one.keys() - KEYS:
+            sys.exit(
+                f"{STATEMENTS.name}: {', '.join(sorted(unknown))} is unknown; a statement has {', '.join(sorted(KEYS))}"
+            )
+        if one["id"] in numbers and one["package"] == package:
+            analysis = {key: value for key, value in one.items() if key not in ("id", "package")}
+    return {
+        "id": weakness["id"],
+        "description": weakness["description"],
+        "affects": [{"ref": reference}],
+        "references": [{"id": one, "source": {"name": one.partition("-")[0]}} for one in sorted(numbers[1:])],
+        "analysis": analysis,
+    }
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))
