@@ -51,7 +51,7 @@ def breaks(
 ) -> str | None:
     """Return what breaks the `holds` of such an object, None where no order of these threads does."""
     options = {"clock": "virtual", "preemption_bound": None, "reproduce_on_failure": 0} | options
-    options |= {"detect_io": False, "total_timeout": 600.0} | getattr(kind, "options", {})
+    options |= {"detect_io": False, "total_timeout": 600.0}
     found = frontrun.explore(partial(kind, *given), list(threads), lambda one: one.holds(), **options)
     return None if found.property_holds else str(found.explanation)
 
@@ -260,10 +260,10 @@ class Job:
 class Fault:
     """The reader loses its sensor while the loop sees the gel again: the station is halted, with the alarm.
 
-    The order that breaks it is the 300th and more that is tried, so that every unguarded access counts here.
+    The order that breaks it without its lock is the 300th and more that is tried: there every unguarded access counts.
     """
 
-    options: ClassVar = {"error_on_any_race": True}
+    unlocked: ClassVar = {"error_on_any_race": True}
 
     def __init__(self, lock: Any = None) -> None:
         self.status = StationStatus(lambda message: None, ManualClock())
@@ -304,8 +304,6 @@ class Boards:
 class Answered:
     """A PLC ends a handshake and begins the next one while the loop records the press of the first: no pass of another
     id is seen, nor one that is not recorded."""
-
-    options: ClassVar = {"error_on_any_race": True}
 
     def __init__(self, lock: Any = None) -> None:
         self.clock = ManualClock()
@@ -364,8 +362,12 @@ def test_no_order_of_its_threads_breaks_it(kind: type, no_lock: Any, threads: An
 
 @pytest.mark.parametrize(("kind", "no_lock", "threads"), SHARED, ids=NAMES)
 def test_without_its_lock_some_order_breaks_it(kind: type, no_lock: Any, threads: Any) -> None:
-    """The lock is needed, and the exploration would find that it is missing."""
-    assert breaks(kind, threads, no_lock()) is not None
+    """The lock is needed, and the exploration would find that it is missing.
+
+    `unlocked` is not for the test with the lock: frontrun 0.7 tells of a release after it is done, so that what the next
+    thread does until then counts as a race, at random.
+    """
+    assert breaks(kind, threads, no_lock(), **getattr(kind, "unlocked", {})) is not None
 
 
 def test_a_call_that_was_refused_is_not_done_later() -> None:
