@@ -364,8 +364,8 @@ def test_no_order_of_its_threads_breaks_it(kind: type, no_lock: Any, threads: An
 def test_without_its_lock_some_order_breaks_it(kind: type, no_lock: Any, threads: Any) -> None:
     """The lock is needed, and the exploration would find that it is missing.
 
-    `unlocked` is not for the test with the lock: frontrun 0.7 tells of a release after it is done, so that what the next
-    thread does until then counts as a race, at random.
+    `unlocked` is not for the test with the lock: frontrun 0.7 tells of a release after it is done, so that what the
+    next thread does until then counts as a race, at random.
     """
     assert breaks(kind, threads, no_lock(), **getattr(kind, "unlocked", {})) is not None
 
