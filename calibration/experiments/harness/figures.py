@@ -2,7 +2,6 @@
 
 import io
 from collections.abc import Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 __all__ = [
     "draw_conditions",
     "draw_curves",
-    "draw_fractions",
     "draw_overview",
     "draw_shots",
     "find_curves",
@@ -69,23 +67,6 @@ def gel_share(presses: float) -> float:
 def draw_overview(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":
     """Draw a panel per method, a line per part, against the fraction. rows: of one backbone, mode and split."""
     return draw_curves(rows, "fraction", _SHARE, measure, panel="method", with_dots=False)
-
-
-def draw_fractions(rows: "pd.DataFrame", part: str, measure: str = "aupro_001") -> "Figure":
-    """Draw all methods on one part, every seed a dot, against the fraction, the presses and the gel that they use."""
-    own = rows[rows["part"] == part]
-    figure = draw_curves(own, "fraction", _SHARE, measure)
-    if len(found := find_curves(own, "fraction", measure)):
-        last = found.groupby("method").tail(1)
-        pool = float((last["presses"] / last.index.get_level_values("fraction")).max())
-        above = figure.axes[0].secondary_xaxis(
-            "top", functions=(partial(np.multiply, pool / 100), partial(np.multiply, 100 / pool))
-        )
-        above.set_xlabel(
-            f"presses; all {pool:.0f} are {100 * gel_share(pool):.0f} % of a gel's rated life", fontsize=8
-        )
-        above.tick_params(labelsize=7)
-    return figure
 
 
 def draw_shots(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":

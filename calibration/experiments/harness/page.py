@@ -1,7 +1,7 @@
 """What the pages of the studies have in common: setups, tables, what was not scored."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,6 @@ __all__ = [
     "Page",
     "by_setup",
     "figure_file",
-    "list_cells",
     "make_page",
     "only_scored",
     "percent",
@@ -73,7 +72,7 @@ def make_page(
     draw: Callable[["pd.DataFrame"], Figures] = lambda rows: {},
     **more: Any,
 ) -> Page:
-    """Make the page of a study from its template: cells, every setup with its figures, both splits, refusals.
+    """Make the page of a study from its template: every setup with its figures, both splits, refusals.
 
     rows: of the study. condition: the column that it varies. describe: the template's values for one backbone, mode and
     split. more: further values.
@@ -89,7 +88,6 @@ def make_page(
         "rows": rows,
         "parts": ", ".join(sorted(rows["part"].unique())),
         "seeds": _count_seeds(rows, condition),
-        "cells": [list_cells(rows, condition)],
         "weights": rows.reindex(columns=["backbone", "weights"]).dropna().drop_duplicates(),
         "setups": setups,
         "splits": compare_splits(scored, condition),
@@ -127,28 +125,10 @@ def figure_file(rows: "pd.DataFrame", *more: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "-", "-".join([*words, *more])) + ".svg"
 
 
-def list_cells(rows: "pd.DataFrame", condition: str) -> "pd.DataFrame":
-    """Return which cells the rows have, by part and setup. condition: the column that the study varies."""
-    keys = ["part", *SETUP]
-    groups = rows.groupby(keys)
-    found = groups.agg(
-        methods=("method", lambda own: ", ".join(sorted(set(own)))),
-        condition=(condition, lambda own: _list_values(sorted(own.dropna().unique()))),
-    )
-    found["seeds"] = [_count_seeds(group, condition) for _, group in groups]
-    found["cells"] = groups.size()
-    return found.reset_index().rename(columns={"condition": condition.replace("_", " ")})
-
-
 def _count_seeds(rows: "pd.DataFrame", condition: str) -> str:
     """Write how many seeds the conditions have: `10`, or `1 to 3` where not all have as many."""
     counts = rows.groupby(["part", *SETUP, "method", condition])["seed"].nunique()
     return f"{counts.min()}" if counts.min() == counts.max() else f"{counts.min()} to {counts.max()}"
-
-
-def _list_values(values: list[Any]) -> str:
-    texts = [f"{value:g}" if isinstance(value, float) else str(value) for value in values]
-    return ", ".join(texts) if len(texts) < 7 else f"{len(texts)} from {texts[0]} to {texts[-1]}"
 
 
 def share_of(rows: "pd.DataFrame") -> str:
@@ -161,26 +141,22 @@ def tabulate_medians(
     rows: "pd.DataFrame",
     condition: str,
     names: Mapping[Any, str],
-    measures: Iterable[str] = COMPARED,
+    measure: str = "aupro_001",
     published: Mapping[Any, str] = {},
-) -> list["pd.DataFrame"]:
-    """Return a table of medians over seeds for each measure, the paper's in brackets.
+) -> "pd.DataFrame":
+    """Return the medians of a measure over seeds, the paper's in brackets.
 
     rows: of one study and setup. names: the values of the condition, as they are printed. published: what the paper's
     data call them.
     """
-    paper, tables = paper_medians(str(rows["study"].iloc[0])), []
-    for measure in measures:
-        medians = rows.pivot_table(measure, ["part", "method"], condition, aggfunc="median")
-        found = medians.index.to_frame(index=False)[["method", "part"]]
-        for value, heading in names.items():
-            theirs = [
-                paper.get((method, part, measure), {}).get(published.get(value, ""))
-                for part, method in medians.index
-            ]
-            found[heading] = list(map(_both, medians.get(value, [None] * len(found)), theirs))
-        tables.append(found.rename(columns={"method": COMPARED[measure.removesuffix("_common")]}))
-    return tables
+    paper = paper_medians(str(rows["study"].iloc[0]))
+    medians = rows.pivot_table(measure, ["part", "method"], condition, aggfunc="median")
+    found = medians.index.to_frame(index=False)[["method", "part"]]
+    for value, heading in names.items():
+        name = published.get(value, "")
+        theirs = [paper.get((method, part, measure), {}).get(name) for part, method in medians.index]
+        found[heading] = list(map(_both, medians.get(value, [None] * len(found)), theirs))
+    return found.rename(columns={"method": COMPARED[measure.removesuffix("_common")]})
 
 
 def _both(ours: float | None, paper: float | None) -> str:

@@ -14,7 +14,6 @@ import numpy as np
 from calibration.experiments.harness.cells import Cell, Setting
 from calibration.experiments.harness.evidence import MIN_DRAWS, STABLE_WITHIN, stable_from
 from calibration.experiments.harness.figures import (
-    draw_fractions,
     draw_overview,
     draw_shots,
     find_curves,
@@ -22,17 +21,14 @@ from calibration.experiments.harness.figures import (
 )
 from calibration.experiments.harness.material import Drawn, Material, fit_cell
 from calibration.experiments.harness.page import (
-    SETUP,
     Figures,
     Page,
-    list_cells,
     make_page,
-    only_scored,
     percent,
 )
 from calibration.experiments.harness.presses import hold_out, open_presses, subset
 from calibration.experiments.harness.published import stable_fraction
-from calibration.experiments.harness.rows import TIMES, Rows
+from calibration.experiments.harness.rows import Rows
 from calibration.experiments.harness.study import (
     Evaluation,
     Options,
@@ -49,17 +45,11 @@ if TYPE_CHECKING:
 __all__ = [
     "STUDY",
     "GoodFraction",
-    "find_repeated",
     "page",
     "study_good_fraction",
 ]
 
 STUDY = "good-fraction"
-
-SEEDS = 10
-"""Of a complete study, as in the paper."""
-
-_FIGURE_MEASURES = ("aupro_001", "auprc", "image_auroc")
 
 
 class GoodFraction(Evaluation):
@@ -103,7 +93,6 @@ def study_good_fraction(options: Options) -> Rows:
 def page(rows: "pd.DataFrame") -> Page:
     """Make the page. rows: of this study."""
     where = ", ".join(sorted(set(rows["part"] + " " + rows["position"])))
-    sizes = [name for name in ("fraction", "shots") if name in rows]
     known = rows if "fraction" in rows else rows.assign(fraction=np.nan)
     return make_page(
         STUDY,
@@ -112,10 +101,6 @@ def page(rows: "pd.DataFrame") -> Page:
         _describe,
         _draw,
         where=where,
-        cells=[list_cells(rows[rows[size].notna()], size) for size in sizes],
-        complete=_estimate_complete(only_scored(known)),
-        fractions=Options.fractions,
-        all_seeds=SEEDS,
         min_draws=MIN_DRAWS,
         gel_presses=DEFAULT_LIMIT_PRESSES,
         stable_within=STABLE_WITHIN,
@@ -129,7 +114,6 @@ def _describe(rows: "pd.DataFrame") -> dict[str, Any]:
         "plateaus": _tabulate_plateaus(rows.dropna(subset=["fraction"])),
         "levels": _tabulate_levels(rows, "fraction"),
         "shots": _tabulate_levels(rows, "shots"),
-        "repeated": _tabulate_repeated(rows),
     }
 
 
@@ -175,67 +159,17 @@ def _write_level(at: "pd.Series[float]") -> str:
     return f"{at['mean']:.3f}{interval}"
 
 
-def _tabulate_repeated(rows: "pd.DataFrame") -> "pd.DataFrame":
-    """Return the cells of which all seeds are one computation."""
-    same = find_repeated(rows)
-    same["at"] = [
-        f"{shots:g} presses" if np.isnan(share) else percent(share)
-        for share, shots in same.reindex(columns=["fraction", "shots"]).to_numpy()
-    ]
-    by_method = same.sort_values([name for name in ("fraction", "shots") if name in same]).groupby("method")
-    return by_method.agg(
-        parts=("part", lambda own: ", ".join(sorted(set(own)))),
-        at=("at", lambda own: ", ".join(dict.fromkeys(own))),
-        seeds=("seeds", "max"),
-    ).reset_index()
-
-
 def _draw(rows: "pd.DataFrame") -> Figures:
     setup = "-".join(str(rows[name].iloc[0]) for name in ("mode", "backbone", "split"))
     base, found = f"{STUDY}-" + re.sub(r"[^A-Za-z0-9_-]+", "-", setup), {}
-    if rows["fraction"].notna().any():
-        for measure in _FIGURE_MEASURES:
-            found[f"{base}-{measure}.svg"] = partial(draw_overview, rows, measure)
-        for part in sorted(set(rows["part"])):
-            found[f"{base}-{part}.svg"] = partial(draw_fractions, rows, part)
+    if rows["fraction"].nunique() > 1:
+        found[f"{base}.svg"] = partial(draw_overview, rows)
     if "shots" in rows and rows["shots"].notna().any():
         found[f"{base}-shots.svg"] = partial(draw_shots, rows)
     return found
-
-
-def _estimate_complete(rows: "pd.DataFrame") -> "pd.DataFrame | None":
-    """Estimate the time of a part's complete study, from the mean processor seconds of a cell at every fraction."""
-    import pandas as pd
-
-    lines = []
-    cells = rows.assign(seconds=rows[list(TIMES)].sum(axis=1, skipna=False)).dropna(
-        subset=["fraction", "seconds"]
-    )
-    for setup, group in cells.groupby(["part", *SETUP]):
-        means = group.groupby(["method", "fraction"])["seconds"].mean()
-        each = [means[method] for method in means.index.unique("method")]
-        if min(map(len, each)) > 1:
-            spent = sum(SEEDS * np.interp(Options.fractions, at.index, at).sum() for at in each) / 60
-            pool = int(group["pool" if "pool" in group else "presses"].max())
-            lines.append([*setup, pool, len(each), f"{spent:.0f}", f"{spent / 2:.0f}"])
-    heading = ["part", *SETUP, "pool", "methods", "minutes of one core", "on two cores"]
-    return pd.DataFrame(lines, columns=heading) if lines else None
 
 
 def _spread(values: list[float]) -> list[float]:
     """Choose at most six of them, the first and the last included."""
     count = min(6, len(values))
     return [values[round(k * (len(values) - 1) / max(1, count - 1))] for k in range(count)]
-
-
-def find_repeated(rows: "pd.DataFrame") -> "pd.DataFrame":
-    """Cells of several seeds whose scores are identical: one computation, whose lack of scatter says nothing.
-
-    Columns part, method, fraction, shots (NaN where not varied) and seeds.
-    """
-    import pandas as pd
-
-    sizes = [name for name in ("fraction", "shots") if name in rows]
-    grouped = rows.groupby(["part", "method", *sizes], dropna=False)["scores_sha256"]
-    found = pd.DataFrame({"seeds": grouped.size(), "results": grouped.nunique()}).reset_index()
-    return found[(found["seeds"] > 1) & (found["results"] == 1)].drop(columns="results")

@@ -97,7 +97,7 @@ class Answer:
         lines, words = [], self.question.judgements
         for name, mean in self.standing.means.items():
             interval = f" [{mean.low:.4f}, {mean.high:.4f}]" if mean.has_interval else ""
-            paper = f"; paper: {words[name]}" if name in words else ""
+            paper = f" (paper: {words[name]})" if name in words else ""
             lines.append(f"{name} {mean.value:.4f}{self.question.unit}{interval}{paper}")
         return lines
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calibration.dataset import LabelledPress, resolution_of
 from calibration.experiments.harness.cells import Cell, Split
-from calibration.experiments.harness.evidence import COMPARED, effects
+from calibration.experiments.harness.evidence import effects
 from calibration.experiments.harness.figures import draw_conditions
 from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell
 from calibration.experiments.harness.page import Figures, Page, figure_file, make_page, tabulate_medians
@@ -276,6 +276,6 @@ def _describe(rows: "pd.DataFrame") -> dict[str, Any]:
     return {
         "medians": tabulate_medians(rows, "view", names, published={"lr": "lr", "hr_tiled": "hr"}),
         "effects": effects(rows, "view", "lr", "hr_tiled", {"hr_tiled": "hr"}) if is_compared else None,
-        "common": tabulate_medians(rows, "view", names, [f"{measure}_common" for measure in COMPARED]),
+        "common": tabulate_medians(rows, "view", names, "aupro_001_common"),
         "controls": [control for control in controls if len(control[-1])],
     }

@@ -201,7 +201,7 @@ def test_rows_of_other_settings_are_not_mixed(tmp_path: Path) -> None:
     said = gelgate("lab", "recommend", written(tmp_path, rows)).out
     assert "undecided: two rows of cross-position have spade on PZ3 with seed 0 and other settings" in said
     assert "**spade**" in said
-    assert "**undecided: two rows of cross-position" in page(pd.DataFrame(rows)).text
+    assert "| undecided: two rows of cross-position" in page(pd.DataFrame(rows)).text
 
 
 def test_two_rows_with_the_same_result_are_one() -> None:
