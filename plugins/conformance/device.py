@@ -68,6 +68,15 @@ def check_frames_are_untouched(bench: DeviceBench) -> None:
     require_order(frames)
 
 
+def check_a_frame_has_its_time(bench: DeviceBench) -> None:
+    """By the bench's clock, unless it is made on demand: requests and frames are taken in the order of their times."""
+    before_ns, device = bench.clock.monotonic_ns(), bench.open([picture(0)], real_time=True)
+    frame = device.read(_soon(bench))
+    device.close()
+    is_so = frame.is_on_demand or before_ns <= frame.timestamp_ns <= bench.clock.monotonic_ns()
+    require(is_so, f"a frame has the time {frame.timestamp_ns}, and was read after {before_ns}")
+
+
 def check_the_deadline_is_kept(bench: DeviceBench) -> None:
     """No frame by the deadline is DeviceStalled, not earlier; no frame is lost by it."""
     device = bench.open([picture(0), picture(1)], real_time=True)

@@ -272,6 +272,10 @@ def cut(device: Any, deadline: int) -> CameraFrame:
     return dataclasses.replace(device.read(deadline), payload=b"\xff\xd8")
 
 
+def timeless(device: Any, deadline: int) -> CameraFrame:
+    return dataclasses.replace(device.read(deadline), timestamp_ns=0)
+
+
 def closes_once(device: Any) -> None:
     if vars(device).setdefault("is_over", False):
         raise RuntimeError("closed already")
@@ -290,6 +294,7 @@ def patient(device: Any, deadline: int) -> CameraFrame:
 WRONG_DEVICES = {
     "check_it_knows_who_it_is": another_mode,
     "check_frames_are_untouched": lambda device: Changed(device, read=lambda deadline: cut(device, deadline)),
+    "check_a_frame_has_its_time": lambda device: Changed(device, read=lambda deadline: timeless(device, deadline)),
     "check_the_deadline_is_kept": lambda device: Changed(device, read=lambda deadline: patient(device, deadline)),
     "check_a_frame_comes_once": lambda device: Changed(device, read=lambda deadline: twice(device, deadline)),
     "check_a_damaged_frame": lambda device: Changed(device, read=lambda deadline: corrupt_delivered(device, deadline)),

@@ -301,8 +301,24 @@ def disturb_plc(run: "Simulation", rng: random.Random) -> float:
         plc.cut_at, plc.on_cut = rng.choice(STEPS), pull
     else:
         plc.mood = kind
+        if kind == "slow" and rng.random() < 0.7:
+            _unplug_at_pass(run, rng)
         return run.for_a_while(f"plc {kind}", lasts_s, plc.mend)
     return lasts_s
+
+
+def _unplug_at_pass(run: "Simulation", rng: random.Random) -> None:
+    """The sensor is unplugged once the slow PLC has a pass that it does not acknowledge yet."""
+
+    def act() -> float:
+        is_out = run.ending.keys() & {"sensor unplugged", "another sensor"}
+        if Server.now.is_pass and not is_out:
+            unplug(run, rng)
+        if Server.now.is_pass or run.world.plcs[0].mood != "slow":
+            end()
+        return 0.1
+
+    end = run.join("sensor at a pass", act)
 
 
 def join_plc(run: "Simulation", rng: random.Random) -> float:
@@ -369,19 +385,12 @@ def _is_press_unrecorded(run: "Simulation") -> bool:
     return _is_press_waiting(run) if "fill disk" in run.chosen.rates else _is_pressed_unjudged(run)
 
 
-def _is_pass_at_plc(run: "Simulation") -> bool:
-    """A PLC that is slow has a pass that it does not acknowledge yet."""
-    plcs = run.world.plcs
-    return not run.world.has_plc or (plcs[0].mood == "slow" and Server.now.is_pass)
-
-
 MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "select part": _is_pressed_unjudged,
     "replace gel": _is_pass_shown,
     "kill": _is_press_unrecorded,
     "lose power": _is_press_unrecorded,
     "stop": _is_press_waiting,
-    "unplug": _is_pass_at_plc,
 }
 """When a fault does most harm: every other one waits for it."""
 

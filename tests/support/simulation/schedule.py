@@ -10,12 +10,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 from edge.config import Config, load_config
 from edge.core.errors import StoreError
 from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.auditors_outbox import ARCHIVED
+from simulation.auditors_pieces import audit_pieces
 from simulation.auditors_retained import audit_retained
 from simulation.chosen import Chosen, Fault
 from simulation.conditions import reached_at_end
@@ -186,7 +188,8 @@ class Simulation:
         is_late = self._asked_ns > self._calm_ns + CALM_S * S
         is_recorded = self._asked_ns > self._calm_ns + RECORDED_S * S
         is_calm = is_recorded and self.station.is_calm
-        return is_late or (is_calm and not any(audit_retained(self.world, self.station)))
+        said = chain(audit_retained(self.world, self.station), audit_pieces(self.world, self.station))
+        return is_late or (is_calm and not any(said))  # a PLC goes on, and what it began may be under way
 
     # The faults
 
