@@ -90,10 +90,10 @@ def phase_of(track: Track, seen: Observation | None, settings: ContactSettings) 
     if track.is_interrupted or (track.last_ns or 0) < track.blind_until_ns or not track.is_counted:
         return "unseen"
     match track.state:
-        case State.NO_CONTACT:
-            return "free"
-        case State.RECOVERY:  # of a corrected reference the next view is the first that shows anything
-            if seen is None or seen.is_black or track.frames == 1:
+        case State.NO_CONTACT | State.RECOVERY:
+            # Of a corrected reference the next view is the first that shows anything.
+            is_first = track.state is State.RECOVERY and track.frames == 1
+            if seen is None or seen.is_black or is_first:
                 return "free"
             return "touching" if _is_touch(track, seen, settings) else "free"
         case State.APPROACH:

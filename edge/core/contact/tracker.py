@@ -1,5 +1,6 @@
 """The contact tracker: views in, events out. It keeps the pictures that the pure rules of `contact` need."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -96,6 +97,7 @@ class ContactTracker:
         self._free_looks: tuple[View, ...] = ()
         self._newest_free: tuple[View, ...] = ()
         self._free_ns = 0
+        self._touched_ns = -math.inf
         self._rest: View | None = None
         self.level: View | None = None
         """The last view, at the reference's level where there is one: float32 (h, w, 3)."""
@@ -147,12 +149,13 @@ class ContactTracker:
         return self._newest_free[0] if self._newest_free else None
 
     def is_due(self, timestamp_ns: int, *, is_held: bool = False, is_new: bool = False) -> bool:
-        """False for a frame that need not be decoded: nothing touches and it hardly shows anything `is_new`, or a press
-        that has its verdict `is_held` as before, and the last look was a moment ago."""
-        is_free = self.state in IDLE and not is_new and self.phase != "touching"
+        """False for a frame that need not be decoded: nothing touched for a moment and it hardly shows anything
+        `is_new`, or a press that has its verdict `is_held` as before, and the last look was a moment ago."""
+        interval_ns = self.settings.idle_interval_s * 1e9
+        is_free = self.state in IDLE and not is_new and timestamp_ns - self._touched_ns >= interval_ns
         idle = is_free or (is_held and self.state is State.CONTACT)
         last_ns = self._track.last_ns
-        return not idle or last_ns is None or timestamp_ns - last_ns >= self.settings.idle_interval_s * 1e9
+        return not idle or last_ns is None or timestamp_ns - last_ns >= interval_ns
 
     def feed(self, view: View, timestamp_ns: int, sequence: int) -> list[Event]:
         """Take a view: float32 (h, w, 3), 0 to 255. Errors: ValueError for a wrong shape or an earlier time."""
@@ -174,6 +177,8 @@ class ContactTracker:
         is_apart = timestamp_ns - self._free_ns >= self.settings.idle_interval_s * 1e9
         if self.state in IDLE and not seen.is_black and is_apart:
             self._newest_free, self._free_ns = (*self._newest_free[-2:], view), timestamp_ns
+        if self.phase == "touching":
+            self._touched_ns = timestamp_ns
         if self._track.still_ns == timestamp_ns:
             self._rest = level
         kept = self.candidates

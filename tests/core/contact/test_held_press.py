@@ -148,3 +148,16 @@ def test_what_touches_after_a_release_is_said_and_begins_no_press() -> None:
     assert set(after[86:90]) == {"free"}
     assert set(after[91:102]) == {"touching"}
     assert set(after[103:]) == {"free"}
+
+
+def test_what_touches_is_not_free_when_the_recovery_is_over() -> None:
+    """A light press that begins within three seconds of a release, and outlasts them."""
+    after = phases([*[0.0] * 60, *[1.0] * 20, *[0.0] * 40, *[0.02] * 60, *[0.0] * 6])
+    assert after[121] == "touching"
+    assert "free" not in after[121:180]
+
+
+def test_a_contact_that_flickers_is_looked_at_in_every_frame() -> None:
+    """As at the edge of a soft part: the next frame may show it again."""
+    depths = [*[0.0] * 60, 0.3, 0.0, 0.3, 0.3]
+    assert phases(depths)[60:] == ["touching", "free", "touching", "touching"]
