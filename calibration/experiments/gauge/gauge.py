@@ -11,24 +11,13 @@ hold for components and for ratios alike, and need no approximation of degrees o
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-__all__ = [
-    "Drift",
-    "Estimate",
-    "Gauge",
-    "Ranges",
-    "Source",
-    "by_average_and_range",
-    "drift",
-    "gauge_by_anova",
-    "k_factor",
-]
+__all__ = ["Drift", "Estimate", "Gauge", "Source", "drift", "gauge_by_anova"]
 
 F64 = NDArray[np.float64]
 
@@ -185,53 +174,6 @@ def _variances(
 def _estimate(values: F64) -> Estimate:
     low, high = np.quantile(values[1:], ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2)).tolist()
     return Estimate(float(values[0]), low, high)
-
-
-class Ranges(NamedTuple):
-    """What averages and ranges give: by component its standard deviation, and the ranges of the cells."""
-
-    sd: dict[str, float]
-    ndc: int
-    mean_range: float
-    upper_range: float
-    """A cell with a larger range is looked at first."""
-    cells_above: int
-
-
-def by_average_and_range(scores: F64) -> Ranges:
-    """Separate scores, float64 (pieces, operators, repeats), at least two of each, finite."""
-    pieces, operators, repeats = scores.shape
-    ranges = np.ptp(scores, axis=2)
-    mean_range = float(ranges.mean())
-    ev = mean_range * k_factor(repeats, None)
-    between = float(np.ptp(scores.mean(axis=(0, 2)))) * k_factor(operators, 1)
-    av = math.sqrt(max(0.0, between**2 - ev**2 / (pieces * repeats)))
-    pv = float(np.ptp(scores.mean(axis=(1, 2)))) * k_factor(pieces, 1)
-    grr = math.hypot(ev, av)
-    d2, d3 = _range_of_normal(repeats)
-    upper = mean_range * (1 + 3 * d3 / d2)  # D4
-    ndc = max(1, int(min(NDC_FACTOR * pv / grr, 9999.0))) if grr > 0 else 9999
-    sd = {"EV": ev, "AV": av, "GRR": grr, "PV": pv, "TV": math.hypot(grr, pv)}
-    return Ranges(sd, ndc, mean_range, upper, int((ranges > upper).sum()))
-
-
-def k_factor(n: int, groups: int | None) -> float:
-    """1 / d2* of ranges of n values; groups None for many, as K1 takes it. Rounded to four places, as AIAG has it."""
-    d2, d3 = _range_of_normal(n)
-    d2_star = d2 if groups is None else math.sqrt(d2**2 + d3**2 / groups)
-    return round(1 / d2_star, 4)
-
-
-@cache
-def _range_of_normal(n: int) -> tuple[float, float]:
-    """d2 and d3: mean and standard deviation of the range of n standard normal values (Tippett, 1925)."""
-    x, step = np.linspace(-9, 9, 601, retstep=True)  # what lies beyond adds less than 1e-15
-    below = stats.norm.cdf(x)
-    mean = float((1 - below**n - (1 - below) ** n).sum() * step)
-    low, high = below[:, None], below[None, :]
-    inner = 1 - high**n - (1 - low) ** n + np.clip(high - low, 0, None) ** n
-    square = 2 * float((np.triu(inner, 1).sum() + 0.5 * np.trace(inner)) * step**2)
-    return mean, math.sqrt(square - mean**2)
 
 
 class Drift(NamedTuple):

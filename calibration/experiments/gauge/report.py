@@ -2,7 +2,6 @@
 
 import csv
 import io
-import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import tzinfo
@@ -16,7 +15,6 @@ from calibration.experiments.gauge.gauge import (
     CONFIDENCE,
     POOLED_ABOVE,
     Gauge,
-    by_average_and_range,
     drift,
     gauge_by_anova,
 )
@@ -80,7 +78,7 @@ def _gauge(study: Material) -> list[Section]:
         found = gauge_by_anova(study.scores)
     except ValueError as error:
         return [Section("Gauge R&R of the score", (f"There is none: {error}.",))]
-    return [_components(found), _variance(found), _by_ranges(study)]
+    return [_components(found), _variance(found)]
 
 
 _NAMES = {
@@ -128,20 +126,6 @@ def _variance(found: Gauge) -> Section:
     word = "pooled with repeatability" if found.is_pooled else "kept"
     sentence = f"The interaction is {word}: its p is {p:.3f}, the limit is {POOLED_ABOVE:g}."
     return Section("Table of variance", (sentence,), ("source", "SS", "df", "MS", "F", "p"), rows)
-
-
-def _by_ranges(study: Material) -> Section:
-    found = by_average_and_range(study.scores)
-    total = found.sd["TV"] or math.inf
-    rows = tuple((_NAMES[name], _number(sd), f"{100 * sd / total:.1f}") for name, sd in found.sd.items())
-    sentences = (
-        f"ndc {found.ndc}. Mean range {_number(found.mean_range)}; upper limit of a range "
-        f"{_number(found.upper_range)}: "
-        f"{found.cells_above} of {study.scores.shape[0] * study.scores.shape[1]} cells are above it.",
-        "This method has no interaction and no intervals; the analysis of variance is the one to decide by.",
-    )
-    head = ("component", "standard deviation", "% of TV")
-    return Section("Gauge R&R of the score, averages and ranges", sentences, head, rows)
 
 
 def _agreement(study: Material) -> Section:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from calibration.experiments.gauge.agreement import Share, cohen_kappa, count_shares, fleiss_kappa
-from calibration.experiments.gauge.gauge import by_average_and_range, drift, gauge_by_anova
+from calibration.experiments.gauge.gauge import drift, gauge_by_anova
 
 
 def simulated(
@@ -65,11 +65,12 @@ def test_intervals_hold_what_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000), st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))
 def test_another_zero_and_unit_change_no_share(seed: int, shift: float, scale: float) -> None:
-    """Both methods."""
+    """Shares and categories are those of the same scores in other units."""
     scores = simulated(np.random.default_rng(seed), (2.0, 0.6, 0.4, 0.5), (5, 3, 2))
-    one, other = by_average_and_range(scores), by_average_and_range(scale * scores + shift)
+    one, other = gauge_by_anova(scores), gauge_by_anova(scale * scores + shift)
 
-    assert other.sd == pytest.approx({name: scale * sd for name, sd in one.sd.items()}, rel=1e-6)
+    for name, share in one.percent.items():
+        assert other.percent[name] == pytest.approx(share, rel=1e-4, abs=1e-6)
 
 
 NOISE = np.random.default_rng(0).standard_normal((2, 2, 2))
