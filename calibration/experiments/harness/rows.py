@@ -5,12 +5,11 @@ import errno
 import fcntl
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.folders import write_atomically
 from edge.core.errors import ConfigError, StoreError
 
 if TYPE_CHECKING:
@@ -24,7 +23,6 @@ __all__ = [
     "frame",
     "read_rows",
     "rows_of_studies",
-    "write_json",
 ]
 
 ROWS_FILE = "rows.jsonl"
@@ -173,9 +171,3 @@ def frame(path: Path) -> "pd.DataFrame":
     import pandas as pd
 
     return pd.DataFrame(read_rows(path))
-
-
-def write_json(path: Path | None, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows as one JSON file, where one is wanted. Errors: GelgateError."""
-    if path is not None:
-        write_atomically(path, json.dumps(rows, indent=1).encode())

@@ -1,6 +1,5 @@
 """The page of a month and its curves, from rows alone."""
 
-import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from calibration.experiments.harness.figures import svg
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.month.run import ARMS, NOT_ASKED, PASSES_DAMAGE, Row, is_early
 from calibration.folders import write_atomically
@@ -16,7 +16,7 @@ from edge.core.binomial import rate_limits
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["draw_svg", "figure", "page", "write_page"]
+__all__ = ["figure", "page", "write_page"]
 
 _LINES_OF: Final = {"frozen": ("#b93a5b", "-"), "learning": ("#1f5fa8", "--")}
 _FROM_DAY: Final = 4
@@ -55,7 +55,7 @@ def write_page(rows: Sequence[Row], path: Path, figure_path: Path, command: str)
     link = (
         Path(figure_path.name) if figure_path.parent == path.parent else figure_path.relative_to(path.parent)
     )
-    write_atomically(figure_path, draw_svg(rows))
+    write_atomically(figure_path, svg(figure(rows)).encode())
     write_atomically(path, page(rows, link.as_posix(), command).encode())
 
 
@@ -156,16 +156,6 @@ def _list_refusals(own: list[Row]) -> str:
         if learnt not in (None, NOT_ASKED):
             counts["a learnt one, not written"] += 1
     return ", ".join(f"{what} {number}" for what, number in counts.most_common()) or "none"
-
-
-def draw_svg(rows: Sequence[Row]) -> bytes:
-    """Draw the figure as SVG bytes; equal rows give equal bytes."""
-    import matplotlib as mpl
-
-    stream = io.BytesIO()
-    with mpl.rc_context({"svg.fonttype": "path", "svg.hashsalt": "gelgate", "font.size": 9}):
-        figure(rows).savefig(stream, format="svg", metadata={"Date": None, "Creator": "gelgate lab month"})
-    return stream.getvalue()
 
 
 def figure(rows: Sequence[Row]) -> "Figure":

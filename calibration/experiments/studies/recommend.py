@@ -8,18 +8,25 @@ the command that gives them.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from calibration.experiments.harness.evidence import Sample, Standing, rank, sample, subtract
 from calibration.experiments.harness.page import Page, by_setup, only_scored, render
 from calibration.experiments.harness.published import read_published
+from calibration.experiments.harness.rows import rows_of_studies
+from calibration.experiments.harness.study import require_known
 from calibration.fitting.options import DEFAULT_METHOD
 from edge.core.errors import ConfigError
+from edge.extras import needs
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["NEEDS", "Answer", "Question", "page", "recommend", "write_answers"]
+__all__ = ["NEEDS", "Answer", "Question", "page", "recommend", "recommend_method", "write_answers"]
 
 Samples = Mapping[str, Sample]
 
@@ -274,3 +281,51 @@ def page(rows: "pd.DataFrame") -> Page:
         for title, group in by_setup(only_scored(rows))
     }
     return Page(render("recommend", setups=setups))
+
+
+def recommend_method(
+    rows: Annotated[Path, typer.Argument(help="The rows.jsonl of `gelgate lab study`, or its folder.")],
+    need: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="few-presses, localisation, cross-position, high-resolution, no-fixture, bad-presses or least-time; "
+            "may be given several times. Default: all.",
+            show_default=False,
+        ),
+    ] = None,
+    mode: Annotated[
+        str | None,
+        typer.Option(help="Rows of this mode; needed where they have several.", show_default=False),
+    ] = None,
+    backbone: Annotated[
+        str | None, typer.Option(help="Rows of this backbone, likewise.", show_default=False)
+    ] = None,
+    split: Annotated[
+        str | None, typer.Option(help="Rows of this split, likewise.", show_default=False)
+    ] = None,
+) -> None:
+    """Say which method to take for a need, from rows alone.
+
+    Where the rows do not decide, it says so, and which command would."""
+    needs("studies", "recommend")
+    import pandas as pd
+
+    require_known("need", need or (), NEEDS)
+    chosen = pd.DataFrame(rows_of_studies(rows, partial(typer.echo, err=True)))
+    for column, wanted in (("mode", mode), ("backbone", backbone), ("split", split)):
+        chosen = _choose(chosen, column, wanted)
+    first = chosen.iloc[0]
+    typer.echo(f"rows of {first['backbone']}, {first['mode']} mode, split by {first['split']}")
+    typer.echo(f"\n{write_answers(recommend(chosen, need or ()))}", nl=False)
+
+
+def _choose(rows: "pd.DataFrame", column: str, wanted: str | None) -> "pd.DataFrame":
+    """Return the rows with one value in a column. Errors: ConfigError where several are possible, or none has it."""
+    found = sorted(set(rows[column].astype(str)))
+    if wanted is None and len(found) > 1:
+        raise ConfigError(
+            f"the rows have several values of {column}: {', '.join(found)}; choose one with --{column}"
+        )
+    if wanted is not None and wanted not in found:
+        raise ConfigError(f"no row has the {column} '{wanted}'; the rows have {', '.join(found)}")
+    return rows[rows[column].astype(str) == (wanted or found[0])]

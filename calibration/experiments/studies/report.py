@@ -1,8 +1,11 @@
-"""Pages made from rows alone."""
+"""The verb `report`: pages and figures made from rows alone."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from calibration.experiments.harness.figures import svg
 from calibration.experiments.harness.page import Page
@@ -16,11 +19,12 @@ from calibration.experiments.studies import (
     resolution_study,
 )
 from edge.core.errors import ConfigError, StoreError
+from edge.extras import needs
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["PAGES", "write_report"]
+__all__ = ["PAGES", "report", "write_report"]
 
 
 COMPARED_WITH_THE_PAPER = ("good-fraction", "cross-position", "resolution")
@@ -31,6 +35,16 @@ PAGES: dict[str, Callable[["pd.DataFrame"], Page]] = {
     for study in (good_fraction_study, cross_position_study, resolution_study, bad_presses_study)
 }
 """A study's page from its rows, by the study's name."""
+
+
+def report(
+    rows: Annotated[Path, typer.Argument(help="The rows.jsonl of `gelgate lab study`, or its folder.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the pages and figures.")],
+) -> None:
+    """Make a study's page and figures from its rows."""
+    needs("studies", "report")
+    for page in write_report(rows, output, partial(typer.echo, err=True)):
+        typer.echo(f"page: {page}")
 
 
 def write_report(rows: Path, output: Path, say: Callable[[str], None] = lambda sentence: None) -> list[Path]:

@@ -13,7 +13,6 @@ import typer
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.tradeoff.bench import STAGES, BenchSettings, Measured, bench
 from calibration.experiments.tradeoff.machine import busy
-from edge.core.errors import ConfigError
 
 __all__ = ["bench_station", "page", "read_medians", "summary"]
 
@@ -32,20 +31,15 @@ def bench_station(
     folder: Annotated[
         Path | None, typer.Option(help="where the database is made, on the disk that is measured")
     ] = None,
-    before: Annotated[
-        Path | None,
-        typer.Option(help="the JSON of an earlier run, whose medians the page shows beside these"),
-    ] = None,
 ) -> None:
     """Measure a station, from frame to subscriber.
 
     Prints a page: each stage of a press beside the least that this machine can do, and what a
     gateway takes as a whole.
     """
-    earlier = _read_stages(before) if before else {}
     with tempfile.TemporaryDirectory(prefix="gelgate-bench-", dir=folder) as made:
         measured = bench(BenchSettings(bundle, recording, presses, idle, threads), Path(made))
-    typer.echo(json.dumps(summary(measured)) if as_json else page(measured, earlier), nl=as_json)
+    typer.echo(json.dumps(summary(measured)) if as_json else page(measured), nl=as_json)
 
 
 def summary(measured: Measured) -> dict[str, Any]:
@@ -58,28 +52,15 @@ def summary(measured: Measured) -> dict[str, Any]:
     return {**asdict(measured), "stages": stages}
 
 
-def _read_stages(path: Path) -> Mapping[str, Mapping[str, float]]:
-    """Return the stages of an earlier run. Errors: ConfigError for a file that is not the JSON of one."""
-    try:
-        stages: dict[str, dict[str, float]] = json.loads(path.read_text(encoding="utf-8"))["stages"]
-        for stage in stages.values():
-            float(stage["median"])
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(
-            f"{path} is not the JSON of an earlier run ({error}); make one with `gelgate lab bench --json`"
-        ) from error
-    return stages
-
-
 def _quantiles(values: Sequence[float], floor: float | None) -> Mapping[str, float | None]:
     median, p95, p99 = (float(value) for value in np.percentile(values, (50, 95, 99)))
     ratio = median / floor if floor else None
     return {"count": len(values), "median": median, "p95": p95, "p99": p99, "floor": floor, "ratio": ratio}
 
 
-def page(measured: Measured, before: Mapping[str, Mapping[str, float]] | None = None) -> str:
-    """Return the page as Markdown. before: the stages of an earlier run, whose medians are shown too."""
-    return "\n".join(_lines(measured, summary(measured)["stages"], before or {})) + "\n"
+def page(measured: Measured) -> str:
+    """Return the page as Markdown."""
+    return "\n".join(_lines(measured, summary(measured)["stages"])) + "\n"
 
 
 def read_medians(page: str) -> dict[str, float]:
@@ -90,9 +71,7 @@ def read_medians(page: str) -> dict[str, float]:
     return {row[0]: float(row[median]) for row in cells if row[0] in STAGES}
 
 
-def _lines(
-    measured: Measured, stages: Mapping[str, Mapping[str, float]], before: Mapping[str, Mapping[str, float]]
-) -> Iterator[str]:
+def _lines(measured: Measured, stages: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
     machine, peak, frame = measured.machine, measured.peak, measured.frame
     yield "# Performance\n"
     yield (
@@ -111,19 +90,13 @@ def _lines(
         f"{peak['int8_per_s'] / 1e9:.0f} Gop/s in int8, and copies {peak['bytes_per_s'] / 1e9:.1f} GB/s.\n"
     )
     heading = ["milliseconds", "what", "count", "median", "p95", "p99", "floor", "ratio"]
-    rows = [_cells(name, stages[name]) for name in STAGES if name in stages]
-    if before:
-        heading.append("before")
-        rows = [[*row, f"{before[row[0]]['median']:.3g}" if row[0] in before else ""] for row in rows]
-    yield markdown_table(heading, rows)
+    yield markdown_table(heading, [_cells(name, stages[name]) for name in STAGES if name in stages])
     yield markdown_table(["a gateway in a process of its own", ""], list(_whole(measured)))
     yield (
         "Floors: entropy decoding of a whole frame, the arithmetic or the bytes of trunk and head at the rates above,\n"
         "and the fastest flush of a page of this disk; a verdict and an outbox have the sum. A stage may stay below\n"
         "its floor where it reads a part of a frame, or was done ahead. The bare trunk runs between the presses."
     )
-    if before:
-        yield "`before`: the median of an earlier version on the same machine."
 
 
 def _whole(measured: Measured) -> Iterator[list[str]]:

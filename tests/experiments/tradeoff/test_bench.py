@@ -47,21 +47,9 @@ def test_every_stage_of_every_press_has_its_time(station: tuple[Path, Path], tmp
     assert "torch" not in found["packages"]
     assert found["machine"]["threads"] == 1
 
-    (tmp_path / "before.json").write_text(ended.out)
-    page = gelgate("lab", "bench", *station, *words[:-1], "--before", tmp_path / "before.json").out
-    row = next(line for line in page.splitlines() if line.startswith("| outbox"))
-    assert row.split("|")[-2].strip() == f"{stages['outbox']['median']:.3g}"
+    page = gelgate("lab", "bench", *station, *words[:-1]).out
     assert "of that opencv-contrib-python-headless" in page
     assert set(read_medians(page)) == set(STAGES)
-
-
-@pytest.mark.parametrize("text", ["", "[]", '{"stages": {"outbox": {}}}', '{"stages": {"outbox": 1}}'])
-def test_what_is_no_earlier_run_is_refused(station: tuple[Path, Path], tmp_path: Path, text: str) -> None:
-    """Before anything is measured."""
-    (tmp_path / "before.json").write_text(text)
-    ended = gelgate("lab", "bench", *station, "--before", tmp_path / "before.json")
-    assert ended.code == 3
-    assert "before.json is not the JSON of an earlier run" in ended.sentence()
 
 
 @pytest.mark.parametrize(("presses", "free"), [(1, 0), (0, 28)])
