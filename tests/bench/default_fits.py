@@ -2,7 +2,7 @@
 
 `python tests/bench/default_fits.py ROWS.jsonl [KIND...] --tactile FOLDER` prints the table, worst first. A row is kept
 as soon as it is measured, and is not measured again; another trunk, method or free gel is another row. Kinds are those
-for development, or with --judgement those for judgement: of the sensors that `sets.toml` keeps for it, and random parts
+for development, or with --judgement those for judgement: of the sensors that `SENSORS` keeps for it, and random parts
 of other seeds. A kind takes about a minute of one core. --pictures FOLDER draws ten presses of each, the misses first;
 --gains fits again without each mechanism that a complete fit uses, and with each alone.
 
@@ -13,6 +13,7 @@ damaged, which are rejected. found: what `fit` says of its own rendered damage.
 
 import argparse
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -22,13 +23,15 @@ from typing import Any
 
 import cv2
 import numpy as np
+
+sys.path.append(str(Path(__file__).parents[1] / "support"))
+
 from mechanisms import COMPLETE, Variant, fit_with, gains_tables, list_variants, name_parts
 from numpy.typing import NDArray
+from real_touch import OBJECTS, SENSORS, Object, Presses, ball, touch_trial
 
 from calibration.experiments.backbones.evaluation import is_on_damage
 from calibration.experiments.backbones.presses import Sizes, part_trial, random_part_trial
-from calibration.experiments.backbones.real_touch import OBJECTS, Object, Presses, ball, touch_trial
-from calibration.experiments.backbones.sets import SENSORS
 from calibration.experiments.backbones.trial import PROFILE, REGION, Trial
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.rows import Rows

@@ -1,6 +1,6 @@
 """The verb `evaluate-backbone`."""
 
-import json as json_format
+import json
 import os
 from dataclasses import replace
 from hashlib import sha256
@@ -35,7 +35,6 @@ def evaluate_backbone(
         typer.Argument(metavar="[NAME=TRUNK]...", help=_TRUNKS_HELP),
     ] = None,
     random: Annotated[bool, typer.Option(help="compare with random weights, under the name random")] = True,
-    tactile: Annotated[Path | None, typer.Option(help="folder of real tactile frames")] = None,
     only: Annotated[
         list[str] | None,
         typer.Option("--set", help="only this set of trials, for every trunk; may be given several times"),
@@ -46,56 +45,42 @@ def evaluate_backbone(
     ] = None,
     trials: Annotated[int, typer.Option(help="at most this many trials of each set, 0 for all", min=0)] = 0,
     replicates: Annotated[int, typer.Option(help="bootstrap replicates per interval", min=0)] = 200,
-    limits: Annotated[
-        bool,
-        typer.Option(help="measure at the fitted limit too, on real touch, which takes several times longer"),
-    ] = True,
     workers: Annotated[int, typer.Option(help="trials in parallel", min=1, max=64)] = 1,
-    json: Annotated[bool, typer.Option("--json", help="print everything as JSON instead of tables")] = False,
 ) -> None:
     """Compare backbones on presses that training never draws. docs/backbone.md has the results."""
     # Workers are separate processes; several linear algebra threads in each would compete for the cores.
     if workers > 1:
         os.environ.setdefault("OMP_NUM_THREADS", "1")
-    sets = _choose_sets(tactile, only or [], trials)
+    sets = _choose_sets(only or [], trials)
     graphs = _graphs(trunks or _SHIPPED, random)
     detectors = methods or methods_to_compare()
     for method in detectors:
         registry.detector(method)  # one that is not known is refused before the folder is made
     make_folder(out)
-    for chosen in sets.values():
-        if chosen.missing:
-            typer.echo(f"SKIPPED: {chosen.title}: {chosen.missing}", err=True)
     with progress("trials", sum(len(chosen.trials) for chosen in sets.values())) as advance:
         found = evaluate(
             graphs,
             sets,
             detectors,
             replicates=replicates,
-            limits=limits,
             workers=workers,
             advance=advance,
         )
     found["trunks"] = {
         name: {"sha256": sha256(graph).hexdigest(), "bytes": len(graph)} for name, graph in graphs.items()
     }
-    text = json_format.dumps(found, indent=1) + "\n"
-    write_atomically(out / f"{tactile_resnet18.name}_evaluation.json", text.encode())
-    typer.echo(text if json else evaluation_tables(found), nl=not json)
+    file = out / f"{tactile_resnet18.name}_evaluation.json"
+    write_atomically(file, (json.dumps(found, indent=1) + "\n").encode())
+    typer.echo(evaluation_tables(found))
 
 
-def _choose_sets(tactile: Path | None, only: list[str], trials: int) -> dict[str, EvaluationSet]:
-    """The sets to compare on; a set that is named is run for every trunk, one on request only then.
-
-    Errors: ConfigError for an unknown set.
-    """
+def _choose_sets(only: list[str], trials: int) -> dict[str, EvaluationSet]:
+    """Choose the sets to compare on; a set that is named is run for every trunk. Errors: ConfigError."""
     require_known("set of trials", only, SETS)
-    sets = {name: of for name, of in evaluation_sets(tactile).items() if name in (only or SETS)}
     return {
-        name: replace(chosen, trials=(), missing=f"it is opened only with --set {name}")
-        if chosen.is_on_request and not only
-        else replace(chosen, trials=chosen.trials[: trials or None], is_brief=chosen.is_brief and not only)
-        for name, chosen in sets.items()
+        name: replace(of, trials=of.trials[: trials or None], is_brief=of.is_brief and not only)
+        for name, of in evaluation_sets().items()
+        if name in (only or SETS)
     }
 
 

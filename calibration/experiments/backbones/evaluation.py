@@ -79,20 +79,19 @@ def evaluate(
     detectors: Sequence[str],
     *,
     replicates: int = 200,
-    limits: bool = True,
     workers: int = 1,
     advance: Callable[[int], None] = lambda done: None,
 ) -> dict[str, Any]:
     """Measure one row per set, trunk and detector: the mean of each measure over the set's trials, with 95 % intervals.
 
     trunks: name to graph, the one that ships first. The intervals are bootstrapped over presses, within each trial.
-    Brief sets compare the first trunk and `random` alone. limits: measure at the fitted limit too where a trial states
-    a false-alarm rate; that fits each detector six times instead of once. advance: called with the trials done.
+    Brief sets compare the first trunk and `random` alone. Where a trial states a false-alarm rate, it is measured at
+    the fitted limit too; that fits each detector six times. advance: called with the trials done.
     """
     shallow = {name: cut_trunk(graph, _taps(detectors)) for name, graph in trunks.items()}
     brief = {name: graph for name, graph in shallow.items() if name in (next(iter(shallow)), RANDOM)}
     tasks = [
-        partial(_measure, make, brief if chosen.is_brief else shallow, detectors, replicates, limits)
+        partial(_measure, make, brief if chosen.is_brief else shallow, detectors, replicates)
         for chosen in sets.values()
         for make in chosen.trials
     ]
@@ -114,7 +113,6 @@ def _measure(
     trunks: Mapping[str, bytes],
     detectors: Sequence[str],
     replicates: int,
-    limits: bool,
 ) -> tuple[str, dict[tuple[str, str], Columns]]:
     """Measure one trial: its name, and (backbone, detector) to measures; runs in any process."""
     trial = make()
@@ -124,8 +122,7 @@ def _measure(
         nominal, features = reader.nominal(trial.nominal), reader.take(trial.frames)
         for method in detectors:
             learner = reader.learner(registry.detector(method))
-            take = reader.take if limits else None
-            scored[trunk, method] = _trial_columns(learner, nominal, features, trial, take, replicates)
+            scored[trunk, method] = _trial_columns(learner, nominal, features, trial, reader.take, replicates)
     return trial.name, scored
 
 
@@ -138,9 +135,6 @@ def _taps(detectors: Sequence[str]) -> tuple[str, ...]:
 def _write_set(
     of: EvaluationSet, trials: Sequence[tuple[str, dict[tuple[str, str], Columns]]]
 ) -> dict[str, Any]:
-    head = {"title": of.title, "text": of.text}
-    if not trials:
-        return {**head, "missing": of.missing}
     rows = []
     for trunk, method in trials[0][1]:
         columns = {name: scored[trunk, method] for name, scored in trials}
@@ -157,7 +151,7 @@ def _write_set(
                 },
             }
         )
-    return {**head, "trials": [name for name, _ in trials], "rows": rows}
+    return {"title": of.title, "text": of.text, "trials": [name for name, _ in trials], "rows": rows}
 
 
 def _mean(trials: Iterable[Columns], name: str) -> dict[str, Any]:
@@ -171,12 +165,12 @@ def _plain(value: float) -> float | None:
 
 
 def _trial_columns(
-    learner: Learner, nominal: Nominal, features: Features, trial: Trial, take: Take | None, replicates: int
+    learner: Learner, nominal: Nominal, features: Features, trial: Trial, take: Take, replicates: int
 ) -> Columns:
     """Measure one detector on one trial.
 
     Where the trial states a false-alarm rate, AU-PRO up to 5 % and the measures at the fitted limit are added. take:
-    the features of further frames, every tap; None adds nothing.
+    the features of further frames, every tap.
     """
     bank = learner.bank(nominal)
     raw = learner.score(bank, features, range(len(trial.frames)))
@@ -194,7 +188,7 @@ def _trial_columns(
             "aupro_fpr01": pixel.aupro,
         }
 
-    if trial.alpha is None or take is None:
+    if trial.alpha is None:
         return describe(raw.maps, raw.scores)
     plain_limit, to_limit = _fit_limit(learner, bank, nominal, trial, trial.alpha, take)
     maps, scores, limit = raw.maps, raw.scores, plain_limit
@@ -311,9 +305,6 @@ def evaluation_tables(evaluation: Mapping[str, Any]) -> str:
     ]
     for found in evaluation["sets"].values():
         text.append(f"\n### {found['title']}\n\n{found['text']}\n")
-        if "rows" not in found:
-            text.append(f"Not measured: {found['missing']}.")
-            continue
         names = list(dict.fromkeys(name for row in found["rows"] for name in row["measures"]))
         lines = [
             (row["backbone"], row["detector"], *(_interval(row["measures"].get(name)) for name in names))

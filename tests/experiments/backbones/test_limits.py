@@ -74,17 +74,17 @@ def noisy(alpha: float | None) -> Trial:
 
 def test_the_evaluation_fits_the_limit_where_a_rate_is_stated() -> None:
     """Black squares fail, and of four sound presses one at most: 1 in 17 is the best that 16 presses promise. A trial
-    without a rate, and --no-limits, have the old measures alone."""
+    without a rate has the old measures alone."""
     rows = {}
     trunk = {"random": random_trunk()}
-    for alpha, limits in ((0.05, True), (None, True), (0.05, False)):
+    for alpha in (0.05, None):
         chosen = {"noisy": EvaluationSet("Noisy", "Squares.", (lambda alpha=alpha: noisy(alpha),))}
-        found = evaluate(trunk, chosen, ("padim",), replicates=4, limits=limits)
-        rows[alpha, limits] = found["sets"]["noisy"]["rows"][0]["measures"]
-    measures = {name: measure["value"] for name, measure in rows[0.05, True].items()}
+        found = evaluate(trunk, chosen, ("padim",), replicates=4)
+        rows[alpha] = found["sets"]["noisy"]["rows"][0]["measures"]
+    measures = {name: measure["value"] for name, measure in rows[0.05].items()}
     assert measures["detected"] == measures["peak_found"] == measures["image_auroc"] == 1
     assert max(measures["false_alarms"], measures["relit_alarms"]) <= 0.25
     assert measures["others_detected"] == measures["others_auroc"] == 1
     assert measures["aupro_fpr05"] > measures["aupro_fpr01"]
     old = ["image_auroc", "pixel_auroc", "pixel_auprc", "aupro_fpr01"]
-    assert list(rows[None, True]) == list(rows[0.05, False]) == old
+    assert list(rows[None]) == old

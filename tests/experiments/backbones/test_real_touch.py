@@ -5,10 +5,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from real_touch import EDITS, OBJECTS, SENSORS, real_touch_sets, real_touch_trial
 
-from calibration.experiments.backbones import command
-from calibration.experiments.backbones.real_touch import EDITS, OBJECTS, real_touch_trial
-from calibration.experiments.backbones.sets import SENSORS, SETS, EvaluationSet, evaluation_sets
 from edge.core.errors import DatasetError
 
 DEVELOPMENT, JUDGEMENT = SENSORS["real-touch"], SENSORS["real-touch-judgement"]
@@ -23,28 +21,15 @@ def test_sensors_are_apart() -> None:
         assert licence.startswith(("MIT", "GPL-3.0; measured, never trained on"))
 
 
-def test_judgement_is_opened_on_request_alone(tmp_path: Path) -> None:
-    """Without its name the set has no trials and says why; with its name it has one."""
-    for sensor in (*DEVELOPMENT, *JUDGEMENT):
-        (tmp_path / sensor).mkdir(parents=True)
-    closed = command._choose_sets(tmp_path, [], 0)
-    assert closed["real-touch-judgement"].missing == "it is opened only with --set real-touch-judgement"
-    assert len(closed["real-touch"].trials) == 8
-    opened = command._choose_sets(tmp_path, ["real-touch-judgement"], 0)
-    assert {name: len(of.trials) for name, of in opened.items()} == {"real-touch-judgement": 1}
-
-
 def test_missing_frames_are_a_sentence(tmp_path: Path) -> None:
-    """No folder, a folder without a sensor, a sensor without presses: said, never an empty table."""
-    assert tuple(evaluation_sets(None)) == SETS
-    assert evaluation_sets(None)["real-touch"].missing.endswith("(--tactile)")
-    assert "does not exist" in evaluation_sets(tmp_path / "nowhere")["real-touch"].missing
-    with pytest.raises(ValueError, match="trials or a reason"):
-        EvaluationSet("x", "y", ())
+    """A folder without a sensor, a sensor without presses: said, never an empty table. Judgement is opened by name."""
     (tmp_path / "rpl-cmu__gelslam").mkdir()
-    found = evaluation_sets(tmp_path)["real-touch"].missing
-    assert found.startswith("no frames of skleff1994__gs_sdk, gelsightinc__gsrobotics")
-    assert "rpl-cmu__gelslam" not in found
+    with pytest.raises(DatasetError, match=r"^no frames of skleff1994__gs_sdk, gelsightinc__gsrobotics"):
+        real_touch_sets(tmp_path)
+    for sensor in (*DEVELOPMENT, *JUDGEMENT):
+        (tmp_path / sensor).mkdir(parents=True, exist_ok=True)
+    assert {name: len(of.trials) for name, of in real_touch_sets(tmp_path).items()} == {"real-touch": 8}
+    assert len(real_touch_sets(tmp_path, ["real-touch-judgement"])["real-touch-judgement"].trials) == 1
     for name in ("ball 6.31 mm, anywhere", "finger on a marker gel"):
         with pytest.raises(DatasetError, match=r"fetch (them|it) again"):
             real_touch_trial(tmp_path, name)

@@ -5,9 +5,8 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 import pytest
-
-from calibration.experiments.backbones import touch_edits
-from calibration.experiments.backbones.touch_edits import MIN_PEAK_LEVELS, Edited
+import touch_edits
+from touch_edits import MIN_PEAK_LEVELS, Edited
 
 FREE = np.full((240, 320, 3), 120, np.uint8)
 SPOTS = np.zeros((240, 320), np.bool_)
