@@ -2,7 +2,7 @@
 
 import random
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,13 @@ class Chosen:
 
     @classmethod
     def of(cls, rng: random.Random, names: Sequence[str]) -> "Chosen":
-        """Draw. Each kind of fault is left out of half of the runs or more, so that others meet alone."""
+        """Draw. Each kind of fault is left out of half of the runs or more, so that others meet alone; a PLC is always
+        disturbed, and met by a second one."""
         share = rng.choice((0.15, 0.5))
         rates = {name: rng.choice((1.0, 4.0)) for name in names if rng.random() < share}
         for meeting in rng.sample(MEETINGS, 2):
             rates |= dict.fromkeys(meeting, 4.0)
-        return cls(
+        chosen = cls(
             rng.choice((1, 1, 2)),
             rng.random() < 0.5,
             rates,
@@ -81,3 +82,5 @@ class Chosen:
             rng.choice(("", "", "modbus", "modbus", "opcua")),
             rng.choice(("", "", "fixed", "free")),
         )
+        disturbed = {"second plc": 1.0, **rates, "plc": 4.0}
+        return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen
