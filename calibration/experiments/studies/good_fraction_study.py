@@ -170,6 +170,6 @@ def _draw(rows: "pd.DataFrame") -> Figures:
 
 
 def _spread(values: list[float]) -> list[float]:
-    """Choose at most six of them, the first and the last included."""
-    count = min(6, len(values))
+    """Choose at most four of them, the first and the last included."""
+    count = min(4, len(values))
     return [values[round(k * (len(values) - 1) / max(1, count - 1))] for k in range(count)]
