@@ -31,6 +31,7 @@ class Sink:
         try:
             urllib.request.urlopen(request, timeout=self._options.timeout_s).close()
         except urllib.error.HTTPError as error:
+            error.close()  # it is the answer too, with the connection
             kind = SinkRejected if error.code < 500 else SinkUnavailable
             raise kind(f"{url} answers {error.code} {error.reason}; see the server's log") from error
         except OSError as error:

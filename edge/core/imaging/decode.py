@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from edge.core.errors import FrameCorrupt
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
+from edge.core.imaging.known_profiles import PROFILES
 from edge.core.imaging.sensor_profile import SensorProfile
 
 __all__ = ["VIEW_SIZE", "decode", "decode_view"]
@@ -51,10 +52,18 @@ def _crop(frame: CameraFrame, profile: SensorProfile, scale: int) -> NDArray[np.
     if frame.size != profile.native:
         raise FrameCorrupt(
             f"frame {frame.sequence} is {_size_text(frame.size)}, profile '{profile.name}' expects "
-            f"{_size_text(profile.native)}; choose the profile that fits the camera"
+            f"{_size_text(profile.native)}; choose the profile of its camera with --profile: {_fitting(frame.size)}"
         )
     left, top, right, bottom = _crop_box(profile, scale)
     return _reduce(frame, scale)[top:bottom, left:right]
+
+
+def _fitting(size: tuple[int, int]) -> str:
+    """Name the profiles for frames of this size."""
+    return (
+        ", ".join(one.name for one in PROFILES.values() if one.native == size)
+        or "none that ships is of this size"
+    )
 
 
 def _crop_box(profile: SensorProfile, scale: int) -> tuple[int, int, int, int]:

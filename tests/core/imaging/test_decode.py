@@ -120,7 +120,8 @@ DAMAGED = [
     ),  # the last rows are flat, although the first are not
     (NOISE[: len(NOISE) // 4] + NOISE[len(NOISE) * 3 // 10 :], "last rows"),  # a gap: both ends are there
     (PNG[:40] + bytes(len(PNG) - 80) + PNG[-40:], ""),
-    (encoded(gradient(640, 480)).payload, r"640x480.*656x496"),
+    (encoded(gradient(640, 480)).payload, r"640x480.*656x496.*none that ships"),
+    (encoded(gradient(320, 240)).payload, r"320x240.*656x496.*--profile: cropped_lr"),
 ]
 
 
