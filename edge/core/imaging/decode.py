@@ -58,7 +58,7 @@ def _crop(frame: CameraFrame, profile: SensorProfile, scale: int) -> NDArray[np.
     return _reduce(frame, scale)[top:bottom, left:right]
 
 
-def _fitting(size: tuple[int, int]) -> str:
+def _fitting(size: tuple[int, int] | None) -> str:
     """Name the profiles for frames of this size."""
     return (
         ", ".join(one.name for one in PROFILES.values() if one.native == size)
