@@ -79,7 +79,7 @@ class Chosen:
             rng.random() < 0.25,
             rng.random() < 0.25,
             rng.random() < 0.3,
-            rng.choice(("", "", "modbus", "modbus", "opcua")),
+            rng.choice(("", "modbus", "modbus", "opcua")),
             rng.choice(("", "", "fixed", "free")),
         )
         disturbed = {"second plc": 1.0, **rates, "plc": 4.0}

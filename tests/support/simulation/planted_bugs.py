@@ -270,7 +270,7 @@ BUGS = (
         "edge/features/contact_state.py",
         "        if state == self._said and now_ns",
         "        if now_ns",
-        "broker.: (press .* is (held|over), and|lift of |nothing is seen for .* lift is shown)",
+        "broker.: (press .* is (held|over), and|lift of |nothing is seen for .* (lift|free) is shown)",
     ),
     Bug(
         "two sessions call methods",
