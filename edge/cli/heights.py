@@ -54,10 +54,11 @@ def heights(
     ] = None,
     overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
 ) -> None:
-    """Measure a press in millimetres, without a calibration in pixels.
+    """Measure a press in millimetres.
 
-    Writes how far each place of the gel is raised above the free gel, with its uncertainty; docs/heights.md says what
-    a gel can show, and how well. .png: 16 bits, with its scale as text; .npz: for numpy; .x3p: ISO 25178-72.
+    Without a calibration in pixels. Writes how far each place of the gel is raised above the free gel, with its
+    uncertainty; docs/heights.md says what a gel can show, and how well. .png: 16 bits, with its scale as text; .npz:
+    for numpy; .x3p: ISO 25178-72.
     """
     from edge.core.heights.calibration import SIZE
     from edge.core.heights.height_map import measure_heights
