@@ -262,9 +262,17 @@ def _next_writes(run: "Simulation", rng: random.Random) -> int:
 
 def freeze(run: "Simulation", rng: random.Random) -> float:
     """The process gets no time for a while: the machine is suspended, or short of memory."""
-    lasts_s = rng.choice((0.3, 0.9, 1.3, 3.0, 8.0))
+    lasts_s, began_ns = rng.choice((0.3, 0.9, 1.3, 3.0, 8.0)), run.world.clock.now_ns
+
+    def go_on() -> None:
+        run.freeze(0)
+        if (
+            run.world.relay.well_since_ns > began_ns
+        ):  # nobody could open the board that was plugged in meanwhile
+            run.world.relay.well_since_ns = run.world.clock.now_ns
+
     run.freeze(lasts_s)
-    return run.for_a_while("process frozen", lasts_s, lambda: run.freeze(0), is_sensors=True)
+    return run.for_a_while("process frozen", lasts_s, go_on, is_sensors=True)
 
 
 # Outputs
