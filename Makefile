@@ -285,7 +285,7 @@ debian:
 	    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$package >/dev/null; } || \
 	    echo "$$package cannot be installed here"; \
 	done; \
-	[ -z "$$missing" ] || echo "where it is absent: without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor, without chromium the page of a trade-off"
+	[ -z "$$missing" ] || echo "where it is absent: without mosquitto tests use amqtt (MQTT 3.1.1 only), without qemu-user they skip the other processor, without chromium the pages"
 
 clean:
 	rm -rf $(VENV) $(VENV)-importers $(VENV)-subscribers $(VENV)-trust $(VENV)-release $(VENV)-image $(VENV)-aarch64 $(VENV)-python* $(VENV)-3.* build dist *.egg-info

@@ -1,6 +1,7 @@
 """`gelgate station heights`: the height map of a press in millimetres, as a file, and the roughness of a region."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
@@ -69,13 +70,8 @@ def heights(
 
     _check_words(output, cut_off_mm, overwrite=overwrite)
     part = None if region is None else Region.parse(region, SIZE)
-    made_with = _calibration(calibration, config, is_needed=output is not None or part is not None)
-    if Path(press).is_dir():
-        shown = _recorded(Path(press), number)
-    elif Path(press).is_file():
-        shown = _pictures(Path(press), free)
-    else:
-        shown = _archived(press, database_path(config, database), archive)
+    made_with = _find_calibration(calibration, config, is_needed=output is not None or part is not None)
+    shown = _read_press(press, number, free, lambda: database_path(config, database), archive)
     if made_with is None:
         _say_pixels(shown)
         return
@@ -106,8 +102,11 @@ def _check_words(output: Path | None, cut_off_mm: float, *, overwrite: bool) -> 
         )
 
 
-def _calibration(named: Path | None, config: Path, *, is_needed: bool) -> "HeightCalibration | None":
-    """The calibration that is named, else the station's; None without one. Errors: ConfigError, where one is needed."""
+def _find_calibration(named: Path | None, config: Path, *, is_needed: bool) -> "HeightCalibration | None":
+    """Find the calibration that is named, else the station's; None without one, an error where one is needed.
+
+    Errors: ConfigError.
+    """
     from edge.config import load_config
     from edge.core.errors import ConfigError
     from edge.heights.calibration_file import read_calibration
@@ -128,17 +127,28 @@ class _Shown(NamedTuple):
     time_ns: int
 
 
-def _pictures(press: Path, free: Path | None) -> _Shown:
-    """Two files. Errors: ConfigError, HeightError."""
+def _read_press(
+    press: str, number: int, free: Path | None, find_database: Callable[[], Path], archive: Path | None
+) -> _Shown:
+    """Read a press from a recording's folder, from a picture, or from the archive. Errors: GelgateError."""
+    if Path(press).is_dir():
+        return _read_recorded(Path(press), number)
+    if Path(press).is_file():
+        return _read_pictures(Path(press), free)
+    return _read_archived(press, find_database(), archive)
+
+
+def _read_pictures(press: Path, free: Path | None) -> _Shown:
+    """Read two files. Errors: ConfigError, HeightError."""
     from edge.core.errors import ConfigError
 
     if free is None:
         raise ConfigError(f"{press} is a picture; give one of the free gel with --free")
-    return _Shown(_picture(press), _picture(free), None, str(press), time.time_ns())
+    return _Shown(_read_picture(press), _read_picture(free), None, str(press), time.time_ns())
 
 
-def _picture(path: Path) -> "U8":
-    """A picture of the camera's size, or of 320x240 as the maker crops it. Errors: HeightError."""
+def _read_picture(path: Path) -> "U8":
+    """Read a picture of the camera's size, or of 320x240 as the maker crops it. Errors: HeightError."""
     from edge.core.errors import HeightError
 
     try:
@@ -166,8 +176,8 @@ def _decode(payload: bytes, name: str) -> "U8":
         raise HeightError(f"{name}: {error}") from error
 
 
-def _archived(prefix: str, database: Path, archive: Path | None) -> _Shown:
-    """A press of the archive. Errors: ArchiveError, HeightError."""
+def _read_archived(prefix: str, database: Path, archive: Path | None) -> _Shown:
+    """Read a press of the archive. Errors: ArchiveError, HeightError."""
     from edge.core.errors import HeightError
     from edge.core.heights.height_map import free_picture
     from edge.store.press_archive import ArchiveFolder, find_press
@@ -186,8 +196,8 @@ def _archived(prefix: str, database: Path, archive: Path | None) -> _Shown:
     return _Shown(rgb, free_picture(view), then.serial, then.press_id, then.time_ns)
 
 
-def _recorded(folder: Path, number: int) -> _Shown:
-    """A press of a recording. Errors: RecordingError, HeightError."""
+def _read_recorded(folder: Path, number: int) -> _Shown:
+    """Read a press of a recording. Errors: RecordingError, HeightError."""
     from edge.core.errors import RecordingError
     from edge.core.heights.height_map import free_picture
     from edge.recording.format import Recording
