@@ -52,7 +52,8 @@ def _crop(frame: CameraFrame, profile: SensorProfile, scale: int) -> NDArray[np.
     if frame.size != profile.native:
         raise FrameCorrupt(
             f"frame {frame.sequence} is {_size_text(frame.size)}, profile '{profile.name}' expects "
-            f"{_size_text(profile.native)}; choose the profile of its camera with --profile: {_name_profiles(frame.size)}"
+            f"{_size_text(profile.native)}; choose the profile of its camera with --profile: "
+            f"{_name_profiles(frame.size)}"
         )
     left, top, right, bottom = _crop_box(profile, scale)
     return _reduce(frame, scale)[top:bottom, left:right]

@@ -266,9 +266,8 @@ def freeze(run: "Simulation", rng: random.Random) -> float:
 
     def go_on() -> None:
         run.freeze(0)
-        if (
-            run.world.relay.well_since_ns > began_ns
-        ):  # nobody could open the board that was plugged in meanwhile
+        # Nobody could open a board that was plugged in meanwhile.
+        if run.world.relay.well_since_ns > began_ns:
             run.world.relay.well_since_ns = run.world.clock.now_ns
 
     run.freeze(lasts_s)
