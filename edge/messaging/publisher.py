@@ -103,7 +103,11 @@ class Publisher:
         self._sinks = dict(sinks)
         self.retained_state = retained_state
         self._outbox = Outbox(database)
-        self._outbox.register(self._sinks, before)
+        try:
+            self._outbox.register(self._sinks, before)
+        except BaseException:
+            self._outbox.close()
+            raise
         self._stopping = threading.Event()
         self._wakes = {name: threading.Event() for name in self._sinks}
         self.workers = {

@@ -166,6 +166,17 @@ def test_one_process_publishes_from_a_database_by_whatever_name(store: Store, pa
             PublisherLock(name)
 
 
+def test_a_publisher_that_cannot_start_leaves_the_database_closed(path: Path) -> None:
+    """The service may try again in the same process; what it could not use is no open file."""
+    with Outbox(path) as outbox, outbox._database.writing("breaking it") as connection:
+        connection.execute("DROP TABLE sinks")
+
+    with pytest.raises(StoreError, match="sinks") as _kept:  # with the frames of the attempt
+        publisher(path)
+
+    assert path not in {file.resolve() for file in Path("/proc/self/fd").iterdir()}
+
+
 def test_a_fault_in_a_plugin_is_logged_and_retried(
     store: Store, path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
