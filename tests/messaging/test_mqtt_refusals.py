@@ -127,23 +127,24 @@ def test_mutual_tls_lets_in_who_has_a_certificate_and_nobody_else(
 @contextlib.contextmanager
 def false_broker(answer: bytes | None) -> Iterator[int]:
     """A port that accepts connections, and answers each first packet with fixed bytes, or not at all."""
-    held: list[socket.socket] = []
 
     def serve() -> None:
-        with contextlib.suppress(OSError):  # who asks may be gone already; the server ends
+        # Who asks may be gone already; the server ends.
+        with contextlib.ExitStack() as held, contextlib.suppress(OSError):
             while True:
-                held.append(server.accept()[0])
-                held[-1].recv(1000)
+                connection = held.enter_context(server.accept()[0])
+                connection.recv(1000)
                 if answer is not None:
-                    held[-1].sendall(answer)
+                    connection.sendall(answer)
 
     with socket.create_server(("127.0.0.1", 0)) as server:
-        threading.Thread(target=serve, daemon=True).start()
-        yield server.getsockname()[1]
-        with contextlib.suppress(OSError):
+        serving = threading.Thread(target=serve)
+        serving.start()
+        try:
+            yield server.getsockname()[1]
+        finally:
             server.shutdown(socket.SHUT_RDWR)
-        for connection in held:
-            connection.close()
+            serving.join()
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,7 @@ class ScriptedBroker:
         with contextlib.suppress(OSError):
             self._server.shutdown(socket.SHUT_RDWR)
         self._server.close()
+        self._threads[0].join()  # it may have one in hand
         for one in self._sockets:
             _end(one)
         for thread in self._threads:
