@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo dev check first-plugin readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain test-quick test-pythons test-aarch64 lint docs docs-site bench soak sim sim-covered sim-planted threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release lock vex clean
+.PHONY: demo dev check first-plugin readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain test-quick test-pythons test-aarch64 lint docs docs-site bench soak sim sim-covered sim-planted image threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release lock vex clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -138,6 +138,14 @@ $(VENV)-aarch64/.made: deploy/requirements.txt | $(VENV)/.test
 	  $(BIN)/python -m pip install --quiet --target $(VENV)-aarch64/site --no-deps . ; } || \
 	  echo "packages for aarch64 cannot be had here"
 	mkdir -p $(@D) && touch $@
+
+# The gateway's image (deploy/Dockerfile), on the base that the registry has now, pinned by its digest.
+ENGINE ?= docker
+IMAGE_BASE := python:3.11-slim
+image:
+	$(ENGINE) pull --quiet $(IMAGE_BASE)
+	$(ENGINE) build --file deploy/Dockerfile --tag gelgate \
+	  --build-arg BASE="$$($(ENGINE) image inspect --format '{{index .RepoDigests 0}}' $(IMAGE_BASE))" .
 
 # What outside tools say of the repository: its shape, its workflows, its words.
 test-trust: $(VENV)/.test $(VENV)-trust/.made

@@ -57,16 +57,27 @@ def test_the_image_is_built_and_its_program_answers() -> None:
     program = engine()
     if program is None:
         pytest.skip("SKIPPED, NOT TESTED: no docker or podman that can build an image runs here")
-    build = [program, "build", "--quiet", "--file", DEPLOY / "Dockerfile", "--tag", "gelgate-test", ROOT]
-    subprocess.run(build, check=True, timeout=1800)
-    version = subprocess.run(
-        [program, "run", "--rm", "gelgate-test", "--version"], capture_output=True, text=True
-    )
-    start = subprocess.run([program, "run", "--rm", "gelgate-test"], capture_output=True, text=True)
+    subprocess.run(["make", "image", f"ENGINE={program}"], check=True, timeout=1800, cwd=ROOT)
+    version = subprocess.run([program, "run", "--rm", "gelgate", "--version"], capture_output=True, text=True)
+    start = subprocess.run([program, "run", "--rm", "gelgate"], capture_output=True, text=True)
 
     assert version.stdout.startswith("gelgate ")
     assert start.returncode == 3
     assert "gelgate.toml does not exist" in start.stderr
+
+
+@pytest.mark.parametrize("base", ["python:3.11-slim", "", f"python@sha256:{'0' * 64}"])
+def test_a_base_without_a_digest_is_refused(base: str) -> None:
+    """By the first step of the build, which says what to do; no base is named for one that is forgotten."""
+    lines = (DEPLOY / "Dockerfile").read_text(encoding="utf-8").splitlines()
+    first = next(line for line in lines if line.startswith("RUN "))
+    step = subprocess.run(
+        ["sh", "-c", first.removeprefix("RUN ")], env={"BASE": base}, capture_output=True, text=True
+    )
+
+    assert (step.returncode == 0) == ("@sha256:" in base)
+    assert ("not pinned by a digest: make image" in step.stderr) == (step.returncode == 1)
+    assert lines.count("ARG BASE") == 3
 
 
 def in_group(name: str) -> Iterator[str]:
