@@ -18,6 +18,7 @@ from edge.core.errors import DeviceError, DeviceNotFound, DeviceStalled, FrameCo
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import Freshness
 from edge.core.ports import Clock, CountsStale, Device, DeviceIdentity, OnDemand
+from edge.core.sentence import Sentence
 
 __all__ = ["Acquisition", "AcquisitionState", "AcquisitionStatus"]
 
@@ -229,7 +230,7 @@ class Acquisition:
         if not self._freshness.is_new(frame.payload):
             if self._clock.monotonic_ns() >= stalled_ns:
                 raise DeviceStalled(
-                    f"{device.identity.product} repeats one frame; unplug it and plug it in again"
+                    Sentence(f"{device.identity.product} repeats one frame; unplug it and plug it in again")
                 )
             return
         self._deliver(frame)
@@ -261,8 +262,10 @@ class Acquisition:
         known = self._status.identity
         if known is not None and device.identity.serial != known.serial:
             raise DeviceNotFound(
-                f"sensor {known.serial} is gone and {device.identity.serial} is plugged in instead; put the first one "
-                "back, or restart to go on with the other: wear is counted for each sensor's own gel"
+                Sentence(
+                    f"sensor {known.serial} is gone and {device.identity.serial} is plugged in instead; put the first "
+                    "one back, or restart to go on with the other: wear is counted for each sensor's own gel"
+                )
             )
         self._openings += 1
         self._counting = device if isinstance(device, CountsStale) else None

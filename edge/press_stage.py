@@ -21,6 +21,7 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, DeviceIdentity, Message
 from edge.core.press import Press, PressLabel
+from edge.core.sentence import Sentence
 from edge.messaging.alarm_payload import Alarm
 from edge.messaging.command_payloads import CommandArguments
 from edge.messaging.result_payload import ResultPayload
@@ -42,22 +43,24 @@ Data = Mapping[str, Any]
 class Alarms(Protocol):
     """The alarms and the state of a station, for its stages. Any thread may use it."""
 
-    def say(self, alarm: str, sentence: str | None, severity: Literal["warning", "error"] = "error") -> None:
+    def say(
+        self, alarm: str, sentence: Sentence | None, severity: Literal["warning", "error"] = "error"
+    ) -> None:
         """Raise an alarm for a person, or clear it with None. One that no one declares is not published."""
 
-    def set_fault(self, alarm: str, text: str) -> bool:
+    def set_fault(self, alarm: str, text: Sentence) -> bool:
         """Raise it, and inspect nothing until `clear_fault`. Returns whether it was not raised before."""
 
     def clear_fault(self, alarm: str) -> None:
         """End it; other faults may remain."""
 
-    def set_blind(self, reason: str | None) -> None:
+    def set_blind(self, reason: Sentence | None) -> None:
         """Say why the sensor's frames show nothing; None while they do."""
 
-    def contact(self, sentence: str | None, is_fault: bool) -> None:
+    def contact(self, sentence: Sentence | None, is_fault: bool) -> None:
         """Say that a contact does not end; None where none does. is_fault: nothing is inspected."""
 
-    def set_unproven(self, sentence: str | None) -> None:
+    def set_unproven(self, sentence: Sentence | None) -> None:
         """Say why the bundle in use is not yet proven on the mounted gel; None where it is."""
 
     def show_contact(self, contact: ContactState) -> None:

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from edge.clock import SystemClock
 from edge.config.secret_file import read_secret
 from edge.core.errors import ConfigError
+from edge.core.sentence import Sentence
 from edge.core.sink_context import PageRequests
 from edge.logs import start
 from edge.messaging.command_payloads import SHORTEST_SECRET
@@ -59,7 +60,7 @@ def page(
     broker = broker_at(host, port, "page", username, password_file, ca)
     shown = BrokerStation(broker, station_filter(prefix, site, line, station))
     requests = _requests(shown, settings, secret_file)
-    why_not = "this page only shows: it was started without --secret-file and --token-file"
+    why_not = Sentence("this page only shows: it was started without --secret-file and --token-file")
     server = PageServer(shown.shown, settings, requests, SystemClock(), why_not)
     start("text", is_verbose=False)
     try:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Final, Self
 
 from edge.core.reference_press.outcome import Measure
+from edge.core.sentence import Sentence
 
 __all__ = ["LEARNT", "MEASURES", "DriftChart"]
 
@@ -133,11 +134,11 @@ class DriftChart:
         z = math.sqrt(freedom * math.log1p(t * t / freedom)) * (8 * freedom + 1) / (8 * freedom + 3)
         return math.copysign(min(z, MOST_SIGMAS), t)
 
-    def describe(self, measure: Measure) -> str:
+    def describe(self, measure: Measure) -> Sentence:
         """Say what has shifted, since when, and what to do."""
         unit = f" {measure.unit}" if measure.unit else ""
-        way = "higher" if self.shift > 0 else "lower"
-        return (
+        way = Sentence("higher") if self.shift > 0 else Sentence("lower")
+        return Sentence(
             f"{measure.title} is {way} since about {self.since} passing presses: {self.newest:.3g}{unit}, "
             f"and {self.mean:.3g} in the mean of {self.count}; {measure.what_to_do}"
         )

@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Final
 
 from edge.core.binomial import CONFIDENCE, trials_needed, upper_rate
+from edge.core.sentence import Sentence
 from edge.core.shadow import LEAST_ON_NEW_GEL
 
 __all__ = ["PROVEN_RATE", "GelProof", "MadeOn", "Proven", "first_proof"]
@@ -58,15 +59,15 @@ class GelProof:
         return max(0, trials_needed(PROVEN_RATE, self.alarms) - self.presses)
 
     @property
-    def sentence(self) -> str:
+    def sentence(self) -> Sentence:
         """The presses on this gel and their alarms, in words."""
-        alarms = "no alarm" if self.alarms == 0 else f"{self.alarms} alarm{'s' if self.alarms > 1 else ''}"
-        shown = f"{self.presses} press{'' if self.presses == 1 else 'es'} on this gel with {alarms}"
         if self.presses == 0:
-            return "no press on this gel yet"
-        return f"{shown} allow{'s' if self.presses == 1 else ''} {self.rate:.0%} of false alarms"
+            return Sentence("no press on this gel yet")
+        return Sentence(
+            f"on this gel {self.alarms} of {self.presses} presses alarmed, which allows {self.rate:.0%} of false alarms"
+        )
 
-    def unproven(self, bundle: str, gel_id: str) -> str | None:
+    def unproven(self, bundle: str, gel_id: str) -> Sentence | None:
         """Say in one sentence, while it is not proven, what is missing and what to do.
 
         The sentence stays the same while presses alarm too often to prove anything.
@@ -74,15 +75,17 @@ class GelProof:
         if self.proven is not None:
             return None
         needed = self.still_needed
-        shown = f"{self.sentence}, at most {PROVEN_RATE:.0%} are wanted ({CONFIDENCE:.0%} sure)"
+        shown = Sentence(f"{self.sentence}, at most {PROVEN_RATE:.0%} are wanted ({CONFIDENCE:.0%} sure)")
         if self.alarms > PROVEN_RATE * max(self.presses, trials_needed(PROVEN_RATE, 0)):
-            shown = f"more than {PROVEN_RATE:.0%} of its presses alarm there, and damaged parts count too: no proof"
-            todo = "Press sound parts alone until a number of them is asked for here"
+            shown = Sentence(
+                f"more than {PROVEN_RATE:.0%} of its presses alarm there, and damaged parts count too: no proof"
+            )
+            todo = Sentence("Press sound parts alone until a number of them is asked for here")
         elif needed:
-            todo = f"Press {needed} more sound parts without an alarm, then `gelgate gel prove`"
+            todo = Sentence(f"Press {needed} more sound parts without an alarm, then `gelgate gel prove`")
         else:
-            todo = "If all parts were sound, `gelgate gel prove`"
-        return (
+            todo = Sentence("If all parts were sound, `gelgate gel prove`")
+        return Sentence(
             f"bundle {bundle} is not yet proven on gel {gel_id}: {self.known_from}; {shown}. {todo}; or say what at "
             f"least {LEAST_ON_NEW_GEL} of its presses were, and learn from them (`gelgate bundle learn`), or fit a "
             "bundle on this gel"
@@ -102,11 +105,17 @@ def first_proof(
     """
     if made.gel_id is not None:
         is_same = made.gel_id == gel_id
-        return GelProof(Proven.MADE) if is_same else GelProof(None, f"it was made on gel {made.gel_id}")
+        return (
+            GelProof(Proven.MADE)
+            if is_same
+            else GelProof(None, Sentence(f"it was made on gel {made.gel_id}"))
+        )
     if used_on is not None:
-        return GelProof(None, f"it was used on gel {used_on}")
+        return GelProof(None, Sentence(f"it was used on gel {used_on}"))
     if was_in_use:
-        return GelProof(None, "it inspected here before this gel was mounted")
+        return GelProof(None, Sentence("it inspected here before this gel was mounted"))
     if mounted is not None and made.created < mounted:
-        return GelProof(None, f"it was made on {made.created}, and the gel was mounted on {mounted}")
+        return GelProof(
+            None, Sentence(f"it was made on {made.created}, and the gel was mounted on {mounted}")
+        )
     return GelProof(Proven.FIRST_USE)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from edge.core.binomial import rate_limits
+from edge.core.sentence import Sentence
 
 __all__ = [
     "Agreement",
@@ -141,7 +142,7 @@ def choose_questions(
 
 def find_broken_promise(
     presses: Sequence[Asked], said: Mapping[str, Sequence[PersonVerdict]], promised: float
-) -> str | None:
+) -> Sentence | None:
     """Say that more sound presses fail than `promised`, a rate; None where what people said does not show it.
 
     Nobody looks at all that fails. So the rate of fails, and the share of good ones among those that people looked at,
@@ -155,7 +156,7 @@ def find_broken_promise(
         return None
     if rate_limits(len(failed), len(presses))[0] * rate_limits(good, len(words))[0] <= promised:
         return None
-    return (
+    return Sentence(
         f"more sound parts fail than the bundle promises ({promised:.0%}): people call {good} of {len(words)} presses "
         "of the last day good that did not pass; learn from them (`gelgate bundle learn`)"
     )

@@ -15,6 +15,7 @@ from edge.core.digital_io import StationView
 from edge.core.imaging.decode import VIEW_SIZE
 from edge.core.imaging.quality import NominalContact
 from edge.core.press import Press
+from edge.core.sentence import Sentence
 from edge.messaging.status_payloads import ContactPayload
 from edge.model.inspector import Inspector
 from edge.press_stage import Mounted, PressStage, StageParts
@@ -110,8 +111,11 @@ class ContactWatch(PressStage):
             self._waiting.append(act)
             self._parts.alarms.say(
                 "gel_overload",
-                f"the imprint is more than {OVERLOAD_TIMES:g} times as strong as the strongest at fit, about {share:g} "
-                f"times as deep as usual: the gel may be cut; {self._overloads} since the start. Take the part off",
+                Sentence(
+                    f"the imprint is more than {OVERLOAD_TIMES:g} times as strong as the strongest at fit, about "
+                    f"{share:g} times as deep as usual: the gel may be cut; {self._overloads} since the start. Take "
+                    "the part off"
+                ),
             )
         elif follower.state == "free" and self._is_overloaded:
             self._is_overloaded = False

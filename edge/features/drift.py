@@ -14,6 +14,7 @@ from edge.core.drift import LEARNT, MEASURES, DriftChart, H
 from edge.core.ports import Clock, Message
 from edge.core.press import Press
 from edge.core.reference_press.outcome import Imprint, Measure
+from edge.core.sentence import join_sentences
 from edge.core.verdict import Kind
 from edge.messaging.status_payloads import ChartPart, DriftPayload
 from edge.model.inspector import Inspector
@@ -135,7 +136,7 @@ class DriftWatch(PressStage):
             for measure in MEASURES
             if measure.name in charts and charts[measure.name].shift
         ]
-        self._alarms.say("drift", "; ".join(shifted) or None, "warning")
+        self._alarms.say("drift", join_sentences(shifted), "warning")
 
     def _save(self) -> None:
         """Keep the charts where they have changed. Never raises."""

@@ -5,6 +5,7 @@ from typing import Final, Self
 from edge.clock import local_day
 from edge.core.gel_life import is_past
 from edge.core.ports import Clock
+from edge.core.sentence import Sentence
 from edge.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
 
@@ -46,7 +47,7 @@ class GelDateWatch(PressStage):
             return
         if self._ends_ns is None:
             self._alarms.say(
-                "gel_expired", f"gel {gel.gel_id} is past its use-by date {gel.use_by}", "warning"
+                "gel_expired", Sentence(f"gel {gel.gel_id} is past its use-by date {gel.use_by}"), "warning"
             )
         self._ends_ns = now_ns + EARLIER_S * 10**9
 

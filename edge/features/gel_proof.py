@@ -8,6 +8,7 @@ from edge.core.gel_proof import GelProof, MadeOn
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.ports import Clock
 from edge.core.press import Press, ReferenceLabel
+from edge.core.sentence import Sentence
 from edge.core.verdict import Kind
 from edge.messaging.command_payloads import NoArguments
 from edge.model.inspector import Inspector
@@ -45,7 +46,7 @@ class GelProofWatch(PressStage):
         self._unproven, self._store, self._alarms, self._clock = unproven, store, alarms, clock
         self._made = MadeOn("")  # of no bundle; `use` comes before the first turn
         self._mounted: Mounted | None = None
-        self._sentence: str | None = None
+        self._sentence: Sentence | None = None
         self._next_look_ns = 0
         self._acts: object = None
 
@@ -146,7 +147,11 @@ class GelProofWatch(PressStage):
             self._alarms.say("gel_proof", self._sentence, "warning")
         elif self._unproven == "refuse" and self._sentence is None:
             self._alarms.clear_fault("gel_proof")
-        elif self._unproven == "refuse" and self._alarms.set_fault("gel_proof", str(self._sentence)):
+        elif (
+            self._unproven == "refuse"
+            and self._sentence
+            and self._alarms.set_fault("gel_proof", self._sentence)
+        ):
             log.warning("%s", self._sentence)
 
 

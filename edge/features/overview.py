@@ -23,6 +23,7 @@ from edge.core.overview.view import OverviewView, Zone
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock, Device
 from edge.core.press import Press, PressLabel
+from edge.core.sentence import Sentence
 from edge.extras import needs
 from edge.press_stage import Alarms, PressStage, Selection, StageParts
 from edge.store.acts import Act
@@ -133,7 +134,9 @@ class Overview(PressStage):
         view, self._view = self._view or self.look_at_part(), None
         refusal = self.rules.refusal(view, self._selection.part, self._selection.find_all)
         if refusal is not None and self._unselected is not None:
-            refusal = replace(refusal, text=f"{refusal.text}; it could not be selected: {self._unselected}")
+            refusal = replace(
+                refusal, text=Sentence(f"{refusal.text}; it could not be selected: {self._unselected}")
+            )
         self._unselected = None
         seen = replace(press, overview=view)
         return seen if refusal is None else seen.reject(refusal)
@@ -155,12 +158,16 @@ class Overview(PressStage):
             self._frame = self._newest()
             if self._frame is None:
                 fault = self.camera.status.fault
-                return OverviewView(None, fault=fault or "the overview camera has given no new picture")
+                return OverviewView(
+                    None, fault=fault or Sentence("the overview camera has given no new picture")
+                )
             still, self._grey = still_of(self._frame, self._max_side_px)
             # The noise of a camera changes every picture: an equal one in a later frame is a camera that hangs.
             if self._frame is not before and seen is not None and np.array_equal(seen, self._grey):
                 self._frame = None
-                return OverviewView(None, fault="the overview camera gives one picture again and again")
+                return OverviewView(
+                    None, fault=Sentence("the overview camera gives one picture again and again")
+                )
             return self.rules.look(still, self._grey)
         except DeviceError as error:  # a broken picture, or a recording that is over
             self._frame = None
@@ -190,7 +197,7 @@ def _find_camera(table: OverviewTable) -> str:
     else:
         away = "; ".join(one.refusal for one in discovered if one.refusal) or "no camera is found"
     names = [f"{one.identity.product}, serial {one.identity.serial}" for one in discovered if one.identity]
-    until = "presses are refused" if rules.is_asking else "results come without its still"
+    until = Sentence("presses are refused") if rules.is_asking else Sentence("results come without its still")
     return ", ".join(names) or f"{away}; until it comes {until}"
 
 
@@ -235,11 +242,11 @@ def say_overview_camera(alarms: Alarms, camera: AcquisitionStatus, *, is_needed:
         alarms.say("overview", None)
         return
     is_over = camera.state is AcquisitionState.ENDED
-    fault = "the recording of the overview camera is over" if is_over else camera.fault
+    fault = Sentence("the recording of the overview camera is over") if is_over else camera.fault
     if fault is not None:
-        effect = "presses are refused" if is_needed else "results come without its still"
+        effect = Sentence("presses are refused") if is_needed else Sentence("results come without its still")
         severity: Literal["warning", "error"] = "error" if is_needed else "warning"
-        alarms.say("overview", f"{fault}; until it is back {effect}", severity)
+        alarms.say("overview", Sentence(f"{fault}; until it is back {effect}"), severity)
 
 
 def still_of(frame: CameraFrame, max_side_px: int) -> tuple[bytes, NDArray[np.uint8]]:

@@ -12,6 +12,7 @@ from edge.core.imaging.quality import Reason
 from edge.core.person_verdict import Asked, PersonVerdict, Saying, choose_questions, find_broken_promise
 from edge.core.ports import Clock, Message
 from edge.core.press import Press
+from edge.core.sentence import Sentence
 from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.payload_base import PressId
 from edge.messaging.status_payloads import Question, QuestionsPayload
@@ -124,7 +125,7 @@ class PersonVerdicts(PressStage):
 
     def _find_broken_promise(
         self, mounted: Mounted, said: Mapping[str, Sequence[PersonVerdict]]
-    ) -> str | None:
+    ) -> Sentence | None:
         """Say where the bundle in use fails more sound presses of this gel than it promises."""
         limit = self._selection.inspector.bundle.manifest.threshold
         key = GelBundle(mounted.serial, mounted.gel_id, mounted.bundle_id)

@@ -23,6 +23,7 @@ from edge.core.part_position import PartPosition
 from edge.core.piece import End, Piece, PieceVerdict, PlacePress, check_places
 from edge.core.ports import Message
 from edge.core.press import Press
+from edge.core.sentence import Sentence
 from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.piece_payloads import PiecePayload, PieceResultPayload
 from edge.model.inspector import Inspector
@@ -57,7 +58,7 @@ class Pieces(PressStage):
         self._alarms, self._announce = parts.alarms, parts.announce
         self._piece: Piece | None = None
         self._last: tuple[str, PieceVerdict] | None = None
-        self._lock: str | None = None
+        self._lock: Sentence | None = None
         """Why no press begins a piece: one that was left unfinished may still lie there."""
         self._due_ns = 0
         self._waiting_id: str | None = None
@@ -70,7 +71,7 @@ class Pieces(PressStage):
         self._has_contact = False
         self._is_undecided = False  # it is pressed, and the press has no verdict
         self._said: object = None
-        self._warned: str | None = None
+        self._warned: Sentence | None = None
 
     @classmethod
     def open(cls, parts: StageParts) -> Self | None:
@@ -114,13 +115,21 @@ class Pieces(PressStage):
             )
         return press if refusal is None else press.reject(Rejection(Reason.NO_PLACE, refusal))
 
-    def _piece_of(self, press: Press) -> tuple[Piece | None, bool, str | None]:
+    def _piece_of(self, press: Press) -> tuple[Piece | None, bool, Sentence | None]:
         """Find the piece of a press: (piece, whether it begins with it, why the press is refused)."""
         if self._waiting_id is not None or self._is_stale:
-            return None, False, "the press before is not recorded yet; press again when the station is ready"
+            return (
+                None,
+                False,
+                Sentence("the press before is not recorded yet; press again when the station is ready"),
+            )
         codes, piece = _codes(press), self._piece
         if len(codes) > 1:
-            return piece, False, f"codes of several pieces are seen: {', '.join(codes)}; leave one in view"
+            return (
+                piece,
+                False,
+                Sentence(f"codes of several pieces are seen: {', '.join(codes)}; leave one in view"),
+            )
         if not codes and piece is None and self._lock is not None:
             return None, False, self._lock
         if piece is not None and codes in ((), (piece.piece_id,)):
@@ -129,17 +138,19 @@ class Pieces(PressStage):
         try:
             known = self._find_known(piece_id)
         except StoreError as error:
-            known = str(error)
+            known = Sentence(str(error))
         new = Piece(piece_id, press.time_ns, self._plan, self._order)
         return (new, True, None) if known is None else (piece, False, known)
 
-    def _find_known(self, piece_id: str) -> str | None:
+    def _find_known(self, piece_id: str) -> Sentence | None:
         """Say why no piece may begin with this id; None for a new one. Errors: StoreError."""
         found = self._store.read("looking for a piece", partial(pieces.read_verdict, piece_id=piece_id))
         if found is None:
             return None
-        state = "is in progress" if found[0] is None else f"is over ({found[0]})"
-        return f"the piece {piece_id} {state}; an id is used once: begin a piece with an id of its own"
+        state = Sentence("is in progress") if found[0] is None else Sentence(f"is over ({found[0]})")
+        return Sentence(
+            f"the piece {piece_id} {state}; an id is used once: begin a piece with an id of its own"
+        )
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         """A touch that is not judged begins no piece that has no id."""
@@ -244,7 +255,7 @@ class Pieces(PressStage):
         if last is not None and last.ended_by is not None and last.verdict is not None:
             self._last = last.piece.piece_id, last.verdict
             if last.ended_by == "time":
-                self._lock = (
+                self._lock = Sentence(
                     f"the piece {last.piece.piece_id} was not complete within {self._within_s:g} s, "
                     f"{_list(last.piece.missing)} is missing; take it away, then begin the next piece "
                     f"with `{BEGIN}` or its code"
@@ -269,7 +280,7 @@ class Pieces(PressStage):
         self._alarms.show_piece(None if self._piece is None else piece.piece_id)
         self._warn(self._lock)
 
-    def _warn(self, sentence: str | None) -> None:
+    def _warn(self, sentence: Sentence | None) -> None:
         if sentence != self._warned:
             self._warned = sentence
             self._alarms.say("piece", sentence, "warning")
@@ -291,7 +302,9 @@ class Pieces(PressStage):
             self._wanted = None
             return
         if wanted not in self._selection.find_all(str(wanted)):
-            self._warn(f"the place {wanted} of the piece has no bundle any more; put it back, and reload")
+            self._warn(
+                Sentence(f"the place {wanted} of the piece has no bundle any more; put it back, and reload")
+            )
             return
         why = Act(
             self._clock.time_ns(),
@@ -330,15 +343,17 @@ def _list(places: tuple[PartPosition, ...]) -> str:
     return ", ".join(map(str, places))
 
 
-def _refuse_place(piece: Piece, place: PartPosition) -> str:
+def _refuse_place(piece: Piece, place: PartPosition) -> Sentence:
     word = next((one.verdict for one in piece.filled if one.place == place), None)
     if place not in piece.places:
-        what = "is no place of the plan"
+        what = Sentence("is no place of the plan")
     elif word is not None:
-        what = f"was pressed before ({word})"
+        what = Sentence(f"was pressed before ({word})")
     else:
-        what = "comes later"
-    return f"{place} {what}; select and press {_list(piece.expected)} of this piece, or begin the next piece"
+        what = Sentence("comes later")
+    return Sentence(
+        f"{place} {what}; select and press {_list(piece.expected)} of this piece, or begin the next piece"
+    )
 
 
 def _describe(config: Config) -> str:

@@ -11,6 +11,7 @@ from edge.core.piece import PlacePress
 from edge.core.ports import Clock
 from edge.core.press import Again, Press
 from edge.core.press_again import Costs, Plan, is_asked, second_verdict, unsure
+from edge.core.sentence import Sentence
 from edge.messaging.result_payload import PressAgainPart
 from edge.model.again_facts import again_sentence, plan_for
 from edge.model.bundle import Bundle
@@ -75,7 +76,7 @@ class PressAgain(PressStage):
             and self._first.piece
             and press.piece.piece_id != self._first.piece.piece_id
         ):
-            self.drop("another piece is pressed")
+            self.drop(Sentence("another piece is pressed"))
         if self._is_said:
             self._is_said = False
             self._alarms.say("press_again", None)
@@ -95,20 +96,22 @@ class PressAgain(PressStage):
     def drop(self, why: str) -> None:
         """A press that was asked for is not waited for any more."""
         if self._first is not None:
-            self._missed(f"is not waited for any more: {why}")
+            self._missed(Sentence(f"is not waited for any more: {why}"))
 
     def turn(self, mounted: Mounted | None) -> None:
         """Say it when a press that was asked for did not come in time."""
         if self._first is not None and self._clock.monotonic_ns() > self._first.due_ns:
-            self._missed(f"did not come within {self._within_s:g} s")
+            self._missed(Sentence(f"did not come within {self._within_s:g} s"))
 
     def _missed(self, what: str) -> None:
         first, self._first = self._first, None
         self._is_said = True
         self._alarms.say(
             "press_again",
-            f"the second press after press {first.press_id if first else ''} {what}; its verdict stays unsure: treat "
-            "the piece as not inspected, or press it twice again",
+            Sentence(
+                f"the second press after press {first.press_id if first else ''} {what}; its verdict stays unsure: "
+                "treat the piece as not inspected, or press it twice again"
+            ),
             "warning",
         )
 
@@ -117,7 +120,7 @@ class PressAgain(PressStage):
         if verdict is None or not is_asked(verdict, self._plan.bound) or verdict.score is None:
             return press
         self._first = _First(verdict.score, self._due_ns(), press.press_id, press.piece)
-        reason = (
+        reason = Sentence(
             f"the score {verdict.score:.4g} lies up to {self._plan.bound:.4g}, where one more press should pay; "
             "press the same piece again, a little shifted"
         )
@@ -128,11 +131,11 @@ class PressAgain(PressStage):
         verdict = press.verdict
         if verdict is None or verdict.score is None or self._bundle is None:
             self._first = replace(first, due_ns=self._due_ns())
-            reason = "this second press has no score; press the same piece once more"
+            reason = Sentence("this second press has no score; press the same piece once more")
             return replace(press, again=Again(reason, True, first.press_id, first.score))
         self._first = None
         lower = self._bundle.manifest.decide(min(first.score, verdict.score))
-        reason = f"decided by the lower score of two presses, {lower.score:.4g}"
+        reason = Sentence(f"decided by the lower score of two presses, {lower.score:.4g}")
         again = Again(reason, False, first.press_id, first.score)
         return replace(press, verdict=second_verdict(first.score, verdict, lower), again=again)
 

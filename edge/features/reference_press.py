@@ -15,6 +15,7 @@ from edge.core.ports import Clock, Message
 from edge.core.press import Press, PressLabel, ReferenceLabel
 from edge.core.reference_press.charts import ReferencePress, judge, why_due
 from edge.core.reference_press.outcome import Imprint, Outcome
+from edge.core.sentence import Sentence
 from edge.core.suggest import suggestion
 from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.reference_message import describe_reference_press
@@ -36,7 +37,6 @@ log = logging.getLogger(__name__)
 LOOK_S: Final = 0.5
 # A request of the command line that is older was made while no gateway ran.
 OLDEST_REQUEST_S: Final = 60.0
-WAITING: Final = "the next press is the reference press of %s: press it within %g s"
 
 
 class ReferencePressArguments(CommandArguments):
@@ -137,7 +137,7 @@ class ReferenceGuard(PressStage):
     def admit(self, press: Press) -> Press:
         if press.label is not None or self._table.enforce != "refuse" or not self._faults:
             return press
-        return press.reject(Rejection(Reason.REFERENCE, "; ".join(self._faults)))
+        return press.reject(Rejection(Reason.REFERENCE, Sentence("; ".join(self._faults))))
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         if settled is None or not isinstance(press.label, ReferenceLabel):
@@ -241,13 +241,16 @@ class ReferenceGuard(PressStage):
             why = why_due(last_ns, self._clock.time_ns(), self._table.every_h, self._table.shifts)
             if why is not None:
                 yield (
-                    f"a reference press of {name} is due: {why}; ask for it (`gelgate station reference "
-                    "press`), then press "
-                    f"{name}"
+                    Sentence(
+                        f"a reference press of {name} is due: {why}; ask for it (`gelgate station reference "
+                        "press`), then press it"
+                    )
                 )
             elif (found := judge(scored, self._table.learn)).outcome is Outcome.OUT_OF_LIMITS:
                 sentences = "; ".join(found.sentences)
-                yield f"the reference press of {name} is out of limits: {sentences}; then press {name} again"
+                yield Sentence(
+                    f"the reference press of {name} is out of limits: {sentences}; then press it again"
+                )
 
     def _warnings(self) -> Iterator[str]:
         """Run rules: they are said, and refuse nothing."""
@@ -259,13 +262,19 @@ class ReferenceGuard(PressStage):
             found = judge(presses, self._table.learn)
             if found.outcome is Outcome.WARNING:
                 sentences = "; ".join(found.sentences)
-                yield f"the reference press of {name} is in its limits, with a warning: {sentences}"
+                yield Sentence(f"the reference press of {name} is in its limits, with a warning: {sentences}")
 
     def _say(self) -> None:
         """The alarm `reference`; where parts are refused it halts the station."""
         is_refusing = self._table.enforce == "refuse" and bool(self._faults)
-        waits = [] if self._armed is None else [WAITING % (self._armed.label.piece, self._table.within_s)]
-        text = "; ".join([*waits, *self._faults, *self._warnings()])
+        said = [*self._faults, *self._warnings()]
+        if self._armed is not None:
+            piece, within_s = self._armed.label.piece, self._table.within_s
+            wait = Sentence(
+                f"the next press is the reference press of {piece}: press it within {within_s:g} s"
+            )
+            said.insert(0, wait)
+        text = Sentence("; ".join(said))
         if self._said == (is_refusing, text):
             return
         self._said = (is_refusing, text)

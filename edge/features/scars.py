@@ -19,6 +19,7 @@ from edge.core.gel_scars.record import ScarRecord
 from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press, ScarFindings
 from edge.core.registration.pose import warp
+from edge.core.sentence import Sentence
 from edge.core.verdict import Blame, Cause, Kind
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
@@ -52,8 +53,8 @@ class ScarWatch(PressStage):
         self._free = FreeViews()
         self._left: View | None = None
         self._scars, self._serial, self._gel_id, self._unsaved = GelScars(), "", "", 0
-        self._blind: str | None = None
-        self._mark: str | None = None
+        self._blind: Sentence | None = None
+        self._mark: Sentence | None = None
 
     @classmethod
     def open(cls, parts: StageParts) -> Self:
@@ -196,22 +197,22 @@ def _is_highest(inspection: Press) -> bool:
     return math.isclose(float(score_map.max()), verdict.score, rel_tol=_SAME)
 
 
-def _too_blind(gel_id: str, judged: Judged, most_blind_share: float) -> str:
-    return (
+def _too_blind(gel_id: str, judged: Judged, most_blind_share: float) -> Sentence:
+    return Sentence(
         f"{judged.blind_mm2:.1f} mm2 of the contact, {judged.blind_share:.0%} of it, lie under scars of gel "
         f"{gel_id} and are not judged, at most {most_blind_share:.0%} are accepted; wipe the gel, or mount a "
         "new one and run `gelgate gel replace`"
     )
 
 
-def _repeated(place: Repeated) -> str:
-    at = f"at ({place.x_mm:.1f}, {place.y_mm:.1f}) mm"
+def _repeated(place: Repeated) -> Sentence:
+    at = Sentence(f"at ({place.x_mm:.1f}, {place.y_mm:.1f}) mm")
     if place.is_outside:
-        return (
+        return Sentence(
             f"the gel shows the same mark {at} in five presses in a row, where the part does not reach, so nothing "
             "fails by it; wipe the gel there, or change it"
         )
-    return (
+    return Sentence(
         f"five presses in a row exceed the limit at the same place of the gel, {at}: a mark of the gel, or the same "
         "damage of each part; wipe the gel there and press a part that is known to be good; if it fails there too, "
         "change the gel"

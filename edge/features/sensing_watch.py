@@ -9,6 +9,7 @@ from edge.core.contact.events import Event, PressBegan, PressEnded
 from edge.core.contact.press_detector import Look
 from edge.core.contact.sight import BLIND_AFTER_S, LongContact, Sight
 from edge.core.ports import Clock
+from edge.core.sentence import Sentence
 from edge.press_stage import Alarms, Mounted, PressStage, StageParts
 from edge.store.acts import Act
 from edge.store.press_store import Store
@@ -40,7 +41,7 @@ class SensingWatch(PressStage):
     def __init__(self, alarms: Alarms, store: Store, clock: Clock) -> None:
         self._alarms, self._store, self._clock = alarms, store, clock
         self._contact = LongContact()
-        self._blind: str | None = None
+        self._blind: Sentence | None = None
         self._seen_ns: int | None = None
         self._unseen: deque[Act] = deque(maxlen=_MOST_WAITING)
         self._is_pressed = False  # and the press has not been interrupted
@@ -90,10 +91,10 @@ class SensingWatch(PressStage):
         act = Act(self._clock.time_ns(), "the gateway", "not_seen", arguments=arguments, outcome="done")
         self._unseen.append(act)
 
-    def _sentence(self, sight: Sight, timestamp_ns: int) -> str:
+    def _sentence(self, sight: Sight, timestamp_ns: int) -> Sentence:
         ago_ns = timestamp_ns - (sight.since_ns if sight.since_ns is not None else timestamp_ns)
         since = datetime.fromtimestamp((self._clock.time_ns() - ago_ns) / 1e9).astimezone()
-        return (
+        return Sentence(
             f"the sensor is blind: nothing was seen since {since:%H:%M:%S}, and presses since then are neither judged "
             f"nor counted; for {BLIND_AFTER_S:.0f} s {sight.lost}. Check its light and gel, then plug it in again"
         )

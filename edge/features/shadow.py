@@ -14,6 +14,7 @@ from edge.core.contact.events import PressSettled
 from edge.core.errors import ArchiveError, NotScorable, PoseNotFound, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.press import Press
+from edge.core.sentence import Sentence
 from edge.core.shadow import LEAST_ON_NEW_GEL, JudgedTwice, ShadowVerdict, Weighing
 from edge.features.scars import mask_scars
 from edge.messaging.command_payloads import NoArguments
@@ -88,7 +89,7 @@ class Shadow(PressStage):
             self._scored, why = (shadow, Press(error=repr(error))), f"{error!r:.200}"
         took_s = (self._clock.monotonic_ns() - started_ns) / 1e9
         late = self._judge_time(shadow, took_s, inspector)
-        self._fault = late or ((shadow, f"gave no score: {why}") if why else None)
+        self._fault = late or ((shadow, Sentence(f"gave no score: {why}")) if why else None)
         return replace(press, latency_ms={**press.latency_ms, "shadow": took_s * 1e3})
 
     def _judge_time(
@@ -101,8 +102,10 @@ class Shadow(PressStage):
         if not self._is_left_out(shadow):
             return None
         return shadow, (
-            f"is left out, for it took {took_s:.1f} s, at most {most_s:.1f} s are allowed, and each verdict waits for "
-            "it: fit one with a faster method or a smaller bank"
+            Sentence(
+                f"is left out, for it took {took_s:.1f} s, at most {most_s:.1f} s are allowed, and each verdict waits "
+                "for it: fit one with a faster method or a smaller bank"
+            )
         )
 
     def _is_left_out(self, shadow: Inspector) -> bool:
@@ -143,10 +146,12 @@ class Shadow(PressStage):
         """Exchange the bundles where that was asked for, while nothing is pressed. Errors: StoreError."""
         faults = [*self._selection.shadow_faults]
         if self._fault is not None and self._fault[0] is self._selection.shadow:
-            faults.append(f"the shadow of {self._selection.part} {self._fault[1]}")
+            faults.append(Sentence(f"the shadow of {self._selection.part} {self._fault[1]}"))
         if self._said != (said := "; ".join(faults) or None):
             self._said = said
-            self._alarms.say("shadow", said and f"{said}; presses are inspected without it", "warning")
+            self._alarms.say(
+                "shadow", said and Sentence(f"{said}; presses are inspected without it"), "warning"
+            )
         self._gel = None if mounted is None else (mounted.serial, mounted.gel_id)
         wish = self._exchange
         if wish is None or (mounted is not None and mounted.has_contact):
@@ -165,9 +170,13 @@ class Shadow(PressStage):
                 after={"bundle_id": wish.after, "why": wish.why},
             )
             self._selection.exchange(why)
-            text = f"bundle {wish.after[:12]} inspects {wish.part} instead of {wish.before[:12]}: {wish.why}"
+            text = Sentence(
+                f"bundle {wish.after[:12]} inspects {wish.part} instead of {wish.before[:12]}: {wish.why}"
+            )
         else:
-            text = f"bundle {wish.after[:12]} has not taken over: another part or bundle is in use; ask again"
+            text = Sentence(
+                f"bundle {wish.after[:12]} has not taken over: another part or bundle is in use; ask again"
+            )
         self._exchange = None
         log.warning("%s", text)
         self._alarms.say("takeover", text, "warning")

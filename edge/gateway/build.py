@@ -15,6 +15,7 @@ from edge import registry
 from edge.acquisition import Acquisition
 from edge.config import Config, sink_names
 from edge.core.ports import Clock, Device, Message, Sink
+from edge.core.sentence import Sentence
 from edge.core.sink_context import PageRequests, Station
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.command_table import (
@@ -102,7 +103,7 @@ def _build(
     _forget_last_heatmap(config, store, retained_state)
     pictures = _open_pictures(config, store, bundles, publisher.wake, lambda: by_name.values())
     closing.callback(pictures.close)
-    status.set_waiting_for("the sensor")
+    status.set_waiting_for(Sentence("the sensor"))
     device = _opener(config, bundles[part].bundle.profile.controls, clock, closing, checked)
     acquisition = Acquisition(device, clock, status.sensor_changed)
     closing.callback(acquisition.close)

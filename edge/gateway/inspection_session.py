@@ -31,6 +31,7 @@ from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.core.press import JudgedFrame, Press, PressLabel
+from edge.core.sentence import Sentence
 from edge.gateway.recorder import PressReport, Recorder, WaitingPress
 from edge.gateway.status import StationStatus
 from edge.logs import about_press
@@ -45,11 +46,11 @@ __all__ = ["InspectionSession"]
 log = logging.getLogger(__name__)
 
 # The station waits for this before it inspects.
-FREE_GEL: Final = "the free gel, to learn its picture"
+FREE_GEL: Final = Sentence("the free gel, to learn its picture")
 # Presses that wait while the database refuses writes, each with a picture of some 60 kB; more are only counted.
 MOST_WAITING: Final = 256
 # The alarm while the picture of the free gel may be wrong.
-DOUBTED: Final = (
+DOUBTED: Final = Sentence(
     "the picture of the free gel was most likely learnt while something pressed; nothing is scored until the free gel "
     "is seen at rest: lift the part for a second"
 )
@@ -196,7 +197,9 @@ class InspectionSession:
                 case PressSettled():
                     presses.append(self._judge(Press(), event))
                 case PressNotSettled():
-                    text = f"the press gave no still frame: {event.reason.value}; press longer and without sliding"
+                    text = Sentence(
+                        f"the press gave no still frame: {event.reason.value}; press longer and without sliding"
+                    )
                     presses.append(self._judge(Press().reject(Rejection(Reason.NOT_SETTLED, text)), None))
         return presses
 
@@ -267,7 +270,7 @@ class InspectionSession:
         match event:
             case StartedTouched():
                 log.warning("something presses the gel at the start; nothing is inspected until it is free")
-                self._status.set_waiting_for(f"{FREE_GEL}; something presses it")
+                self._status.set_waiting_for(Sentence(f"{FREE_GEL}; something presses it"))
             case ReferenceDoubted():
                 log.warning("%s", DOUBTED)
                 self._status.set_fault("free_gel", DOUBTED)

@@ -11,6 +11,7 @@ from edge.background import Background
 from edge.core.errors import GelgateError, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
+from edge.core.sentence import Sentence, join_sentences
 from edge.gateway.bundle_set import BundleSet
 from edge.gateway.golden_watch import GoldenWatch
 from edge.gateway.opening import Opened
@@ -199,8 +200,10 @@ class PartSelection:
                     self._in_use = new
             else:
                 faults.append(
-                    f"there is no bundle for the selected {self._wanted} any more, so those in use stay; add one, or "
-                    "select another part and reload again"
+                    Sentence(
+                        f"there is no bundle for the selected {self._wanted} any more, so those in use stay; add one, "
+                        "or select another part and reload again"
+                    )
                 )
         self._report(faults)
 
@@ -208,7 +211,7 @@ class PartSelection:
         """Say it in the log and by the alarm; `step` writes it into the table of acts."""
         for fault in faults:
             log.error("%s", fault)
-        self._status.say("bundle", "; ".join(faults) or None)
+        self._status.say("bundle", join_sentences(faults))
         bundles = {str(part): one.bundle.digest for part, one in self.bundles.bundles.items()}
         self._unrecorded.append(
             Act(
@@ -216,7 +219,7 @@ class PartSelection:
                 "the gateway",
                 "open_bundles",
                 outcome="failed" if faults else "done",
-                sentence="; ".join(faults) or None,
+                sentence=join_sentences(faults),
                 after={"bundles": bundles},
             )
         )
@@ -227,5 +230,5 @@ class PartSelection:
         self.inspector.fault = fault
         if fault is None:
             self._status.clear_fault("golden")
-        elif self._status.set_fault("golden", fault):
+        elif self._status.set_fault("golden", Sentence(fault)):
             log.error("%s", fault)

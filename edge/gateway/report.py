@@ -18,6 +18,7 @@ from edge.core.errors import StoreError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import MAX_AGE_S, Reason
 from edge.core.ports import Clock
+from edge.core.sentence import Sentence, join_sentences
 from edge.gateway.inspection_session import InspectionSession
 from edge.gateway.recorder import PressReport
 from edge.gateway.status import StationStatus
@@ -78,13 +79,13 @@ class OverloadRule:
 
     def __init__(self) -> None:
         self._before = FrameCounts()
-        self._sentence: str | None = None
+        self._sentence: Sentence | None = None
 
     def skip(self, counts: FrameCounts) -> None:
         """Skip this window: something else delayed the gateway, and has its own alarm."""
         self._before = counts
 
-    def step(self, counts: FrameCounts) -> str | None:
+    def step(self, counts: FrameCounts) -> Sentence | None:
         """The fault and what to do while this machine is too slow, None while it keeps up.
 
         Raised when more than RAISE_SHARE of the window's frames were dropped or late, or when a press could not be
@@ -101,13 +102,15 @@ class OverloadRule:
         return self._sentence
 
 
-def _sentence(window: FrameCounts) -> str:
+def _sentence(window: FrameCounts) -> Sentence:
     presses = ""
     if window.interrupted:
-        presses += f", {window.interrupted} times while the gel was pressed"
+        presses += Sentence(f", {window.interrupted} times while the gel was pressed")
     if window.late_presses:
-        presses += f", and {window.late_presses} presses were rejected because they were judged too late"
-    return (
+        presses += Sentence(
+            f", and {window.late_presses} presses were rejected because they were judged too late"
+        )
+    return Sentence(
         f"this machine is too slow: of the last {window.frames} frames {window.dropped} were dropped and "
         f"{window.late} came too late{presses}; presses may have been missed. End other programs on it, give it "
         "more cores, or use a bundle that scores faster"
@@ -216,14 +219,14 @@ class FreeSpace:
         self._ask = ask
         self._is_low = False
 
-    def check(self) -> str | None:
+    def check(self) -> Sentence | None:
         """Ask again; the sentence of the alarm, None while there is room."""
         self.bytes = self._ask(self._database)
         if self.bytes is not None:
             self._is_low = self.bytes < self._warn_bytes * (CLEARED_AT if self._is_low else 1)
         if not self._is_low or self.bytes is None:
             return None
-        return (
+        return Sentence(
             f"the disk of {self._database} has {self.bytes / 1e6:.0f} MB free, fewer than {self._warn_bytes / 1e6:.0f} "
             "(store.free_mb); free space before it is full: then inspection halts"
         )
@@ -266,7 +269,7 @@ class Report:
     def note_store_fault(self, error: StoreError) -> None:
         """Raise the fault; frames lost because the store refuses writes are no overload."""
         self._was_held_up = True
-        if self._status.set_fault("store", str(error)):
+        if self._status.set_fault("store", Sentence(str(error))):
             log.error("%s", error)
 
     def publish(self, session: InspectionSession | None, *, is_halted: bool) -> None:
@@ -310,10 +313,10 @@ class Report:
         )
         status.announce(payload.message())
         refusals = "; ".join(sink.last_refusal for sink in counters.values() if sink.last_refusal)
-        refused = f"{outbox.refused} messages were refused and are kept: {refusals}"
+        refused = Sentence(f"{outbox.refused} messages were refused and are kept: {refusals}")
         status.say("refused", refused if outbox.refused else None)
         faults = [f"{name}: {fault}" for name, sink in counters.items() for fault in sink.faults]
-        status.say("receiver", "; ".join(faults) or None, "warning")
+        status.say("receiver", join_sentences(faults), "warning")
         status.counts(findings)
 
     def note_drops(self, outbox: OutboxStatus) -> None:
@@ -321,13 +324,13 @@ class Report:
         self._outbox = outbox
         crowded = {kind: number - outbox.aged.get(kind, 0) for kind, number in outbox.unseen.items()}
         words = [
-            f"{number} of kind {kind} ({why})"
-            for counts, why in ((outbox.aged, "too old"), (crowded, "no room"))
+            Sentence(f"{number} of kind {kind} ({why})")
+            for counts, why in ((outbox.aged, Sentence("too old")), (crowded, Sentence("no room")))
             for kind, number in counts.items()
             if number
         ]
         if words:
-            self._status.say("outbox_full", f"unsent messages were dropped: {', '.join(words)}")
+            self._status.say("outbox_full", Sentence(f"unsent messages were dropped: {'; '.join(words)}"))
 
     def acknowledge_drops(self) -> None:
         """A person has seen the alarm `outbox_full`: it is raised again by the next drop. Errors: StoreError."""

@@ -11,6 +11,7 @@ from edge.core.contact_state import ContactState
 from edge.core.digital_io import StationView
 from edge.core.gel_life import GelState
 from edge.core.ports import Clock, DeviceIdentity, Message
+from edge.core.sentence import Sentence, join_sentences
 from edge.messaging.alarm_payload import ALARMS, AlarmPayload, alarm_cleared, list_alarms
 from edge.messaging.status_payloads import (
     GelPayload,
@@ -34,24 +35,24 @@ class StationStatus:
         self.announce = announce
         self._clock = clock
         self._lock = threading.RLock()  # the reader thread reports the sensor, the loop everything else
-        self._faults: dict[str, str] = {}
-        self._blind: str | None = None
-        self._sensor_fault: str | None = None
+        self._faults: dict[str, Sentence] = {}
+        self._blind: Sentence | None = None
+        self._sensor_fault: Sentence | None = None
         self._raised: set[str] = set()
-        self._waiting_for: str | None = None
+        self._waiting_for: Sentence | None = None
         self._is_stopped = False
-        self._unproven: str | None = None
+        self._unproven: Sentence | None = None
         self._contact: ContactState = "unknown"
         self._piece_id: str | None = None
         self._said: tuple[str, str | None, str | None] | None = None
 
-    def set_waiting_for(self, what: str | None) -> None:
+    def set_waiting_for(self, what: Sentence | None) -> None:
         """The thing that the station waits for before it can inspect, None when it inspects."""
         with self._lock:
             self._waiting_for = what
             self._say_state()
 
-    def set_fault(self, alarm: str, text: str) -> bool:
+    def set_fault(self, alarm: str, text: Sentence) -> bool:
         """Nothing can be inspected until `clear_fault`: an alarm, and the state. Returns whether this is a change."""
         with self._lock:
             is_new = alarm not in self._faults
@@ -75,11 +76,11 @@ class StationStatus:
                 log.info("sensor %s delivers frames", sensor.identity.serial if sensor.identity else "?")
                 self._sensor_fault = None
             elif sensor.state is AcquisitionState.FAULT:
-                self._sensor_fault = sensor.fault or "the sensor stopped without a reason"
+                self._sensor_fault = Sentence(sensor.fault or "the sensor stopped without a reason")
                 log.warning("%s", self._sensor_fault)
             self._say_device()
 
-    def set_blind(self, reason: str | None) -> None:
+    def set_blind(self, reason: Sentence | None) -> None:
         """Say why the sensor's frames show nothing; None while they do. Frames alone do not end this fault."""
         with self._lock:
             self._blind = reason
@@ -88,11 +89,11 @@ class StationStatus:
     def _say_device(self) -> None:
         faults = [fault for fault in (self._sensor_fault, self._blind) if fault is not None]
         if faults:
-            self.set_fault("device", "; ".join(faults))
+            self.set_fault("device", Sentence("; ".join(faults)))
         else:
             self.clear_fault("device")
 
-    def contact(self, sentence: str | None, is_fault: bool) -> None:
+    def contact(self, sentence: Sentence | None, is_fault: bool) -> None:
         """An alarm while a contact lasts longer than the usual ones, and in the end a fault."""
         if sentence is None:
             if "contact" in self._raised:
@@ -126,12 +127,16 @@ class StationStatus:
         if self._is_stopped:
             return "stopped", None
         if self._faults:
-            return "halted", " ".join(self._faults.values())
+            return "halted", join_sentences(self._faults.values())
         return (
-            ("ready", None) if self._waiting_for is None else ("starting", f"waiting for {self._waiting_for}")
+            ("ready", None)
+            if self._waiting_for is None
+            else ("starting", Sentence(f"waiting for {self._waiting_for}"))
         )
 
-    def say(self, alarm: str, sentence: str | None, severity: Literal["warning", "error"] = "error") -> None:
+    def say(
+        self, alarm: str, sentence: Sentence | None, severity: Literal["warning", "error"] = "error"
+    ) -> None:
         """Raise an alarm for a person, or clear it with None. The log has it once, until it is cleared.
 
         One that no one declares is in the log, the stats and the lights alone: the fault of a feature stops no
@@ -165,11 +170,13 @@ class StationStatus:
         if gel.state is GelState.GOOD:
             self.say("gel", None)
             return
-        word = "must be replaced" if gel.state is GelState.REPLACE else "is due"
-        text = f"gel {gel.gel_id} {word}: {gel.presses} of {gel.limit_presses} presses; then `gelgate gel replace`"
+        word = Sentence("must be replaced") if gel.state is GelState.REPLACE else Sentence("is due")
+        text = Sentence(
+            f"gel {gel.gel_id} {word}: {gel.presses} of {gel.limit_presses} presses; then `gelgate gel replace`"
+        )
         self.say("gel", text, "warning" if gel.state is GelState.DUE else "error")
 
-    def set_unproven(self, sentence: str | None) -> None:
+    def set_unproven(self, sentence: Sentence | None) -> None:
         """Show in the state why the bundle in use is not yet proven on the mounted gel, None where it is."""
         with self._lock:
             self._unproven = sentence
@@ -229,4 +236,4 @@ class StationStatus:
     def counts(self, findings: Sequence[str]) -> None:
         """An alarm for counts that had to be corrected; it stays until a person acknowledges it, over a restart too."""
         if findings:
-            self.say("counts", "; ".join(findings))
+            self.say("counts", Sentence("; ".join(findings)))

@@ -27,6 +27,7 @@ from edge.core.imaging.sensor_check import check_sensor
 from edge.core.ports import Clock
 from edge.core.press import Press
 from edge.core.registration.pose import Registered
+from edge.core.sentence import Sentence
 from edge.core.verdict import Kind
 from edge.model.manifest_facts import USUAL_CONTACT
 from edge.model.scorer import Scorer
@@ -190,15 +191,17 @@ class Inspector:
             scored = self.scorer.score_filled(filled)
             verdict = self.bundle.manifest.decide(scored.anomaly_score)
         except PoseNotFound as error:
-            return press.reject(Rejection(Reason.NO_POSE, str(error)))
+            return press.reject(Rejection(Reason.NO_POSE, Sentence(str(error))))
         except NotScorable as error:
             return replace(press, error=str(error))
         if verdict.kind in (Kind.PASS, Kind.UNSURE) and not self._touches_judged(filled, scored.registered):
             return press.reject(
                 Rejection(
                     Reason.ALL_IGNORED,
-                    "the press touches the part only where drawn regions ignore it, so nothing was judged; check how "
-                    "the part meets the sensor, or draw the regions again",
+                    Sentence(
+                        "the press touches the part only where drawn regions ignore it, so nothing was judged; check "
+                        "how the part meets the sensor, or draw the regions again"
+                    ),
                 )
             )
         if scored.registered is not None:

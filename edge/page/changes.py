@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from edge.core.ports import Clock
 from edge.core.rate import Rate
+from edge.core.sentence import Sentence
 from edge.core.sink_context import PageRequests
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, CommandResponse
 from edge.page.access import Refused
@@ -27,7 +28,7 @@ WRONG_PER_MINUTE: Final = 10
 # Addresses that are counted; of more the oldest is forgotten.
 MOST_ADDRESSES: Final = 256
 
-READ_ONLY: Final = "this page only shows: no token is configured for it"
+READ_ONLY: Final = Sentence("this page only shows: no token is configured for it")
 
 # Requests of other pages that are recorded for one address; more would push guesses at the token out of the table.
 FOREIGN_PER_MINUTE: Final = 1
@@ -91,15 +92,18 @@ class Changes:
         wrong = self._wrong.of(client)
         if wrong.is_exhausted:
             return Refused(
-                429, f"more than {WRONG_PER_MINUTE} wrong tokens a minute from {client}; wait some seconds"
+                429,
+                Sentence(
+                    f"more than {WRONG_PER_MINUTE} wrong tokens a minute from {client}; wait some seconds"
+                ),
             )
         kind, _, given = authorization.partition(" ")
         if self._digest is None:
             refused = Refused(403, READ_ONLY, is_recorded=True)
         elif kind.lower() != "bearer" or not given.strip():
-            refused = Refused(401, "a change needs the token of this page", is_recorded=True)
+            refused = Refused(401, Sentence("a change needs the token of this page"), is_recorded=True)
         elif not hmac.compare_digest(_digest(given.strip().encode()), self._digest):
-            refused = Refused(401, "this is not the token of this page", is_recorded=True)
+            refused = Refused(401, Sentence("this is not the token of this page"), is_recorded=True)
         else:
             return None
         wrong.take()

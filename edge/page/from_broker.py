@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from edge.core.errors import GelgateError, SinkError
 from edge.core.ports import Clock, Message
+from edge.core.sentence import Sentence
 from edge.core.sink_context import TOPIC_VERSION, PageRequests
 from edge.messaging.command_payloads import CommandRequest, CommandResponse, signature_of, signed_text
 from edge.messaging.mqtt_broker import Broker, Received
@@ -102,7 +103,7 @@ class BrokerStation:
             try:
                 self.listen()
             except SinkError as error:
-                why = f"{error}; trying again"
+                why = Sentence(f"{error}; trying again")
                 if why != self._why_away:  # once, and not with each attempt
                     log.warning("%s", why)
                 self._why_away = why
@@ -129,8 +130,10 @@ class BrokerStation:
         log.info("listening to broker %s", self._broker)
         self.shown.forget_status()
         self.shown.set_away(
-            f"broker {self._broker} has no message of a station below {self._filter} yet; check the names, and that "
-            "its gateway runs"
+            Sentence(
+                f"broker {self._broker} has no message of a station below {self._filter} yet; check the names, and "
+                "that its gateway runs"
+            )
         )
 
     def see(self, message: Received) -> None:

@@ -10,6 +10,7 @@ from datetime import date
 
 from edge.core.errors import StoreError
 from edge.core.gel_life import DEFAULT_WARN_FRACTION, LONGEST_ID, GelLabel, GelState, is_past, state_of
+from edge.core.sentence import Sentence
 from edge.store import ledger_chain
 
 __all__ = ["GelRecord", "add_presses", "count_press", "find_mounted", "history", "mount"]
@@ -63,15 +64,19 @@ class GelRecord:
             return GelState.REPLACE
         return state_of(self.presses, self.limit_presses, self.warn_fraction)
 
-    def list_remarks(self, today: date) -> list[str]:
+    def list_remarks(self, today: date) -> list[Sentence]:
         """List what a person who mounts it must know, a sentence each."""
         remarks = []
         if is_past(self.use_by, today):
-            remarks.append(f"gel {self.gel_id} is past its use-by date {self.use_by}: mount another one")
+            remarks.append(
+                Sentence(f"gel {self.gel_id} is past its use-by date {self.use_by}: mount another one")
+            )
         if self.presses_before is not None:
             remarks.append(
-                f"gel serial '{self.gel_serial}' was mounted before: its count goes on from {self.presses_before} of "
-                f"{self.limit_presses} presses"
+                Sentence(
+                    f"gel serial '{self.gel_serial}' was mounted before: its count goes on from {self.presses_before} "
+                    f"of {self.limit_presses} presses"
+                )
             )
         return remarks
 
@@ -159,8 +164,10 @@ def _find_known(
     ).fetchone()
     if there is not None:
         raise StoreError(
-            f"gel serial '{gel_serial}' is on sensor {there[0]}, as its gel {there[1]}; correct the serial, or record "
-            f"first which gel that sensor has now (`gelgate gel replace --serial {there[0]}`)"
+            Sentence(
+                f"gel serial '{gel_serial}' is on sensor {there[0]}, as its gel {there[1]}; correct the serial, or "
+                f"record first which gel that sensor has now (`gelgate gel replace --serial {there[0]}`)"
+            )
         )
     known: tuple[int, str | None, str | None, int, float | None] | None = connection.execute(
         f"SELECT limit_presses, gel_type, use_by, presses, wear_index {of} ORDER BY presses DESC, rowid DESC LIMIT 1",

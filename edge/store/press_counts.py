@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final, Self
 
+from edge.core.sentence import Sentence
 from edge.store import gel_ledger, ledger_chain
 
 __all__ = ["Count", "PressCounts", "acknowledge_corrections", "list_corrections", "recover"]
@@ -161,15 +162,19 @@ def recover(
         _continue_numbers(connection, known.sequence)
         _restore_gel(connection, known, serial, time_ns)
         sentences.append(
-            f"presses {newest + 1} to {known.sequence} are missing, so it was removed, damaged or replaced by an old "
-            f"copy; gel {known.gel_id} of sensor {serial} goes on from {known.presses} presses. Look for the lost "
-            "file; unsent results in it are lost"
+            Sentence(
+                f"presses {newest + 1} to {known.sequence} are missing, so it was removed, damaged or replaced by an "
+                f"old copy; gel {known.gel_id} of sensor {serial} goes on from {known.presses} presses. Look for the "
+                "lost file; unsent results in it are lost"
+            )
         )
     if known.uncounted:
         gel_ledger.add_presses(connection, serial, time_ns, known.uncounted)
         sentences.append(
-            f"{known.uncounted} presses of sensor {serial} were made while it refused writes; they are counted on the "
-            "gel now, and their results are lost"
+            Sentence(
+                f"{known.uncounted} presses of sensor {serial} were made while it refused writes; they are counted on "
+                "the gel now, and their results are lost"
+            )
         )
     rows = [(f"database {path}: {sentence}",) for sentence in sentences]
     connection.executemany("INSERT INTO corrected_counts (sentence) VALUES (?)", rows)

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from edge import registry
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.press import Press
+from edge.core.sentence import Sentence
 from edge.messaging.alarm_payload import ALARMS, list_alarms
 from edge.press_stage import PressStage
 from plugins.conformance.played_station import PRESSES, PlayedStation, open_played
@@ -128,5 +129,5 @@ class Refusing(PressStage):
     def admit(self, press: Press) -> Press:
         self._presses += 1
         if self._presses == 1:
-            return press.reject(Rejection(Reason.FEATURE, "the check refuses it"))
+            return press.reject(Rejection(Reason.FEATURE, Sentence("the check refuses it")))
         return replace(press, error=self.fault) if self._presses == 2 else press

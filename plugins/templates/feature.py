@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 from pydantic import BaseModel, Field
 
 from edge.core.press import Press
+from edge.core.sentence import Sentence
 from edge.messaging.alarm_payload import Alarm
 from edge.messaging.command_payloads import NoArguments
 from edge.press_stage import Alarms, Command, Data, PressStage, StageParts
@@ -38,7 +39,7 @@ class Shifts(PressStage):
         shift = f"shift {datetime.fromtimestamp(press.time_ns / 1e9, UTC).hour // 8 + 1}"
         self._counts[shift] += 1
         if self._counts[shift] == self._options.goal:
-            self._alarms.say("template", f"{shift} has its parts", "warning")
+            self._alarms.say("template", Sentence(f"{shift} has its parts"), "warning")
 
     def answer(self, arguments: NoArguments) -> Data:
         """Return the presses of each shift."""

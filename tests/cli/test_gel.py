@@ -107,7 +107,7 @@ def test_prove_is_refused_until_presses_are_enough(
     out = capsys.readouterr().out
     assert refused.value.exit_code == 1
     assert "Press 1 more sound parts without an alarm" in out
-    assert "is proven on gel 2BNN4ZE7-2: 22 presses on this gel with no alarm" in out
+    assert "is proven on gel 2BNN4ZE7-2: on this gel 0 of 22 presses alarmed" in out
     assert out.endswith("every bundle that was used on the mounted gel is proven on it\n")
     assert acts == [("prove_gel", "done"), ("prove_gel", "refused")]
 

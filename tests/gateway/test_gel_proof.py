@@ -48,14 +48,14 @@ def test_a_new_gel_is_said_in_the_state_and_as_an_alarm(
         text, alarm = station.said("state")["unproven"], station.said("alarm/gel_proof")
         assert station.verdicts == [Kind.PASS] * 3
         station.play_presses(4)
-        assert "3 presses on this gel with 1 alarm allow" in station.said("state")["unproven"]
+        assert "on this gel 1 of 3 presses alarmed, which allows" in station.said("state")["unproven"]
     with SteppedStation(tmp_path / "gelgate.toml") as again:
         again.play_until(lambda: again.loop.session is not None)
-        assert "3 presses on this gel with 1 alarm" in again.said("state")["unproven"]
+        assert "on this gel 1 of 3 presses alarmed" in again.said("state")["unproven"]
 
     assert text.startswith("bundle PZ0/pos1 (")
     assert (
-        "is not yet proven on gel TEST0001-2: it was used on gel TEST0001-1; 2 presses on this gel with"
+        "is not yet proven on gel TEST0001-2: it was used on gel TEST0001-1; on this gel"
         in text
     )
     assert (alarm["text"], alarm["severity"]) == (text, "warning")

@@ -128,7 +128,7 @@ def test_parts_are_rejected_until_the_reference_press_is_good(config: Callable[.
     assert str(due.reason).startswith("reference: a reference press of M1 is due")
     assert str(out.reason).startswith("reference: the reference press of M1 is out of limits")
     assert "score is " in raised
-    assert "then press M1 again" in raised
+    assert "then press it again" in raised
     assert states == ["halted", "ready", "ready"]
     assert gel == 9
 

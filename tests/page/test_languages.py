@@ -1,7 +1,6 @@
-"""The operator's page in other languages: every text is in every catalogue, and none is cut or left in English."""
+"""The operator's page in other languages: every text and every sentence of the station is in every catalogue, and none
+is cut or left in English."""
 
-import ast
-import inspect
 import json
 import re
 from html.parser import HTMLParser
@@ -12,12 +11,14 @@ import pytest
 from chromium import BROWSER_MS, wait_until
 from page_messages import press
 from page_pictures import READY, SCENES, TOKEN, Scene, served
+from station_sentences import find_sentences
 
+from edge.core.contact.events import NotSettledReason
 from edge.core.drawn_regions import RegionKind
 from edge.core.drift import MEASURES
 from edge.core.gel_life import GelState
-from edge.core.gel_scars import causes
 from edge.core.imaging.quality import Reason
+from edge.core.reference_press.control_chart import MEASURES as CHARTED
 from edge.core.verdict import Cause, Kind
 from edge.messaging.alarm_payload import ALARMS
 from edge.messaging.status_payloads import StatePayload
@@ -25,21 +26,26 @@ from edge.page.server import LANGUAGES
 
 FILES = Path(__file__).resolve().parents[2] / "edge" / "page" / "files"
 SCRIPT = (FILES / "page.js").read_text(encoding="utf-8")
-# The sentences of `edge/core/gel_scars/causes.py` without values, which are all.
-BLAMES = {
-    ast.literal_eval(call.args[1])
-    for call in ast.walk(ast.parse(inspect.getsource(causes)))
-    if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Blame"
-}
 # What a station or a person says in words that do not change, which the page looks up.
 WORDS = {
     *(text for kind in ALARMS.values() for text in (kind.title, kind.what_to_do)),
-    *(text for measure in MEASURES for text in (measure.title, measure.what_to_do)),
-    *BLAMES,
     *("ignored", "of", *get_args(RegionKind), "no region is drawn any more"),
-    *(str(one.value) for kinds in (Kind, Cause, GelState, Reason) for one in kinds),
+    *(str(one.value) for kinds in (Cause, GelState, Reason) for one in kinds),
     *get_args(StatePayload.model_fields["state"].annotation),
     *("error", "incomplete", "damaged", "cannot tell"),
+}
+PATTERNS, NOT_LITERAL = find_sentences()
+# Patterns, and the words that stand in their places; a name of a part is looked up among nothing else.
+SENTENCES = {
+    *PATTERNS,
+    *(text for measure in (*MEASURES, *CHARTED) for text in (measure.title, measure.what_to_do)),
+    *(one.value for kinds in (Kind, NotSettledReason) for one in kinds),
+}
+FIELDS = re.compile(r"\{\w+\}|`[^`]+`")  # values, and what is typed
+GEL_DUE = {
+    "de": "Gel S-1 ist fällig: 812 von 1000 Pressungen",
+    "it": "il gel S-1 è in scadenza: 812 di 1000 pressate",
+    "ja": "ゲルS-1は交換時期です：1000回中812回",
 }
 
 # The elements whose text is wider than they are, and the height of the verdict beside that of its letters.
@@ -81,7 +87,7 @@ def texts() -> set[str]:
     return html.found | set(re.findall(r'\bt\("((?:[^"\\]|\\.)*)"', SCRIPT)) | WORDS
 
 
-def catalogue(language: str) -> dict[str, str]:
+def catalogue(language: str) -> dict[str, Any]:
     return dict(json.loads((FILES / f"words_{language}.json").read_text(encoding="utf-8")))
 
 
@@ -89,13 +95,15 @@ def catalogue(language: str) -> dict[str, str]:
 def test_no_text_is_missing_or_unused_and_each_keeps_its_values(language: str) -> None:
     """A text that is not in the catalogue would be English between the others."""
     words = catalogue(language)
+    sentences = words.pop("sentences")
 
-    assert (texts() - set(words), set(words) - texts()) == (set(), set())
-    fields = re.compile(r"\{\w+\}|`[^`]+`")  # values, and what is typed
-    assert [
-        text for text in words if sorted(fields.findall(text)) != sorted(fields.findall(words[text]))
-    ] == []
-    assert [text for text, word in words.items() if not word.strip()] == []
+    assert (texts() - SENTENCES - set(words), set(words) - texts() | set(words) & SENTENCES) == (set(), set())
+    assert (SENTENCES - set(sentences), set(sentences) - SENTENCES) == (set(), set())
+    both = {**words, **sentences}
+    assert [text for text in both if sorted(FIELDS.findall(text)) != sorted(FIELDS.findall(both[text]))] == []
+    assert [text for text, word in both.items() if not word.strip()] == []
+    assert set() == NOT_LITERAL
+    assert [text for text in PATTERNS if not re.search("[A-Za-z]", FIELDS.sub("", text))] == []
 
 
 def test_no_sentence_of_the_script_is_outside_of_the_catalogue() -> None:
@@ -127,11 +135,11 @@ def test_the_page_speaks_the_language_of_the_browser_and_nothing_is_cut(
         tab.press("#token", "Enter")
         tab.wait_for_selector("#new-gel", state="visible")
 
-        assert tab.inner_text("#verdict").lower() == words["fail"].lower()
+        assert tab.inner_text("#verdict").lower() == words["sentences"]["fail"].lower()
         assert tab.inner_text("#gel-title") == words["Gel"]
         assert words["due"] in tab.inner_text("#gel")
         said = tab.inner_text("#alarms .alarm p")
-        assert said.startswith(f"{words[ALARMS['gel'].title]}\ngel S-1 is due: 812 of 1000 presses")
+        assert said.startswith(words[ALARMS["gel"].title] + "\n" + GEL_DUE[language])
         assert words[ALARMS["gel"].what_to_do].replace("`", "") in said
         assert tab.get_attribute("html", "lang") == language
         assert tab.get_attribute("#press", "aria-label") == words["Last press"]
@@ -149,17 +157,55 @@ def test_the_page_speaks_the_language_of_the_browser_and_nothing_is_cut(
     context.close()
 
 
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_every_sentence_of_the_station_is_found_by_its_words(browser: Any, language: str) -> None:
+    """With its names and numbers, alone and between sentences that are not known; a name that is a word stays."""
+    sentences = catalogue(language)["sentences"]
+
+    def fill(text: str) -> str:
+        return re.sub(r"\{(\w+)\}", r"<\1>", text)
+
+    context = browser.new_context(locale=language)
+    tab = context.new_page()
+    tab.set_default_timeout(BROWSER_MS)
+    with served(Scene(READY)) as port:
+        tab.goto(f"http://127.0.0.1:{port}/")
+        wait_until(tab, "patterns.length > 0")
+        told = dict(
+            zip(sentences, tab.evaluate("(all) => all.map(tell)", [*map(fill, sentences)]), strict=True)
+        )
+        due = "gel part is due: 1 of 2 presses; then `gelgate gel replace`"
+        joined = tab.evaluate("tell", f"mqtt: no; {due}; no mark of the free gel explains it; constructor")
+    context.close()
+
+    assert {text: said for text, said in told.items() if said != fill(sentences[text])} == {}
+    first, end = (
+        GEL_DUE[language].replace("S-1", "part").replace("812", "1").replace("1000", "2"),
+        "; constructor",
+    )
+    assert joined.startswith(f"mqtt: no; {first}")
+    assert joined.endswith(f"; {sentences['no mark of the free gel explains it']}{end}")
+
+
 def test_a_rejected_press_says_why_in_the_language(browser: Any) -> None:
-    """By the reason's code; what is beside the part, and why it fails, are sentences of the catalogue or English."""
+    """By the reason's code and sentence; what the catalogue does not have is English."""
     context = browser.new_context(locale="de", viewport={"width": 1280, "height": 800})
     tab = context.new_page()
     tab.set_default_timeout(BROWSER_MS)
     rejected = press(
-        6, verdict=Kind.REJECTED, score=None, score_ratio=None, reason="off_position: press again"
+        6,
+        verdict=Kind.REJECTED,
+        score=None,
+        score_ratio=None,
+        reason="stale: the frame is 1.25 s old, at most 1 s is accepted; check the machine's load",
     )
     blamed = press(7, verdict=Kind.FAIL, cause=Cause.PART, cause_text="no mark of the free gel explains it")
     for messages, selector, words in (
-        (rejected, "#why", "liegt nicht an seiner Stelle: press again"),
+        (
+            rejected,
+            "#why",
+            "altes Bild: das Bild ist 1.25 s alt, höchstens 1 s sind erlaubt; die Last des Rechners prüfen",
+        ),
         (blamed, "#cause", "keine Marke des freien Gels erklärt es"),
     ):
         with served(Scene((*READY, *messages))) as port:

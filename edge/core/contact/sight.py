@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from edge.core.contact.mask import BLACK_LEVEL
 from edge.core.contact.reference import View
+from edge.core.sentence import Sentence
 
 __all__ = ["BLIND_AFTER_S", "LongContact", "Sight"]
 
@@ -51,7 +52,7 @@ class Sight:
         if fault is None and not is_frozen:
             self.lost, self.since_ns, self.seen_ns = None, timestamp_ns, timestamp_ns
         else:
-            self.miss(fault or "its picture has not changed", timestamp_ns)
+            self.miss(fault or Sentence("its picture has not changed"), timestamp_ns)
         return fault is None
 
     def miss(self, fault: str, timestamp_ns: int) -> None:
@@ -71,12 +72,12 @@ def _blindness(pixels: NDArray[np.uint8]) -> str | None:
     levels, deviations = cv2.meanStdDev(pixels)  # many times as fast as numpy's
     level = float(levels.mean())
     if level < BLACK_LEVEL:
-        return f"its picture is black, mean level {level:.1f}"
+        return Sentence(f"its picture is black, mean level {level:.1f}")
     if level > _WHITE_LEVEL:
-        return f"its picture is white, mean level {level:.1f}"
+        return Sentence(f"its picture is white, mean level {level:.1f}")
     contrast = float(deviations.max())
     if contrast < _LEAST_CONTRAST_LEVELS:
-        return f"its picture is of one colour, which varies by {contrast:.1f} levels over the view"
+        return Sentence(f"its picture is of one colour, which varies by {contrast:.1f} levels over the view")
     return None
 
 
@@ -111,15 +112,15 @@ class LongContact:
         """The length at which a contact is an alarm; at twice this it is a fault."""
         return max(_TIMES * median(self._lengths_s), _LEAST_S) if self._lengths_s else _FIRST_S
 
-    def look(self, timestamp_ns: int) -> tuple[str | None, bool]:
+    def look(self, timestamp_ns: int) -> tuple[Sentence | None, bool]:
         """Return what is to be said of the contact now, None while it is of a usual length; and whether it is a
         fault."""
         lasted_s = 0.0 if self._began_ns is None else (timestamp_ns - self._began_ns) / 1e9
         if lasted_s < self.limit_s:
             return None, False
-        usual = f", usually {median(self._lengths_s):.1f} s" if self._lengths_s else ""
+        usual = Sentence(f", usually {median(self._lengths_s):.1f} s") if self._lengths_s else ""
         # A text that stays the same is published once.
-        text = (
+        text = Sentence(
             f"something has pressed the gel for more than {self.limit_s:.0f} s{usual}; presses over it are not seen "
             "and not counted. Lift the part and look at the gel: wipe off what stays on it"
         )

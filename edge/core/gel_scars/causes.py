@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.gel_scars.record import Repeats
+from edge.core.sentence import Sentence
 from edge.core.verdict import Blame, Cause
 
 __all__ = ["SEVERAL", "blame", "is_explained", "remaining", "together"]
@@ -51,34 +52,42 @@ def blame(left: float | None, repeats: Repeats, wide_mm: float) -> Blame:
     if is_explained(left):
         return Blame(
             Cause.GEL,
-            "without the marks that the free gel shows it is not there; wipe the gel, and if it stays, "
-            "replace it",
+            Sentence(
+                "without the marks that the free gel shows it is not there; wipe the gel, and if it stays, "
+                "replace it"
+            ),
         )
     if left is not None and left <= _OF_THE_PART:
         return Blame(
             Cause.UNSURE,
-            "the free gel shows a mark there that explains only a part of it; press it elsewhere",
+            Sentence("the free gel shows a mark there that explains only a part of it; press it elsewhere"),
         )
     is_repeated = repeats.hits >= SEVERAL and repeats.rate >= _MOSTLY
     if is_repeated and repeats.spread_mm >= max(_MOVED_MM, wide_mm):
         return Blame(
             Cause.GEL,
-            "the same place of the gel exceeded the limit in the presses before, while the part lay at different "
-            "places; wipe the gel, and if it stays, replace it",
+            Sentence(
+                "the same place of the gel exceeded the limit in the presses before, while the part lay at different "
+                "places; wipe the gel, and if it stays, replace it"
+            ),
         )
     if left is None:
         return Blame(
             Cause.UNSURE,
-            "the free gel was not seen since the last press, so a mark on it cannot be excluded; lift for a second "
-            "between presses",
+            Sentence(
+                "the free gel was not seen since the last press, so a mark on it cannot be excluded; lift for a second "
+                "between presses"
+            ),
         )
     if repeats.hits >= _MANY and repeats.rate >= _ALWAYS:
         return Blame(
             Cause.UNSURE,
-            "the same place exceeded the limit in press after press with the part at one place, though no mark of the "
-            "free gel explains it; press a part that is known to be good, or press elsewhere",
+            Sentence(
+                "the same place exceeded the limit in press after press with the part at one place, though no mark "
+                "of the free gel explains it; press a part that is known to be good, or press elsewhere"
+            ),
         )
-    return Blame(Cause.PART, "no mark of the free gel explains it")
+    return Blame(Cause.PART, Sentence("no mark of the free gel explains it"))
 
 
 def together(blames: list[Blame]) -> Blame | None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.contact.mask import BLACK_LEVEL, Touch
+from edge.core.sentence import Sentence
 
 __all__ = [
     "BLACK_LEVEL",
@@ -57,8 +58,8 @@ class Rejection:
     """A press that cannot be judged."""
 
     reason: Reason
-    text: str
-    """One sentence for the operator."""
+    text: Sentence
+    """For the operator."""
 
 
 @dataclass(frozen=True)
@@ -95,15 +96,19 @@ def check_light(rgb: NDArray[np.uint8]) -> Rejection | None:
     if mean < BLACK_LEVEL:
         return Rejection(
             Reason.BLACK,
-            f"the frame's mean level is {mean:.1f}, at least {BLACK_LEVEL:g} is expected; "
-            "check the sensor's light and cable",
+            Sentence(
+                f"the frame's mean level is {mean:.1f}, at least {BLACK_LEVEL:g} is expected; "
+                "check the sensor's light and cable"
+            ),
         )
     share = float((rgb.max(axis=2) >= SATURATED_LEVEL).mean())
     if share > SATURATED_SHARE:
         return Rejection(
             Reason.SATURATED,
-            f"{share:.0%} of the frame is saturated, at most {SATURATED_SHARE:.0%} is accepted; lower the exposure or "
-            "the press depth",
+            Sentence(
+                f"{share:.0%} of the frame is saturated, at most {SATURATED_SHARE:.0%} is accepted; lower the "
+                "exposure or the press depth"
+            ),
         )
     return None
 
@@ -115,7 +120,9 @@ def check_freshness(timestamp_ns: int, now_ns: int) -> Rejection | None:
         return None
     return Rejection(
         Reason.STALE,
-        f"the frame is {age_s:.2f} s old, at most {MAX_AGE_S:g} s is accepted; check the machine's load",
+        Sentence(
+            f"the frame is {age_s:.2f} s old, at most {MAX_AGE_S:g} s is accepted; check the machine's load"
+        ),
     )
 
 
@@ -123,18 +130,21 @@ def check_contact(touch: Touch | None, nominal: NominalContact, size: tuple[int,
     """No contact, off position, or None. size: (width, height) of the picture, for the sentence in its pixels."""
     if touch is None or touch.area == 0:
         return Rejection(
-            Reason.NO_CONTACT, "nothing touches the gel where the part should be; check the part and grip"
+            Reason.NO_CONTACT,
+            Sentence("nothing touches the gel where the part should be; check the part and grip"),
         )
     for (low, high), place, side, what, unit in (
-        (nominal.x, touch.x, size[0], "centre column", " px"),
-        (nominal.y, touch.y, size[1], "centre row", " px"),
-        (nominal.area, touch.area, 1, "area", " of the view"),
+        (nominal.x, touch.x, size[0], Sentence("centre column"), " px"),
+        (nominal.y, touch.y, size[1], Sentence("centre row"), " px"),
+        (nominal.area, touch.area, 1, "area", Sentence(" of the view")),
     ):
         if not low * side <= place * side <= high * side:
             return Rejection(
                 Reason.OFF_POSITION,
-                f"the contact's {what} is {place * side:.3g}{unit}, nominal presses have {low * side:.3g} to "
-                f"{high * side:.3g}{unit}; "
-                "check how the part meets the sensor",
+                Sentence(
+                    f"the contact's {what} is {place * side:.3g}{unit}, nominal presses have {low * side:.3g} to "
+                    f"{high * side:.3g}{unit}; "
+                    "check how the part meets the sensor"
+                ),
             )
     return None

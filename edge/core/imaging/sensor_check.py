@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.core.imaging.quality import Reason, Rejection
+from edge.core.sentence import Sentence
 
 __all__ = [
     "NominalColours",
@@ -85,12 +86,14 @@ def check_sensor(rgb: NDArray[np.uint8], nominal: NominalColours) -> Rejection |
         return None
     return Rejection(
         Reason.OTHER_SENSOR,
-        f"the colours differ by {distance:.1%} of the light from those of the nominal presses, at most "
-        f"{nominal.limit:.1%} is accepted; {likely_cause(cells, nominal)}",
+        Sentence(
+            f"the colours differ by {distance:.1%} of the light from those of the nominal presses, at most "
+            f"{nominal.limit:.1%} is accepted; {likely_cause(cells, nominal)}"
+        ),
     )
 
 
-def likely_cause(cells: F64, nominal: NominalColours) -> str:
+def likely_cause(cells: F64, nominal: NominalColours) -> Sentence:
     """Say what most likely made the colours differ, and what to do about it: light, gel or unit, or kind of sensor.
 
     A gain of its own for each colour that explains all is the light. Where the colours still lie in the same pattern
@@ -100,22 +103,22 @@ def likely_cause(cells: F64, nominal: NominalColours) -> str:
     gains = np.median(cells / np.maximum(nominal.cells, _LEAST_LEVEL), axis=(0, 1))
     balanced = cells / np.maximum(gains, _LEAST_GAIN)
     if is_other_kind(cells, nominal):
-        return (
+        return Sentence(
             "most likely this is another kind of sensor: check that it is the one learnt, or fit again on it"
         )
     if colour_distance(balanced, nominal.cells) <= nominal.limit:
         shares = ", ".join(f"{name} {gain:.2f}" for name, gain in zip(_COLOURS, gains, strict=True))
-        return (
+        return Sentence(
             f"most likely the light has changed ({shares} of what was learnt): check that all lamps burn, with white "
             "balance and exposure as at the fit, or fit again"
         )
     if pattern >= _SAME_KIND:
-        return (
+        return Sentence(
             "most likely the gel was changed, or this is another unit of the same kind: record a change with "
             "`gelgate gel replace`, then say what the presses are that the station asks about, for `gelgate bundle "
             "learn`; or fit again on the new gel"
         )
-    return (
+    return Sentence(
         "gel, light or sensor is another one: check that this is the sensor that was learnt and that all its lights "
         "burn, or fit again on it"
     )

@@ -13,6 +13,7 @@ from edge.core.imaging.quality import Reason, Rejection
 from edge.core.overview.codes import read_codes
 from edge.core.overview.view import PRESENT_SHARE, Code, CodeKind, OverviewView, TagFamily, Zone
 from edge.core.part_position import PartPosition
+from edge.core.sentence import Sentence
 
 __all__ = ["OverviewRules", "share_of_change"]
 
@@ -102,13 +103,15 @@ class OverviewRules:
         if not self.is_asking:
             return None
         if view.fault is not None:
-            text = f"the part was not seen before the press: {view.fault}"
+            text = Sentence(f"the part was not seen before the press: {view.fault}")
             return Rejection(Reason.NO_OVERVIEW, text)
         if view.is_present is False and view.changed is not None:
             return Rejection(
                 Reason.NO_PART,
-                f"{view.changed:.1%} of the overview differs from the empty station, a part changes at least "
-                f"{self.present_share:.1%}; place the part, then press",
+                Sentence(
+                    f"{view.changed:.1%} of the overview differs from the empty station, a part changes at least "
+                    f"{self.present_share:.1%}; place the part, then press"
+                ),
             )
         return self._other_part(view, selected, named_by) if self.codes else None
 
@@ -128,7 +131,10 @@ class OverviewRules:
             kinds = " or ".join(self.codes)
             return Rejection(
                 Reason.NO_PART_ID,
-                f"no {kinds} code can be read on the part; turn it to the overview camera, clean it, check the light",
+                Sentence(
+                    f"no {kinds} code can be read on the part; turn it to the overview camera, clean it, check the "
+                    "light"
+                ),
             )
         named = self._find_positions(view, named_by)
         if selected in named:
@@ -137,18 +143,23 @@ class OverviewRules:
         if len({self.part_in(code) for code in view.codes}) > 1 and not named:
             return Rejection(
                 Reason.NO_PART_ID,
-                f"codes of several parts are seen: {read}; leave one part in view, or narrow overview.region",
+                Sentence(
+                    f"codes of several parts are seen: {read}; leave one part in view, or narrow overview.region"
+                ),
             )
         what = self._meaning(self.part_in(view.codes[0]), named)
         return Rejection(
             Reason.OTHER_PART,
-            f"the code {read} {what}, the bundle in use is for {selected}; press that part, or select the other bundle",
+            Sentence(
+                f"the code {read} {what}, the bundle in use is for {selected}; press that part, or select the other "
+                "bundle"
+            ),
         )
 
     @staticmethod
     def _meaning(part: str | None, named: Collection[PartPosition]) -> str:
         if part is None:
-            return "fits no overview.part_pattern"
+            return Sentence("fits no overview.part_pattern")
         if not named:
-            return f"is part '{part}', for which this station has no bundle"
-        return f"is of {' and '.join(sorted(map(str, named)))}"
+            return Sentence(f"is part '{part}', for which this station has no bundle")
+        return Sentence(f"is of {' and '.join(sorted(map(str, named)))}")

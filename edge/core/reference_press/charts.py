@@ -12,6 +12,7 @@ from typing import Final
 
 from edge.core.reference_press.control_chart import MEASURES, Limits, signals
 from edge.core.reference_press.outcome import Imprint, Measure, Outcome, Signal
+from edge.core.sentence import Sentence
 
 __all__ = ["Chart", "Judgement", "ReferencePress", "charts", "judge", "newest_begin", "why_due"]
 
@@ -95,13 +96,15 @@ def judge(presses: Sequence[ReferencePress], learn: int) -> Judgement:
     newest, drawn = presses[-1], charts(presses, learn)
     if not newest.is_scored:
         return Judgement(
-            Outcome.NOT_MEASURED, (f"{newest.reason or newest.verdict}; press the piece again",), drawn
+            Outcome.NOT_MEASURED,
+            (Sentence(f"{newest.reason or newest.verdict}; press the piece again"),),
+            drawn,
         )
     concerned = [chart for chart in drawn if chart.presses[-1] is newest]
     beyond = _sentences(concerned, beyond=True)
     if not newest.is_as_expected:
-        wrong = f"its verdict is {newest.verdict}, this master piece must give {newest.expected}"
-        beyond.insert(0, f"{wrong}; check the piece, the gel and the selected part")
+        wrong = Sentence(f"its verdict is {newest.verdict}, this master piece must give {newest.expected}")
+        beyond.insert(0, Sentence(f"{wrong}; check the piece, the gel and the selected part"))
     runs = _sentences(concerned, beyond=False)
     change = _changes(presses)
     if beyond:
@@ -110,7 +113,7 @@ def judge(presses: Sequence[ReferencePress], learn: int) -> Judgement:
         return Judgement(Outcome.WARNING, (*runs, *change), drawn)
     waiting = [chart for chart in concerned if chart.limits is None]
     if waiting:
-        learning = f"limits are learnt: {min(c.learnt for c in waiting)} of {learn} presses"
+        learning = Sentence(f"limits are learnt: {min(c.learnt for c in waiting)} of {learn} presses")
         return Judgement(Outcome.LEARNING, (learning, *change), drawn)
     return Judgement(Outcome.IN_LIMITS, change, drawn)
 
@@ -163,8 +166,8 @@ def _in_scope(measure: Measure, presses: Sequence[ReferencePress]) -> list[Refer
 
 
 _RUNS: Final = {
-    Signal.TWO_OF_THREE: "two of the last three are beyond two standard deviations on one side",
-    Signal.RUN_OF_EIGHT: "the last eight are on one side of the centre: it has shifted",
+    Signal.TWO_OF_THREE: Sentence("two of the last three are beyond two standard deviations on one side"),
+    Signal.RUN_OF_EIGHT: Sentence("the last eight are on one side of the centre: it has shifted"),
 }
 
 
@@ -181,11 +184,11 @@ def _sentence(chart: Chart, *, beyond: bool) -> str:
     measure, limits = chart.measure, chart.limits
     unit = f" {measure.unit}" if measure.unit else ""
     if beyond and limits is not None:
-        return (
+        return Sentence(
             f"{measure.title} is {chart.values[-1]:.4g}{unit}, the limits are {limits.low:.4g} to "
             f"{limits.high:.4g}{unit}"
         )
-    return f"{measure.title}: {' and '.join(_RUNS[signal] for signal in chart.signals)}"
+    return f"{measure.title}: {'; '.join(_RUNS[signal] for signal in chart.signals)}"
 
 
 def _changes(presses: Sequence[ReferencePress]) -> tuple[str, ...]:
@@ -195,10 +198,12 @@ def _changes(presses: Sequence[ReferencePress]) -> tuple[str, ...]:
     before, newest = presses[-2], presses[-1]
     if before.gel_id != newest.gel_id:
         return (
-            f"the first one on gel {newest.gel_id}: its charts begin again, the limits of the place remain",
+            Sentence(
+                f"the first one on gel {newest.gel_id}: its charts begin again, the limits of the place remain"
+            ),
         )
     if before.bundle_id != newest.bundle_id:
-        return ("the first one with this bundle: the chart of the score begins again",)
+        return (Sentence("the first one with this bundle: the chart of the score begins again"),)
     return ()
 
 
@@ -219,14 +224,14 @@ def why_due(
     shifts: the local times at which shifts begin. zone: of these times; None for that of this machine.
     """
     if last_ns is None:
-        return "there was none with this gel and bundle"
+        return Sentence("there was none with this gel and bundle")
     if last_ns > now_ns:
-        return "the last one is in the future, so the clock was set back"
+        return Sentence("the last one is in the future, so the clock was set back")
     if now_ns - last_ns >= every_h * 3.6e12:
-        return f"the last one is more than {every_h:g} h old"
+        return Sentence(f"the last one is more than {every_h:g} h old")
     begun = newest_begin(datetime.datetime.fromtimestamp(now_ns / 1e9, zone).astimezone(zone), shifts, zone)
     if begun is not None and last_ns < begun.timestamp() * 1e9:
-        return f"the shift of {begun:%H:%M} has begun since the last one"
+        return Sentence(f"the shift of {begun:%H:%M} has begun since the last one")
     return None
 
 

@@ -17,6 +17,7 @@ from edge.core.registration.pose import (
     gel_limits_in_pose,
     warp,
 )
+from edge.core.sentence import Sentence
 
 __all__ = ["SIDE_PX", "PartInPose", "PoseSearch", "Registrar", "shrunk"]
 
@@ -184,13 +185,13 @@ class Registrar:
 
     def _refusal(self, match: float, seen_share: float) -> str | None:
         if not match >= self.part.least_match:
-            return (
+            return Sentence(
                 f"the part is not recognised: at its best place the press agrees with the nominal ones by "
                 f"{match:.2f}, at least {self.part.least_match:.2f} is expected; check which part is pressed and that "
                 "its relief lies on the gel"
             )
         if seen_share < self.part.least_seen:
-            return (
+            return Sentence(
                 f"{1 - seen_share:.0%} of the part lie outside the inspected region, at most "
                 f"{1 - self.part.least_seen:.0%} are accepted; press it nearer to the middle"
             )

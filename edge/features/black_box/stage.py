@@ -13,6 +13,7 @@ from edge.core.contact.reference import View
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Reason
 from edge.core.press import Press
+from edge.core.sentence import Sentence
 from edge.model.inspector import Inspector
 from edge.model.session import fingerprint, fingerprint_bytes
 from edge.press_stage import Alarms, PressStage, StageParts
@@ -131,7 +132,11 @@ class BlackBox(PressStage):
         unwritten, self._unwritten = self._unwritten, None
         evidence = self._archive.keep(*unwritten)
         fault = self._archive.fault
-        self._alarms.say("archive", fault and f"presses are judged and not archived: {fault}", "warning")
+        self._alarms.say(
+            "archive",
+            None if fault is None else Sentence(f"presses are judged and not archived: {fault}"),
+            "warning",
+        )
         return evidence
 
     def _name_map(self, score_map: NDArray[np.float32]) -> tuple[str, bytes]:

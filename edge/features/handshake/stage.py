@@ -21,6 +21,7 @@ from edge.core.handshake import Code, HandshakeMachine, HandshakeServer, Trigger
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.core.press import Press, PressLabel
+from edge.core.sentence import Sentence
 from edge.features.handshake.port import PLC, Port
 from edge.model.inspector import Inspector
 from edge.press_stage import Mounted, PressStage, StageParts
@@ -171,14 +172,16 @@ class HandshakeStage(PressStage):
             is_silent, is_unread = machine.is_silent(now_ns), machine.is_unread(now_ns)
         alarm = None
         if self._server.has_ended:
-            alarm = (
+            alarm = Sentence(
                 f"{self._server.name} has ended by itself, so the PLC reaches nothing; see the log, and restart the "
                 "gateway"
             )
         elif is_silent:
-            alarm = "the PLC's watchdog stands still, so its triggers are refused"
+            alarm = Sentence("the PLC's watchdog stands still, so its triggers are refused")
         elif is_unread:
-            alarm = f"the PLC does not acknowledge the result of trigger {seen.trigger_id}, so the next is refused"
+            alarm = Sentence(
+                f"the PLC does not acknowledge the result of trigger {seen.trigger_id}, so the next is refused"
+            )
         if alarm != self._alarm:
             self._alarm = alarm
             self._parts.alarms.say("plc", alarm)

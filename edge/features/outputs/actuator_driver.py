@@ -15,6 +15,7 @@ from edge.core.backoff import Backoff
 from edge.core.digital_io import Actuator, OutputRule, StationView
 from edge.core.errors import DeviceError
 from edge.core.ports import Clock
+from edge.core.sentence import Sentence
 from edge.features.outputs.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
 from edge.features.outputs.rules import levels, next_blink_ns
 
@@ -126,11 +127,11 @@ class ActuatorDriver:
         try:
             self._write(actuator, pulse.channel, True)
         except Exception as error:
-            self._late(pulse, f"not given: {error}")
+            self._late(pulse, Sentence(f"not given: {error}"))
             raise
         now_ns = self._clock.monotonic_ns()
         if now_ns > pulse.start_by_ns:  # the levels that follow switch it off
-            self._late(pulse, f"{_after(pulse, now_ns)}, and is switched off at once")
+            self._late(pulse, Sentence(f"{_after(pulse, now_ns)}, and is switched off at once"))
         else:
             end_ns = max(self._on_until_ns.get(pulse.channel, 0), now_ns + pulse.length_ns)
             self._on_until_ns[pulse.channel] = end_ns
@@ -139,11 +140,11 @@ class ActuatorDriver:
         """Return why this pulse is not given, or None."""
         now_ns = self._clock.monotonic_ns()
         if now_ns > pulse.start_by_ns:
-            return f"not given: it is {_after(pulse, now_ns)}"
+            return Sentence(f"not given: it is {_after(pulse, now_ns)}")
         if self._is_hanging:
-            return "not given: the station's loop does not answer"
+            return Sentence("not given: the station's loop does not answer")
         if self._present_view().state == "stopped":
-            return "not given: the station ends"
+            return Sentence("not given: the station ends")
         return None
 
     def _write(self, actuator: Actuator, channel: int, is_on: bool) -> None:
@@ -173,10 +174,10 @@ class ActuatorDriver:
             late = [pulse for pulse in self._asked if now_ns > pulse.start_by_ns]
             self._asked = deque(pulse for pulse in self._asked if now_ns <= pulse.start_by_ns)
         for pulse in late:
-            self._late(pulse, f"not given: it is {_after(pulse, now_ns)}")
+            self._late(pulse, Sentence(f"not given: it is {_after(pulse, now_ns)}"))
 
     def _late(self, pulse: _Pulse, why: str) -> None:
-        self._on_late(f"the pulse on channel {pulse.channel} for '{pulse.verdict}' was {why}")
+        self._on_late(Sentence(f"the pulse on channel {pulse.channel} for '{pulse.verdict}' was {why}"))
 
     def _check_channels(self, actuator: Actuator) -> None:
         highest = max(rule.channel for rule in self._rules)
@@ -234,4 +235,5 @@ class ActuatorDriver:
 
 
 def _after(pulse: _Pulse, now_ns: int) -> str:
-    return f"{(now_ns - pulse.start_by_ns) / 1e6:.0f} ms after its deadline"
+    late_ms = (now_ns - pulse.start_by_ns) / 1e6
+    return Sentence(f"{late_ms:.0f} ms after its deadline")

@@ -10,6 +10,7 @@ from typing import Final, Generic, Protocol, TypeVar
 from edge.core.backoff import Backoff
 from edge.core.errors import DeviceError, DeviceLost
 from edge.core.ports import Clock
+from edge.core.sentence import Sentence
 
 __all__ = ["FIRST_PAUSE_S", "LONGEST_PAUSE_S", "Connection", "OnFault"]
 
@@ -59,7 +60,7 @@ class Connection(Generic[P]):
         if self.port is not None and now_ns >= self.check_ns:
             self.check_ns = now_ns + _PRESENCE_NS
             if not self.port.is_present():
-                raise DeviceLost(f"{self.port.name} is gone; plug it in again")
+                raise DeviceLost(Sentence(f"{self.port.name} is gone; plug it in again"))
 
     def works(self) -> None:
         """The device did what it was asked for."""
@@ -74,7 +75,9 @@ class Connection(Generic[P]):
         self.close()
         self.retry_ns = self._clock.monotonic_ns() + round(self._backoff.failed() * 1e9)
         self._set(
-            str(error) if isinstance(error, DeviceError) else f"its driver failed: {error!r}; see the log"
+            str(error)
+            if isinstance(error, DeviceError)
+            else Sentence(f"its driver failed: {error!r}; see the log")
         )
 
     def close(self) -> None:

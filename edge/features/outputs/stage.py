@@ -20,6 +20,7 @@ from edge.core.errors import DeviceNotFound, StoreError
 from edge.core.person_verdict import Saying
 from edge.core.ports import Clock
 from edge.core.press import Press
+from edge.core.sentence import Sentence, join_sentences
 from edge.features.outputs.actuator_driver import ActuatorDriver
 from edge.features.outputs.trigger_reader import TriggerReader
 from edge.model.inspector import Inspector
@@ -44,7 +45,7 @@ class Outputs(PressStage):
 
     is_awaited = True
 
-    def __init__(self, say: Callable[[str, str | None], None], clock: Clock) -> None:
+    def __init__(self, say: Callable[[str, Sentence | None], None], clock: Clock) -> None:
         self.readers: Sequence[TriggerReader] = ()
         self.drivers: Sequence[ActuatorDriver] = ()
         self._say, self._clock = say, clock
@@ -103,8 +104,9 @@ class Outputs(PressStage):
         with self._lock:
             found = {**self._faults[alarm], name: fault}
             self._faults[alarm] = {key: text for key, text in found.items() if text is not None}
-            text = "; ".join(f"{key}: {one}" for key, one in sorted(self._faults[alarm].items()))
-            self._say(alarm, text or None)
+            self._say(
+                alarm, join_sentences(f"{key}: {one}" for key, one in sorted(self._faults[alarm].items()))
+            )
 
     def note_late(self, name: str, sentence: str) -> None:
         """A pulse was not given in time. It stays an alarm until a person acknowledges it, or a restart."""
@@ -113,8 +115,10 @@ class Outputs(PressStage):
             self._late[name] += 1
             self._say(
                 "pulse",
-                f"{self._late.total()} pulses were not given in time; a part may have passed. The last one: {name}: "
-                f"{sentence}",
+                Sentence(
+                    f"{self._late.total()} pulses were not given in time; a part may have passed. The last one: "
+                    f"{name}: {sentence}"
+                ),
             )
 
     def start(self) -> None:

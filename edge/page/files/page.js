@@ -3,10 +3,41 @@
 const AGAIN_MS = 1000, FRESH_MS = 300, LOCK_AFTER_MS = 5 * 60 * 1000;
 const at = (id) => document.getElementById(id);
 const word = (press) => press.verdict || "error";
-// The text in the language of the page, by the English one; values stand in braces. A sentence of the station with
-// names and numbers in it is English.
+// The text in the language of the page, by the English one; values stand in braces.
 let translations = {};
 const t = (text, values = {}) => (translations[text] || text).replace(/\{(\w+)\}/g, (all, name) => values[name]);
+
+// A sentence of the station has names and numbers in it, and other sentences: its pattern is found by the words between
+// them. Several are joined by "; ". What has no pattern stays English.
+let patterns = []; // [what stands between, name, between, ...], the longest first
+const LONGEST = 2000;
+function match(parts, sentence) {
+  const last = parts.length - 1, end = sentence.length - parts[last].length, values = {};
+  if (!sentence.startsWith(parts[0]) || !sentence.endsWith(parts[last])) { return null; }
+  for (let n = 1, from = parts[0].length; n < last; n += 2) {
+    const to = n + 1 === last ? end : sentence.indexOf(parts[n + 1], from);
+    if (to < from) { return null; }
+    values[parts[n]] = tell(sentence.slice(from, to));
+    from = to + parts[n + 1].length;
+  }
+  return last || !end ? values : null;
+}
+function tellOne(sentence) {
+  for (const [pattern, parts] of patterns) {
+    const values = match(parts, sentence);
+    if (values) { return t(pattern, values); }
+  }
+  return null;
+}
+function tell(sentence) {
+  if (!sentence || sentence.length > LONGEST) { return sentence; }
+  for (let end = sentence.length; end > 0; end = sentence.lastIndexOf("; ", end - 1)) {
+    const said = tellOne(sentence.slice(0, end));
+    if (said !== null) { return said + (end < sentence.length ? `; ${tell(sentence.slice(end + 2))}` : ""); }
+  }
+  const sign = sentence.search(/[;:] /);
+  return sign < 0 ? sentence : sentence.slice(0, sign + 2) + tell(sentence.slice(sign + 2));
+}
 const put = (id, text) => { if (at(id).textContent !== text) { at(id).textContent = text; } };
 
 let shown = null; // the newest answer of live.json
@@ -50,7 +81,7 @@ const words = (text) => text.split("`").map((part, n) => element(n % 2 ? "code" 
 function showAlarm(alarm) {
   const row = element("div", "", `alarm ${alarm.severity}`), about = element("p", "");
   if (translations[alarm.title]) { about.append(element("strong", t(alarm.title)), document.createElement("br")); }
-  about.append(...words(alarm.text));
+  about.append(...words(tell(alarm.text)));
   if (alarm.what_to_do) {
     const todo = element("strong", `${t("What to do:")} `);
     todo.append(...words(t(alarm.what_to_do)));
@@ -215,10 +246,10 @@ function showStation(station) {
   document.title = [station.place, "gelgate"].filter(Boolean).join(" · ");
   put("place", station.place);
   const alarms = Object.values(station.alarms), raised = alarms.length === 1 ? t("1 alarm") : t("{n} alarms", { n: alarms.length });
-  put("state", (station.away ? `${t("last known:")} ` : "") + t(state.state) + (state.reason ? `: ${state.reason}` : "")
+  put("state", (station.away ? `${t("last known:")} ` : "") + t(state.state) + (state.reason ? `: ${tell(state.reason)}` : "")
     + (alarms.length ? `, ${raised}` : ""));
   at("state").className = station.away ? "away" : state.state === "ready" && alarms.length ? "alarmed" : state.state;
-  put("away", station.away || "");
+  put("away", tell(station.away) || "");
   at("away").hidden = !station.away;
   draw("alarms", [alarms, may("acknowledge_alarm")], () => alarms.map(showAlarm));
   showPart(info);
@@ -232,7 +263,7 @@ function showStation(station) {
   const receivers = Object.entries(stats.receivers || {});
   draw("receivers", receivers, () => receivers.map(([name, said]) => element("li", `${name}: ${said}`)));
   at("manual").hidden = !station.has_manual;
-  const why = station.changes.why_not;
+  const why = tell(station.changes.why_not);
   put("why-not", why || (key ? t("Unlocked. It locks itself after five minutes.") : t("Locked. With the token you select the part, acknowledge alarms and record a new gel.")));
   at("unlock").hidden = Boolean(why) || key !== null;
   at("lock").hidden = key === null;
@@ -334,9 +365,9 @@ function showPresses(presses, piece) {
   at("verdict").style.setProperty("--letters", at("verdict").textContent.length);
   if (!last) { return; }
   put("facts", [named(last), ratio(last) && t("{ratio} × threshold", { ratio: ratio(last) }), clock(last)].filter(Boolean).join(" · "));
-  const why = (last.reason || last.error || (last.press_again || {}).reason || "").replace(/^[a-z_]+(?=:)/, (code) => t(code));
-  put("why", [why, last.cause && t("cause: {cause}", { cause: t(last.cause) })].filter(Boolean).join(" · "));
-  put("cause", t(last.cause_text || ""));
+  const [, code, why] = /^(?:([a-z_]+): )?(.*)$/s.exec(last.reason || last.error || (last.press_again || {}).reason || "");
+  put("why", [[code && t(code), tell(why)].filter(Boolean).join(": "), last.cause && t("cause: {cause}", { cause: t(last.cause) })].filter(Boolean).join(" · "));
+  put("cause", tell(last.cause_text || ""));
   if (shownPress !== null && shownPress !== last.press_id) { // two passes in a row are two
     at("verdict").classList.add("fresh");
     setTimeout(() => at("verdict").classList.remove("fresh"), FRESH_MS);
@@ -402,7 +433,7 @@ async function change(button, verb, wanted, done) {
     say(done(data), "ok");
     isDone = true;
   } catch (error) {
-    say(t("Not done: {why}", { why: error.message }), "error");
+    say(t("Not done: {why}", { why: tell(error.message) }), "error");
     if (error.isLocked) { lock(); }
   }
   button.disabled = false;
@@ -419,7 +450,7 @@ at("unlock").onsubmit = async (event) => {
     keepUnlocked();
     say(t("Unlocked."), "ok");
   } catch (error) {
-    say(t("Not unlocked: {why}", { why: error.message }), "error");
+    say(t("Not unlocked: {why}", { why: tell(error.message) }), "error");
     at("token").select();
   }
   show();
@@ -452,7 +483,7 @@ at("gel-form").onsubmit = () => {
     if (said) { wanted[name] = said; }
   }
   change(at("new-gel"), "replace_gel", wanted, (data) => [t("Gel {gel_id} counts from now on.", data),
-    ...data.remarks.map((said) => `${said[0].toUpperCase()}${said.slice(1)}.`), t("Leave it free until the station is ready.")].join(" "));
+    ...data.remarks.map(tell).map((said) => `${said[0].toUpperCase()}${said.slice(1)}.`), t("Leave it free until the station is ready.")].join(" "));
 };
 
 // Enter in the field would press the first button, "good".
@@ -496,7 +527,9 @@ for (const name of ["aria-label", "alt"]) {
 }
 
 async function speak(language) {
-  translations = language === "en" ? {} : await (await fetch(`words/${language}.json`)).json();
+  const { sentences, ...texts } = language === "en" ? {} : await (await fetch(`words/${language}.json`)).json();
+  translations = Object.assign(Object.create(null), texts, sentences); // a part may be named "constructor"
+  patterns = Object.keys(sentences || {}).sort((one, other) => other.length - one.length).map((text) => [text, text.split(/\{(\w+)\}/)]);
   document.documentElement.lang = at("language").value = language;
   TEXTS.forEach((write) => write());
   drawn.clear();

@@ -7,25 +7,29 @@ from contextlib import contextmanager
 import usb.core
 
 from edge.core.errors import DeviceBusy, DeviceError, DeviceLost, DeviceStalled
+from edge.core.sentence import Sentence
 
 __all__ = ["BY_ERRNO", "guarded"]
 
 # errno of a usb.core.USBError (pyusb 1.3.1, usb/backend/libusb1.py, its return and transfer code tables) to our error
 # and what to do. Anything else means that the sensor stopped answering.
 BY_ERRNO: Mapping[int, tuple[type[DeviceError], str]] = {
-    errno.EBUSY: (DeviceBusy, "another process or the kernel's uvcvideo driver holds it; stop that first"),
+    errno.EBUSY: (
+        DeviceBusy,
+        Sentence("another process or the kernel's uvcvideo driver holds it; stop that first"),
+    ),
     errno.EACCES: (
         DeviceBusy,
-        "no permission; run `gelgate station install-service` as root and plug the sensor in again",
+        Sentence("no permission; run `gelgate station install-service` as root and plug the sensor in again"),
     ),
     errno.ENOSPC: (
         DeviceBusy,
-        "no bandwidth is left on this USB bus; plug every sensor into a separate root port",
+        Sentence("no bandwidth is left on this USB bus; plug every sensor into a separate root port"),
     ),
-    errno.ENODEV: (DeviceLost, "it was unplugged"),
-    errno.ETIMEDOUT: (DeviceStalled, "it did not answer in time"),
+    errno.ENODEV: (DeviceLost, Sentence("it was unplugged")),
+    errno.ETIMEDOUT: (DeviceStalled, Sentence("it did not answer in time")),
 }
-_OTHERWISE = (DeviceLost, "it stopped answering; it is opened again")
+_OTHERWISE = (DeviceLost, Sentence("it stopped answering; it is opened again"))
 
 
 @contextmanager
@@ -35,6 +39,6 @@ def guarded(who: str) -> Iterator[None]:
         yield
     except usb.core.USBError as error:
         kind, advice = BY_ERRNO.get(error.errno or 0, _OTHERWISE)
-        raise kind(f"{who}: {error.strerror or error} (errno {error.errno}): {advice}") from error
+        raise kind(Sentence(f"{who}: {error.strerror or error} (errno {error.errno}): {advice}")) from error
     except NotImplementedError as error:
         raise DeviceLost(f"{who}: this USB library cannot do that here: {error}") from error

@@ -13,6 +13,7 @@ import usb.util
 
 from edge.core.errors import DeviceNotFound
 from edge.core.ports import DeviceIdentity, DiscoveredDevice
+from edge.core.sentence import Sentence
 from plugins.devices.uvc.uvc import CLASS_VIDEO, SUBCLASS_STREAMING, VideoMode, mjpeg_modes
 
 __all__ = [
@@ -67,14 +68,18 @@ def choose(seen: list[SensorOnBus], serial: str | None) -> SensorOnBus:
         raise DeviceNotFound(
             f"{len(chosen)} sensors are plugged in ({', '.join(map(_serial, chosen))}); name one by its serial"
         )
-    wanted = f"no GelSight Mini with serial {serial}" if serial else "no GelSight Mini"
+    wanted = Sentence(f"no GelSight Mini with serial {serial}") if serial else Sentence("no GelSight Mini")
     others = [f"{_serial(sensor)} at {sensor.discovered.place}" for sensor in sensors]
     others += [
         f"{sensor.discovered.place}: {sensor.discovered.refusal}"
         for sensor in seen
         if sensor.discovered.refusal
     ]
-    raise DeviceNotFound(f"{wanted} is plugged in; seen: {'; '.join(others) or 'no device with its USB id'}")
+    raise DeviceNotFound(
+        Sentence(
+            f"{wanted} is plugged in; seen: {'; '.join(others) or Sentence('no device with its USB id')}"
+        )
+    )
 
 
 def streaming_modes(device: Any) -> tuple[int, list[VideoMode]]:

@@ -18,6 +18,7 @@ from edge.core.errors import DeviceError, DeviceLost, DeviceStalled, FrameCorrup
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import Freshness, picture_size
 from edge.core.ports import Clock, DeviceIdentity
+from edge.core.sentence import Sentence
 from plugins.devices.uvc.controls import pin_uvc_controls, report_unset
 from plugins.devices.uvc.faults import guarded
 from plugins.devices.uvc.identity import SensorOnBus, largest_mode, streaming_modes
@@ -146,7 +147,9 @@ class UvcSensor:
             remaining_ms = -((self._clock.monotonic_ns() - deadline_ns) // 1_000_000)  # rounded up
             if remaining_ms <= 0:
                 raise DeviceStalled(
-                    f"{self.identity.product} gave no new frame in time ({self.stale} repeated frames until now)"
+                    Sentence(
+                        f"{self.identity.product} gave no new frame in time ({self.stale} repeated frames until now)"
+                    )
                 )
             self._received.extend(
                 self._assembler.feed(self._read_packets(min(remaining_ms, _LONGEST_WAIT_MS)))

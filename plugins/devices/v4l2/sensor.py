@@ -14,6 +14,7 @@ from edge.core.errors import DeviceBusy, DeviceLost, DeviceStalled, FrameCorrupt
 from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import Freshness, damage, kind, picture_size
 from edge.core.ports import Clock, DeviceIdentity
+from edge.core.sentence import Sentence
 
 __all__ = ["V4l2Sensor", "open_capture"]
 
@@ -81,15 +82,17 @@ class V4l2Sensor:
                 self._sequence += 1
                 return frame
             if self._clock.monotonic_ns() >= deadline_ns:
-                raise DeviceStalled(f"{self.identity.product} repeats the same frame ({self.stale} times)")
+                raise DeviceStalled(
+                    Sentence(f"{self.identity.product} repeats the same frame ({self.stale} times)")
+                )
 
     def _next_payload(self) -> bytes:
         if self._lost is not None:
             raise DeviceLost(self._lost)
         came, data = self._capture.read()
         if not came:
-            where = "stopped sending" if self._is_present() else "was unplugged"
-            self._lost = f"{self.identity.product} {where}; it is opened again"
+            where = Sentence("stopped sending") if self._is_present() else Sentence("was unplugged")
+            self._lost = Sentence(f"{self.identity.product} {where}; it is opened again")
             raise DeviceLost(self._lost)
         payload = bytes(data)
         fault = self._fault(payload)
