@@ -54,10 +54,7 @@ def test_a_new_gel_is_said_in_the_state_and_as_an_alarm(
         assert "on this gel 1 of 3 presses alarmed" in again.said("state")["unproven"]
 
     assert text.startswith("bundle PZ0/pos1 (")
-    assert (
-        "is not yet proven on gel TEST0001-2: it was used on gel TEST0001-1; on this gel"
-        in text
-    )
+    assert "is not yet proven on gel TEST0001-2: it was used on gel TEST0001-1; on this gel" in text
     assert (alarm["text"], alarm["severity"]) == (text, "warning")
 
 
