@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from edge.core.errors import ArchiveError
-from edge.core.sentence import Sentence
 from edge.store.database import open_read_only
 from edge.store.ledger_chain import head
 from edge.store.ulid import is_ulid
@@ -182,7 +181,7 @@ class PressArchive:
             try:
                 return self._write_press(press, objects)
             except OSError as error:
-                self.fault = Sentence(f"{self._folder} cannot be written: {error.strerror or error}")
+                self.fault = f"{self._folder} cannot be written: {error.strerror or error}"
         return None
 
     def _write_press(self, press: ArchivedPress, objects: Mapping[Digest, bytes]) -> bytes:
