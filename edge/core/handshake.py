@@ -58,7 +58,8 @@ CODES: Final = {
     Code.BUSY: "a trigger while busy",
     Code.NOT_ACKNOWLEDGED: "a trigger before the last result was acknowledged",
     Code.ID_TWICE: "a trigger with the id of the one before",
-    Code.BAD_VALUE: "a trigger with the id 0, or a text that is not printable ASCII",
+    Code.BAD_VALUE: "a trigger with the id 0, or a text that is not printable ASCII; a trigger coil that was not 0 "
+    "before",
     Code.NOT_READY: "a trigger while the station does not inspect",
     Code.UNKNOWN_PART: "a trigger that names a part without a bundle, or with several positions",
     Code.NO_BEAT: "the PLC's watchdog stands still: a trigger is refused, a result is an error",
@@ -142,7 +143,8 @@ class Handshake(Protocol):
         """Take a sign of life of the PLC."""
 
     def refuse(self, what: str, sentence: str) -> None:
-        """Record what the server itself refuses. what: was asked for, as `read`, `write` or `trigger`."""
+        """Record what the server itself refuses. what: was asked for, as `read`, `write` or `trigger`; the code of a
+        trigger is shown."""
 
 
 @runtime_checkable

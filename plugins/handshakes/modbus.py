@@ -195,10 +195,12 @@ class _Registers:
 
     def _trigger(self, ip: str) -> None:
         if self._coils[_TRIGGER] is None:
-            raise _Refused(
-                _ILLEGAL_VALUE,
-                f"the trigger of {ip} is 1 from the beginning, which may be one of before; write it 0 first",
+            self._handshake.refuse(
+                "trigger",
+                f"the trigger of {ip} is 1 from the beginning, which may be one of before; write it 0 first "
+                "(docs/plc.md)",
             )
+            raise _Refused(_ILLEGAL_VALUE)
         refusal = self._handshake.trigger(read_trigger(self._holding))
         if refusal is not None:
             raise _Refused(_EXCEPTIONS.get(refusal.code, _ILLEGAL_VALUE))

@@ -30,7 +30,7 @@ _NO_RATIO: Final = 65_535
 
 COILS: Final[Sequence[tuple[str, str]]] = (
     ("trigger", "0 to 1: inspect, with the holding registers as they are then"),
-    ("acknowledge", "0 to 1: the result was read; while busy: it is not wanted any more"),
+    ("acknowledge", "0 to 1: the result was read; while busy: it is not wanted, and no press answers it"),
     ("watchdog", "every change is a sign of life, with `watchdog_s`"),
 )
 """By address: name and meaning."""

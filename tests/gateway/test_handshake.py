@@ -202,6 +202,7 @@ def test_what_is_refused_is_an_act_once(configure: Make) -> None:
         for _ in range(50):
             assert station.trigger(2) is Code.BUSY
         station.find(HandshakeStage).port.refuse("write", "a second client writes")
+        assert station.find(HandshakeStage).port.read().refused is Code.BUSY
         acts = [act for act in station.parts.store.acts() if act.who == "plc"]
     assert [(act.verb, act.outcome, act.arguments.get("trigger_id")) for act in acts] == [
         ("write", "refused", None),
@@ -212,6 +213,14 @@ def test_what_is_refused_is_an_act_once(configure: Make) -> None:
         "the part 'PZ9' has 0 bundles here (none), expected one; name `part/position`, or add its bundle"
     )
     assert str(acts[1].sentence).startswith("trigger 2 came while trigger 1 is busy; wait for done")
+
+
+def test_a_trigger_that_the_server_refuses_has_a_code(configure: Make) -> None:
+    """Else a PLC that asks why reads that nothing was refused."""
+    with PlcStation(configure()) as station:
+        port = station.find(HandshakeStage).port
+        port.refuse("trigger", "it is 1 from the beginning")
+        assert port.read().refused is Code.BAD_VALUE
 
 
 def test_a_flood_of_refusals_fills_no_disk(configure: Make) -> None:

@@ -169,6 +169,7 @@ def test_a_trigger_that_is_high_from_the_beginning_is_refused(served: Served) ->
     plc.write_trigger(1)
     assert plc.write(TRIGGER, True) == 3
     assert "is 1 from the beginning" in served.handshake.refused[-1][1]
+    assert plc.words[REFUSAL] == Code.BAD_VALUE
     assert plc.write(TRIGGER, True) == 3
     assert plc.write(TRIGGER, False) == 0
     assert plc.write(TRIGGER, True) == 0

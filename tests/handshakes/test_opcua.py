@@ -157,7 +157,8 @@ def test_arguments_that_are_none_start_no_job(
     """And the server goes on."""
     assert plc.call(f"{JOBS}/StartSingleJob", *arguments).startswith("Bad")
     assert served.handshake.taken == []
-    assert plc.read()["AutomaticModeStateMachine/CurrentState"] == "Ready"
+    seen = plc.read()
+    assert (seen["AutomaticModeStateMachine/CurrentState"], seen["RefusalCode"]) == ("Ready", Code.BAD_VALUE)
 
 
 def test_no_node_can_be_written(served: Served, plc: OpcUaPlc) -> None:

@@ -102,4 +102,6 @@ class BenchHandshake:
             self.bench.machine.beat(self.bench.now_ns)
 
     def refuse(self, what: str, sentence: str) -> None:
+        if what == "trigger":
+            self.bench.machine.refuse(Refusal(Code.BAD_VALUE, sentence))
         self.refused.append((what, sentence))

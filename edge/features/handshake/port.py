@@ -82,6 +82,9 @@ class Port:
             machine.beat(now_ns)
 
     def refuse(self, what: str, sentence: str) -> None:
+        if what == "trigger":
+            with self.machine() as (machine, _):
+                machine.refuse(Refusal(Code.BAD_VALUE, sentence))
         self._note(what, sentence, {})
 
     def _find_part(self, name: str) -> PartPosition | Refusal:
