@@ -102,8 +102,7 @@ def _plugin(group: Group, name: str) -> Any:
     found, protocol = _load(group, name), _protocol(group)
     if isinstance(found, protocol):
         return found
-    members = {*vars(protocol), *vars(protocol).get("__annotations__", {})}
-    lacking = sorted(one for one in members if not one.startswith("_") and not hasattr(found, one))
+    lacking = sorted(one for one in vars(protocol) if not one.startswith("_") and not hasattr(found, one))
     raise ConfigError(
         f"the {group} plugin '{name}' is a {type(found).__name__} without {', '.join(lacking)}; "
         f"an entry point of gelgate.{group} names an object that has them (docs/plugins.md)"
