@@ -1,9 +1,11 @@
 """The broker of the demo and of the tests: its port is its own."""
 
 import socket
+from pathlib import Path
 
 import pytest
 
+from edge.core.errors import SinkUnavailable
 from edge.messaging.local_broker import LocalBroker
 
 from .conftest import require
@@ -26,3 +28,13 @@ def test_its_port_is_its_own_until_the_end() -> None:
         other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what its connections leave for a minute
         other.bind(place)
         other.listen()
+
+
+def test_one_that_does_not_start_leaves_no_port_and_no_folder_behind() -> None:
+    require("mosquitto")
+    broker = LocalBroker("mosquitto", extra="nonsense")
+    with pytest.raises(SinkUnavailable, match="does not start on port"), broker:
+        pytest.fail("it has started")
+
+    assert broker._reserved.fileno() == -1
+    assert not Path(broker._folder.name).exists()
