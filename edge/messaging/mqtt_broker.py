@@ -19,12 +19,24 @@ def tls_context(ca: Path | None, cert: Path | None = None, key: Path | None = No
     """
     try:
         context = ssl.create_default_context(cafile=ca)
+        context.sslsocket_class = _HandshakeSocket
         if cert is not None:
             context.load_cert_chain(cert, key)
     except (OSError, ssl.SSLError) as error:
         files = ", ".join(str(path) for path in (ca, cert, key) if path is not None)
         raise ConfigError(f"TLS files {files} cannot be used: {error}; PEM files are expected") from error
     return context
+
+
+class _HandshakeSocket(ssl.SSLSocket):
+    """Closed when its handshake fails: paho-mqtt 2.1 leaves that to the interpreter."""
+
+    def do_handshake(self, block: bool = False) -> None:
+        try:
+            super().do_handshake(block)
+        except BaseException:
+            self.close()
+            raise
 
 
 @dataclass(frozen=True)

@@ -104,8 +104,6 @@ def certificates(tmp_path: Path) -> Path:
     return tmp_path
 
 
-# The library leaves the socket of a failed handshake to the garbage collector.
-@pytest.mark.filterwarnings("ignore:.*ssl.SSLSocket.*:pytest.PytestUnraisableExceptionWarning")
 def test_mutual_tls_lets_in_who_has_a_certificate_and_nobody_else(
     sink_to: SinkTo, certificates: Path
 ) -> None:
