@@ -109,7 +109,7 @@ def test_damage_that_the_simulator_knows(shift_mm: float) -> None:
         print(
             f"| {kind} | {len(of)} | {len(depths)} | {depth} | {shares[0]} | {len(sizes)} | {size} | {shares[1]} |"
         )
-    assert min(np.mean(one) for one in within) >= 0.9
+    assert min(np.mean(one) for one in within) >= 0.95
 
 
 def cut(heights: F64, at_mm: tuple[float, float]) -> F64:
@@ -124,8 +124,8 @@ def cut(heights: F64, at_mm: tuple[float, float]) -> F64:
 @pytest.mark.parametrize("by", ["gelslam, 6.31 mm", "gelslam, 9.50 mm"])
 def test_a_ball_that_is_another_one(by: str) -> None:
     """On a real gel, heights by the balls of one size alone. A good part is a ball, or nothing; the press is a ball of
-    the other size, whose middle lies there. 90 % of the depths that are given lie within what is stated; against a ball
-    the deviation is a ring as large as the contact, whose size is printed."""
+    the other size, whose middle lies there; against a ball the deviation is a ring as large as the contact. 95 % of the
+    depths and of the sizes that are given lie within what is stated."""
     sets = real_balls("gelslam, 6.31 mm", "gelslam, 9.50 mm")
     made = calibrate_heights(*sets[by][:1], by, sets[by][1], LR.mm_per_px[0]).calibration
     balls = list[tuple[str, F64, F64]]()
@@ -148,11 +148,11 @@ def test_a_ball_that_is_another_one(by: str) -> None:
             places = np.abs(change) > np.abs(change).max() / 2
             found = measure_deviation(press, [good], places, ~dilate(places, 3), made)
             rows.append((*true_values(change, places), found))
-        assert say(f"a ball that is not that of {by}, good: {kind}", rows) >= 0.9
+        assert say(f"a ball that is not that of {by}, good: {kind}", rows) >= 0.95
 
 
 def say(what: str, rows: list[tuple[float, float, Deviation]]) -> float:
-    """Print how depths and sizes came back; return the share of depths within what is stated."""
+    """Print how depths and sizes came back; return the smaller share within what is stated."""
     depths = [(d.depth_mm, t, d.depth_u95_mm or 0.0) for t, _, d in rows if d.depth_mm is not None]
     sizes = [(d.size_mm, t, d.size_u95_mm or 0.0) for _, t, d in rows if d.size_mm is not None]
     print(f"\n{what}: {len(rows)} deviations")
@@ -165,7 +165,7 @@ def say(what: str, rows: list[tuple[float, float, Deviation]]) -> float:
             f"{name}: {len(values)} told, true {true.min():.2f} to {true.max():.2f} mm, error median "
             f"{np.median(error):+.3f}, sd {error.std():.3f}, stated {np.median(u95):.3f}, within {shares[-1]:.0%}"
         )
-    return shares[0]
+    return min(shares)
 
 
 @pytest.mark.bench

@@ -106,10 +106,8 @@ def measure_deviation(
             f"what shows of its depth is within {_round(told):g} mm, by which the places around it differ"
         )
         return Deviation(None, _round(u95), remark=remark)
-    moved = [
-        _extent(shown, raised / 2 + by, peak, px_mm)[0] - length
-        for by in (-best.left_mm / 2, best.left_mm / 2)
-    ]
+    # Half of the depth is as unsure as the depth: of a ring that is told too deep on one side an arc is above it.
+    moved = [_extent(shown, (raised + by) / 2, peak, px_mm)[0] - length for by in (-told, told)]
     size_u95 = max(abs(one) for one in moved) + _EDGES_PX * px_mm + calibration.scale_u95 * length
     depth = _round(-sign * raised), _round(u95)
     if width < _NARROW_MM:

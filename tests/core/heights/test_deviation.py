@@ -1,5 +1,7 @@
 """Size and depth of a deviation of known shape, and every case in which nothing may be claimed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from lit_surface import MM_PER_PX, calibration, grid
@@ -81,6 +83,19 @@ def test_a_narrow_deviation_may_be_deeper() -> None:
     assert "may be deeper and shorter" in found.remark
     assert (found.depth_u95_mm or 0) > 0.05
     assert found.size_mm is None
+
+
+@pytest.mark.parametrize("error", [0.0, 1.1])
+def test_a_ring_that_is_told_too_deep_on_one_side_is_no_arc(error: float) -> None:
+    """Heights that are wrong by a share that the calibration allows: an arc is above half of the deepest, and the ring,
+    2.9 mm wide, must lie within what is stated."""
+    x, y = grid()
+    side = np.exp(-((np.arctan2(y, x) / 0.8) ** 2))
+    ring = 0.2 * 0.5 ** ((2 * (np.hypot(x, y) - 1.2) / 0.5) ** 2) * (1 + error * side)
+    unsure, places = replace(calibration(), height_u95=error / (1 + error)), disc((0.0, 0.0), 1.6)
+    found = measure_deviation(dome() - ring, [dome()], places, ~places, unsure)
+    assert found.size_mm == pytest.approx(2.9, abs=found.size_u95_mm)
+    assert (found.size_u95_mm or 9) < (1.3 if error else 0.3)
 
 
 SPOT = disc((0.0, 0.0), 0.6)
