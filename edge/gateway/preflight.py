@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import date
 from functools import partial
+from itertools import combinations
 from typing import Self, TypeVar
 
 from edge import registry
@@ -164,6 +165,10 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     found.try_part("commands", lambda: _commands(config))
     found.try_part("pictures", lambda: _pictures(config))
     found.try_features(config)
+    try:
+        _check_ports(config)
+    except ConfigError as error:
+        found.findings.append(Finding("ports", str(error), error))
     for index, sink in enumerate(config.sinks):
         found.try_part(f"sink {sink.plugin}", partial(_try_sink, sink, f"sinks.{index}"))
     return found
@@ -262,6 +267,23 @@ def _pictures(config: Config) -> str:
             "until the next press; station.last_heatmap = true retains it"
         )
     return f"{config.station.heatmap}; {retained}"
+
+
+def _check_ports(config: Config) -> None:
+    """Check that each server of the station has a port of its own. Errors: ConfigError."""
+    served: list[tuple[str, str, int | None]] = [("metrics", "127.0.0.1", config.metrics.port)]
+    tables: list[tuple[registry.PluginGroup, str, PluginTable]] = [
+        ("sinks", f"sinks.{n}.options", sink) for n, sink in enumerate(config.sinks) if sink.plugin == "page"
+    ]
+    if config.handshake is not None:
+        tables.append(("handshakes", "handshake.options", config.handshake))
+    for group, key, table in tables:
+        options = registry.options(group, table.plugin).model_validate(table.options)
+        host = getattr(options, "host", getattr(options, "bind", ""))
+        served.append((key, host, getattr(options, "port", None)))
+    for (key, host, port), (other, at, same) in combinations(served, 2):
+        if port is not None and port == same and (host == at or {host, at} & {"0.0.0.0", "::"}):
+            raise ConfigError(f"{key}.port and {other}.port are both {port}; give each its own")
 
 
 def _try_sink(table: PluginTable, key: str) -> str:

@@ -148,6 +148,26 @@ def test_metrics_are_tried_where_they_are_wanted(tmp_path: Path, recording: Path
         assert (finding.error, finding.text) == (None, f"http://127.0.0.1:{port}/metrics on this machine")
 
 
+@pytest.mark.parametrize(
+    ("table", "fault"),
+    [
+        (
+            "[metrics]\nport = 5020",
+            "metrics.port and handshake.options.port are both 5020; give each its own",
+        ),
+        ('[[sinks]]\nplugin = "page"\noptions = { port = 5020 }', "sinks.1.options.port and handshake"),
+        ("[metrics]\nport = 5021", None),
+    ],
+)
+def test_two_servers_of_a_station_have_two_ports(
+    tmp_path: Path, recording: Path, bundle: Path, table: str, fault: str | None
+) -> None:
+    """Each alone may be free, and the start would say that a program uses it."""
+    plc = '[handshake]\nplugin = "modbus"\noptions = { port = 5020 }\n'
+    path = station_config(tmp_path, recording, bundle, sinks=MQTT % free_port(), tables=f"{table}\n{plc}")
+    assert [fault and fault in one.text for one in find(path, "ports")] == ([True] if fault else [])
+
+
 def test_the_check_prints_what_is_open_to_others(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """Behind what it found of the receiver."""
     secret = tmp_path / "password"
