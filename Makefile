@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # The release whose CPU build is taken where an index has one; `pip install 'gelgate[train]'` takes the newest instead.
 TORCH ?= torch==2.13.0
 
-.PHONY: demo dev check first-plugin readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain test-quick test-pythons test-aarch64 lint docs docs-site bench soak sim sim-covered sim-planted image threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release lock vex clean
+.PHONY: demo dev check first-plugin first-verdict readme-picture page-pictures tradeoff-picture test test-lab test-train golden test-fuzz test-plain test-quick test-pythons test-aarch64 lint docs docs-site bench soak sim sim-covered sim-planted image threads mutants acquisitions test-faults test-hardware kernel-lab detectability test-importers fuzz-importers demo-import test-subscribers test-trust verify-release lock vex clean
 
 demo: $(VENV)/.demo
 	$(BIN)/gelgate demo
@@ -52,6 +52,10 @@ dev: $(VENV)/.test
 # CONTRIBUTING.md's first ten minutes to the letter, in a new clone and environment, for a sink, a feature and a detector.
 first-plugin:
 	$(PYTHON) .ci/first_plugin.py sink feature detector
+
+# From an empty environment to the first verdict on a part of one's own: three commands, and how long each took.
+first-verdict: $(VENV)/.test
+	$(BIN)/pytest tests/bench/test_first_verdict.py -m bench -s
 
 # What a pull request is asked first: lint, types, the rules, and the tests that import what is changed since BASE; and what
 # `gelgate new` wrote here.

@@ -1,6 +1,6 @@
 """From an empty environment to the first verdict on a part that nobody has fitted before: commands and seconds.
 
-`pytest tests/bench/test_first_verdict.py -m bench -s` prints them. The part and its sensor are simulated beforehand,
+`make first-verdict` prints them; hosted CI runs it. The part and its sensor are simulated beforehand,
 and the virtual sensor plays the presses as they were made, one in a second. A person needs longer for each.
 """
 
@@ -48,7 +48,8 @@ def _processor_s() -> float:
 
 
 def test_three_commands_and_ten_minutes(tmp_path: Path) -> None:
-    """An environment, the installation, and the guided command; what is not pressing is waiting."""
+    """An environment, the installation, and the guided command. What is not pressing is waiting: at most two minutes, in
+    seconds of the processor, for what else runs on this machine is none of it."""
     (tmp_path / "scene.toml").write_text(SCENE)
     ran("lab", "simulate", tmp_path / "scene.toml", "-o", tmp_path / "line", "--seed", 3)
     commands = [
@@ -82,8 +83,9 @@ def test_three_commands_and_ten_minutes(tmp_path: Path) -> None:
     total = sum(seconds for name, seconds in rows if not name.startswith(" "))
     for name, seconds in (*rows, ("to the first verdict", total), ("of these waiting", total - pressing)):
         print(f"{name:32} {seconds:6.0f} s")
-    print("processor time of the commands:", ", ".join(f"{seconds:.0f} s" for seconds in processor))
+    print(f"{'processor time of the commands':32} {sum(processor):6.0f} s")
 
     assert len(commands) == 3
     assert first is not None
     assert total < 600
+    assert sum(processor) < 120
