@@ -170,11 +170,15 @@ class StationStatus:
         if gel.state is GelState.GOOD:
             self.say("gel", None)
             return
-        word = Sentence("must be replaced") if gel.state is GelState.REPLACE else Sentence("is due")
-        text = Sentence(
-            f"gel {gel.gel_id} {word}: {gel.presses} of {gel.limit_presses} presses; then `gelgate gel replace`"
+        gel_id, made, limit = gel.gel_id, gel.presses, gel.limit_presses
+        if gel.state is GelState.DUE:
+            due = Sentence(f"gel {gel_id} is due: {made} of {limit} presses; then `gelgate gel replace`")
+            self.say("gel", due, "warning")
+            return
+        over = Sentence(
+            f"gel {gel_id} must be replaced: {made} of {limit} presses; then `gelgate gel replace`"
         )
-        self.say("gel", text, "warning" if gel.state is GelState.DUE else "error")
+        self.say("gel", over)
 
     def set_unproven(self, sentence: Sentence | None) -> None:
         """Show in the state why the bundle in use is not yet proven on the mounted gel, None where it is."""

@@ -48,8 +48,8 @@ def _processor_s() -> float:
 
 
 def test_three_commands_and_ten_minutes(tmp_path: Path) -> None:
-    """An environment, the installation, and the guided command. What is not pressing is waiting: at most two minutes, in
-    seconds of the processor, for what else runs on this machine is none of it."""
+    """An environment, the installation, and the guided command. What is not pressing is waiting: at most two minutes
+    of the processor, for what else runs on this machine is none of it."""
     (tmp_path / "scene.toml").write_text(SCENE)
     ran("lab", "simulate", tmp_path / "scene.toml", "-o", tmp_path / "line", "--seed", 3)
     commands = [

@@ -77,8 +77,8 @@ def test_an_unknown_code_selects_nothing_and_its_press_is_refused(
 
     assert [one.verdict for one in results] == [Kind.PASS, Kind.REJECTED, Kind.PASS]
     assert results[1].reason == (
-        "other_part: the code 'PZ9' (qr) is part 'PZ9', for which this station has no bundle, the bundle in use is "
-        "for PZ1/pos1; press that part, or select the other bundle"
+        "other_part: the code 'PZ9' (qr), which is part 'PZ9', for which this station has no bundle, the bundle in use "
+        "is for PZ1/pos1; press that part, or select the other bundle"
     )
 
 
@@ -98,7 +98,7 @@ def test_a_selection_that_cannot_be_recorded_refuses_the_press(
     assert (refused.part, refused.verdict, part, acts) == ("PZ0", Kind.REJECTED, PZ0, [])
     assert refused.reason is not None
     assert refused.reason.startswith(
-        "other_part: the code '4711' (qr) is of PZ1/pos1, the bundle in use is for PZ0"
+        "other_part: the code '4711' (qr), which is of PZ1/pos1, the bundle in use is for PZ0"
     )
     assert "it could not be selected" in refused.reason
     assert "no room" in refused.reason

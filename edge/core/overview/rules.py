@@ -151,8 +151,8 @@ class OverviewRules:
         return Rejection(
             Reason.OTHER_PART,
             Sentence(
-                f"the code {read} {what}, the bundle in use is for {selected}; press that part, or select the other "
-                "bundle"
+                f"the code {read}, which {what}, the bundle in use is for {selected}; press that part, or select the "
+                "other bundle"
             ),
         )
 

@@ -91,8 +91,11 @@ class V4l2Sensor:
             raise DeviceLost(self._lost)
         came, data = self._capture.read()
         if not came:
-            where = Sentence("stopped sending") if self._is_present() else Sentence("was unplugged")
-            self._lost = Sentence(f"{self.identity.product} {where}; it is opened again")
+            product = self.identity.product
+            if self._is_present():
+                self._lost = Sentence(f"{product} stopped sending; it is opened again")
+            else:
+                self._lost = Sentence(f"{product} was unplugged; it is opened again")
             raise DeviceLost(self._lost)
         payload = bytes(data)
         fault = self._fault(payload)

@@ -77,8 +77,8 @@ BUGS = (
     Bug(
         "pulse after its deadline",
         "edge/features/outputs/actuator_driver.py",
-        "        if now_ns > pulse.start_by_ns:\n            return f",
-        "        if False:\n            return f",
+        "        if now_ns > pulse.start_by_ns:\n            return S",
+        "        if False:\n            return S",
         "after its deadline",
     ),
     Bug(
