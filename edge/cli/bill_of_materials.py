@@ -13,7 +13,8 @@ import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from importlib.metadata import Distribution, PackagePath, distributions
+from functools import cache
+from importlib.metadata import Distribution, PackageMetadata, PackagePath, distributions
 from pathlib import Path
 from typing import Any, Final
 from uuid import NAMESPACE_URL, uuid5
@@ -34,7 +35,7 @@ def bill_of_materials(bundles: Sequence[Path]) -> str:
     """
     found: dict[str, Distribution] = {}
     for one in distributions():
-        found.setdefault(_normal(one.metadata["Name"]), one)  # of two with one name Python imports the first
+        found.setdefault(_name(one), one)  # of two with one name Python imports the first
     program = found.pop("gelgate")
     components = [
         *(package_component(one) for _, one in sorted(found.items())),
@@ -79,11 +80,11 @@ def package_component(package: Distribution, kind: str = "library") -> dict[str,
     component: dict[str, Any] = {
         "type": kind,
         "bom-ref": _url(package),
-        "name": package.metadata["Name"],
-        "version": package.version,
+        "name": _metadata(package)["Name"],
+        "version": _metadata(package)["Version"],
         "purl": _url(package),
     }
-    if summary := package.metadata.json.get("summary"):
+    if summary := _metadata(package).json.get("summary"):
         component["description"] = summary
     if licences := _licences(package):
         component["licenses"] = licences
@@ -114,7 +115,7 @@ def _hexadecimal(record: str) -> str:
 
 
 def _licences(package: Distribution) -> list[dict[str, Any]]:
-    stated = package.metadata.json
+    stated = _metadata(package).json
     if "license_expression" in stated:
         return [{"expression": stated["license_expression"]}]
     names = [
@@ -176,9 +177,9 @@ def _bundle_components(path: Path) -> Iterator[dict[str, Any]]:
 
 def _needs(package: Distribution) -> Iterator[str]:
     """Name what a package needs; of gelgate the extras too, as they are there where they are installed."""
-    for line in package.requires or ():
+    for line in _metadata(package).get_all("Requires-Dist") or ():
         name, _, marker = line.partition(";")
-        if "extra" not in marker or _normal(package.metadata["Name"]) == "gelgate":
+        if "extra" not in marker or _name(package) == "gelgate":
             yield _normal(re.split(r"[^A-Za-z0-9._-]", name.strip(), maxsplit=1)[0])
 
 
@@ -187,4 +188,14 @@ def _normal(name: str) -> str:
 
 
 def _url(package: Distribution) -> str:
-    return f"pkg:pypi/{_normal(package.metadata['Name'])}@{package.version}"
+    return f"pkg:pypi/{_name(package)}@{_metadata(package)['Version']}"
+
+
+def _name(package: Distribution) -> str:
+    return _normal(_metadata(package)["Name"])
+
+
+@cache
+def _metadata(package: Distribution) -> PackageMetadata:
+    """Read it once: Python parses the whole file, its README too, for each question."""
+    return package.metadata
