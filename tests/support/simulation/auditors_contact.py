@@ -16,11 +16,11 @@ from simulation.surroundings import World
 UNSEEN_S = 0.27
 """What has not been seen for so long is not known."""
 
-FRESH_S = {"free": 3.0, "unknown": 3.0}
-"""A robot believes so long what a broker has handed over; by default 1 s (docs/contact.md)."""
-
 SENT_S = 1.0
-"""A change has come to the robot by then."""
+"""A change has come by then to a robot at a broker, whether it believes what came before or not."""
+
+ANSWERED_S = 0.3
+"""A broker that owes an answer for longer may get nothing."""
 
 
 def audit_contact(world: World, station: Station) -> Iterator[str]:
@@ -31,10 +31,15 @@ def audit_contact(world: World, station: Station) -> Iterator[str]:
     shown = {name for channel, name in channels.items() if relay.is_on[channel]}
     yield from _audit_shown(world, station, "the relay", shown if is_well else None, SHOWN_S)
     for broker in world.brokers.values():
-        told = broker.contact
-        is_fresh = told is not None and now_ns - told.at_ns < FRESH_S.get(told.state, 1.0) * S
-        shown = {told.state} if told is not None and is_fresh and broker.says_ready else set()
-        is_told = broker.is_well and not is_held_up
+        owes_ns = station.so_since(
+            f"{broker.name} owes an answer", world.connections.turns[broker.name].is_waiting
+        )
+        is_heard = (
+            broker.is_well and broker.says_ready and (owes_ns is None or now_ns - owes_ns < ANSWERED_S * S)
+        )
+        told_ns = station.so_since(f"{broker.name} is told", is_heard and not is_held_up)
+        is_told = told_ns is not None and now_ns - told_ns > SENT_S * S
+        shown = {broker.contact.state} if broker.contact is not None else set()
         yield from _audit_shown(world, station, broker.name, shown if is_told else None, SENT_S)
     press, alarms = world.hand.press, station.loop.parts.status.view().alarms
     is_hard = press is not None and press.way == "hard" and not press.why and not is_held_up
