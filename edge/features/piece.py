@@ -118,18 +118,12 @@ class Pieces(PressStage):
     def _piece_of(self, press: Press) -> tuple[Piece | None, bool, Sentence | None]:
         """Find the piece of a press: (piece, whether it begins with it, why the press is refused)."""
         if self._waiting_id is not None or self._is_stale:
-            return (
-                None,
-                False,
-                Sentence("the press before is not recorded yet; press again when the station is ready"),
-            )
+            early = Sentence("the press before is not recorded yet; press again when the station is ready")
+            return None, False, early
         codes, piece = _codes(press), self._piece
         if len(codes) > 1:
-            return (
-                piece,
-                False,
-                Sentence(f"codes of several pieces are seen: {', '.join(codes)}; leave one in view"),
-            )
+            several = Sentence(f"codes of several pieces are seen: {', '.join(codes)}; leave one in view")
+            return piece, False, several
         if not codes and piece is None and self._lock is not None:
             return None, False, self._lock
         if piece is not None and codes in ((), (piece.piece_id,)):

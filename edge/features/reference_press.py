@@ -240,11 +240,9 @@ class ReferenceGuard(PressStage):
             last_ns = _newest_with(scored, mounted)
             why = why_due(last_ns, self._clock.time_ns(), self._table.every_h, self._table.shifts)
             if why is not None:
-                yield (
-                    Sentence(
-                        f"a reference press of {name} is due: {why}; ask for it (`gelgate station reference "
-                        "press`), then press it"
-                    )
+                yield Sentence(
+                    f"a reference press of {name} is due: {why}; ask for it (`gelgate station reference press`), then "
+                    "press it"
                 )
             elif (found := judge(scored, self._table.learn)).outcome is Outcome.OUT_OF_LIMITS:
                 sentences = "; ".join(found.sentences)

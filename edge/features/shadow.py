@@ -101,11 +101,9 @@ class Shadow(PressStage):
         self._late = (shadow, self._late[1] + 1 if self._late[0] is shadow else 1) if is_late else (None, 0)
         if not self._is_left_out(shadow):
             return None
-        return shadow, (
-            Sentence(
-                f"is left out, for it took {took_s:.1f} s, at most {most_s:.1f} s are allowed, and each verdict waits "
-                "for it: fit one with a faster method or a smaller bank"
-            )
+        return shadow, Sentence(
+            f"is left out, for it took {took_s:.1f} s, at most {most_s:.1f} s are allowed, and each verdict waits for "
+            "it: fit one with a faster method or a smaller bank"
         )
 
     def _is_left_out(self, shadow: Inspector) -> bool:

@@ -50,43 +50,33 @@ def is_explained(left: float | None) -> bool:
 def blame(left: float | None, repeats: Repeats, wide_mm: float) -> Blame:
     """The cause of one place. left: of `remaining`, None where the free gel is not known. wide_mm: its width."""
     if is_explained(left):
-        return Blame(
-            Cause.GEL,
-            Sentence(
-                "without the marks that the free gel shows it is not there; wipe the gel, and if it stays, "
-                "replace it"
-            ),
+        why = Sentence(
+            "without the marks that the free gel shows it is not there; wipe the gel, and if it stays, "
+            "replace it"
         )
+        return Blame(Cause.GEL, why)
     if left is not None and left <= _OF_THE_PART:
-        return Blame(
-            Cause.UNSURE,
-            Sentence("the free gel shows a mark there that explains only a part of it; press it elsewhere"),
-        )
+        why = Sentence("the free gel shows a mark there that explains only a part of it; press it elsewhere")
+        return Blame(Cause.UNSURE, why)
     is_repeated = repeats.hits >= SEVERAL and repeats.rate >= _MOSTLY
     if is_repeated and repeats.spread_mm >= max(_MOVED_MM, wide_mm):
-        return Blame(
-            Cause.GEL,
-            Sentence(
-                "the same place of the gel exceeded the limit in the presses before, while the part lay at different "
-                "places; wipe the gel, and if it stays, replace it"
-            ),
+        why = Sentence(
+            "the same place of the gel exceeded the limit in the presses before, while the part lay at different "
+            "places; wipe the gel, and if it stays, replace it"
         )
+        return Blame(Cause.GEL, why)
     if left is None:
-        return Blame(
-            Cause.UNSURE,
-            Sentence(
-                "the free gel was not seen since the last press, so a mark on it cannot be excluded; lift for a second "
-                "between presses"
-            ),
+        why = Sentence(
+            "the free gel was not seen since the last press, so a mark on it cannot be excluded; lift for a second "
+            "between presses"
         )
+        return Blame(Cause.UNSURE, why)
     if repeats.hits >= _MANY and repeats.rate >= _ALWAYS:
-        return Blame(
-            Cause.UNSURE,
-            Sentence(
-                "the same place exceeded the limit in press after press with the part at one place, though no mark "
-                "of the free gel explains it; press a part that is known to be good, or press elsewhere"
-            ),
+        why = Sentence(
+            "the same place exceeded the limit in press after press with the part at one place, though no mark "
+            "of the free gel explains it; press a part that is known to be good, or press elsewhere"
         )
+        return Blame(Cause.UNSURE, why)
     return Blame(Cause.PART, Sentence("no mark of the free gel explains it"))
 
 

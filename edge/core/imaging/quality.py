@@ -94,22 +94,18 @@ def check_light(rgb: NDArray[np.uint8]) -> Rejection | None:
     """Black or saturated, or None. rgb: uint8 (h, w, 3)."""
     mean = float(rgb.mean(dtype=np.float64))
     if mean < BLACK_LEVEL:
-        return Rejection(
-            Reason.BLACK,
-            Sentence(
-                f"the frame's mean level is {mean:.1f}, at least {BLACK_LEVEL:g} is expected; "
-                "check the sensor's light and cable"
-            ),
+        text = Sentence(
+            f"the frame's mean level is {mean:.1f}, at least {BLACK_LEVEL:g} is expected; "
+            "check the sensor's light and cable"
         )
+        return Rejection(Reason.BLACK, text)
     share = float((rgb.max(axis=2) >= SATURATED_LEVEL).mean())
     if share > SATURATED_SHARE:
-        return Rejection(
-            Reason.SATURATED,
-            Sentence(
-                f"{share:.0%} of the frame is saturated, at most {SATURATED_SHARE:.0%} is accepted; lower the "
-                "exposure or the press depth"
-            ),
+        text = Sentence(
+            f"{share:.0%} of the frame is saturated, at most {SATURATED_SHARE:.0%} is accepted; lower the "
+            "exposure or the press depth"
         )
+        return Rejection(Reason.SATURATED, text)
     return None
 
 
@@ -118,33 +114,26 @@ def check_freshness(timestamp_ns: int, now_ns: int) -> Rejection | None:
     age_s = (now_ns - timestamp_ns) / 1e9
     if 0 <= age_s <= MAX_AGE_S:
         return None
-    return Rejection(
-        Reason.STALE,
-        Sentence(
-            f"the frame is {age_s:.2f} s old, at most {MAX_AGE_S:g} s is accepted; check the machine's load"
-        ),
+    text = Sentence(
+        f"the frame is {age_s:.2f} s old, at most {MAX_AGE_S:g} s is accepted; check the machine's load"
     )
+    return Rejection(Reason.STALE, text)
 
 
 def check_contact(touch: Touch | None, nominal: NominalContact, size: tuple[int, int]) -> Rejection | None:
     """No contact, off position, or None. size: (width, height) of the picture, for the sentence in its pixels."""
     if touch is None or touch.area == 0:
-        return Rejection(
-            Reason.NO_CONTACT,
-            Sentence("nothing touches the gel where the part should be; check the part and grip"),
-        )
+        text = Sentence("nothing touches the gel where the part should be; check the part and grip")
+        return Rejection(Reason.NO_CONTACT, text)
     for (low, high), place, side, what, unit in (
         (nominal.x, touch.x, size[0], Sentence("centre column"), " px"),
         (nominal.y, touch.y, size[1], Sentence("centre row"), " px"),
-        (nominal.area, touch.area, 1, "area", Sentence(" of the view")),
+        (nominal.area, touch.area, 1, Sentence("area in the view"), ""),
     ):
         if not low * side <= place * side <= high * side:
-            return Rejection(
-                Reason.OFF_POSITION,
-                Sentence(
-                    f"the contact's {what} is {place * side:.3g}{unit}, nominal presses have {low * side:.3g} to "
-                    f"{high * side:.3g}{unit}; "
-                    "check how the part meets the sensor"
-                ),
+            text = Sentence(
+                f"the contact's {what} is {place * side:.3g}{unit}, nominal presses have {low * side:.3g} to "
+                f"{high * side:.3g}{unit}; check how the part meets the sensor"
             )
+            return Rejection(Reason.OFF_POSITION, text)
     return None

@@ -84,13 +84,11 @@ def check_sensor(rgb: NDArray[np.uint8], nominal: NominalColours) -> Rejection |
     distance = colour_distance(cells, nominal.cells)
     if distance <= nominal.limit:
         return None
-    return Rejection(
-        Reason.OTHER_SENSOR,
-        Sentence(
-            f"the colours differ by {distance:.1%} of the light from those of the nominal presses, at most "
-            f"{nominal.limit:.1%} is accepted; {likely_cause(cells, nominal)}"
-        ),
+    text = Sentence(
+        f"the colours differ by {distance:.1%} of the light from those of the nominal presses, at most "
+        f"{nominal.limit:.1%} is accepted; {likely_cause(cells, nominal)}"
     )
+    return Rejection(Reason.OTHER_SENSOR, text)
 
 
 def likely_cause(cells: F64, nominal: NominalColours) -> Sentence:

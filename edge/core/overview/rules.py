@@ -106,13 +106,11 @@ class OverviewRules:
             text = Sentence(f"the part was not seen before the press: {view.fault}")
             return Rejection(Reason.NO_OVERVIEW, text)
         if view.is_present is False and view.changed is not None:
-            return Rejection(
-                Reason.NO_PART,
-                Sentence(
-                    f"{view.changed:.1%} of the overview differs from the empty station, a part changes at least "
-                    f"{self.present_share:.1%}; place the part, then press"
-                ),
+            text = Sentence(
+                f"{view.changed:.1%} of the overview differs from the empty station, a part changes at least "
+                f"{self.present_share:.1%}; place the part, then press"
             )
+            return Rejection(Reason.NO_PART, text)
         return self._other_part(view, selected, named_by) if self.codes else None
 
     def choose_position(self, view: OverviewView, named_by: NamedBy) -> PartPosition | None:
@@ -129,32 +127,26 @@ class OverviewRules:
     def _other_part(self, view: OverviewView, selected: PartPosition, named_by: NamedBy) -> Rejection | None:
         if not view.codes:
             kinds = " or ".join(self.codes)
-            return Rejection(
-                Reason.NO_PART_ID,
-                Sentence(
-                    f"no {kinds} code can be read on the part; turn it to the overview camera, clean it, check the "
-                    "light"
-                ),
+            text = Sentence(
+                f"no {kinds} code can be read on the part; turn it to the overview camera, clean it, check the "
+                "light"
             )
+            return Rejection(Reason.NO_PART_ID, text)
         named = self._find_positions(view, named_by)
         if selected in named:
             return None
         read = ", ".join(f"'{code.text}' ({code.kind})" for code in view.codes)
         if len({self.part_in(code) for code in view.codes}) > 1 and not named:
-            return Rejection(
-                Reason.NO_PART_ID,
-                Sentence(
-                    f"codes of several parts are seen: {read}; leave one part in view, or narrow overview.region"
-                ),
+            text = Sentence(
+                f"codes of several parts are seen: {read}; leave one part in view, or narrow overview.region"
             )
+            return Rejection(Reason.NO_PART_ID, text)
         what = self._meaning(self.part_in(view.codes[0]), named)
-        return Rejection(
-            Reason.OTHER_PART,
-            Sentence(
-                f"the code {read}, which {what}, the bundle in use is for {selected}; press that part, or select the "
-                "other bundle"
-            ),
+        text = Sentence(
+            f"the code {read}, which {what}, the bundle in use is for {selected}; press that part, or select the "
+            "other bundle"
         )
+        return Rejection(Reason.OTHER_PART, text)
 
     @staticmethod
     def _meaning(part: str | None, named: Collection[PartPosition]) -> str:
