@@ -141,10 +141,9 @@ class Pieces(PressStage):
         found = self._store.read("looking for a piece", partial(pieces.read_verdict, piece_id=piece_id))
         if found is None:
             return None
-        state = Sentence("is in progress") if found[0] is None else Sentence(f"is over ({found[0]})")
-        return Sentence(
-            f"the piece {piece_id} {state}; an id is used once: begin a piece with an id of its own"
-        )
+        over = Sentence(f"the piece {piece_id} is over ({found[0]})")
+        state = Sentence(f"the piece {piece_id} is in progress") if found[0] is None else over
+        return Sentence(f"{state}; an id is used once: begin a piece with an id of its own")
 
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         """A touch that is not judged begins no piece that has no id."""
