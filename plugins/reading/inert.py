@@ -108,9 +108,10 @@ def _encode(text: str, coding: str = "latin1") -> bytes:
     return str(text).encode("latin1" if coding != "utf-8" else "utf-8")
 
 
-def _frombuffer(data: Any, dtype: Any, shape: Any, order: Any) -> ArrayValue:
-    """An array of pickle protocol 5 in one piece."""
+def _frombuffer(data: Any, dtype: Any, shape: Any, order: Any, axes: Any = None) -> ArrayValue:
+    """An array of pickle protocol 5 in one piece. axes: their order where it is neither C nor Fortran's (NumPy 2.4)."""
     array = ArrayValue()
+    array.axes = axes
     array.__setstate__((1, shape, dtype, order == "F", data))
     return array
 

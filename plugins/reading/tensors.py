@@ -123,10 +123,12 @@ class DtypeValue:
 class ArrayValue:
     """A NumPy array, not read yet."""
 
-    __slots__ = ("_state",)
+    __slots__ = ("_state", "axes")
 
     def __init__(self, *_: Any) -> None:
         self._state: Any = None
+        self.axes: Any = None
+        """Which axis of the state is the first, the second and so on, as in `transpose`; None: as they are."""
 
     def __setstate__(self, state: Any) -> None:
         self._state = state
@@ -143,6 +145,10 @@ class ArrayValue:
         plain = isinstance(shape, tuple | list) and all(type(n) is int and n >= 0 for n in shape)
         if not plain or len(shape) > MOST_AXES or math.prod(shape) * dtype.dtype().itemsize != len(data):
             raise ValueError(f"an array of shape {shape!r:.60} does not have its {len(data)} bytes")
+        straight = [*range(len(shape))]
+        axes = straight if self.axes is None else self.axes
+        if sorted(axes) != straight:
+            raise ValueError(f"an array of {len(shape)} axes has them in the order {axes!r:.60}")
         flat = np.frombuffer(data, dtype.dtype())
         native = flat.astype(flat.dtype.newbyteorder("="), copy=False)
-        return widen(native.reshape(shape, order="F" if is_fortran else "C"))
+        return widen(native.reshape(shape, order="F" if is_fortran else "C").transpose(axes))

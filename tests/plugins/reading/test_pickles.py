@@ -82,15 +82,17 @@ def test_classes_of_known_programs_become_records(tmp_path: Path) -> None:
 def test_arrays_come_as_numpy_wrote_them(tmp_path: Path, protocol: int, dtype: str) -> None:
     """Every protocol, both orders of bytes and axes; half precision becomes float32."""
     array = np.arange(24).reshape(2, 3, 4).astype(dtype)
-    path = written(
-        tmp_path, {"c": array, "f": np.asfortranarray(array), "one": array.reshape(-1)[3]}, protocol
-    )
+    made = {
+        "c": array,
+        "f": np.asfortranarray(array),
+        "turned": array.transpose(1, 2, 0),
+        "one": array.reshape(-1)[3],
+    }
 
-    _, found = read_here(path)
+    _, found = read_here(written(tmp_path, made, protocol))
 
-    np.testing.assert_array_equal(found["c"], array)
-    np.testing.assert_array_equal(found["f"], array)
-    assert found["one"] == array.reshape(-1)[3]
+    for name, value in made.items():
+        np.testing.assert_array_equal(found[name], value)
 
 
 def test_tables_and_lists_survive_the_way_between_processes(tmp_path: Path) -> None:
@@ -113,6 +115,19 @@ def test_an_array_of_objects_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(ValueError, match=r"holds objects|no plain numbers"):
         read_here(path)
+
+
+@pytest.mark.parametrize("axes", [(0, 0, 1), (0, 1), (0, 1, 3)])
+def test_axes_that_are_no_order_are_refused(tmp_path: Path, axes: tuple[int, ...]) -> None:
+    """What NumPy does not write is no array."""
+
+    class Turned:
+        def __reduce__(self) -> tuple[Any, ...]:
+            make = np.zeros(1).__reduce_ex__(5)[0]
+            return make, (bytes(24), np.dtype("u1"), (2, 3, 4), "K", axes)
+
+    with pytest.raises(ValueError, match="3 axes has them in the order"):
+        read_here(written(tmp_path, Turned()))
 
 
 def test_an_ordered_table_is_a_table(tmp_path: Path) -> None:
