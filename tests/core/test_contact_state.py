@@ -71,7 +71,7 @@ WHOLE = ["unknown", "free", "touching", "pressing", "deep_enough", "at_rest", "j
         (
             [*FREE, *HELD, *LIFT],
             {"is_external": True},
-            [*WHOLE[:6], "pressing", "touching", "free"],
+            [*WHOLE[:6], "pressing", "free"],
         ),
         ([*FREE, *HELD, *LIFT], {"records": lambda number: False}, [*WHOLE[:7], "free"]),
         (

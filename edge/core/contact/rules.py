@@ -34,6 +34,7 @@ from edge.core.contact.signals import (
     UNJUDGED,
     WATCHED,
     Track,
+    is_touch,
     level_of,
     signal_of,
 )
@@ -49,7 +50,7 @@ def step(track: Track, seen: Observation, settings: ContactSettings) -> tuple[Tr
     track = _resumed(replace(track, last_ns=seen.timestamp_ns), seen, settings)
     if seen.is_black or seen.timestamp_ns < track.blind_until_ns:
         return replace(track, state=TABLE[track.state, Signal.BLIND]), ()
-    track = _measure(_update_rest(track, seen, settings), seen)
+    track = _measure(_update_rest(track, seen, settings), seen, settings)
     track = _watched(track, seen, settings)
     return _transition(track, signal_of(track, seen, settings), seen, settings)
 
@@ -117,7 +118,7 @@ def _watched(track: Track, seen: Observation, settings: ContactSettings) -> Trac
     return replace(track, window=window, grown_ns=grown_ns)
 
 
-def _measure(track: Track, seen: Observation) -> Track:
+def _measure(track: Track, seen: Observation, settings: ContactSettings) -> Track:
     """The press's largest area and relief, and the last one's residue, which only shrinks."""
     if track.state in PRESSED:
         strength_peak = max(track.strength_peak, seen.strength)
@@ -131,6 +132,7 @@ def _measure(track: Track, seen: Observation) -> Track:
         )
     return replace(
         track,
+        touched_ns=seen.timestamp_ns if is_touch(track, seen, settings) else track.touched_ns,
         residue=min(track.residue, seen.area),
         relief_residue=min(track.relief_residue, seen.relief),
         strength_residue=min(track.strength_residue, seen.strength),

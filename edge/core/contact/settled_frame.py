@@ -11,7 +11,7 @@ from typing import Final
 from edge.core.contact.mask import Touch
 from edge.core.contact.settings import ContactSettings
 
-__all__ = ["CLEARLY_INVERSE", "Observation", "Window", "is_moving"]
+__all__ = ["CLEARLY_INVERSE", "DEPTH_NOISE", "Observation", "Window", "is_moving"]
 
 # Frames come slightly early or late; one that is due after `settle_s` still counts when it is this much early.
 _EARLY_SHARE = 0.05
@@ -26,6 +26,9 @@ _STEP_SHARE = 0.25
 _FORESEEN_SHARE = 0.4
 # Of a light press one depth is measured a tenth larger than the next; the strength grows with the square of the depth.
 _PEAK_SHARE = 0.1
+
+DEPTH_NOISE: Final = 0.005
+"""Sensor noise moves strength and texture by less, in levels over the whole view."""
 
 CLEARLY_INVERSE: Final = -0.7
 """A log ratio of structure (`Relief.gain`): a reference learnt from a pressed gel has more than the free gel."""
@@ -164,7 +167,7 @@ class Window:
 
     def _rests_since(self, first: Observation, settings: ContactSettings) -> bool:
         """Tell whether the press is no deeper since then, and is not being lifted."""
-        is_as_deep = self.frames[-1].depth >= first.depth * (1 - settings.growth_share) - _NOISE
+        is_as_deep = self.frames[-1].depth >= first.depth * (1 - settings.growth_share) - DEPTH_NOISE
         return is_as_deep and not self._has_grown(first, settings)
 
     def _has_grown(self, since: Observation, settings: ContactSettings) -> bool:
@@ -172,7 +175,9 @@ class Window:
         early = [frame.depths for frame in self.frames if frame.timestamp_ns <= since.timestamp_ns]
         late = [frame.depths for frame in self.frames if frame.timestamp_ns > since.timestamp_ns]
         before, now = _largest([self.deepest, *early]), _largest(late)
-        return any(n > b * (1 + settings.growth_share) + _NOISE for n, b in zip(now, before, strict=True))
+        return any(
+            n > b * (1 + settings.growth_share) + DEPTH_NOISE for n, b in zip(now, before, strict=True)
+        )
 
     def choose(self, since_ns: int, settings: ContactSettings) -> Observation:
         """Choose of the deepest frames since then the first that hardly moved, else the one that moved least.
@@ -192,10 +197,6 @@ class Window:
             return None
         depths = _largest([self.deepest, (strength_peak, 0.0), *(frame.depths for frame in self.frames)])
         return self.peak if self.peak.depth >= (1 - _PEAK_SHARE) * sum(depths) else None
-
-
-# Sensor noise moves strength and texture by less, in levels over the whole view.
-_NOISE = 0.005
 
 
 def _touched(seen: Observation, settings: ContactSettings) -> float:

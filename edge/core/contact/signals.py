@@ -17,6 +17,7 @@ __all__ = [
     "WATCHED",
     "Phase",
     "Track",
+    "is_touch",
     "level_of",
     "phase_of",
     "seconds",
@@ -56,6 +57,8 @@ class Track:
     peak: float = 0.0
     relief_peak: float = 0.0
     strength_peak: float = 0.0
+    touched_ns: int = 0
+    """When something last touched that is no press."""
     sunk_ns: int | None = None
     """The time since which the strength is that of a residue; None while the press is held."""
     residue: float = 0.0
@@ -86,7 +89,8 @@ a press; resting: a press without a verdict that is at rest; decided: one whose 
 
 
 def phase_of(track: Track, seen: Observation | None, settings: ContactSettings) -> Phase:
-    """Return what the last view shows. A press that shows nothing in two views is over, a moment before its end."""
+    """Return what the last view shows. A press that shows nothing in two views, or no area in one, is over a moment
+    before its end; a light contact that flickers is not."""
     if track.is_interrupted or (track.last_ns or 0) < track.blind_until_ns or not track.is_counted:
         return "unseen"
     match track.state:
@@ -95,18 +99,26 @@ def phase_of(track: Track, seen: Observation | None, settings: ContactSettings) 
             is_first = track.state is State.RECOVERY and track.frames == 1
             if seen is None or seen.is_black or is_first:
                 return "free"
-            return "touching" if _is_touch(track, seen, settings) else "free"
+            has_just_touched = seconds(seen.timestamp_ns, track.touched_ns) < settings.idle_interval_s
+            is_faint = has_just_touched and level_of(track, seen, settings) is not Signal.CLEAR
+            return "touching" if is_faint or is_touch(track, seen, settings) else "free"
         case State.APPROACH:
             return "touching"
         case State.EARLY_RELEASE:
-            return "free" if track.frames > 1 else "touching"
+            return "free" if _is_over(track, seen, settings) else "touching"
         case State.SETTLING:
             return "resting" if track.window.is_at_rest(settings) else "pressed"
         case State.CONTACT:
             return "decided"
         case State.RELEASE:
-            return "free" if track.frames > 1 else "decided"
+            return "free" if _is_over(track, seen, settings) else "decided"
     return "unseen"
+
+
+def _is_over(track: Track, seen: Observation | None, settings: ContactSettings) -> bool:
+    """Tell whether a press that is being lifted touches no more."""
+    is_gone = seen is not None and seen.area == 0 and track.peak >= _WIDE_TIMES * settings.on_area
+    return track.frames > 1 or is_gone
 
 
 # A log ratio of structure (`Relief.gain`): a part that presses adds some, a reference learnt from a pressed gel has
@@ -121,6 +133,8 @@ RESIDUE_SHARE: Final = 0.4
 _RESIDUE_S: Final = 0.2
 # Foam springs back and still lies on the gel after its release, with less than this share of its largest strength.
 _RECOIL_SHARE: Final = 0.1
+# The area of a press that was this many times as large as a touch's does not vanish by noise.
+_WIDE_TIMES: Final = 2
 # Over a residue, an imprint of this many times its strength is a new press.
 _NEW_PRESS_TIMES: Final = 2.0
 # A light press is over when its relief has fallen to this share: it has no area to decide by.
@@ -135,11 +149,11 @@ def level_of(track: Track, seen: Observation, settings: ContactSettings) -> Sign
     """Clear, faint or touch: hysteresis above the residue of the last press, by area, relief and strength."""
     if _is_clear(track, seen, settings):
         return Signal.CLEAR
-    is_touch = _is_touch(track, seen, settings) and not _is_recoil(track, seen, settings)
-    return Signal.TOUCH if is_touch else Signal.FAINT
+    is_press = is_touch(track, seen, settings) and not _is_recoil(track, seen, settings)
+    return Signal.TOUCH if is_press else Signal.FAINT
 
 
-def _is_touch(track: Track, seen: Observation, settings: ContactSettings) -> bool:
+def is_touch(track: Track, seen: Observation, settings: ContactSettings) -> bool:
     """Tell whether something touches beyond the residue of the last press."""
     return (
         seen.area >= settings.on_area + track.residue

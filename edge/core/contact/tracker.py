@@ -22,7 +22,7 @@ from edge.core.contact.mask import (
 from edge.core.contact.reference import Reference, View
 from edge.core.contact.relief import Relief, ReliefOfReference, with_relief
 from edge.core.contact.settings import ContactSettings
-from edge.core.contact.settled_frame import Observation
+from edge.core.contact.settled_frame import DEPTH_NOISE, Observation
 from edge.core.contact.signals import ADDS_STRUCTURE, IDLE, LEARNING, PRESSED, WATCHED, Phase, Track, phase_of
 from edge.core.contact.table import State
 
@@ -97,7 +97,7 @@ class ContactTracker:
         self._free_looks: tuple[View, ...] = ()
         self._newest_free: tuple[View, ...] = ()
         self._free_ns = 0
-        self._touched_ns = -math.inf
+        self._grown_ns, self._depth = -math.inf, 0.0
         self._rest: View | None = None
         self.level: View | None = None
         """The last view, at the reference's level where there is one: float32 (h, w, 3)."""
@@ -149,10 +149,11 @@ class ContactTracker:
         return self._newest_free[0] if self._newest_free else None
 
     def is_due(self, timestamp_ns: int, *, is_held: bool = False, is_new: bool = False) -> bool:
-        """False for a frame that need not be decoded: nothing touched for a moment and it hardly shows anything
+        """False for a frame that need not be decoded: nothing touched or grew for a moment and it hardly shows anything
         `is_new`, or a press that has its verdict `is_held` as before, and the last look was a moment ago."""
         interval_ns = self.settings.idle_interval_s * 1e9
-        is_free = self.state in IDLE and not is_new and timestamp_ns - self._touched_ns >= interval_ns
+        shown_ns = max(self._grown_ns, self._track.touched_ns)
+        is_free = self.state in IDLE and not is_new and timestamp_ns - shown_ns >= interval_ns
         idle = is_free or (is_held and self.state is State.CONTACT)
         last_ns = self._track.last_ns
         return not idle or last_ns is None or timestamp_ns - last_ns >= interval_ns
@@ -177,8 +178,9 @@ class ContactTracker:
         is_apart = timestamp_ns - self._free_ns >= self.settings.idle_interval_s * 1e9
         if self.state in IDLE and not seen.is_black and is_apart:
             self._newest_free, self._free_ns = (*self._newest_free[-2:], view), timestamp_ns
-        if self.phase == "touching":
-            self._touched_ns = timestamp_ns
+        has_grown = seen.depth > self._depth + DEPTH_NOISE
+        self._depth = seen.depth if has_grown else min(seen.depth, self._depth)
+        self._grown_ns = timestamp_ns if has_grown else self._grown_ns
         if self._track.still_ns == timestamp_ns:
             self._rest = level
         kept = self.candidates

@@ -161,3 +161,29 @@ def test_a_contact_that_flickers_is_looked_at_in_every_frame() -> None:
     """As at the edge of a soft part: the next frame may show it again."""
     depths = [*[0.0] * 60, 0.3, 0.0, 0.3, 0.3]
     assert phases(depths)[60:] == ["touching", "free", "touching", "touching"]
+
+
+@pytest.mark.parametrize("start", range(4))
+def test_every_frame_is_looked_at_once_something_begins_to_show(start: int) -> None:
+    """A slow touch shows too little for the size of a JPEG: at a look it has grown. What stays is not grown."""
+    detector = PressDetector(PROFILE)
+    depths = [*[0.0] * (60 + start), *[0.004] * 40]
+    seen = [detector.feed(frame).seen is not None for frame in frames(depths)][60 + start :]
+    first = seen.index(True)
+    assert all(seen[first : first + 4])
+    assert sum(seen[20:]) < 15
+
+
+def test_a_light_contact_that_flickers_is_not_free() -> None:
+    """It falls below the area of a touch for a frame, and shows less at once; a moment later it is free."""
+    after = phases([*[0.0] * 60, 0.3, 0.004, 0.3, 0.3, *[0.0] * 6])
+    assert after[60:64] == ["touching", "touching", "touching", "touching"]
+    after = phases([*[0.0] * 60, 0.3, *[0.004] * 12])
+    assert after[61:63] == ["touching", "touching"]
+    assert set(after[66:]) == {"free"}
+
+
+def test_a_press_that_shows_no_area_is_over_with_that_frame() -> None:
+    """A narrow one is over after two, for its area may come and go."""
+    assert phases([*[0.0] * 60, *[1.0] * 20, 0.0])[-1] == "free"
+    assert phases([*[0.0] * 60, *[0.04] * 20, 0.0])[-1] != "free"
