@@ -309,6 +309,7 @@ def disturb_plc(run: "Simulation", rng: random.Random) -> float:
     else:
         plc.mood = kind
         if kind == "slow" and rng.random() < 0.7:
+            lasts_s = max(lasts_s, 8.0)  # until a pass is shown, and after the station has halted
             _unplug_at_pass(run, rng)
         return run.for_a_while(f"plc {kind}", lasts_s, plc.mend)
     return lasts_s
