@@ -284,12 +284,15 @@ class World:
         self.life = Life(path, self.clock, self._bundles, order, self.told)
 
     def play(self, pieces: int) -> None:
-        with faulty(self.faults):
-            self.restart()
-            for number in range(pieces):
-                self.run_piece(number)
-            self.faults.kind = ""
-            self.begin("the last one", pieces)
+        try:
+            with faulty(self.faults):
+                self.restart()
+                for number in range(pieces):
+                    self.run_piece(number)
+                self.faults.kind = ""
+                self.begin("the last one", pieces)
+        finally:
+            self.life.close()
 
     def restart(self) -> None:
         self.life.close()
@@ -439,7 +442,6 @@ class World:
 
     def audit(self) -> Counter[str]:
         """Compare what was said with what was done; return the counts."""
-        self.life.close()
         with sqlite3.connect(self._path) as connection:
             query = "SELECT payload FROM outbox WHERE topic = 'piece_result' ORDER BY row_id"
             results = [json.loads(payload) for (payload,) in connection.execute(query)]
