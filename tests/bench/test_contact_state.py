@@ -275,12 +275,12 @@ def _compare(film: Film) -> Iterator[Late]:
             yield Late(film, said[k], is_false=True)
 
 
-def _print(lates: list[Late]) -> None:
+def _print(delays: list[Late]) -> None:
     print(
         "\n| moment | presses | early, 2 and more | at most one late | or 54 ms | two | more | never | false |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
-    right = [late for late in lates if not late.is_false]
+    right = [late for late in delays if not late.is_false]
     for moment in MOMENTS:
         mine = [late for late in right if late.moment == moment]
         known = [late.frames for late in mine if late.frames is not None]
@@ -288,9 +288,9 @@ def _print(lates: list[Late]) -> None:
             f"| {moment} | {len(mine)} | {sum(n < -1 for n in known)} | {sum(n <= 1 for n in known) / len(mine):.1%} | "
             f"{sum(late.is_on_time for late in mine) / len(mine):.1%} | "
             f"{sum(n == 2 for n in known)} | {sum(n > 2 for n in known)} | {len(mine) - len(known)} | "
-            f"{sum(late.is_false and late.moment == moment for late in lates)} |"
+            f"{sum(late.is_false and late.moment == moment for late in delays)} |"
         )
-    print("false:", Counter((late.moment, late.film.seed) for late in lates if late.is_false))
+    print("false:", Counter((late.moment, late.film.seed) for late in delays if late.is_false))
     print(
         "late:",
         Counter((late.moment, late.film.fps) for late in right if late.frames and not late.is_on_time),
@@ -315,9 +315,9 @@ def _print(lates: list[Late]) -> None:
 @pytest.mark.bench
 def test_how_late_the_states_of_contact_are() -> None:
     """No contact is missed, and none never ends. What is late, false or missing otherwise is printed."""
-    lates = [late for seed in SEEDS for late in _compare(random_film(seed))]
-    stream = [late for late in lates if late.by == "stream"]
+    delays = [late for seed in SEEDS for late in _compare(random_film(seed))]
+    stream = [late for late in delays if late.by == "stream"]
     _print(stream)
     print("\nThe oracle that learns the free gel:")
-    _print([late for late in lates if late.by == "oracle"])
+    _print([late for late in delays if late.by == "oracle"])
     assert not [late for late in stream if late.frames is None and late.moment in ("touching", "free")]
