@@ -49,6 +49,7 @@ _EXCEPTIONS: Final[Mapping[Code, int]] = {
     Code.NO_BEAT: _DEVICE_FAILURE,
 }
 _TRIGGER, _ACKNOWLEDGE, _WATCHDOG = range(len(COILS))
+_READ: Final = {1: "coils", 2: "discrete inputs", 3: "holding registers", 4: "input registers"}
 _HOLDING_COUNT: Final = sum(count for count, _ in HOLDING.values())
 
 
@@ -121,14 +122,14 @@ class _Registers:
     def _read_bits(self, request: bytes, client: "_Connection", ip: str) -> bytes:
         bits = status_bits(self._handshake.read()) if request[0] == 2 else list(map(bool, self._coils))
         start, count = struct.unpack(">HH", request[1:])
-        _check_range(start, count, len(bits), 2000, ip)
+        _check_range(_READ[request[0]], start, count, len(bits), 2000, ip)
         packed = _pack_bits(bits[start : start + count])
         return bytes([len(packed)]) + packed
 
     def _read_registers(self, request: bytes, client: "_Connection", ip: str) -> bytes:
         words = input_registers(self._handshake.read()) if request[0] == 4 else self._holding
         start, count = struct.unpack(">HH", request[1:])
-        _check_range(start, count, len(words), 125, ip)
+        _check_range(_READ[request[0]], start, count, len(words), 125, ip)
         return struct.pack(f">B{count}H", 2 * count, *words[start : start + count])
 
     def _write_coil(self, request: bytes, client: "_Connection", ip: str) -> bytes:
@@ -171,13 +172,13 @@ class _Registers:
     }
 
     def _set_holding(self, start: int, words: Sequence[int], client: "_Connection", ip: str) -> None:
-        _check_range(start, len(words), _HOLDING_COUNT, 123, ip)
+        _check_range("holding registers", start, len(words), _HOLDING_COUNT, 123, ip)
         self._admit(client, ip)
         self._holding[start : start + len(words)] = words
 
     def _set_coils(self, start: int, bits: Sequence[bool], client: "_Connection", ip: str) -> None:
         """Take the edges of coils that a PLC may write all the time. The trigger is last: it may be refused."""
-        _check_range(start, len(bits), len(COILS), 1968, ip)
+        _check_range("coils", start, len(bits), len(COILS), 1968, ip)
         self._admit(client, ip)
         written = dict(enumerate(bits, start))
         if (beat := written.get(_WATCHDOG)) is not None:
@@ -223,13 +224,13 @@ class _Registers:
         self._writer, self._writer_ip, self._heard_ns = client, ip, now_ns
 
 
-def _check_range(start: int, count: int, have: int, most: int, ip: str) -> None:
+def _check_range(what: str, start: int, count: int, have: int, most: int, ip: str) -> None:
     if not 1 <= count <= most:
-        raise _Refused(_ILLEGAL_VALUE, f"{ip} asks for {count} values at once, expected 1 to {most}")
+        raise _Refused(_ILLEGAL_VALUE, f"{ip} asks for {count} {what} at once, expected 1 to {most}")
     if start + count > have:
         raise _Refused(
             _ILLEGAL_ADDRESS,
-            f"{ip} asks for addresses {start} to {start + count - 1}, where the map has 0 to {have - 1}",
+            f"{ip} asks for {what} {start} to {start + count - 1}, where the map has 0 to {have - 1}",
         )
 
 

@@ -202,11 +202,16 @@ class OpcUaServer:
         # asyncua keeps a session that is not heard any more for its time-out
         if is_other and self._clock.monotonic_ns() - writer.heard_ns <= WRITER_S * 1e9:
             return (
-                f"a second client, {session.name}, calls a method while {writer.name} does; it may read, and call "
-                f"{WRITER_S:g} s after the other's last request"
+                f"a second client, {_address(session)}, calls a method while {_address(writer)} does; it may read, and "
+                f"call {WRITER_S:g} s after the other's last request"
             )
         self._writer = session
         return None
+
+
+def _address(session: Any) -> str:
+    """Return where its client is: asyncua names a session by the address of its socket."""
+    return "{}:{}".format(*session.name[:2])
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -215,6 +215,15 @@ def test_what_is_refused_is_an_act_once(configure: Make) -> None:
     assert str(acts[1].sentence).startswith("trigger 2 came while trigger 1 is busy; wait for done")
 
 
+@pytest.mark.parametrize(("trigger_id", "part"), [(0, "PZ9"), (1, "M\xfcller"), (1, "PZ\n9")])
+def test_a_value_that_can_never_be_right_is_told_before_the_part_is_sought(
+    configure: Make, trigger_id: int, part: str
+) -> None:
+    """As the table of codes says."""
+    with PlcStation(configure()) as station:
+        assert station.trigger(trigger_id, part=part) is Code.BAD_VALUE
+
+
 def test_a_trigger_that_the_server_refuses_has_a_code(configure: Make) -> None:
     """Else a PLC that asks why reads that nothing was refused."""
     with PlcStation(configure()) as station:

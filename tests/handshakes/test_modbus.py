@@ -176,11 +176,15 @@ def test_a_trigger_that_is_high_from_the_beginning_is_refused(served: Served) ->
 
 
 ASKED: dict[str, tuple[Callable[[ModbusTcpClient], Any], int, str]] = {
-    "an input beyond the map": (lambda c: c.read_discrete_inputs(0, count=64), 2, "addresses 0 to 63"),
-    "a register beyond the map": (lambda c: c.read_input_registers(HELD), 2, "where the map has 0 to"),
-    "a coil beyond the map": (lambda c: c.write_coil(3, True), 2, "addresses 3 to 3"),
-    "text beyond the map": (lambda c: c.write_registers(30, [0] * 20), 2, "addresses 30 to 49"),
-    "too many": (lambda c: c.read_holding_registers(0, count=125), 2, "addresses 0 to 124"),
+    "an input beyond the map": (lambda c: c.read_discrete_inputs(0, count=64), 2, "discrete inputs 0 to 63"),
+    "a register beyond the map": (
+        lambda c: c.read_input_registers(HELD),
+        2,
+        "input registers 10 to 10, where",
+    ),
+    "a coil beyond the map": (lambda c: c.write_coil(3, True), 2, "coils 3 to 3, where"),
+    "text beyond the map": (lambda c: c.write_registers(30, [0] * 20), 2, "holding registers 30 to 49"),
+    "too many": (lambda c: c.read_holding_registers(0, count=125), 2, "holding registers 0 to 124"),
     "another function": (lambda c: c.read_exception_status(), 1, "function 7 of 127.0.0.1 is not served"),
 }
 

@@ -29,10 +29,9 @@ def mbpoll() -> str:
 
 def commands() -> Iterator[list[str]]:
     """The arguments of each command of the walk, with `$M` in their place."""
-    walk = PAGE.partition("## Ten minutes with mbpoll")[2].partition("```")[2].partition("```")[0]
-    base = re.search(r'M="mbpoll (.*)"', walk)
+    base = re.search(r'M="mbpoll (.*)"', PAGE)
     assert base is not None
-    for line in walk.splitlines():
+    for line in PAGE.splitlines():
         if line.startswith("$M"):
             yield [*base[1].split(), *line.partition("#")[0].split()[1:]]
 

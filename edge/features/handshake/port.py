@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any, Final, final
 
 from edge.core.errors import StoreError
-from edge.core.handshake import Code, HandshakeMachine, HandshakeView, Refusal, Trigger
+from edge.core.handshake import Code, HandshakeMachine, HandshakeView, Refusal, Trigger, check_trigger
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.core.rate import Rate
@@ -61,7 +61,7 @@ class Port:
             return machine.read(now_ns)
 
     def trigger(self, trigger: Trigger) -> Refusal | None:
-        part = self._find_part(trigger.part) if trigger.part else None
+        part = self._find_part(trigger.part) if trigger.part and check_trigger(trigger) is None else None
         with self.machine() as (machine, now_ns):
             if isinstance(part, Refusal):
                 refusal: Refusal | None = machine.refuse(part)
