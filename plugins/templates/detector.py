@@ -71,19 +71,20 @@ class Detector:
         return bytes(graph.SerializeToString())
 
 
-# The language of `onnx.parser`: https://onnx.ai/onnx/repo-docs/Syntax.html
-HEAD = """<ir_version: 8, opset_import: ["": 17]>
+# The language of `onnx.parser`: https://onnx.ai/onnx/repo-docs/Syntax.html. To a graph below opset 18 the
+# fit can append neither the limit of a place's surroundings nor the check of missing relief.
+HEAD = """<ir_version: 8, opset_import: ["": 18]>
 head (float[n, {c}, {h}, {w}] layer1, float[{c}, {h}, {w}] mean, float[{c}, {h}, {w}] deviation)
     => (float[n, H, W] score_map, float[n] score)
-<float[4] scales = {{1.0, 1.0, {rows}, {columns}}}, int64[1] channels = {{1}}> {{
+<float[4] scales = {{1.0, 1.0, {rows}, {columns}}}, int64[1] channels = {{1}}, int64[2] places = {{1, 2}}> {{
     distance = Sub (layer1, mean)
     deviations = Div (distance, deviation)
     squares = Mul (deviations, deviations)
-    square = ReduceMean <axes = [1]> (squares)
+    square = ReduceMean (squares, channels)
     cells = Sqrt (square)
     pixels = Resize <mode = "nearest"> (cells, , scales)
     score_map = Squeeze (pixels, channels)
-    score = ReduceMax <axes = [1, 2], keepdims = 0> (score_map)
+    score = ReduceMax <keepdims = 0> (score_map, places)
 }}"""
 
 plugin = Detector()

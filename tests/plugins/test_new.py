@@ -144,6 +144,7 @@ def test_from_nominal_presses_to_a_verdict_at_the_webhook(
     options = ["--part", "bolt", "--method", "deviations", "--no-trunk", "--backbone", "tactile_lite0"]
     fit = gelgate("fit", nominal, "-o", "bolt", *options, "--set", "threshold=30")
     assert (fit.code, "deviations" in fit.out) == (0, True), fit.err
+    assert "cannot be appended" not in fit.out
     run(tmp_path, "gelgate", "bundle", "verify", "bolt")
 
     with server() as webhook:

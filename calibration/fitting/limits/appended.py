@@ -16,7 +16,7 @@ from edge.core.detector import Bank
 from edge.core.errors import FitError
 from edge.model.manifest import REGION_WEIGHTS
 
-__all__ = ["TAUGHT_WEIGHTS", "append", "can_extend", "extend_head", "head_inputs"]
+__all__ = ["TAUGHT_WEIGHTS", "append", "extend_head", "find_obstacle", "head_inputs"]
 
 # Earlier fits had limits with both; banks of their presses are judged too (`gelgate lab detectability`).
 _SURROUNDINGS = """
@@ -201,11 +201,12 @@ def _load(head: bytes) -> Any:
         raise FitError(f"it is no ONNX model: {error}") from error
 
 
-def can_extend(head: bytes) -> bool:
-    """Tell whether a limit can be appended to this head."""
+def find_obstacle(head: bytes) -> str:
+    """Return why no limit can be appended to this head; empty where one can."""
     try:
         append(head, Bank({}), {name: np.ones((1, 1)) for name in ("limit_grid", "limit_guard")})
-    except FitError:
-        return False
+    except FitError as error:
+        return str(error)
     versions = [entry.version for entry in _load(head).opset_import if entry.domain in ("", "ai.onnx")]
-    return max(versions, default=0) >= _OLDEST_OPSET
+    opset = max(versions, default=0)
+    return "" if opset >= _OLDEST_OPSET else f"the head has opset {opset}, a limit needs {_OLDEST_OPSET}"

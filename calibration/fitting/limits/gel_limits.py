@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.fitting.limits.appended import can_extend
+from calibration.fitting.limits.appended import find_obstacle
 from calibration.fitting.limits.held_out import HeldOut, ScoredPresses, ShownPresses
 from calibration.fitting.limits.limit_choice import WORTH, Choice, Evidence, choose_limit
 from calibration.fitting.limits.map_limit import PLAIN
@@ -111,8 +111,9 @@ def choose_limits(
 
     shown: the nominal presses. damaged: those with damage. head: the graph that the limit is to be appended to.
     """
-    if not can_extend(head):
-        return LimitsChosen(Choice(PLAIN, "another limit cannot be appended to the method's graph"), evidence)
+    if obstacle := find_obstacle(head):
+        why = f"another limit cannot be appended to the method's graph: {obstacle}"
+        return LimitsChosen(Choice(PLAIN, why), evidence)
     usual = LimitsChosen(choose_limit(evidence), evidence)
     if shown.registered is None or damaged.registered is None or not evidence.is_score_a_maximum:
         return usual

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.damage.conditions import ChangedPresses, change_presses
-from calibration.fitting.limits.appended import append, can_extend, head_inputs
+from calibration.fitting.limits.appended import append, find_obstacle, head_inputs
 from calibration.fitting.limits.folds import Folds
 from calibration.fitting.limits.held_out import Learner
 from calibration.fitting.limits.missing_relief import Pooled, Relief, contact_of, pool
@@ -90,8 +90,9 @@ def try_relief(
 ) -> ReliefChoice:
     """Learn what the station's presses allow. take: the features of frames. head: the graph that is to be extended."""
     tap = finest_tap(learner.grid, head_inputs(head))
-    if tap is None or not can_extend(head):
-        return ReliefChoice("it cannot be appended to the method's graph")
+    obstacle = "the head reads no tap" if tap is None else find_obstacle(head)
+    if tap is None or obstacle:
+        return ReliefChoice(f"it cannot be appended to the method's graph: {obstacle}")
     changed = change_presses(presses, *view, np.random.default_rng(learner.seed))
     if changed is None:
         return ReliefChoice("no contact is seen to make smoother")

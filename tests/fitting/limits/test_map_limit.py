@@ -4,7 +4,7 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from calibration.fitting.limits.appended import append, can_extend
+from calibration.fitting.limits.appended import append, find_obstacle
 from calibration.fitting.limits.map_limit import GUARD, Limit, find_contrast, make_limit, make_window, relate
 from edge.core.detector import Bank
 from edge.core.errors import FitError
@@ -100,9 +100,9 @@ def test_the_graph_computes_the_oracle(limit: Limit) -> None:
 
 def test_a_graph_of_an_older_opset_is_not_extended() -> None:
     """Reductions take their axes otherwise there."""
-    assert can_extend(raw_head())
-    assert not can_extend(raw_head(opset=13))
-    assert not can_extend(b"nonsense")
+    assert not find_obstacle(raw_head())
+    assert find_obstacle(raw_head(opset=13)) == "the head has opset 13, a limit needs 18"
+    assert "it is no ONNX model" in find_obstacle(b"nonsense")
 
 
 def test_another_bank_takes_over_the_limit() -> None:
