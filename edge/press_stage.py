@@ -197,6 +197,13 @@ class PressStage:
     alarms: ClassVar[Mapping[str, Alarm]] = {}
     """The alarms that a feature of another package raises, by id; gelgate's own are in `alarm_payload.ALARMS`."""
 
+    words: ClassVar[Mapping[str, Mapping[str, str]]] = {}
+    """What the page says of a feature of another package in other languages: language to English to its text. English
+    is the title of an alarm, what to do, and each `Sentence` with its values in braces: `{shift} has its parts`."""
+
+    foreign_name: str | None = None
+    """The name of a feature of another package, set after `open`; None of gelgate's own."""
+
     Options: ClassVar[type[BaseModel] | None] = None
     """What the table `[feature.NAME]` of a feature of another package may have; None for no such table."""
 
@@ -267,7 +274,8 @@ class PressStage:
         return press
 
     def fields(self, press: Press) -> Mapping[str, Any]:
-        """Return what this stage has to say in the press's result: fields of `ResultPayload`."""
+        """Return what this stage has to say in the press's result: fields of `ResultPayload`; those of a feature of
+        another package, plain JSON, stand under its name in the field `feature`."""
         return {}
 
     def table(self, press: Press, row: PressRecord) -> OwnTable | None:

@@ -75,9 +75,10 @@ def names(group: Group) -> list[str]:
     return sorted(_points(group))
 
 
-def foreign(group: Group) -> list[str]:
-    """The names of a group that other packages than gelgate bring."""
-    return sorted(name for name, points in _points(group).items() if _package(points[0]) != "gelgate")
+def foreign(group: Group) -> Mapping[str, str]:
+    """Return the names of a group that other packages than gelgate bring, each with its package."""
+    packages = {name: _package(points[0]) for name, points in sorted(_points(group).items())}
+    return {name: package for name, package in packages.items() if package != "gelgate"}
 
 
 def command(name: str) -> Verb:

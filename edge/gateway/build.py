@@ -169,6 +169,7 @@ def _open_stages(
     for name in (*(name for name in instead if name not in features), *features):
         stage = instead.get(name) or _open_stage(name, features[name], parts)
         if stage is not None:
+            stage.foreign_name = name if name in features and name not in parts.config.features else None
             closing.callback(stage.close)
             stages[name] = stage
     return stages

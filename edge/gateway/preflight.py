@@ -99,6 +99,8 @@ class Preflight:
         features: Features = {}
         with contextlib.suppress(ConfigError):  # a feature that cannot be loaded is a finding of `commands`
             features = load_features(config)
+        for name, package in registry.foreign("features").items() if features else ():
+            self.findings.append(Finding("feature", f"{name} of {package} takes part in every press"))
         for name, feature in features.items():
             try:
                 for part, attempt in feature.attempts(config):

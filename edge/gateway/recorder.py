@@ -139,7 +139,7 @@ class Recorder:
             "sensor_serial": self._serial,
             **_judgement(press, bundle),
             **_defects(press, bundle),
-            **{name: value for stage in self._stages for name, value in stage.fields(press).items()},
+            **_fields(self._stages, press),
             "heatmap_topic": f"heatmap/{press.press_id}" if draw else None,
         }
         drawing = None if draw is None else PressDrawing(press.press_id, draw)
@@ -329,6 +329,19 @@ def _defects(press: Press, bundle: Bundle) -> Mapping[str, Any]:
         ],
         "defect_area_mm2": round(sum(defect.area_px for defect in defects) * x_mm * y_mm, 4),
     }
+
+
+def _fields(stages: Iterable[PressStage], press: Press) -> Mapping[str, Any]:
+    """Return what the stages have to say; a feature of another package cannot change what gelgate says."""
+    ours: dict[str, Any] = {}
+    others: dict[str, Mapping[str, Any]] = {}
+    for stage in stages:
+        fields = stage.fields(press)
+        if stage.foreign_name is None:
+            ours |= fields
+        elif fields:
+            others[stage.foreign_name] = fields
+    return {**ours, "feature": others}
 
 
 def _result(waiting: WaitingPress, recorded: Recorded) -> ResultPayload:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar, Final, Literal, NamedTuple, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 
 from edge.core.defects import Defect, longest_extent
 from edge.core.imaging.quality import Reason
@@ -266,6 +266,10 @@ class ResultPayload(Payload):
         ge=1,
         description="of the PLC's trigger that this press answered; the PLC has seen a pass only where it was recorded "
         "in time; null for none",
+    )
+    feature: dict[str, dict[str, JsonValue]] = Field(
+        default_factory=dict,
+        description="what features of other packages say of this press, by their names",
     )
     ledger_head: str | None = Field(
         default=None,

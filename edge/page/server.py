@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 from urllib.parse import parse_qs, urlsplit
 
+from edge import registry
 from edge.core.errors import ConfigError
 from edge.core.ports import Clock
 from edge.core.sink_context import PageRequests
@@ -42,9 +43,23 @@ _FILES = {
 
 # Besides English, which is that of the HTML and JavaScript; each is named in page.html too.
 LANGUAGES: Final = ("de", "it", "ja")
-_FILES |= {f"/words/{one}.json": (f"words_{one}.json", "application/json") for one in LANGUAGES}
+_WORDS = {f"/words/{one}.json": one for one in LANGUAGES}
 
 _PARTS: Final = ("state", "info", "gel", "reference", "piece", "questions", "drift", "stats", "alarms")
+
+
+def read_words(language: str) -> dict[str, Any]:
+    """Return the catalogue of a language, with the words of installed features of other packages, which change none of
+    gelgate's. Errors: ConfigError for a feature that cannot be loaded."""
+    words: dict[str, Any] = json.loads(
+        files("edge.page.files").joinpath(f"words_{language}.json").read_bytes()
+    )
+    for name in registry.foreign("features"):
+        theirs = getattr(registry.feature(name), "words", {}).get(language, {})
+        words["sentences"] |= {
+            text: said for text, said in theirs.items() if text not in {*words, *words["sentences"]}
+        }
+    return words
 
 
 class PageServer:
@@ -95,7 +110,9 @@ class _Handler(HttpHandler):
     def do_GET(self) -> None:
         path, query = urlsplit(self.path).path, urlsplit(self.path).query
         part = path.removeprefix("/").removesuffix(".json")
-        if path in _FILES:
+        if path in _WORDS:
+            self._json(read_words(_WORDS[path]))
+        elif path in _FILES:
             name, content_type = _FILES[path]
             self.answer(200, content_type, files("edge.page.files").joinpath(name).read_bytes())
         elif path == "/live.json":

@@ -1,6 +1,7 @@
 """What every feature of presses must do, in a station that inspects recorded presses. Its package is installed."""
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -82,6 +83,16 @@ def check_alarms_are_declared(case: FeatureCase) -> None:
         station.play()
         unknown = {*station.raised} - {*ALARMS, *list_alarms()}
     require(not unknown, f"{sorted(unknown)} is not in `alarms` of its class")
+
+
+def check_words(case: FeatureCase) -> None:
+    """In each language a text has the values of the English one, in braces."""
+    for language, words in case.kind.words.items():
+        for text, said in words.items():
+            values, found = ({*re.findall(r"\{\w+\}", one)} for one in (text, said))
+            require(
+                values == found, f"'{text}' has the values {sorted(values)}, in '{language}' {sorted(found)}"
+            )
 
 
 def check_requests(case: FeatureCase) -> None:

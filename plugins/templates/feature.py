@@ -1,8 +1,9 @@
 """Counts the presses of each shift of eight hours, and answers with them."""
 
 from collections import Counter
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from pydantic import BaseModel, Field
 
@@ -24,7 +25,14 @@ class Shifts(PressStage):
     """A press goes through one stage of each feature. `PressStage` says when each method is called."""
 
     Options = FeatureOptions
-    alarms: ClassVar = {"template": Alarm("end the shift")}
+    alarms: ClassVar = {"template": Alarm("end the shift", title="The shift is full")}
+    words: ClassVar = {
+        "de": {
+            "The shift is full": "Die Schicht ist voll",
+            "end the shift": "die Schicht beenden",
+            "{shift} has its parts": "{shift} hat ihre Teile",
+        }
+    }
 
     def __init__(self, options: FeatureOptions, alarms: Alarms) -> None:
         self._options, self._alarms, self._counts = options, alarms, Counter[str]()
@@ -33,6 +41,10 @@ class Shifts(PressStage):
     def open(cls, parts: StageParts) -> Self:
         """Make the stage of a station."""
         return cls(parts.options, parts.alarms)
+
+    def fields(self, press: Press) -> Mapping[str, Any]:
+        """Say how many parts were pressed before; the result has it under `feature`."""
+        return {"before": self._counts.total()}
 
     def record(self, press: Press, gel: GelRecord) -> None:
         """Count a press that is in the database."""

@@ -1,6 +1,7 @@
 """A feature of presses is one stage; tests/plugins has one of another author."""
 
-from collections.abc import Callable, Iterator
+import json
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import ClassVar
@@ -22,6 +23,7 @@ from edge.messaging.alarm_payload import Alarm, AlarmPayload
 from edge.messaging.command_payloads import NoArguments
 from edge.messaging.sink_worker import RetainedState
 from edge.model.inspector import Inspector
+from edge.page.server import read_words
 from edge.page.shown import Shown
 from edge.press_stage import Command, PressStage, StageParts
 from edge.store.gel_ledger import GelRecord
@@ -155,6 +157,35 @@ def test_a_feature_brings_its_alarms(config: Path, monkeypatch: pytest.MonkeyPat
             "lamp_lost"
         ].items()
     assert station.alarm("lamp_dim") is None  # the package may be gone at the next start
+
+
+class Talkative(PressStage):
+    """Says something of each press, and says it in German; it also tries what is gelgate's."""
+
+    words: ClassVar = {"de": {"it takes {watts} W": "Bedarf: {watts} W", "pass": "schlecht"}}
+
+    def fields(self, press: Press) -> Mapping[str, object]:
+        return {"watts": 5, "verdict": "pass"}
+
+
+def test_a_feature_says_something_in_the_result_and_on_the_page(
+    config: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under its name, beside what gelgate says, which it does not change; the check before a start names it."""
+    install(monkeypatch, f"{__name__}:Talkative")
+    monkeypatch.setattr(EntryPoint, "load", _load_from_here(EntryPoint.load))
+    with SteppedStation(config) as station:
+        station.play()
+        assert station.verdicts == ["pass", "fail", "pass"]
+        said = [json.loads(result.encode())["feature"] for result in station.results]
+        assert said == [{"lamp": {"watts": 5, "verdict": "pass"}}] * 3
+
+    sentences = read_words("de")["sentences"]
+    assert (sentences["it takes {watts} W"], sentences["pass"]) == ("Bedarf: {watts} W", "gut")
+    assert "it takes {watts} W" not in read_words("it")["sentences"]
+    with preflight(load_config(config), SystemClock(), is_start=False) as checked:
+        found = {one.part: one.text for one in checked.findings}
+    assert found["feature"] == "lamp of an unknown package takes part in every press"
 
 
 class Forgetful(PressStage):

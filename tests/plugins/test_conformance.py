@@ -7,7 +7,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import benches
 import numpy as np
@@ -390,6 +390,10 @@ class Raising(Lamp):
         self.alarm.say("lamp", "it is on")
 
 
+class Mistranslated(Lamp):
+    words: ClassVar = {"de": {"it takes {watts} W": "Bedarf: {watt} W"}}
+
+
 class Answering(Lamp):
     commands = (Command("lamp", NoArguments, lambda stage, given: {"press": stage}, "what it shows"),)
 
@@ -416,6 +420,7 @@ WRONG_FEATURES = {
     "check_presses_are_recorded": Passing,
     "check_presses_without_a_score": Scoring,
     "check_alarms_are_declared": Raising,
+    "check_words": Mistranslated,
     "check_requests": Answering,
     "check_a_restart": Once,
     "check_closed_twice": Closing,
