@@ -3,13 +3,15 @@
     pip install paho-mqtt
     python lift_when_judged.py HOST PORT gelgate/site/line/station/gel/v1
 
-It prints `lift <press id>` where a robot would lift, and `retreat` where the press is too deep. What the
-broker has kept may be old and does not count: the station says it again five times a second while something touches.
+It prints `lift <press id>` where a robot would lift, and `retreat` where the press is too deep. What is older than half
+a second does not count: the station says it again five times a second while something touches. So the clocks of both
+must agree within that, as with NTP; where they do not, nothing is lifted.
 """
 
 import json
 import queue
 import sys
+import time
 
 import paho.mqtt.client as mqtt
 
@@ -26,8 +28,8 @@ def main(host, port, root):
         said = json.loads(message.payload)
         if message.topic.endswith("/state"):
             is_ready = said["state"] == "ready"
-        elif message.retain or not is_ready:
-            continue  # it may be old
+        elif not is_ready or abs(time.time_ns() - said["time_ns"]) > 0.5e9:
+            continue  # another part may lie there by now
         elif said["state"] == "overload":
             print("retreat", flush=True)
         elif said["state"] == "lift" and said["press_id"] != lifted:

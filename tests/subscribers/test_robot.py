@@ -1,10 +1,13 @@
 """The robot of examples/lift_when_judged.py at a real broker, beside a station with a virtual sensor."""
 
+import json
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
+import paho.mqtt.client as mqtt
 import pytest
 from station import MQTT, press_recording, small_bundle, station_config, variant
 
@@ -47,3 +50,32 @@ def test_the_robot_lifts_each_part_once_when_its_verdict_is_recorded(
         assert said == [f"lift {press_id}" for press_id in ids]
     else:
         assert set(said) == {"retreat"}
+
+
+def test_the_robot_believes_no_word_that_comes_late() -> None:
+    """As those that a broker which hung has kept back: by now another part may lie there. Nor one of a wrong clock."""
+    if "mosquitto" not in available_brokers():
+        pytest.skip("SKIPPED, NOT TESTED: mosquitto is not installed")
+    with LocalBroker("mosquitto") as broker:
+        station = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        station.connect("127.0.0.1", broker.port)
+        station.loop_start()
+        station.publish(f"{ROOT}/state", json.dumps({"state": "ready"}), 1, retain=True).wait_for_publish(20)
+        words = [sys.executable, str(ROBOT), "127.0.0.1", str(broker.port), ROOT]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as robot:
+            lifts: list[str] = []
+            reader = threading.Thread(target=lambda: lifts.extend(map(str.strip, robot.stdout or ())))
+            reader.start()
+            for _ in range(200):
+                for late_s, press_id in ((1.1, "late"), (-1.1, "early"), (0.0, "fresh")):
+                    time_ns = time.time_ns() - round(late_s * 1e9)
+                    said = {"state": "lift", "press_id": press_id, "time_ns": time_ns}
+                    station.publish(f"{ROOT}/contact", json.dumps(said))
+                if lifts:
+                    break
+                time.sleep(0.1)
+            robot.terminate()
+            reader.join(20)
+        station.disconnect()
+        station.loop_stop()
+    assert lifts == ["lift fresh"]
