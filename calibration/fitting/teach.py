@@ -6,6 +6,7 @@ they find whatever was found before. Sound presses are scored by banks without t
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Final
 
 import cv2
@@ -74,8 +75,6 @@ class Lesson:
     """Of the damaged presses, by the old bundle."""
     maps: F32 = field(init=False)
     """Their score maps in units of the limit, where the bank knows the part, (m, h, w)."""
-    held_out: F32 | None = field(init=False)
-    """The same of the nominal presses by banks without them, (n, h, w); None of too few."""
 
     def __post_init__(self) -> None:
         old, limit = self.old, self.old.manifest.threshold
@@ -93,10 +92,15 @@ class Lesson:
             raise FitError(f"the bundle gives {', '.join(refused)} no score, so such presses never pass")
         object.__setattr__(self, "scores", scores * limit.value)
         object.__setattr__(self, "maps", maps)
-        held_out = hold_out(old, self.nominal, self.config, self.created)
+
+    @cached_property
+    def held_out(self) -> F32 | None:
+        """Score maps of the nominal presses by banks without them, as `maps`, (n, h, w); None of too few. It takes
+        three fits. Errors: as `fit_files`."""
+        maps = hold_out(self.old, self.nominal, self.config, self.created)
         for name in (TAUGHT_WEIGHTS, REGION_WEIGHTS):
-            held_out = None if held_out is None else held_out * old.bank.get(name, np.float32(1))
-        object.__setattr__(self, "held_out", held_out)
+            maps = None if maps is None else maps * self.old.bank.get(name, np.float32(1))
+        return maps
 
     @property
     def missed(self) -> list[int]:
