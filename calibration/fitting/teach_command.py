@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Final
 
 import typer
 
 from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
-from edge.cli.arguments import flatten
+from edge.cli.arguments import add_argument, add_option, flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
 
 if TYPE_CHECKING:
@@ -29,30 +29,20 @@ _METHODS: Final = ("padim", "patchcore")
 class TeachArguments:
     """What the command line says."""
 
-    bundle: Annotated[Path, typer.Argument(help="The bundle in use.")]
-    sources: Annotated[
-        list[Path], typer.Argument(metavar="SOURCE...", help="Its nominal presses, as for `fit`.")
-    ]
-    damaged: Annotated[
-        list[str],
-        typer.Option(metavar="PRESS", help="A damaged press: its id, or a picture; 1 to 5 of them."),
-    ]
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="The bundle to write: a folder, or a name ending in .zip."),
-    ] = None
-    take: Annotated[
-        str | None,
-        typer.Option(
-            help="Write this one: limit, place, or a method; by default all are shown and none is written."
-        ),
-    ] = None
-    methods: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--method", help="Another method to try; default: padim and patchcore.", show_default=False
-        ),
-    ] = None
+    bundle: Path = add_argument(..., "The bundle in use.")
+    sources: list[Path] = add_argument(..., "Its nominal presses, as for `fit`.", metavar="SOURCE...")
+    damaged: list[str] = add_option(
+        ..., "A damaged press: its id, or a picture; 1 to 5 of them.", metavar="PRESS"
+    )
+    output: Path | None = add_option(
+        None, "The bundle to write: a folder, or a name ending in .zip.", "--output", "-o"
+    )
+    take: str | None = add_option(
+        None, "Write this one: limit, place, or a method; by default all are shown and none is written."
+    )
+    methods: list[str] | None = add_option(
+        None, "Another method to try; default: padim and patchcore.", "--method", show_default=False
+    )
     config: ConfigOption = CONFIG
     database: DatabaseOption = None
     no_contact: NoContact = None
@@ -92,16 +82,17 @@ def teach(given: TeachArguments) -> None:
         )
     if not lesson.missed:
         raise FitError("the bundle finds every one of these presses; there is nothing to teach")
-    remedies, before = _try_remedies(given, lesson), _judge(old, confirmed, database, given.threads)
+    remedies = _try_remedies(given, lesson)
+    if given.take not in (None, *remedies):
+        raise ConfigError(
+            f"'{given.take}' is not among what can be taken; {suggestion(given.take, list(remedies))}"
+        )
+    before = _judge(old, confirmed, database, given.threads)
     _describe(lesson, remedies)
     if given.take is None:
         for remedy in remedies.values():
             _compare(remedy, before, confirmed, database, given.threads)
         return
-    if given.take not in remedies:
-        raise ConfigError(
-            f"'{given.take}' is not among what can be taken; {suggestion(given.take, list(remedies))}"
-        )
     taken = remedies[given.take]
     if lost := [lesson.damaged.names[k] for k in lesson.missed if not taken.is_found[k]]:
         raise FitError(f"{given.take} does not find {', '.join(lost)}, and is not written")
@@ -225,9 +216,10 @@ def _describe(lesson: "Lesson", remedies: Mapping[str, "Remedy"]) -> None:
     now = Remedy("now", "the bundle as it is", Fitted(lesson.old.manifest, {}), lesson.scores)
     for remedy in (now, *remedies.values()):
         typer.echo(remedy.describe())
-    for k, reason in zip(lesson.missed, why_not(lesson), strict=False):
-        bearable = [one for one in remedies.values() if one.is_found[k] and one.rate <= BEARABLE]
-        if not bearable:
+    bearable = [one for one in remedies.values() if one.rate <= BEARABLE]
+    lost = [not any(one.is_found[k] for one in bearable) for k in lesson.missed]
+    for is_lost, reason in zip(lost, why_not(lesson) if any(lost) else (), strict=False):
+        if is_lost:
             typer.echo(
                 f"nothing of this finds it at a bearable cost ({BEARABLE:.0%} of sound presses): {reason}"
             )

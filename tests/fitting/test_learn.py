@@ -1,9 +1,8 @@
 """`gelgate bundle learn`: what people said at a station becomes a new bundle, or a sentence."""
 
+import dataclasses
 import json
-import sqlite3
 from collections.abc import Mapping
-from contextlib import closing
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -11,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 from command_line import Outcome, gelgate
-from confirmed_station import PLAIN, fit, say
+from confirmed_station import PLAIN, Judged, fit
+from sql import execute
 from station import station_config, variant
 from stepped_station import SteppedStation
 
@@ -28,28 +28,17 @@ from edge.store.gel_proofs import GelBundle
 from edge.store.press_archive import ArchivedPress
 
 
-def learn(
-    inspected: tuple[Path, list[str]],
-    folder: Path,
-    *more: object,
-    bundle: Path | None = None,
-    sources: Path | None = None,
-) -> Outcome:
-    old, nominal = bundle or inspected[0] / "old", sources or inspected[0] / "nominal"
-    return gelgate(
-        "bundle", "learn", old, nominal, "-o", folder / "new", "-c", folder / "gelgate.toml", *more
-    )
+def learn(station: Judged, *more: object, bundle: Path | None = None, sources: Path | None = None) -> Outcome:
+    words = bundle or station.old, sources or station.nominal, "-o", station.new
+    return gelgate("bundle", "learn", *words, "-c", station.config, *more)
 
 
-def test_what_is_called_good_is_learnt_and_what_is_called_damaged_is_still_found(
-    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
-) -> None:
+def test_what_is_called_good_is_learnt_and_what_is_called_damaged_is_still_found(station: Judged) -> None:
     """With the parameters and the backbone of the old bundle, and the next revision; the old one is as it was."""
-    folder, ids = station
-    before = (inspected[0] / "old" / "manifest.json").read_bytes()
-    say(folder, {ids[0]: "good", ids[1]: "good", ids[2]: "damaged", ids[3]: "cannot_tell", ids[5]: "gel"})
+    before = (station.old / "manifest.json").read_bytes()
+    station.say({0: "good", 1: "good", 2: "damaged", 3: "cannot_tell", 5: "gel"})
 
-    done = learn(inspected, folder)
+    done = learn(station)
 
     assert done.code == 0, done.err
     assert "people said of bolt/default: 1 cannot_tell, 1 damaged, 1 gel, 2 good\n" in done.out
@@ -58,61 +47,45 @@ def test_what_is_called_good_is_learnt_and_what_is_called_damaged_is_still_found
         "of 1 presses that people call damaged 1 do not pass the old bundle and 1 do not pass the new one; of 2 that "
         "they call good 0 and 0; 0 of 3 other archived presses change\n" in done.out
     )
-    manifest = Bundle.load(folder / "new").manifest
+    manifest = Bundle.load(station.new).manifest
     assert (manifest.revision, manifest.parameters["gain"], manifest.method) == (2, 2.0, "tiny")
-    assert {f"confirmed/{press_id}.jpg" for press_id in ids[:2]} <= set(manifest.provenance.presses)
-    assert (inspected[0] / "old" / "manifest.json").read_bytes() == before
+    assert {f"confirmed/{press_id}.jpg" for press_id in station.ids[:2]} <= set(manifest.provenance.presses)
+    assert (station.old / "manifest.json").read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        ({}, "no press of bolt/default that people call good can be learnt"),
-        ({3: "cannot_tell", 5: "gel"}, "no press of bolt/default that people call good can be learnt"),
-    ],
-)
-def test_without_a_good_word_nothing_is_learnt(
-    inspected: tuple[Path, list[str]],
-    station: tuple[Path, list[str]],
-    words: Mapping[int, str],
-    sentence: str,
-) -> None:
-    folder, ids = station
-    say(folder, {ids[number]: word for number, word in words.items()})
+@pytest.mark.parametrize("words", [{}, {3: "cannot_tell", 5: "gel"}])
+def test_without_a_good_word_nothing_is_learnt(station: Judged, words: Mapping[int, str]) -> None:
+    station.say(words)
 
-    done = learn(inspected, folder)
+    done = learn(station)
 
-    assert sentence in done.sentence()
-    assert not (folder / "new").exists()
+    assert "no press of bolt/default that people call good can be learnt" in done.sentence()
+    assert not (station.new).exists()
 
 
 def test_a_damage_that_somebody_calls_good_is_left_out_and_named(
-    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]], monkeypatch: pytest.MonkeyPatch
+    station: Judged, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where it lies beyond the threshold by enough: what is learnt of it would hide the next one."""
-    folder, ids = station
     monkeypatch.setattr("calibration.fitting.learn.FARTHEST", 1.1)  # the dents of this film score 1.25 of it
-    say(folder, {ids[0]: "good", ids[2]: "good", ids[4]: "damaged"})
+    station.say({0: "good", 2: "good", 4: "damaged"})
 
-    done = learn(inspected, folder)
+    done = learn(station)
 
     assert done.code == 0, done.err
-    assert f"warning: left out: {ids[2]} (fail, 1.2" in done.err
+    assert f"warning: left out: {station.ids[2]} (fail, 1.2" in done.err
     assert "lies beyond 1.1 times the threshold" in done.err
     assert "9 nominal presses, 1 of them from the station" in done.out
 
 
-def test_presses_that_get_another_verdict_are_named(
-    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
-) -> None:
+def test_presses_that_get_another_verdict_are_named(station: Judged) -> None:
     """The other dent, of which nobody spoke, would pass."""
-    folder, ids = station
-    say(folder, {ids[2]: "good"})
+    station.say({2: "good"})
 
-    done = learn(inspected, folder)
+    done = learn(station)
 
     assert done.code == 0, done.err
-    assert f"1 of 5 other archived presses change: {ids[4]} fail to pass\n" in done.out
+    assert f"1 of 5 other archived presses change: {station.ids[4]} fail to pass\n" in done.out
 
 
 def test_of_many_presses_that_change_those_that_pass_now_are_named() -> None:
@@ -141,30 +114,26 @@ def test_every_press_that_somebody_called_damaged_and_that_passes_now_is_named()
     assert said.endswith(f"; it passes {', '.join(ids)}, which somebody called damaged")
 
 
-def test_a_bundle_that_loses_a_known_damage_is_not_written(
-    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
-) -> None:
+def test_a_bundle_that_loses_a_known_damage_is_not_written(station: Judged) -> None:
     """A faint dent is learnt as good, and another such dent would pass."""
-    folder, ids = station
-    say(folder, {ids[0]: "good", ids[2]: "good", ids[4]: "damaged"})
+    ids = station.ids
+    station.say({0: "good", 2: "good", 4: "damaged"})
 
-    done = learn(inspected, folder)
+    done = learn(station)
 
     assert f"passes what was found before, and is not written: {ids[4]} (fail, " in done.sentence()
     assert f"the station asks once more what {ids[4]} is" in done.sentence()
-    assert not (folder / "new").exists()
-    assert "asks once more" not in learn(inspected, folder).sentence()  # once ever
+    assert not (station.new).exists()
+    assert "asks once more" not in learn(station).sentence()  # once ever
 
 
-def test_a_damage_that_somebody_else_calls_good_does_not_change_unsaid(
-    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
-) -> None:
+def test_a_damage_that_somebody_else_calls_good_does_not_change_unsaid(station: Judged) -> None:
     """Nobody can tell then, and what the new bundle makes of it is named."""
-    folder, ids = station
-    say(folder, {ids[2]: "good", ids[4]: "damaged"})
-    say(folder, {ids[4]: "good"}, "pat")
+    ids = station.ids
+    station.say({2: "good", 4: "damaged"})
+    station.say({4: "good"}, "pat")
 
-    done = learn(inspected, folder)
+    done = learn(station)
 
     assert done.code == 0, done.err
     assert "1 cannot_tell, 1 good\n" in done.out
@@ -175,57 +144,50 @@ def test_a_damage_that_somebody_else_calls_good_does_not_change_unsaid(
 
 
 def test_a_damage_that_the_station_found_is_not_lost_by_way_of_a_bundle_that_passes_it(
-    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
+    station: Judged,
 ) -> None:
     """The bundle that is given is not the one that judged."""
-    folder, ids = station
-    fit(inspected[0] / "nominal", folder / "other", "--set", "threshold=1000")
-    say(folder, {ids[2]: "good", ids[4]: "damaged"})
+    folder, ids = station.folder, station.ids
+    fit(station.nominal, folder / "other", "--set", "threshold=1000")
+    station.say({2: "good", 4: "damaged"})
 
-    done = learn(inspected, folder, bundle=folder / "other")
+    done = learn(station, bundle=folder / "other")
 
     assert f"passes what was found before, and is not written: {ids[4]} (fail, " in done.sentence()
-    assert not (folder / "new").exists()
+    assert not (station.new).exists()
 
 
-def test_what_was_left_out_stays_so_and_the_requested_rate_too(
-    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
-) -> None:
+def test_what_was_left_out_stays_so_and_the_requested_rate_too(station: Judged) -> None:
     """A nominal press that was left out may be damaged, and a rarer alarm would find less; unless it is asked for."""
-    folder, ids = station
-    nominal = inspected[0] / "nominal"
-    names = Bundle.load(inspected[0] / "old").manifest.provenance.presses
-    fit(nominal, folder / "other", "--leave-out", names[3], "--alpha", "0.2")
-    say(folder, {ids[0]: "good"})
+    folder, ids = station.folder, station.ids
+    names = Bundle.load(station.old).manifest.provenance.presses
+    fit(station.nominal, folder / "other", "--leave-out", names[3], "--alpha", "0.2")
+    station.say({0: "good"})
 
-    done = learn(inspected, folder, bundle=folder / "other")
+    done = learn(station, bundle=folder / "other")
 
     assert done.code == 0, done.err
     assert "8 nominal presses, 1 of them from the station\n" in done.out
     assert f"left out as before: {names[3]}\n" in done.out
-    manifest = Bundle.load(folder / "new").manifest
+    manifest = Bundle.load(station.new).manifest
     assert manifest.provenance.left_out == (names[3],)
     assert manifest.threshold.alpha == 0.2
-    say(folder, {ids[1]: "good"})
+    station.say({1: "good"})
     one = f"confirmed/{ids[1]}.jpg"
-    asked = learn(
-        inspected, folder, "--alpha", "0.3", "--leave-out", one, "--overwrite", bundle=folder / "other"
-    )
+    asked = learn(station, "--alpha", "0.3", "--leave-out", one, "--overwrite", bundle=folder / "other")
     assert asked.code == 0, asked.err
     assert "8 nominal presses, 1 of them from the station\n" in asked.out
-    manifest = Bundle.load(folder / "new").manifest
+    manifest = Bundle.load(station.new).manifest
     assert manifest.provenance.left_out == (names[3], one)
     assert manifest.threshold.alpha == 0.3
 
 
-def test_of_a_dataset_the_good_presses_are_learnt(
-    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
-) -> None:
+def test_of_a_dataset_the_good_presses_are_learnt(station: Judged) -> None:
     """As `fit` does; a press that was left out, and is there no more, is no fault."""
-    folder, ids = station
-    old = Bundle.load(inspected[0] / "old")
+    folder = station.folder
+    old = Bundle.load(station.old)
     whole = Region(0, 0, *old.profile.size)
-    presses = read_presses([inspected[0] / "nominal"], old.profile, whole).frames
+    presses = read_presses([station.nominal], old.profile, whole).frames
     data, where = folder / "data", "bolt/default"
     for name, some in {"rgb_320x240": presses, "fault/rgb_320x240": presses[:1]}.items():
         below = data / where / name
@@ -238,34 +200,30 @@ def test_of_a_dataset_the_good_presses_are_learnt(
     last = data / where / "rgb_320x240" / "bolt_default_s007_p01.png"
     fit(data, folder / "other", "--leave-out", f"rgb_320x240/{last.name}")
     last.unlink()
-    say(folder, {ids[0]: "good"})
+    station.say({0: "good"})
 
-    done = learn(inspected, folder, bundle=folder / "other", sources=data)
+    done = learn(station, bundle=folder / "other", sources=data)
 
     assert done.code == 0, done.err
     assert "8 nominal presses, 1 of them from the station\n" in done.out
     assert "the old bundle knew the free gel" not in done.err  # it was made of these pictures too
-    again = learn(inspected, folder, "--overwrite", sources=data)
+    again = learn(station, "--overwrite", sources=data)
     assert again.code == 0, again.err
     assert "warning: the old bundle knew the free gel, and these sources do not show it" in again.err
 
 
 @pytest.fixture
-def new_gel(station: tuple[Path, list[str]]) -> tuple[Path, list[str]]:
+def new_gel(station: Judged) -> Judged:
     """As if all presses were on a gel on which the bundle is not proven."""
-    with closing(sqlite3.connect(station[0] / "gelgate.db")) as connection, connection:
-        connection.execute("UPDATE gel_proofs SET proven = NULL")
+    execute(station.database, "UPDATE gel_proofs SET proven = NULL")
     return station
 
 
-def test_on_a_new_gel_four_good_presses_of_it_are_needed(
-    inspected: tuple[Path, list[str]], new_gel: tuple[Path, list[str]]
-) -> None:
-    folder, ids = new_gel
-    say(folder, dict.fromkeys((ids[0], ids[1], ids[3]), "good"))
-    early = learn(inspected, folder)
-    say(folder, {ids[5]: "good"})
-    done = learn(inspected, folder)
+def test_on_a_new_gel_four_good_presses_of_it_are_needed(new_gel: Judged) -> None:
+    new_gel.say(dict.fromkeys((0, 1, 3), "good"))
+    early = learn(new_gel)
+    new_gel.say({5: "good"})
+    done = learn(new_gel)
 
     assert (
         "is not proven on gel TEST0001-1, and people call 3 of its presses good, at least 4"
@@ -277,25 +235,24 @@ def test_on_a_new_gel_four_good_presses_of_it_are_needed(
 
 @pytest.mark.parametrize("is_of_this_kind", [True, False])
 def test_presses_of_a_new_gel_that_were_refused_for_their_colours_are_learnt(
-    inspected: tuple[Path, list[str]], tmp_path: Path, is_of_this_kind: bool
+    inspected: Judged, tmp_path: Path, is_of_this_kind: bool
 ) -> None:
     """They are scored for that alone; colours that no sensor of this kind shows are not."""
-    known = json.loads((inspected[0] / "old" / "manifest.json").read_text())["colours"]
+    known = json.loads((inspected.old / "manifest.json").read_text())["colours"]
     cells = known["cells"] if is_of_this_kind else (255 - np.array(known["cells"])).tolist()
-    strict = variant(
-        inspected[0] / "old", tmp_path / "strict", colours={**known, "cells": cells, "limit": 1e-9}
-    )
-    with SteppedStation(station_config(tmp_path, inspected[0] / "presses", strict)) as station:
+    strict = variant(inspected.old, tmp_path / "strict", colours={**known, "cells": cells, "limit": 1e-9})
+    with SteppedStation(station_config(tmp_path, inspected.presses, strict)) as station:
         station.play_presses(1)
         station.clock.sleep(1)
         station.ask("replace_gel")
         station.play_presses(6)
         ids = [result.press_id for result in station.results]
         assert station.verdicts == ["rejected"] * 6
-    say(tmp_path, dict.fromkeys((ids[1], ids[3], ids[5]), "good"))
-    early = learn(inspected, tmp_path, bundle=strict)
-    say(tmp_path, {ids[2]: "good"})
-    done = learn(inspected, tmp_path, bundle=strict)
+    refused = dataclasses.replace(inspected, folder=tmp_path, ids=ids, old=strict)
+    refused.say(dict.fromkeys((1, 3, 5), "good"))
+    early = learn(refused)
+    refused.say({2: "good"})
+    done = learn(refused)
 
     if is_of_this_kind:
         assert "people call 3 of its presses good, at least 4 are needed" in early.sentence()
@@ -333,16 +290,14 @@ def test_on_a_new_gel_a_good_press_is_far_where_it_is_far_from_the_others() -> N
         called_good(2.6, 2.6, 2.6, 2.6).check_new_gel()
 
 
-def test_a_press_that_is_gone_from_the_archive_is_named(
-    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
-) -> None:
+def test_a_press_that_is_gone_from_the_archive_is_named(station: Judged) -> None:
     """The others are learnt; of a damage it is said that it is not proven to be found."""
-    folder, ids = station
+    folder, ids = station.folder, station.ids
     for number in (1, 4):
         (folder / "gelgate.archive" / "presses" / f"{ids[number]}.json").unlink()
-    say(folder, {ids[0]: "good", ids[1]: "good", ids[4]: "damaged"})
+    station.say({0: "good", 1: "good", 4: "damaged"})
 
-    done = learn(inspected, folder)
+    done = learn(station)
 
     assert done.code == 0, done.err
     assert f"warning: left out: press {ids[1]} is gone" in done.err
@@ -352,16 +307,14 @@ def test_a_press_that_is_gone_from_the_archive_is_named(
     assert "9 nominal presses, 1 of them from the station" in done.out
 
 
-def test_the_learnt_pictures_are_the_camera_s_bytes(
-    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]]
-) -> None:
+def test_the_learnt_pictures_are_the_camera_s_bytes(station: Judged) -> None:
     """The picture that is learnt decodes to the frame that was judged."""
     from calibration.fitting.learn import read_confirmed, write_pictures
     from edge.core.part_position import PartPosition
 
-    folder, ids = station
-    say(folder, {ids[0]: "good"})
-    found = read_confirmed(folder / "gelgate.db", PartPosition("bolt", "default"), "")
+    folder, ids = station.folder, station.ids
+    station.say({0: "good"})
+    found = read_confirmed(station.database, PartPosition("bolt", "default"), "")
 
     write_pictures(found.good, folder / "confirmed")
 
@@ -385,13 +338,11 @@ def test_a_press_under_a_light_that_was_followed_is_learnt_as_it_was_scored(
     assert cv2.imread(str(path))[8, 8, ::-1].tolist() == list(expected)
 
 
-def test_what_the_old_fit_was_asked_for_is_asked_for_again(
-    inspected: tuple[Path, list[str]], station: tuple[Path, list[str]], tmp_path: Path
-) -> None:
+def test_what_the_old_fit_was_asked_for_is_asked_for_again(station: Judged, tmp_path: Path) -> None:
     """Every `--set` that changes what is learnt, and which files of a folder; and the fit after the next one too."""
-    folder, ids = station
-    old = Bundle.load(inspected[0] / "old")
-    frames = read_presses([inspected[0] / "nominal"], old.profile, Region(0, 0, *old.profile.size)).frames
+    folder = station.folder
+    old = Bundle.load(station.old)
+    frames = read_presses([station.nominal], old.profile, Region(0, 0, *old.profile.size)).frames
     data = tmp_path / "pictures"
     data.mkdir()
     for number, rgb in enumerate(frames):
@@ -400,16 +351,16 @@ def test_what_the_old_fit_was_asked_for_is_asked_for_again(
     asked = {"pattern": "press*", "seed": 4, "folds": 3, "scattered": True}
     settings = [word for name, value in asked.items() for word in ("--set", f"{name}={str(value).lower()}")]
     fit(data, folder / "other", "--resize", "--set", "profile=cropped_lr", *settings)
-    say(folder, {ids[0]: "good"})
+    station.say({0: "good"})
 
-    done = learn(inspected, folder, bundle=folder / "other", sources=data)
+    done = learn(station, bundle=folder / "other", sources=data)
 
     assert done.code == 0, done.err
     assert "9 nominal presses, 1 of them from the station\n" in done.out
-    manifest = Bundle.load(folder / "new").manifest
+    manifest = Bundle.load(station.new).manifest
     assert manifest.facts["settings"] == {"resize": True, **PLAIN, **asked}
     assert manifest.provenance.seed == 4
-    again = configure_again(Bundle.load(folder / "new"), None, 1, None)
+    again = configure_again(Bundle.load(station.new), None, 1, None)
     found = (again.seed, again.folds, again.limit, again.register, again.augment, again.is_scattered)
     assert found == (4, 3, "plain", "never", "auto", True)
     assert old.manifest.facts["settings"] == PLAIN, "what was not asked for is not kept"

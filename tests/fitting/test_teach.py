@@ -10,7 +10,7 @@ import onnxruntime as ort
 import pytest
 import tiny
 from command_line import Outcome, gelgate
-from confirmed_station import fit, say
+from confirmed_station import Judged, fit
 from station import gel, jpeg
 from tiny_fit import config
 
@@ -29,8 +29,6 @@ from edge.model.manifest import REGION_WEIGHTS
 from edge.model.scorer import Scorer
 from edge.store.history import HistoryQuery, read_history
 
-Inspected = tuple[Path, list[str]]
-
 SIDE = 128
 """Of a region, pixels: 8 mm."""
 
@@ -44,13 +42,10 @@ def draw(path: Path, share: float, seed: int = 5, shift_px: int = 0) -> Path:
     return path
 
 
-def teach(
-    inspected: Inspected, damaged: Sequence[object], *more: object, folder: Path | None = None
-) -> Outcome:
+def teach(station: Judged, damaged: Sequence[object], *more: object) -> Outcome:
     named = [word for one in damaged for word in ("--damaged", one)]
-    station = [] if folder is None else ["-c", folder / "gelgate.toml"]
-    old, nominal = inspected[0] / "old", inspected[0] / "nominal"
-    return gelgate("bundle", "teach", old, nominal, *named, "--method", "tiny", *station, *more)
+    words = station.old, station.nominal, *named, "--method", "tiny"
+    return gelgate("bundle", "teach", *words, *more)
 
 
 def ratio(bundle: Path, picture: Path) -> float:
@@ -59,22 +54,22 @@ def ratio(bundle: Path, picture: Path) -> float:
     return Scorer(loaded, 1).score(rgb).anomaly_score / loaded.manifest.threshold.value
 
 
-def passed_ids(folder: Path) -> list[str]:
-    """The presses that passed, the lowest score first."""
-    passed = read_history(folder / "gelgate.db", HistoryQuery(verdicts=("pass",)))
-    return [row.press_id for row in sorted(passed, key=lambda row: row.score or 0)]
+def find_passed(station: Judged) -> list[int]:
+    """The numbers of the presses that passed, the lowest score first."""
+    passed = read_history(station.database, HistoryQuery(verdicts=("pass",)))
+    return [station.ids.index(row.press_id) for row in sorted(passed, key=lambda row: row.score or 0)]
 
 
 @pytest.fixture
-def faint(inspected: Inspected, tmp_path: Path) -> Path:
+def faint(inspected: Judged, tmp_path: Path) -> Path:
     """A dent so faint that it passes."""
     picture = draw(tmp_path / "faint.jpg", 0.88)
-    assert 0.97 < ratio(inspected[0] / "old", picture) < 1
+    assert 0.97 < ratio(inspected.old, picture) < 1
     return picture
 
 
 def test_what_would_find_it_is_shown_and_nothing_is_written(
-    inspected: Inspected, faint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    inspected: Judged, faint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each with what it finds, and how many sound presses fail by banks without them."""
     monkeypatch.chdir(tmp_path)
@@ -96,11 +91,11 @@ def test_what_would_find_it_is_shown_and_nothing_is_written(
 
 @pytest.mark.parametrize("what", ["limit", "place"])
 def test_what_is_taken_finds_it_and_loses_nothing(
-    inspected: Inspected, faint: Path, tmp_path: Path, what: str
+    inspected: Judged, faint: Path, tmp_path: Path, what: str
 ) -> None:
     """Every score is at least what it was, in units of the limit; the bundle is sound, and says what it was taught."""
     loud, sound = draw(tmp_path / "loud.jpg", 1.0), draw(tmp_path / "sound.jpg", 0.0)
-    old, new = inspected[0] / "old", tmp_path / "new"
+    old, new = inspected.old, tmp_path / "new"
     before = (old / "manifest.json").read_bytes()
 
     done = teach(inspected, [faint], "--take", what, "-o", new)
@@ -230,34 +225,31 @@ def test_of_few_presses_no_place_is_tried(lesson: Lesson) -> None:
     assert why_not(few) == []
 
 
-def test_where_nothing_finds_it_the_nearest_sound_press_is_the_reason(
-    inspected: Inspected, station: Inspected
-) -> None:
+def test_where_nothing_finds_it_the_nearest_sound_press_is_the_reason(station: Judged) -> None:
     """The soundest press, that somebody calls damaged."""
-    folder, _ = station
-    taught, good = passed_ids(folder)[:2]
-    say(folder, {taught: "damaged", good: "good"})
+    taught, good = find_passed(station)[:2]
+    station.say({taught: "damaged", good: "good"})
 
-    done = teach(inspected, [taught], folder=folder)
+    done = teach(station, [station.ids[taught]], "-c", station.config)
 
     assert done.code == 0, done.err
     (reason,) = [line for line in done.out.splitlines() if line.startswith("nothing of this finds it")]
-    assert re.search(rf"{taught} scores 0.\d+ of the limit at .* and the sound press \S+ 0.\d+", reason)
+    assert re.search(
+        rf"{station.ids[taught]} scores 0.\d+ of the limit at .* and the sound press \S+ 0.\d+", reason
+    )
     assert ": every sound press would fail" in done.out
 
 
-def test_a_remedy_that_fails_what_people_call_good_is_not_written(
-    inspected: Inspected, station: Inspected, tmp_path: Path
-) -> None:
+def test_a_remedy_that_fails_what_people_call_good_is_not_written(station: Judged) -> None:
     """A limit below a press that somebody calls damaged lies below a good one, too."""
-    folder, _ = station
-    taught, good = passed_ids(folder)[-2:]
-    say(folder, {taught: "damaged", good: "good"})
+    taught, good = find_passed(station)[-2:]
+    station.say({taught: "damaged", good: "good"})
 
-    done = teach(inspected, [taught], "--take", "limit", "-o", tmp_path / "new", folder=folder)
+    words = "-c", station.config, "--take", "limit", "-o", station.new
+    done = teach(station, [station.ids[taught]], *words)
 
     assert "fails more of the presses that people call good, and is not written" in done.sentence()
-    assert not (tmp_path / "new").exists()
+    assert not (station.new).exists()
 
 
 @pytest.mark.parametrize(
@@ -271,7 +263,7 @@ def test_a_remedy_that_fails_what_people_call_good_is_not_written(
     ],
 )
 def test_what_cannot_be_taught_is_a_sentence(
-    inspected: Inspected,
+    inspected: Judged,
     faint: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -292,19 +284,18 @@ def test_what_cannot_be_taught_is_a_sentence(
     assert not (tmp_path / "new").exists()
 
 
-def test_a_press_that_people_call_good_is_no_damage(inspected: Inspected, station: Inspected) -> None:
-    folder, ids = station
-    say(folder, {ids[1]: "good"})
+def test_a_press_that_people_call_good_is_no_damage(station: Judged) -> None:
+    station.say({1: "good"})
 
-    done = teach(inspected, [ids[1]], folder=folder)
+    done = teach(station, [station.ids[1]], "-c", station.config)
 
-    assert f"people call {ids[1]} (pass" in done.sentence()
+    assert f"people call {station.ids[1]} (pass" in done.sentence()
 
 
-def test_a_given_limit_has_no_cost_that_is_known(inspected: Inspected, faint: Path, tmp_path: Path) -> None:
-    fit(inspected[0] / "nominal", tmp_path / "given", "--set", "threshold=1000")
+def test_a_given_limit_has_no_cost_that_is_known(inspected: Judged, faint: Path, tmp_path: Path) -> None:
+    fit(inspected.nominal, tmp_path / "given", "--set", "threshold=1000")
 
-    done = gelgate("bundle", "teach", tmp_path / "given", inspected[0] / "nominal", "--damaged", faint)
+    done = gelgate("bundle", "teach", tmp_path / "given", inspected.nominal, "--damaged", faint)
 
     assert "has no scores of presses (given by hand)" in done.sentence()
 

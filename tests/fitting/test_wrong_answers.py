@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from confirmed_station import Judged, copy_station
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
+from sql import execute
 from station import variant
 
 from calibration.fitting.learn import Comparison, ConfirmedPresses, judge_presses, read_confirmed
@@ -30,8 +32,6 @@ DENTED = (2, 4)
 FACTORS = (0.7, 1.0, 1.5)
 """Of the old limit: one fails sound presses, one is the same, one passes the dents."""
 
-Inspected = tuple[Path, list[str]]
-
 
 class Answer(NamedTuple):
     press: int
@@ -48,21 +48,20 @@ class Operation(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def operation(inspected: Inspected) -> Operation:
-    folder, ids = inspected
-    database = folder / "gelgate.db"
+def operation(inspected: Judged, tmp_path_factory: pytest.TempPathFactory) -> Operation:
+    station = copy_station(inspected, tmp_path_factory.mktemp("said"))
+    database, old = station.database, station.old
     archive = ArchiveFolder(database.with_suffix(".archive"))
-    with closing(sqlite3.connect(database)) as connection:
-        rows = connection.execute("SELECT press_id, evidence FROM presses").fetchall()
+    rows = execute(database, "SELECT press_id, evidence FROM presses")
     presses = ConfirmedPresses(others=[archive.press(*row) for row in rows])
-    limit = Bundle.load(folder / "old").manifest.threshold
+    limit = Bundle.load(old).manifest.threshold
     judged = {}
     for factor in FACTORS:
         changed = limit.model_copy(update={"value": factor * limit.value}).model_dump(mode="json")
-        bundle = Bundle.load(variant(folder / "old", folder / f"limit {factor}", threshold=changed))
+        bundle = Bundle.load(variant(old, station.folder / f"limit {factor}", threshold=changed))
         judged[factor] = judge_presses(bundle, presses, database, 1)
-    assert [judged[1.5][ids[number]].word for number in DENTED] == ["pass", "pass"]
-    return Operation(database, ids, judged)
+    assert [judged[1.5][inspected.ids[number]].word for number in DENTED] == ["pass", "pass"]
+    return Operation(database, inspected.ids, judged)
 
 
 # Most are of the dents, and sure: so that several persons speak of one of them.
@@ -90,8 +89,7 @@ def test_no_named_damage_passes_without_a_message_that_names_it(
     gap = data.draw(st.sampled_from([None, *DENTED]))
     database, ids, judged = operation
     named = set()
-    with closing(sqlite3.connect(database)) as connection, connection:
-        connection.execute("DELETE FROM acts")
+    execute(database, "DELETE FROM acts")
     with Store(database) as store:
         for number, answer in enumerate(given_answers):
             is_damaged = (answer.press in DENTED) != (number in wrong)

@@ -3,11 +3,14 @@
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import gelgate
-from station import Motion, press_recording, station_config
+from station import Motion, gel, jpeg, press_recording, station_config
 from stepped_station import SteppedStation
 
 from edge import registry
@@ -42,11 +45,48 @@ def fit(nominal: Path, output: Path, *more: object) -> None:
     assert made.code == 0, made.err
 
 
-@pytest.fixture(scope="module")
-def inspected(tmp_path_factory: pytest.TempPathFactory, other_package: None) -> tuple[Path, list[str]]:
-    """A bundle of eight nominal presses, and a station that has judged six, the third and fifth one dented; the folder,
-    and the ids of its presses."""
-    folder = tmp_path_factory.mktemp("learn")
+@dataclass(frozen=True)
+class Judged:
+    """A station that has judged six presses, the third and fifth one dented, with a bundle of eight nominal ones."""
+
+    folder: Path
+    ids: list[str]
+    old: Path
+    """The bundle."""
+    nominal: Path
+    presses: Path
+    free: Path
+    """A picture of the free gel."""
+
+    @property
+    def config(self) -> Path:
+        return self.folder / "gelgate.toml"
+
+    @property
+    def database(self) -> Path:
+        return self.folder / "gelgate.db"
+
+    @property
+    def new(self) -> Path:
+        """Where another bundle goes."""
+        return self.folder / "new"
+
+    def say(self, words: Mapping[int, str], person: str = "kim") -> None:
+        """Let somebody speak of presses, by their numbers."""
+        with Store(self.database) as store:
+            for number, word in words.items():
+                given = {"press_id": self.ids[number], "verdict": word}
+                store.begin_act(Act(1, f"{person}, at the page", CONFIRM, None, given, outcome="done"), 0)
+
+
+@pytest.fixture(scope="session")
+def inspected_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("learn")
+
+
+@cache
+def _inspect(folder: Path) -> Judged:
+    """Fit and play once for every module."""
     nominal = press_recording(folder / "nominal", 8, motion=Motion(hold=8, idle=20), seed=1)
     fit(nominal, folder / "old", "--set", "gain=2.0")
     presses = press_recording(folder / "presses", 6, dented=[2, 4], motion=Motion(hold=8, idle=34), seed=7)
@@ -54,25 +94,26 @@ def inspected(tmp_path_factory: pytest.TempPathFactory, other_package: None) -> 
         station.play_presses(6)
         ids = [result.press_id for result in station.results]
         assert station.verdicts == ["pass", "pass", "fail", "pass", "fail", "pass"]
-    return folder, ids
+    (free := folder / "free.jpg").write_bytes(jpeg(gel(np.random.default_rng(2), 0.0)))
+    return Judged(folder, ids, folder / "old", nominal, presses, free)
+
+
+@pytest.fixture(scope="module")
+def inspected(inspected_folder: Path, other_package: None) -> Judged:
+    """Nothing in its folder may change."""
+    return _inspect(inspected_folder)
 
 
 @pytest.fixture
-def station(inspected: tuple[Path, list[str]], tmp_path: Path) -> tuple[Path, list[str]]:
-    """A copy, in which people may say something else."""
-    folder, ids = inspected
-    for path in folder.glob("gelgate.*"):
-        (shutil.copytree if path.is_dir() else shutil.copy)(path, tmp_path / path.name)
-    (tmp_path / "gelgate.toml").write_text(
-        (folder / "gelgate.toml")
-        .read_text()
-        .replace('path = "gelgate.db"', f'path = "{tmp_path}/gelgate.db"')
-    )
-    return tmp_path, ids
+def station(inspected: Judged, tmp_path: Path) -> Judged:
+    """People may say something else in it."""
+    return copy_station(inspected, tmp_path)
 
 
-def say(folder: Path, words: Mapping[str, str], person: str = "kim") -> None:
-    with Store(folder / "gelgate.db") as store:
-        for press_id, word in words.items():
-            given = {"press_id": press_id, "verdict": word}
-            store.begin_act(Act(1, f"{person}, at the page", CONFIRM, None, given, outcome="done"), 0)
+def copy_station(inspected: Judged, folder: Path) -> Judged:
+    """Copy the state of a station into a folder."""
+    for path in inspected.folder.glob("gelgate.*"):
+        (shutil.copytree if path.is_dir() else shutil.copy)(path, folder / path.name)
+    text = inspected.config.read_text().replace('path = "gelgate.db"', f'path = "{folder}/gelgate.db"')
+    (folder / "gelgate.toml").write_text(text)
+    return replace(inspected, folder=folder)

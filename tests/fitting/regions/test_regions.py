@@ -13,10 +13,9 @@ import pytest
 import tiny
 import turned_parts as parts
 from command_line import Outcome, gelgate
-from confirmed_station import say
+from confirmed_station import Judged
 from registered_bundle import registered
 from station import gel, jpeg
-from typer.testing import CliRunner  # noqa: F401
 
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.regions.drawing import draw_again, draw_regions
@@ -34,15 +33,13 @@ from edge.model.inspector import Inspector
 from edge.model.manifest import REGION_WEIGHTS
 from edge.model.scorer import Scored, Scorer
 
-Inspected = tuple[Path, list[str]]
-
 DENT = "ignore dent 4.5,3.9 8.6,3.9 8.6,8.1 4.5,8.1"
 """Around the film's dent, and the cells of the map that it reaches."""
 
 
-def draw(inspected: Inspected, output: Path, *words: object, bundle: Path | None = None) -> Outcome:
-    old = bundle or inspected[0] / "old"
-    return gelgate("bundle", "regions", old, *words, "-o", output, "--no-contact", inspected[0] / "free.jpg")
+def draw(inspected: Judged, output: Path, *words: object, bundle: Path | None = None) -> Outcome:
+    old = bundle or inspected.old
+    return gelgate("bundle", "regions", old, *words, "-o", output, "--no-contact", inspected.free)
 
 
 def film_press(*, dent: bool, shift_px: int = 0, depth: float = 1.0) -> np.ndarray:
@@ -60,16 +57,9 @@ def score(bundle: Path, picture: np.ndarray, folder: Path) -> Scored:
     return Scorer(loaded, 1).score(rgb)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def free(inspected: Inspected) -> None:
-    (inspected[0] / "free.jpg").write_bytes(jpeg(gel(np.random.default_rng(2), 0.0)))
-
-
-def test_a_dent_in_an_ignored_place_passes_and_one_beside_it_fails(
-    inspected: Inspected, tmp_path: Path
-) -> None:
+def test_a_dent_in_an_ignored_place_passes_and_one_beside_it_fails(inspected: Judged, tmp_path: Path) -> None:
     """The map is 0 there and elsewhere what it was, bit for bit; the old bundle stays, the new one is sound."""
-    old, new = inspected[0] / "old", tmp_path / "new"
+    old, new = inspected.old, tmp_path / "new"
     before = {file: file.read_bytes() for file in old.rglob("*") if file.is_file()}
 
     done = draw(inspected, new, "--add", DENT)
@@ -93,7 +83,7 @@ def test_a_dent_in_an_ignored_place_passes_and_one_beside_it_fails(
     assert all((new / file.relative_to(old)).read_bytes() == before[file] for file in unchanged)
 
 
-def test_regions_are_added_listed_and_removed(inspected: Inspected, tmp_path: Path) -> None:
+def test_regions_are_added_listed_and_removed(inspected: Judged, tmp_path: Path) -> None:
     """Each time another revision; without regions every golden frame has the score of the first bundle again."""
     first, second, third = (tmp_path / name for name in ("first", "second", "third"))
     assert draw(inspected, first, "--add", DENT).code == 0
@@ -106,7 +96,7 @@ def test_regions_are_added_listed_and_removed(inspected: Inspected, tmp_path: Pa
     assert draw(inspected, third, "--remove", "dent", "--remove", "face", bundle=second).code == 0
     assert "no region is drawn" in gelgate("bundle", "regions", third).out
 
-    old, new = (json.loads((one / "manifest.json").read_text()) for one in (inspected[0] / "old", third))
+    old, new = (json.loads((one / "manifest.json").read_text()) for one in (inspected.old, third))
     assert new["revision"] == old["revision"] + 3
     assert new["golden"] == old["golden"]
     assert new["threshold"] == old["threshold"]
@@ -115,19 +105,13 @@ def test_regions_are_added_listed_and_removed(inspected: Inspected, tmp_path: Pa
 @pytest.mark.parametrize(
     "drawn", [DENT, DENT.replace("ignore dent", "stricter dent 1.05")], ids=["ignore", "stricter"]
 )
-def test_regions_stay_with_a_bundle_that_is_learnt_again(
-    inspected: Inspected, station: Inspected, tmp_path: Path, drawn: str
-) -> None:
+def test_regions_stay_with_a_bundle_that_is_learnt_again(station: Judged, tmp_path: Path, drawn: str) -> None:
     """The same places on the part; a stricter one promises what fits without the press show, as when it was drawn."""
-    folder, ids = station
-    nominal = inspected[0] / "nominal"
-    assert draw(inspected, tmp_path / "drawn", nominal, "--add", drawn).code == 0
-    say(folder, {ids[0]: "good", ids[1]: "good"})
+    assert draw(station, tmp_path / "drawn", station.nominal, "--add", drawn).code == 0
+    station.say({0: "good", 1: "good"})
 
-    done = gelgate(
-        "bundle", "learn", tmp_path / "drawn", nominal, "-o", tmp_path / "new", "-c", folder / "gelgate.toml",
-        "--no-contact", inspected[0] / "free.jpg",
-    )  # fmt: skip
+    words = tmp_path / "drawn", station.nominal, "-o", station.new, "-c", station.config
+    done = gelgate("bundle", "learn", *words, "--no-contact", station.free)
 
     assert done.code == 0, done.err
     old, new = Bundle.load(tmp_path / "drawn"), Bundle.load(tmp_path / "new")
@@ -148,17 +132,15 @@ def test_regions_that_would_lie_elsewhere_are_refused_with_the_way_on(tmp_path: 
         draw_again(old, new, None, None, "2026-01-01")  # type: ignore[arg-type]
 
 
-def test_a_stricter_region_finds_a_fainter_dent_and_promises_anew(
-    inspected: Inspected, tmp_path: Path
-) -> None:
+def test_a_stricter_region_finds_a_fainter_dent_and_promises_anew(inspected: Judged, tmp_path: Path) -> None:
     """By the nominal presses, which banks without them score; the threshold stays."""
-    new, nominal = tmp_path / "new", inspected[0] / "nominal"
+    new, nominal = tmp_path / "new", inspected.nominal
     strict = DENT.replace("ignore dent", "stricter seam 1.05")
 
     done = draw(inspected, new, nominal, "--add", strict)
 
     assert done.code == 0, done.err
-    old, made = Bundle.load(inspected[0] / "old").manifest, Bundle.load(new).manifest
+    old, made = Bundle.load(inspected.old).manifest, Bundle.load(new).manifest
     assert made.threshold.value == old.threshold.value
     assert made.threshold.by_press is not None
     assert "the promise with the drawn regions" in made.threshold.method
@@ -166,9 +148,7 @@ def test_a_stricter_region_finds_a_fainter_dent_and_promises_anew(
     faint = film_press(dent=False)
     dented = film_press(dent=True)
     mixed = np.rint(faint + 0.88 * (dented.astype(np.float64) - faint)).astype(np.uint8)
-    kinds = [
-        made.decide(score(one, mixed, tmp_path).anomaly_score).kind for one in (inspected[0] / "old", new)
-    ]
+    kinds = [made.decide(score(one, mixed, tmp_path).anomaly_score).kind for one in (inspected.old, new)]
     assert kinds == ["pass", "fail"]
     assert gelgate("bundle", "verify", new).code == 0
 
@@ -214,7 +194,7 @@ TRIANGLE = "2,2 4,2 4,4"
     ],
 )
 def test_a_wrong_region_is_one_sentence_and_nothing_is_written(
-    inspected: Inspected, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], sentence: str
+    inspected: Judged, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], sentence: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     texts = {
@@ -234,8 +214,8 @@ def test_a_wrong_region_is_one_sentence_and_nothing_is_written(
     assert not (tmp_path / "new").exists()
 
 
-def test_the_bundle_itself_is_never_replaced(inspected: Inspected) -> None:
-    done = draw(inspected, inspected[0] / "old", "--add", DENT, "--overwrite")
+def test_the_bundle_itself_is_never_replaced(inspected: Judged) -> None:
+    done = draw(inspected, inspected.old, "--add", DENT, "--overwrite")
     assert done.code == 3
     assert "beside the bundle, never in its place" in done.sentence()
 
@@ -271,9 +251,7 @@ def test_a_bundle_that_cannot_be_weighed_says_why(tmp_path: Path) -> None:
             draw_regions(path, logo, None, 1)
 
 
-def test_a_free_gel_that_is_not_known_and_a_mean_score_are_refused(
-    inspected: Inspected, tmp_path: Path
-) -> None:
+def test_a_free_gel_that_is_not_known_and_a_mean_score_are_refused(inspected: Judged, tmp_path: Path) -> None:
     logo = [parse_region(DENT)]
 
     def lower(content: dict[str, Any]) -> None:
@@ -284,7 +262,7 @@ def test_a_free_gel_that_is_not_known_and_a_mean_score_are_refused(
         (lower, "not the highest value"),
     ):
         changed = tmp_path / "changed"
-        shutil.copytree(inspected[0] / "old", changed, dirs_exist_ok=True)
+        shutil.copytree(inspected.old, changed, dirs_exist_ok=True)
         content = json.loads((changed / "manifest.json").read_text())
         change(content)
         (changed / "manifest.json").write_text(json.dumps(content))
@@ -292,9 +270,7 @@ def test_a_free_gel_that_is_not_known_and_a_mean_score_are_refused(
             draw_regions(changed, logo, None, 1)
 
 
-def test_a_manifest_whose_regions_are_not_in_its_bank_is_refused(
-    inspected: Inspected, tmp_path: Path
-) -> None:
+def test_a_manifest_whose_regions_are_not_in_its_bank_is_refused(inspected: Judged, tmp_path: Path) -> None:
     """Nothing is shown as judged that is not, and nothing ignored that is not shown."""
     new = tmp_path / "new"
     assert draw(inspected, new, "--add", DENT).code == 0
@@ -309,7 +285,7 @@ def inspect(bundle: Bundle, picture: np.ndarray) -> Press:
     return Inspector(Scorer(bundle, 1), SystemClock()).inspect(frame, Touch(0.3))
 
 
-def test_a_press_that_touches_ignored_places_alone_is_rejected(inspected: Inspected, tmp_path: Path) -> None:
+def test_a_press_that_touches_ignored_places_alone_is_rejected(inspected: Judged, tmp_path: Path) -> None:
     """It says so; the same press passes where the place is judged, and one that touches both passes."""
     new = tmp_path / "new"
     assert draw(inspected, new, "--add", "ignore left 0,0 8.5,0 8.5,14.2 0,14.2").code == 0
