@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from edge.cli.arguments import flatten
+from edge.cli.arguments import add_argument, add_option, flatten
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,58 +24,37 @@ __all__ = ["BackboneArguments", "backbone", "three_numbers"]
 class BackboneArguments:
     """What the command line says."""
 
-    checkpoint: Annotated[Path, typer.Argument(help="A .pth, .safetensors or .onnx file.")]
-    output: Annotated[Path, typer.Option("--output", "-o", help="The trunk to write.")] = Path("trunk.onnx")
-    licence: Annotated[
-        str | None,
-        typer.Option(help="Licence of the weights, such as MIT; 'own' for your own.", show_default=False),
-    ] = None
-    topology: Annotated[
-        str | None,
-        typer.Option(
-            help="Of a ResNet: resnet18, resnet50 or wide_resnet50_2. Default: the one that the weights have.",
-            show_default=False,
-        ),
-    ] = None
-    taps: Annotated[
-        str,
-        typer.Option(
-            help="Maps to output: layer1,layer2 of a ResNet, block5,norm of a transformer, "
-            "NAME=VALUE of a graph."
-        ),
-    ] = ""
-    encoder: Annotated[
-        str, typer.Option(help="A touch encoder whose preprocessing is used: tvl, t3, sparsh or unit.")
-    ] = ""
-    mean: Annotated[str, typer.Option(help="Subtracted from RGB in 0..1; default: ImageNet's.")] = ""
-    std: Annotated[str, typer.Option(help="Then RGB is divided by this; default: ImageNet's.")] = ""
-    size: Annotated[str, typer.Option(help="Resize frames to HEIGHTxWIDTH before the network.")] = ""
-    background: Annotated[
-        Path | None, typer.Option(help="A picture of the free gel, subtracted from every frame.")
-    ] = None
-    profile: Annotated[str, typer.Option(help="Sensor profile of the frames.")] = "mini_lr"
-    region: Annotated[str, typer.Option(help="The inspected region, as for `fit`.")] = "centre"
-    version: Annotated[
-        str | None, typer.Option(help="V1 or V2 of torchvision's weights: refused if the file is the other.")
-    ] = None
-    second: Annotated[
-        Path | None, typer.Option(help="Weights of the blocks that follow, such as T3's trunk.")
-    ] = None
-    prefix: Annotated[
-        str | None, typer.Option(help="Of the weights' names, where a file holds several networks.")
-    ] = None
-    heads: Annotated[
-        int | None, typer.Option(min=1, help="Attention heads; default: one per 64 channels.")
-    ] = None
-    prefix_tokens: Annotated[
-        int | None, typer.Option(min=0, help="Tokens before the patches in a graph's sequences.")
-    ] = None
-    high: Annotated[float, typer.Option(help="Value of full brightness in a graph's input: 1 or 255.")] = 1.0
-    half: Annotated[bool, typer.Option(help="Store the weights as float16: half the file.")] = False
-    report: Annotated[
-        Path | None, typer.Option(help="Folder for the comparison with the original, parity.html.")
-    ] = None
-    overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False
+    checkpoint: Path = add_argument(..., "A .pth, .safetensors or .onnx file.")
+    output: Path = add_option(Path("trunk.onnx"), "The trunk to write.", "--output", "-o")
+    licence: str | None = add_option(
+        None, "Licence of the weights, such as MIT; 'own' for your own.", show_default=False
+    )
+    topology: str | None = add_option(
+        None,
+        "Of a ResNet: resnet18, resnet50 or wide_resnet50_2. Default: the one that the weights have.",
+        show_default=False,
+    )
+    taps: str = add_option(
+        "", "Maps to output: layer1,layer2 of a ResNet, block5,norm of a transformer, NAME=VALUE of a graph."
+    )
+    encoder: str = add_option("", "A touch encoder whose preprocessing is used: tvl, t3, sparsh or unit.")
+    mean: str = add_option("", "Subtracted from RGB in 0..1; default: ImageNet's.")
+    std: str = add_option("", "Then RGB is divided by this; default: ImageNet's.")
+    size: str = add_option("", "Resize frames to HEIGHTxWIDTH before the network.")
+    background: Path | None = add_option(None, "A picture of the free gel, subtracted from every frame.")
+    profile: str = add_option("mini_lr", "Sensor profile of the frames.")
+    region: str = add_option("centre", "The inspected region, as for `fit`.")
+    version: str | None = add_option(
+        None, "V1 or V2 of torchvision's weights: refused if the file is the other."
+    )
+    second: Path | None = add_option(None, "Weights of the blocks that follow, such as T3's trunk.")
+    prefix: str | None = add_option(None, "Of the weights' names, where a file holds several networks.")
+    heads: int | None = add_option(None, "Attention heads; default: one per 64 channels.", min=1)
+    prefix_tokens: int | None = add_option(None, "Tokens before the patches in a graph's sequences.", min=0)
+    high: float = add_option(1.0, "Value of full brightness in a graph's input: 1 or 255.")
+    half: bool = add_option(False, "Store the weights as float16: half the file.")
+    report: Path | None = add_option(None, "Folder for the comparison with the original, parity.html.")
+    overwrite: bool = add_option(False, "Replace an existing file.")
 
 
 @flatten

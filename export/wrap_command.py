@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -20,7 +20,7 @@ from calibration.fitting.options import (
     Threads,
     Threshold,
 )
-from edge.cli.arguments import flatten
+from edge.cli.arguments import add_argument, add_option, flatten
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,39 +33,28 @@ __all__ = ["WrapArguments", "wrap"]
 class WrapArguments:
     """What the command line says."""
 
-    graph: Annotated[
-        Path, typer.Argument(metavar="GRAPH", help="An ONNX file: a picture to a score map and a score.")
-    ]
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="SOURCE...", help="Nominal presses that the graph was not trained on, as for `fit`."
-        ),
-    ]
     output: Output
+    graph: Path = add_argument(..., "An ONNX file: a picture to a score map and a score.", metavar="GRAPH")
+    sources: list[Path] = add_argument(
+        ..., "Nominal presses that the graph was not trained on, as for `fit`.", metavar="SOURCE..."
+    )
     part: Part = None
     position: Position = None
-    licence: Annotated[
-        str | None,
-        typer.Option(
-            help="Licence of the graph's weights, such as MIT; 'own' for your own.", show_default=False
-        ),
-    ] = None
-    method: Annotated[str, typer.Option(help="The method's name in results.")] = "external"
-    scale: Annotated[
-        str,
-        typer.Option(
-            "--input", help="0..1, 0..255 or imagenet: where the graph does not show what its input is."
-        ),
-    ] = ""
-    mean: Annotated[str, typer.Option(help="Subtracted from RGB in 0..1, in place of --input.")] = ""
-    std: Annotated[str, typer.Option(help="Then RGB is divided by this.")] = ""
-    map_output: Annotated[str, typer.Option(help="The output that is the score map.")] = ""
-    score_output: Annotated[str, typer.Option(help="The output that is the score.")] = ""
-    negate: Annotated[bool, typer.Option("--negate", help="Lower scores are more anomalous.")] = False
-    comparison: Annotated[
-        Path | None, typer.Option("--report", help="Folder for the comparison with the graph, parity.html.")
-    ] = None
+    licence: str | None = add_option(
+        None, "Licence of the graph's weights, such as MIT; 'own' for your own.", show_default=False
+    )
+    method: str = add_option("external", "The method's name in results.")
+    scale: str = add_option(
+        "", "0..1, 0..255 or imagenet: where the graph does not show what its input is.", "--input"
+    )
+    mean: str = add_option("", "Subtracted from RGB in 0..1, in place of --input.")
+    std: str = add_option("", "Then RGB is divided by this.")
+    map_output: str = add_option("", "The output that is the score map.")
+    score_output: str = add_option("", "The output that is the score.")
+    negate: bool = add_option(False, "Lower scores are more anomalous.", "--negate")
+    comparison: Path | None = add_option(
+        None, "Folder for the comparison with the graph, parity.html.", "--report"
+    )
     profile: Profile = ""
     region: RegionText = "centre"
     alpha: Alpha = 0.05

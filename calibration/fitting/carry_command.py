@@ -2,9 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from calibration.fitting.options import (
     GelId,
@@ -17,7 +14,7 @@ from calibration.fitting.options import (
     Revision,
     Threads,
 )
-from edge.cli.arguments import flatten
+from edge.cli.arguments import add_argument, flatten
 
 __all__ = ["CarryArguments", "carry"]
 
@@ -26,14 +23,11 @@ __all__ = ["CarryArguments", "carry"]
 class CarryArguments:
     """What the command line says."""
 
-    bundle: Annotated[Path, typer.Argument(help="The bundle of the old gel.")]
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="SOURCE...", help="4 to 8 presses of sound parts on the new gel, as for `fit`."
-        ),
-    ]
     output: Output
+    bundle: Path = add_argument(..., "The bundle of the old gel.")
+    sources: list[Path] = add_argument(
+        ..., "4 to 8 presses of sound parts on the new gel, as for `fit`.", metavar="SOURCE..."
+    )
     no_contact: NoContact = None
     gel: GelId = None
     resize: Resize = False

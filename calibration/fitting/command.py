@@ -32,7 +32,7 @@ from calibration.fitting.options import (
     under_set,
 )
 from calibration.fitting.trunks import DEFAULT_BACKBONE
-from edge.cli.arguments import flatten, parse_values
+from edge.cli.arguments import add_argument, add_option, flatten, parse_values
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
@@ -60,15 +60,14 @@ __all__ = [
 class FitArguments:
     """What the command line says. What its help does not show is written under `--set`."""
 
-    sources: Annotated[
-        list[Path],
-        typer.Argument(metavar="SOURCE...", help="Recordings, datasets, folders of pictures, or pictures."),
-    ]
     output: Output
+    sources: list[Path] = add_argument(
+        ..., "Recordings, datasets, folders of pictures, or pictures.", metavar="SOURCE..."
+    )
     part: Part = None
     position: Position = None
-    method: Annotated[str, typer.Option(help="The detector.")] = DEFAULT_METHOD
-    mode: Annotated[str, typer.Option(hidden=True, help="'corrected', or as in the 'paper'")] = "corrected"
+    method: str = add_option(DEFAULT_METHOD, "The detector.")
+    mode: str = add_option("corrected", "'corrected', or as in the 'paper'", hidden=True)
     backbone: Backbone = DEFAULT_BACKBONE
     profile: Annotated[str, under_set(Profile)] = ""
     region: Annotated[str, under_set(RegionText)] = "centre"
@@ -77,47 +76,39 @@ class FitArguments:
     no_contact: NoContact = None
     resize: Resize = False
     pattern: Annotated[str | None, under_set(Pattern)] = None
-    holdout: Annotated[
-        float,
-        typer.Option(
-            hidden=True,
-            help="Share of a dataset's specimens that is kept for `gelgate evaluate`.",
-            min=0,
-            max=0.9,
-        ),
-    ] = 0.0
+    holdout: float = add_option(
+        0.0,
+        "Share of a dataset's specimens that is kept for `gelgate evaluate`.",
+        hidden=True,
+        min=0,
+        max=0.9,
+    )
     settings: Settings = None
     seed: Annotated[int, under_set(Seed)] = 0
-    folds: Annotated[int, typer.Option(hidden=True, min=2, help="Banks that find the threshold.")] = 5
+    folds: int = add_option(5, "Banks that find the threshold.", hidden=True, min=2)
     threads: Annotated[int, under_set(Threads)] = 2
-    scattered: Annotated[
-        bool, typer.Option("--scattered", hidden=True, help="Fit any method to parts that lie anywhere.")
-    ] = False
-    limit: Annotated[
-        str,
-        typer.Option(
-            hidden=True,
-            help="'chosen': the limit that finds most of the damage rendered into the presses; 'plain': one for all "
-            "places.",
-        ),
-    ] = "chosen"
-    register: Annotated[
-        str,
-        typer.Option(
-            hidden=True,
-            help="Bring presses to one pose: 'auto' where parts lie apart and it finds more damage, 'never', 'always'.",
-        ),
-    ] = "auto"
-    augment: Annotated[
-        str,
-        typer.Option(
-            hidden=True,
-            help="Learn rendered copies of the presses too: 'auto' with at most 8 presses and a picture of the free "
-            "gel, 'never', 'always'.",
-        ),
-    ] = "auto"
+    scattered: bool = add_option(
+        False, "Fit any method to parts that lie anywhere.", "--scattered", hidden=True
+    )
+    limit: str = add_option(
+        "chosen",
+        "'chosen': the limit that finds most of the damage rendered into the presses; 'plain': one for all "
+        "places.",
+        hidden=True,
+    )
+    register: str = add_option(
+        "auto",
+        "Bring presses to one pose: 'auto' where parts lie apart and it finds more damage, 'never', 'always'.",
+        hidden=True,
+    )
+    augment: str = add_option(
+        "auto",
+        "Learn rendered copies of the presses too: 'auto' with at most 8 presses and a picture of the free "
+        "gel, 'never', 'always'.",
+        hidden=True,
+    )
     leave_out: LeaveOut = None
-    trunk: Annotated[bool, typer.Option(hidden=True, help="Put the trunk into the bundle.")] = True
+    trunk: bool = add_option(True, "Put the trunk into the bundle.", hidden=True)
     overwrite: Overwrite = False
     revision: Annotated[int | None, under_set(Revision)] = None
     gel: GelId = None

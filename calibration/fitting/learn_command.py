@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from calibration.fitting.options import GelId, LeaveOut, NoContact, Output, Overwrite, Threads
-from edge.cli.arguments import flatten
+from edge.cli.arguments import add_argument, add_option, flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
 
 if TYPE_CHECKING:
@@ -25,19 +25,14 @@ __all__ = ["LearnArguments", "learn", "warn_of_lost"]
 class LearnArguments:
     """What the command line says."""
 
-    bundle: Annotated[Path, typer.Argument(help="The bundle in use.")]
-    sources: Annotated[
-        list[Path], typer.Argument(metavar="SOURCE...", help="Its nominal presses, as for `fit`.")
-    ]
     output: Output
+    bundle: Path = add_argument(..., "The bundle in use.")
+    sources: list[Path] = add_argument(..., "Its nominal presses, as for `fit`.", metavar="SOURCE...")
     config: ConfigOption = CONFIG
     database: DatabaseOption = None
-    alpha: Annotated[
-        float | None,
-        typer.Option(
-            help="False-alarm rate of the threshold; default: that of the bundle.", show_default=False
-        ),
-    ] = None
+    alpha: float | None = add_option(
+        None, "False-alarm rate of the threshold; default: that of the bundle.", show_default=False
+    )
     no_contact: NoContact = None
     leave_out: LeaveOut = None
     gel: GelId = None

@@ -3,41 +3,60 @@
 import inspect
 import tomllib
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, field, fields
 from datetime import date, time
-from typing import Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
 
+import typer
 from pydantic import BaseModel, ValidationError
 
 from edge.core.errors import ConfigError
 from edge.validation_messages import numbered, sentences
 
-__all__ = ["flatten", "parse_values", "plugin_options"]
+__all__ = ["add_argument", "add_option", "flatten", "parse_values", "plugin_options"]
 
 OptionsT = TypeVar("OptionsT", bound=BaseModel)
+
+
+def add_option(default: Any, text: str, *names: str, **more: Any) -> Any:
+    """Make a field of a verb's options, with its help. default: `...` where it is required. names: on the command line,
+    where they are not the field's own. more: as `typer.Option` takes them."""
+    return _field(default, typer.Option(*names, help=text, **more))
+
+
+def add_argument(default: Any, text: str, **more: Any) -> Any:
+    """Make a field that is an argument; all as for `add_option`."""
+    return _field(default, typer.Argument(help=text, **more))
+
+
+def _field(default: Any, info: Any) -> Any:
+    return field(default=MISSING if default is ... else default, metadata={"typer": info})
 
 
 def flatten(verb: Callable[[Any], None], without: Collection[str] = ()) -> Callable[..., None]:
     """Make the verb that typer reads from one that takes its options as one dataclass.
 
-    Each field is `Annotated` with its argument or option, and becomes a parameter; the order is that of the help.
-    without: fields with a default that this verb has no option for.
+    Each field is of `add_option` or `add_argument`, or `Annotated` with one, and becomes a parameter; the order is that
+    of the help. without: fields with a default that this verb has no option for.
     """
     ((_, model),) = ((name, hint) for name, hint in get_type_hints(verb).items() if name != "return")
     hints = get_type_hints(model, include_extras=True)
+    for one in fields(model):
+        if "typer" in one.metadata:
+            hints[one.name] = Annotated[hints[one.name], one.metadata["typer"]]
 
     def call(**given: Any) -> None:
         verb(model(**given))
 
     parameters = [
         inspect.Parameter(
-            field.name,
+            one.name,
             inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty if field.default is MISSING else field.default,
-            annotation=hints[field.name],
+            default=inspect.Parameter.empty if one.default is MISSING else one.default,
+            annotation=hints[one.name],
         )
-        for field in fields(model)
-        if field.name not in without
+        for one in fields(model)
+        if one.name not in without
     ]
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # what inspect and typer read
     call.__annotations__ = hints

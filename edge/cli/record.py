@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from edge import registry
-from edge.cli.arguments import flatten, plugin_options
+from edge.cli.arguments import add_argument, add_option, flatten, plugin_options
 from edge.clock import SystemClock
 from edge.core.errors import ConfigError, FrameCorrupt, GelgateError, RecordingEnded
 from edge.core.imaging.known_profiles import profile as named
@@ -26,66 +26,34 @@ _SAY_EVERY_NS = 5_000_000_000
 class RecordArguments:
     """What the command line says."""
 
-    out: Annotated[Path, typer.Argument(help="The folder to write; it must be empty or not exist.")]
-    device: Annotated[
-        str | None, typer.Option("--device", help="A device plugin, such as gelsight_mini.")
-    ] = None
-    option: Annotated[
-        list[str] | None, typer.Option("--option", help="A device option, as name=value; repeatable.")
-    ] = None
-    seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this number of seconds.")] = None
-    frames: Annotated[int | None, typer.Option(min=1, help="Stop after this number of frames.")] = None
-    from_images: Annotated[
-        Path | None, typer.Option("--from-images", help="A folder of press images instead of a device.")
-    ] = None
-    from_video: Annotated[
-        Path | None,
-        typer.Option("--from-video", help="A video instead of a device; its frames keep their times."),
-    ] = None
-    resize: Annotated[
-        bool,
-        typer.Option(
-            "--resize",
-            help="Crop a video's frames to the profile's aspect, in the middle, and scale them.",
-        ),
-    ] = False
-    pattern: Annotated[
-        str, typer.Option(help="Pattern of the files in that folder, such as '*/gelsight.png'.")
-    ] = "**/*"
-    reference: Annotated[
-        Path | None, typer.Option(help="The image without contact, shown between the presses.")
-    ] = None
-    fps: Annotated[
-        float, typer.Option(min=0.1, max=999, help="Frames per second of the recording from images.")
-    ] = 18.75
-    lead: Annotated[
-        int,
-        typer.Option(
-            "--lead", min=0, help="Additional frames of the first lift, to learn the no-contact reference."
-        ),
-    ] = 20
-    repeat_free: Annotated[int, typer.Option("--repeat-free", min=0, help="Frames of every lift.")] = 20
-    repeat_press: Annotated[int, typer.Option("--repeat-press", min=1, help="Frames of every press.")] = 12
-    number_copies: Annotated[
-        bool,
-        typer.Option(
-            help="Write a comment into each copy, so that it is not taken for a repeated frame.",
-        ),
-    ] = True
-    noise: Annotated[
-        float | None, typer.Option(help="Add noise to copies: standard deviation in grey levels.")
-    ] = None
-    seed: Annotated[int, typer.Option(help="Seed of that noise.")] = 0
-    product: Annotated[str, typer.Option(help="Product string of the recording from images.")] = (
-        "GelSight Mini R0B 2BNN-4ZE7"
+    out: Path = add_argument(..., "The folder to write; it must be empty or not exist.")
+    device: str | None = add_option(None, "A device plugin, such as gelsight_mini.")
+    option: list[str] | None = add_option(None, "A device option, as name=value; repeatable.")
+    seconds: float | None = add_option(None, "Stop after this number of seconds.", min=0.0)
+    frames: int | None = add_option(None, "Stop after this number of frames.", min=1)
+    from_images: Path | None = add_option(None, "A folder of press images instead of a device.")
+    from_video: Path | None = add_option(None, "A video instead of a device; its frames keep their times.")
+    resize: bool = add_option(
+        False, "Crop a video's frames to the profile's aspect, in the middle, and scale them.", "--resize"
     )
-    serial: Annotated[str, typer.Option(help="Serial of the recording from images.")] = "2BNN4ZE7"
-    profile: Annotated[
-        str,
-        typer.Option(
-            help="Sensor profile of the frames, kept as a hint; without it presses are counted by their size."
-        ),
-    ] = ""
+    pattern: str = add_option("**/*", "Pattern of the files in that folder, such as '*/gelsight.png'.")
+    reference: Path | None = add_option(None, "The image without contact, shown between the presses.")
+    fps: float = add_option(18.75, "Frames per second of the recording from images.", min=0.1, max=999)
+    lead: int = add_option(
+        20, "Additional frames of the first lift, to learn the no-contact reference.", min=0
+    )
+    repeat_free: int = add_option(20, "Frames of every lift.", min=0)
+    repeat_press: int = add_option(12, "Frames of every press.", min=1)
+    number_copies: bool = add_option(
+        True, "Write a comment into each copy, so that it is not taken for a repeated frame."
+    )
+    noise: float | None = add_option(None, "Add noise to copies: standard deviation in grey levels.")
+    seed: int = add_option(0, "Seed of that noise.")
+    product: str = add_option("GelSight Mini R0B 2BNN-4ZE7", "Product string of the recording from images.")
+    serial: str = add_option("2BNN4ZE7", "Serial of the recording from images.")
+    profile: str = add_option(
+        "", "Sensor profile of the frames, kept as a hint; without it presses are counted by their size."
+    )
 
 
 @flatten

@@ -18,7 +18,7 @@ from calibration.fitting.options import (
     Settings,
     Threads,
 )
-from edge.cli.arguments import flatten, parse_values
+from edge.cli.arguments import add_argument, add_option, flatten, parse_values
 
 if TYPE_CHECKING:
     from calibration.fitting.presses.nominal_presses import NominalPresses
@@ -34,57 +34,40 @@ File = Annotated[Path, typer.Argument(metavar="FILE", help="A file that a resear
 class ImportArguments:
     """What the command line says."""
 
-    file: File
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="SOURCE...", help="Nominal presses that the model was not trained on, as for `fit`."
-        ),
-    ]
     output: Output
+    file: File
+    sources: list[Path] = add_argument(
+        ..., "Nominal presses that the model was not trained on, as for `fit`.", metavar="SOURCE..."
+    )
     part: Part = None
     position: Position = None
-    licence: Annotated[
-        str | None,
-        typer.Option(
-            "--licence",
-            help="The licence of model and weights, such as Apache-2.0, or 'own'.",
-            show_default=False,
-        ),
-    ] = None
-    backbone: Annotated[
-        str | None,
-        typer.Option(
-            help="The trunk, for files without backbone weights: .onnx, or an installed one.",
-            show_default=False,
-        ),
-    ] = None
+    licence: str | None = add_option(
+        None, "The licence of model and weights, such as Apache-2.0, or 'own'.", show_default=False
+    )
+    backbone: str | None = add_option(
+        None, "The trunk, for files without backbone weights: .onnx, or an installed one.", show_default=False
+    )
     profile: Profile = ""
-    region: Annotated[
-        str | None,
-        typer.Option(
-            help="'centre', 'full', or x,y,WIDTHxHEIGHT; default: what such a model is trained on.",
-            show_default=False,
-        ),
-    ] = None
-    rank: Annotated[
-        int | None,
-        typer.Option(min=1, help="Directions of PaDiM at most; default: all, exact.", show_default=False),
-    ] = None
-    packing: Annotated[str, typer.Option(help="How the bank is stored: none, float16 or int8.")] = "float16"
-    threshold: Annotated[
-        str, typer.Option(help="'presses': from the presses; 'model': the model's own; or a number.")
-    ] = "presses"
+    region: str | None = add_option(
+        None,
+        "'centre', 'full', or x,y,WIDTHxHEIGHT; default: what such a model is trained on.",
+        show_default=False,
+    )
+    rank: int | None = add_option(
+        None, "Directions of PaDiM at most; default: all, exact.", min=1, show_default=False
+    )
+    packing: str = add_option("float16", "How the bank is stored: none, float16 or int8.")
+    threshold: str = add_option(
+        "presses", "'presses': from the presses; 'model': the model's own; or a number."
+    )
     alpha: Alpha = 0.05
-    channels: Annotated[
-        Path | None, typer.Option(help="PaDiM's channels, where the file lacks them.", show_default=False)
-    ] = None
+    channels: Path | None = add_option(
+        None, "PaDiM's channels, where the file lacks them.", show_default=False
+    )
     settings: Settings = None
     no_contact: NoContact = None
     resize: Resize = False
-    importer: Annotated[
-        str | None, typer.Option(help="The importer, where several know the file.", show_default=False)
-    ] = None
+    importer: str | None = add_option(None, "The importer, where several know the file.", show_default=False)
     threads: Threads = 2
     overwrite: Overwrite = False
 

@@ -3,102 +3,85 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from calibration.experiments.harness.study import Options
 from calibration.experiments.studies.every_study import STUDIES, study_all
-from edge.cli.arguments import flatten
+from edge.cli.arguments import add_argument, add_option, flatten
 from edge.core.errors import ConfigError
 
 __all__ = ["study"]
-
-
-def _hidden_default(*words: str) -> Any:
-    *option, text = words
-    return typer.Option(*option, help=text, show_default=False)
 
 
 @dataclass(frozen=True)
 class StudyArguments:
     """What the command line says."""
 
-    dataset: Annotated[Path, typer.Argument(help="The folder of presses, nominal and defective.")]
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output", "-o", help="Output folder: rows.jsonl and the report; new, or one to continue."
-        ),
-    ]
-    parts: Annotated[
-        list[str] | None,
-        _hidden_default("--part", "A part; may be given several times. Default: all of the dataset."),
-    ] = None
-    position: Annotated[
-        str | None, _hidden_default("The reference position; default: each part's first by name.")
-    ] = None
-    target: Annotated[str | None, _hidden_default("The other position; default: the second by name.")] = None
-    presses: Annotated[
-        int,
-        typer.Option(min=2, help="Nominal presses of the pool at most: 1280x720 takes memory and time."),
-    ] = 40
-    views: Annotated[
-        list[str] | None,
-        _hidden_default(
-            "--view", "lr, hr_tiled, lr_tiled, hr_full or lr_full; may be given several times. Default: all."
-        ),
-    ] = None
-    fraction: Annotated[
-        float | None,
-        _hidden_default(
-            "Share of the pool that every method learns from, in percent. Default: the stable fraction of each, "
-            "from the good-fraction rows in the output folder; in paper mode the paper's own."
-        ),
-    ] = None
-    methods: Annotated[
-        list[str] | None,
-        _hidden_default(
-            "--method", "A detector; may be given several times. Default: all but the baselines."
-        ),
-    ] = None
-    modes: Annotated[
-        list[str] | None,
-        _hidden_default("--mode", "corrected or paper; may be given twice. Default: corrected."),
-    ] = None
-    backbones: Annotated[
-        list[str] | None,
-        _hidden_default(
-            "--backbone",
-            "An installed backbone, or a trunk .onnx file; may be given several times. Default: tactile_resnet18.",
-        ),
-    ] = None
-    splits: Annotated[
-        list[str] | None,
-        _hidden_default(
-            "--split",
-            "How test presses are held out: press (one by one, as in the paper) or specimen (all presses of a piece "
-            "together); may be given twice. Default: press.",
-        ),
-    ] = None
-    seeds: Annotated[
-        int, typer.Option(min=1, max=1000, help="Repetitions, each with other training presses.")
-    ] = 10
-    fractions: Annotated[
-        str, typer.Option(help="Shares of the pool in percent: FIRST:LAST:STEP, a list, or 'none'.")
-    ] = "5:100:5"
-    shots: Annotated[str, typer.Option(help="Numbers of presses, or 'none'.")] = "1,2,4,8,16,32"
-    held_out: Annotated[int, typer.Option("--held-out", min=1, help="Nominal presses kept for the test.")] = (
-        20
+    dataset: Path = add_argument(..., "The folder of presses, nominal and defective.")
+    output: Path = add_option(
+        ..., "Output folder: rows.jsonl and the report; new, or one to continue.", "--output", "-o"
     )
-    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes on this machine.")] = 1
-    dask: Annotated[str | None, _hidden_default("Address of a Dask scheduler, such as tcp://host:8786.")] = (
-        None
+    parts: list[str] | None = add_option(
+        None, "A part; may be given several times. Default: all of the dataset.", "--part", show_default=False
     )
-    cache: Annotated[
-        Path | None,
-        _hidden_default("Folder of extracted features; default: 'features' in the output folder."),
-    ] = None
+    position: str | None = add_option(
+        None, "The reference position; default: each part's first by name.", show_default=False
+    )
+    target: str | None = add_option(
+        None, "The other position; default: the second by name.", show_default=False
+    )
+    presses: int = add_option(
+        40, "Nominal presses of the pool at most: 1280x720 takes memory and time.", min=2
+    )
+    views: list[str] | None = add_option(
+        None,
+        "lr, hr_tiled, lr_tiled, hr_full or lr_full; may be given several times. Default: all.",
+        "--view",
+        show_default=False,
+    )
+    fraction: float | None = add_option(
+        None,
+        "Share of the pool that every method learns from, in percent. Default: the stable fraction of each, "
+        "from the good-fraction rows in the output folder; in paper mode the paper's own.",
+        show_default=False,
+    )
+    methods: list[str] | None = add_option(
+        None,
+        "A detector; may be given several times. Default: all but the baselines.",
+        "--method",
+        show_default=False,
+    )
+    modes: list[str] | None = add_option(
+        None, "corrected or paper; may be given twice. Default: corrected.", "--mode", show_default=False
+    )
+    backbones: list[str] | None = add_option(
+        None,
+        "An installed backbone, or a trunk .onnx file; may be given several times. Default: tactile_resnet18.",
+        "--backbone",
+        show_default=False,
+    )
+    splits: list[str] | None = add_option(
+        None,
+        "How test presses are held out: press (one by one, as in the paper) or specimen (all presses of a piece "
+        "together); may be given twice. Default: press.",
+        "--split",
+        show_default=False,
+    )
+    seeds: int = add_option(10, "Repetitions, each with other training presses.", min=1, max=1000)
+    fractions: str = add_option(
+        "5:100:5", "Shares of the pool in percent: FIRST:LAST:STEP, a list, or 'none'."
+    )
+    shots: str = add_option("1,2,4,8,16,32", "Numbers of presses, or 'none'.")
+    held_out: int = add_option(20, "Nominal presses kept for the test.", min=1)
+    jobs: int = add_option(1, "Processes on this machine.", min=1, max=256)
+    dask: str | None = add_option(
+        None, "Address of a Dask scheduler, such as tcp://host:8786.", show_default=False
+    )
+    cache: Path | None = add_option(
+        None, "Folder of extracted features; default: 'features' in the output folder.", show_default=False
+    )
 
     def options(self) -> Options:
         """Return what is asked of the study. Errors: ConfigError, as `Options`, and for an impossible fraction."""

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -16,7 +15,7 @@ from calibration.experiments.tradeoff.run import read_or_measure
 from calibration.fitting.command import refuse_existing, summarise, write
 from calibration.folders import write_atomically
 from calibration.progress import Stages, progress
-from edge.cli.arguments import flatten
+from edge.cli.arguments import add_argument, add_option, flatten
 from edge.core.errors import ConfigError
 from edge.extras import needs
 
@@ -27,44 +26,31 @@ __all__ = ["tradeoff"]
 class TradeoffArguments:
     """What the command line says."""
 
-    dataset: Annotated[
-        Path, typer.Argument(help="the folder of presses, good ones and defective ones with masks")
-    ]
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="the folder for rows.jsonl and tradeoff.svg")
-    ] = Path("tradeoff")
-    part: Annotated[str | None, typer.Option(help="the part; optional for a dataset of one part")] = None
-    position: Annotated[str | None, typer.Option(help="the position; optional for one position")] = None
-    method: Annotated[
-        list[str] | None, typer.Option(help="a detector, again for more; by default every installed one")
-    ] = None
-    backbone: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="an installed backbone or a trunk .onnx file, the first varied in every axis, again for more"
-        ),
-    ] = None
-    within: Annotated[
-        str | None,
-        typer.Option(help="choose a point: most time from the settled frame to the verdict, such as 20ms"),
-    ] = None
-    under: Annotated[str | None, typer.Option(help="choose a point: largest bank, such as 8MB")] = None
-    presses: Annotated[int | None, typer.Option(help="choose a point: most nominal presses", min=1)] = None
-    point: Annotated[str | None, typer.Option(help="make only the bundle of the point of this name")] = None
-    bundle: Annotated[
-        Path | None,
-        typer.Option(help="where the chosen bundle is written, a folder or a name ending in .zip"),
-    ] = None
-    rounds: Annotated[int, typer.Option(help="rounds of timing", min=7)] = 25
-    minutes: Annotated[float, typer.Option(help="after this many no new round of timing begins", min=0)] = (
-        12.0
+    dataset: Path = add_argument(..., "the folder of presses, good ones and defective ones with masks")
+    output: Path = add_option(
+        Path("tradeoff"), "the folder for rows.jsonl and tradeoff.svg", "--output", "-o"
     )
-    bootstrap: Annotated[int, typer.Option(help="bootstrap replicates per accuracy interval", min=20)] = 200
-    seed: Annotated[int, typer.Option(help="fixes every random choice", min=0)] = 0
-    threads: Annotated[int, typer.Option(help="threads of the runtime", min=1, max=64)] = 2
-    overwrite: Annotated[
-        bool, typer.Option(help="measure again although the folder has rows; replace the bundle")
-    ] = False
+    part: str | None = add_option(None, "the part; optional for a dataset of one part")
+    position: str | None = add_option(None, "the position; optional for one position")
+    method: list[str] | None = add_option(None, "a detector, again for more; by default every installed one")
+    backbone: list[str] | None = add_option(
+        None, "an installed backbone or a trunk .onnx file, the first varied in every axis, again for more"
+    )
+    within: str | None = add_option(
+        None, "choose a point: most time from the settled frame to the verdict, such as 20ms"
+    )
+    under: str | None = add_option(None, "choose a point: largest bank, such as 8MB")
+    presses: int | None = add_option(None, "choose a point: most nominal presses", min=1)
+    point: str | None = add_option(None, "make only the bundle of the point of this name")
+    bundle: Path | None = add_option(
+        None, "where the chosen bundle is written, a folder or a name ending in .zip"
+    )
+    rounds: int = add_option(25, "rounds of timing", min=7)
+    minutes: float = add_option(12.0, "after this many no new round of timing begins", min=0)
+    bootstrap: int = add_option(200, "bootstrap replicates per accuracy interval", min=20)
+    seed: int = add_option(0, "fixes every random choice", min=0)
+    threads: int = add_option(2, "threads of the runtime", min=1, max=64)
+    overwrite: bool = add_option(False, "measure again although the folder has rows; replace the bundle")
 
     def settings(self) -> RunSettings:
         """Return what the run depends on."""

@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
-from edge.cli.arguments import flatten
+from edge.cli.arguments import add_argument, add_option, flatten
 
 if TYPE_CHECKING:
     from edge.core.drawn_regions import DrawnRegion
@@ -21,29 +21,21 @@ __all__ = ["RegionsArguments", "regions"]
 class RegionsArguments:
     """What the command line says."""
 
-    bundle: Annotated[Path, typer.Argument(help="The bundle in use.")]
-    sources: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="[SOURCE...]", help="Its nominal presses, as for `fit`; a stricter region needs them."
-        ),
-    ] = None
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="The bundle to write: a folder, or a name ending in .zip."),
-    ] = None
-    add: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="TEXT",
-            help="'ignore NAME x,y x,y x,y', 'judge NAME ...' or 'stricter NAME FACTOR ...': corners in mm from the "
-            "top left corner of the inspected region.",
-        ),
-    ] = None
-    file: Annotated[
-        Path | None, typer.Option(help="Add the regions of a TOML file, as this command prints them.")
-    ] = None
-    remove: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Remove a region.")] = None
+    bundle: Path = add_argument(..., "The bundle in use.")
+    sources: list[Path] | None = add_argument(
+        None, "Its nominal presses, as for `fit`; a stricter region needs them.", metavar="[SOURCE...]"
+    )
+    output: Path | None = add_option(
+        None, "The bundle to write: a folder, or a name ending in .zip.", "--output", "-o"
+    )
+    add: list[str] | None = add_option(
+        None,
+        "'ignore NAME x,y x,y x,y', 'judge NAME ...' or 'stricter NAME FACTOR ...': corners in mm from the "
+        "top left corner of the inspected region.",
+        metavar="TEXT",
+    )
+    file: Path | None = add_option(None, "Add the regions of a TOML file, as this command prints them.")
+    remove: list[str] | None = add_option(None, "Remove a region.", metavar="NAME")
     no_contact: NoContact = None
     leave_out: LeaveOut = None
     threads: Threads = 2
