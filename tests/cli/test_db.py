@@ -1,12 +1,11 @@
 """`gelgate db`: what is printed, and the exit codes."""
 
 import shutil
-import sqlite3
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 from command_line import gelgate
+from sql import execute
 
 from edge.messaging.publisher import PublisherLock
 from edge.store.database import SCHEMA_VERSION
@@ -34,8 +33,7 @@ def test_a_sound_database_ends_with_0(database: Path) -> None:
 
 def test_a_fault_is_printed_and_ends_with_1(database: Path) -> None:
     """The line, then what to do."""
-    with closing(sqlite3.connect(database)) as connection, connection:
-        connection.execute("UPDATE gels SET presses = 0")
+    execute(database, "UPDATE gels SET presses = 0")
     done = gelgate("db", "check", "--database", database)
 
     assert done.code == 1

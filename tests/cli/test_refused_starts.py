@@ -14,6 +14,7 @@ import tiny
 from breakable_station import JSONL, Bench
 from command_line import gelgate
 from small_recordings import write_recording
+from sql import execute
 
 from edge.store.database import APPLICATION_ID
 from plugins.devices.uvc.lock import SensorLock
@@ -98,9 +99,7 @@ def impossible_count(bench: Bench) -> Path:
     path = bench.folder / "edited.db"
     with Store(path) as store:
         store.gel("TEST0001", 10**18)
-    with closing(sqlite3.connect(path)) as connection:
-        connection.execute("UPDATE gels SET presses = -5, limit_presses = 0")
-        connection.commit()
+    execute(path, "UPDATE gels SET presses = -5, limit_presses = 0")
     return bench.config(database="edited.db")
 
 

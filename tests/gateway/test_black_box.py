@@ -4,9 +4,7 @@ import hashlib
 import json
 import os
 import shutil
-import sqlite3
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,8 @@ import numpy as np
 import pytest
 from command_line import Outcome
 from command_line import gelgate as run
-from station import station_config, variant
+from sql import execute
+from station import Configure, station_config, variant
 from stepped_station import SteppedStation
 
 from edge.gateway.recorder import PressReport
@@ -38,15 +37,13 @@ class Played:
         return ArchiveFolder(self.archive).press(self.ids[number], evidence)
 
     def row(self, query: str, *values: object) -> tuple[bytes, ...]:
-        with closing(sqlite3.connect(self.database)) as connection, connection:
-            return connection.execute(query, values).fetchone()  # type: ignore[no-any-return]
+        return next(iter(execute(self.database, query, given=values)), ())
 
     @property
     def pictures(self) -> dict[str, bytes]:
         """The pictures that wait to be published, by press id."""
         query = "SELECT substr(topic, 9), payload FROM outbox WHERE topic LIKE 'heatmap/%'"
-        with closing(sqlite3.connect(self.database)) as connection:
-            return dict(connection.execute(query).fetchall())
+        return dict(execute(self.database, query))
 
     def replay(self, *words: str) -> Outcome:
         return run("station", "replay", *words, "-c", str(self.config))
@@ -243,9 +240,9 @@ def test_another_bundle_shows_the_verdicts_that_change(made: Played, tmp_path: P
     assert table[-1].split() == ["pass", "0", "2"]
 
 
-def test_only_the_newest_presses_are_kept(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_only_the_newest_presses_are_kept(configure: Configure) -> None:
     """What only older ones used goes with them; their rows stay, and replay says what is gone."""
-    played, station = play(station_config(tmp_path, recording, bundle, tables="[archive]\npresses = 1\n"))
+    played, station = play(configure(tables="[archive]\npresses = 1\n"))
 
     assert station.raised == []
     assert list_presses(played.archive) == [played.ids[2]]
@@ -255,9 +252,9 @@ def test_only_the_newest_presses_are_kept(tmp_path: Path, recording: Path, bundl
     assert "only the newest presses are kept" in said
 
 
-def test_the_size_is_kept_as_well(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_the_size_is_kept_as_well(configure: Configure) -> None:
     """With room for one press, the newest one stays."""
-    played, _ = play(station_config(tmp_path, recording, bundle, tables="[archive]\nmb = 1\n"))
+    played, _ = play(configure(tables="[archive]\nmb = 1\n"))
 
     assert 0 < sum(path.stat().st_size for path in played.objects.iterdir()) <= 1_000_000
     assert played.ids[2] in list_presses(played.archive)
@@ -281,16 +278,15 @@ def test_the_newest_presses_are_kept_up_to_their_number(tmp_path: Path, made: Pl
 
 
 def test_the_newest_presses_are_kept_after_the_clock_was_set_back(
-    tmp_path: Path, recording: Path, bundle: Path
+    configure: Configure, tmp_path: Path
 ) -> None:
     """The archive that a start finds is read in the order in which presses were made, not in that of their ids."""
-    config = station_config(tmp_path, recording, bundle, tables="[archive]\npresses = 2\n")
+    config = configure(tables="[archive]\npresses = 2\n")
     for presses in (2, 1, 1):  # each station begins at the same time
         with SteppedStation(config) as station:
             station.play_presses(presses)
 
-    with closing(sqlite3.connect(tmp_path / "gelgate.db")) as connection:
-        ids = [row[0] for row in connection.execute("SELECT press_id FROM presses ORDER BY number")]
+    ids = [row[0] for row in execute(tmp_path / "gelgate.db", "SELECT press_id FROM presses ORDER BY number")]
     assert sorted(ids) != ids
     assert list_presses(tmp_path / "gelgate.archive") == sorted(ids[-2:])
 
@@ -315,11 +311,9 @@ def test_presses_that_people_spoke_of_stay_up_to_half_of_the_archive(
     assert kept[3:] == [[0, 1, 2, 3], [1, 2, 3, 4], [1, 2, 4, 5], [1, 2, 5, 6], [1, 2, 6, 7]]
 
 
-def test_a_press_that_a_person_spoke_of_outlives_the_others(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_a_press_that_a_person_spoke_of_outlives_the_others(configure: Configure, tmp_path: Path) -> None:
     """The word comes from another process, such as a page."""
-    config = station_config(tmp_path, recording, bundle, tables="[archive]\npresses = 2\n")
+    config = configure(tables="[archive]\npresses = 2\n")
     with SteppedStation(config) as station:
         station.play_presses(1)
         given = {"press_id": station.results[0].press_id, "verdict": "good"}
@@ -330,9 +324,9 @@ def test_a_press_that_a_person_spoke_of_outlives_the_others(
     assert list_presses(tmp_path / "gelgate.archive") == sorted([ids[0], ids[2]])  # of one moment
 
 
-def test_an_archive_that_is_off_keeps_nothing(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_an_archive_that_is_off_keeps_nothing(configure: Configure) -> None:
     """And a replay says so."""
-    played, _ = play(station_config(tmp_path, recording, bundle, tables="[archive]\npresses = 0\n"))
+    played, _ = play(configure(tables="[archive]\npresses = 0\n"))
 
     assert not played.archive.exists()
     assert "was never archived" in played.replay(played.ids[0]).sentence()
@@ -340,10 +334,10 @@ def test_an_archive_that_is_off_keeps_nothing(tmp_path: Path, recording: Path, b
 
 @pytest.mark.parametrize(("store", "alarms"), [("", ["archive"]), ("free_mb = 1e9", ["archive", "disk"])])
 def test_an_archive_that_cannot_be_written_stops_no_inspection(
-    tmp_path: Path, recording: Path, bundle: Path, store: str, alarms: list[str]
+    configure: Configure, tmp_path: Path, store: str, alarms: list[str]
 ) -> None:
     """A file stands in its place, or there is less room than `store.free_mb`: presses are judged, an alarm says why."""
-    config = station_config(tmp_path, recording, bundle, store=store)
+    config = configure(store=store)
     if not store:
         (tmp_path / "gelgate.archive").write_text("a file in its place", encoding="utf-8")
     played, station = play(config)
@@ -354,11 +348,9 @@ def test_an_archive_that_cannot_be_written_stops_no_inspection(
     assert not played.archive.is_dir()
 
 
-def test_a_press_that_the_store_refuses_is_archived_too(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_a_press_that_the_store_refuses_is_archived_too(config: Path, tmp_path: Path) -> None:
     """Its files follow its row, or the press after it: no press waits for files, and at most one has none."""
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+    with SteppedStation(config) as station:
         archived = lambda: len(list_presses(tmp_path / "gelgate.archive"))  # noqa: E731
         station.play_presses(1)
         assert archived() == 1

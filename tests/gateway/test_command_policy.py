@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from station import station_config
+from station import Configure
 from stepped_station import SteppedStation
 
 from edge.clock import ManualClock
@@ -315,13 +315,13 @@ def admit(path: Path) -> None:
     ],
 )
 def test_a_policy_that_cannot_be_is_refused_at_the_start(
-    tmp_path: Path, recording: Path, bundle: Path, table: str, words: str
+    configure: Configure, tmp_path: Path, table: str, words: str
 ) -> None:
     """In one sentence, by `gelgate check` and `gelgate run`."""
     for name, content, rights in (("short", b"abc", 0o640), ("open", SECRET, 0o644)):
         (tmp_path / name).write_bytes(content)
         (tmp_path / name).chmod(rights)
-    path = station_config(tmp_path, recording, bundle, tables=f"[commands]\n{table}")
+    path = configure(tables=f"[commands]\n{table}")
 
     with pytest.raises(ConfigError) as caught:
         admit(path)

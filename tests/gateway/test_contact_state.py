@@ -110,9 +110,9 @@ def test_an_overload_is_said_and_is_an_alarm_until_the_gel_is_free(
     assert all(act.arguments["depth_share"] > 1.6 for act in acts)
 
 
-def test_a_file_of_messages_has_no_stream(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_a_file_of_messages_has_no_stream(config: Path, tmp_path: Path) -> None:
     """Each line is flushed to the disk: what changes at every moment would fill it."""
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+    with SteppedStation(config) as station:
         station.play()
         station.publish()
     lines = [json.loads(line) for line in next(tmp_path.rglob("messages.jsonl")).read_text().splitlines()]

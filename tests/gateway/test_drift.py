@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from station import Motion, press_recording, station_config
+from station import Motion, press_recording
 from stepped_station import SteppedStation
 
 from edge.core.drift import MEASURES
@@ -12,7 +12,7 @@ from edge.features.drift import DriftWatch, _bundles_from
 
 
 @pytest.fixture(scope="module")
-def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Thirty short presses, the third one dented."""
     folder = tmp_path_factory.mktemp("drift") / "presses"
     return press_recording(folder, 30, dented=[2], motion=Motion(hold=8, idle=10), seed=5)
@@ -27,12 +27,9 @@ def shift(station: SteppedStation, name: str, far: float) -> None:
     )
 
 
-def test_a_shift_is_an_alarm_until_somebody_acknowledges_it(
-    tmp_path: Path, presses: Path, bundle: Path
-) -> None:
+def test_a_shift_is_an_alarm_until_somebody_acknowledges_it(config: Path) -> None:
     """Of 24 presses, 23 pass and are charted; then every place lies 3 mm away. The alarm comes again after a restart;
     acknowledged, this chart begins again, also after one more restart, and the others go on."""
-    config = station_config(tmp_path, presses, bundle)
     with SteppedStation(config) as station:
         station.play_presses(24)
         quiet, charts = station.alarm("drift"), dict(station.find(DriftWatch)._bundles)
@@ -63,12 +60,9 @@ def test_a_shift_is_an_alarm_until_somebody_acknowledges_it(
     assert set(left) == {measure.name for measure in MEASURES} - {"x_mm"}
 
 
-def test_the_charts_are_shown_with_every_press_that_passes(
-    tmp_path: Path, presses: Path, bundle: Path
-) -> None:
+def test_the_charts_are_shown_with_every_press_that_passes(config: Path) -> None:
     """Of three presses the third is dented, and charted by none; what the lines show begins with the start. After
     another gel nothing is charted."""
-    config = station_config(tmp_path, presses, bundle)
     with SteppedStation(config) as station:
         station.play_presses(3)
         shown = station.said("drift")

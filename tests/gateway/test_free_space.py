@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from station import station_config
+from station import Configure
 from stepped_station import SteppedStation
 
 from edge.gateway.report import FreeSpace, free_bytes
@@ -28,11 +28,9 @@ def test_the_alarm_begins_below_the_limit_and_ends_well_above_it(
 
 
 @pytest.mark.parametrize(("free_mb", "is_raised"), [(1_000_000_000, True), (0, False)])
-def test_a_running_station_raises_it_and_goes_on(
-    tmp_path: Path, recording: Path, bundle: Path, free_mb: int, is_raised: bool
-) -> None:
+def test_a_running_station_raises_it_and_goes_on(configure: Configure, free_mb: int, is_raised: bool) -> None:
     """A warning: presses are still recorded; the room is in the stats."""
-    with SteppedStation(station_config(tmp_path, recording, bundle, store=f"free_mb = {free_mb}")) as station:
+    with SteppedStation(configure(store=f"free_mb = {free_mb}")) as station:
         station.play()
         station.loop.publish_stats()
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from station import FPS, HEADER, Motion, gel, jpeg, press_recording, station_config
+from station import FPS, HEADER, Configure, Motion, gel, jpeg, press_recording, station_config
 from stepped_station import SteppedStation
 
 from edge.clock import SystemClock
@@ -122,10 +122,10 @@ def test_a_sensor_pulled_out_during_a_press_is_reconnected_each_time(tmp_path: P
     assert set(station.verdicts) <= {"pass", "fail"}
 
 
-def test_broken_frames_are_counted_and_passed_over(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_broken_frames_are_counted_and_passed_over(configure: Configure) -> None:
     """A truncated JPEG, a packet with an error and a stale frame are lost alone, and nothing else."""
     faults = ["truncate@3", "error_bit@20", "stale@36", "drop@41", "lost_packet@50"]
-    config = station_config(tmp_path, recording, bundle, faults=faults)
+    config = configure(faults=faults)
     with SteppedStation(config) as station:
         station.play()
         status = station.parts.acquisition.status
@@ -170,10 +170,9 @@ def test_a_sensor_of_another_mode_is_refused(tmp_path: Path, bundle: Path) -> No
         station.play()
 
 
-def test_a_station_loads_what_it_uses(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_a_station_loads_what_it_uses(config: Path) -> None:
     """A sensor, a bundle with its trunk, without tiles and registration, and no second presses: none of the code for
     the others is loaded."""
-    config = station_config(tmp_path, recording, bundle)
     lines = config.read_text().splitlines()
     lines[lines.index('plugin = "usb_mock"') : lines.index("[inspection]")] = ['plugin = "gelsight_mini"']
     config.write_text("\n".join(lines))

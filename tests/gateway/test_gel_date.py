@@ -4,7 +4,6 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
-from station import station_config
 from stepped_station import SteppedStation
 
 from edge.core.errors import StoreError
@@ -99,10 +98,9 @@ def test_another_gel_ends_it_and_one_without_a_date_raises_none() -> None:
     assert said.texts == [PAST, None, "gel S-3 is past its use-by date 2027-02-02"]
 
 
-def test_a_station_says_what_the_package_said(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_a_station_says_what_the_package_said(config: Path) -> None:
     """At the request, in the gel's topic and in each result; the alarm comes at once, and after a restart. The clock of
     this station shows 1970. Presses are judged as before."""
-    config = station_config(tmp_path, recording, bundle)
     past = {"gel_serial": "G7", "gel_type": "plain", "use_by": "1969-12-30"}
     with SteppedStation(config) as station:
         station.play(3)
@@ -138,10 +136,9 @@ def test_a_station_says_what_the_package_said(tmp_path: Path, recording: Path, b
     ],
 )
 def test_a_request_that_cannot_be_changes_nothing(
-    arguments: dict[str, str], sentence: str, tmp_path: Path, recording: Path, bundle: Path
+    config: Path, arguments: dict[str, str], sentence: str
 ) -> None:
     """The gel stays mounted."""
-    config = station_config(tmp_path, recording, bundle)
     with SteppedStation(config) as station:
         station.play(3)
         station.parts.store.replace_gel("OTHER", 1, label=GelLabel("G9"))

@@ -16,19 +16,19 @@ from edge.store.gel_proofs import of_mounted
 
 
 @pytest.fixture(scope="module")
-def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five presses, the fourth one dented."""
     folder = tmp_path_factory.mktemp("proof") / "presses"
     return press_recording(folder, 5, dented=[3], motion=Motion(hold=8, idle=34), seed=5)
 
 
 @pytest.fixture
-def replaced(tmp_path: Path, presses: Path, bundle: Path) -> Callable[..., SteppedStation]:
+def replaced(tmp_path: Path, recording: Path, bundle: Path) -> Callable[..., SteppedStation]:
     """A station with one press on its first gel and this number on the second, whose picture is learnt."""
 
     def make(unproven: str = "warn", presses_since: int = 0) -> SteppedStation:
         table = f'[gel]\nunproven = "{unproven}"'
-        station = SteppedStation(station_config(tmp_path, presses, bundle, tables=table))
+        station = SteppedStation(station_config(tmp_path, recording, bundle, tables=table))
         station.play_presses(1)
         assert (station.said("state")["unproven"], station.alarm("gel_proof")) == (None, None)
         station.ask("replace_gel")

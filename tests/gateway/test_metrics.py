@@ -2,12 +2,11 @@
 
 import socket
 from contextlib import ExitStack, closing
-from pathlib import Path
 
 import pytest
 from page_messages import ask
 from ports import free_port
-from station import station_config
+from station import Configure
 from stepped_station import SteppedStation
 
 from edge.features.metrics import METRICS, Metrics
@@ -87,12 +86,10 @@ def test_alarms_and_state_are_followed() -> None:
     assert (found["gelgate_alarm", "disk"], found["gelgate_ready",]) == (0, 0)
 
 
-def test_a_station_serves_them_until_it_is_closed(
-    tmp_path: Path, recording: Path, bundle: Path, port: int
-) -> None:
+def test_a_station_serves_them_until_it_is_closed(configure: Configure, port: int) -> None:
     """Presses, gel, memory of the process, on one loopback address alone: there is no login, so no other address of the
     machine answers, and 127.0.0.2 stands for them. Afterwards nothing answers."""
-    config = station_config(tmp_path, recording, bundle, tables=f"[metrics]\nport = {port}")
+    config = configure(tables=f"[metrics]\nport = {port}")
     with SteppedStation(config) as station:
         station.play()
         station.loop.publish_stats()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from command_line import gelgate
 from shadow_station import FIVE, limit
-from station import Motion, press_recording, station_config, variant
+from station import Configure, Motion, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
 from edge.config.request_tables import ConfirmTable
@@ -28,16 +28,16 @@ from edge.store.ulid import new_ulid
 
 
 @pytest.fixture(scope="module")
-def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four presses, the third one dented."""
     folder = tmp_path_factory.mktemp("said") / "presses"
     return press_recording(folder, 4, dented=[2], motion=Motion(hold=8, idle=34), seed=5)
 
 
 @pytest.fixture
-def played(tmp_path: Path, presses: Path, bundle: Path) -> Iterator[SteppedStation]:
+def played(tmp_path: Path, recording: Path, bundle: Path) -> Iterator[SteppedStation]:
     """All four are recorded, and the station has asked."""
-    with SteppedStation(station_config(tmp_path, presses, bundle)) as station:
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
         station.play_presses(4)
         settle(station)
         yield station
@@ -205,9 +205,9 @@ def count_steps(connection: sqlite3.Connection) -> int:
     return len(counted)
 
 
-def test_at_most_the_configured_number_is_asked_on_a_day(tmp_path: Path, presses: Path, bundle: Path) -> None:
+def test_at_most_the_configured_number_is_asked_on_a_day(configure: Configure) -> None:
     """Two a day: in the evening after two answers none is asked, and on the next morning the others are."""
-    config = station_config(tmp_path, presses, bundle, tables="[confirm]\nquestions_per_day = 2")
+    config = configure(tables="[confirm]\nquestions_per_day = 2")
     with SteppedStation(config) as station:
         station.clock.sleep(20 * 3600)
         station.play_presses(4)
@@ -229,9 +229,9 @@ def test_at_most_the_configured_number_is_asked_on_a_day(tmp_path: Path, presses
         assert station.said("questions")["presses"] == []  # of yesterday
 
 
-def test_on_a_new_gel_its_presses_alone_are_asked_about(tmp_path: Path, presses: Path, bundle: Path) -> None:
+def test_on_a_new_gel_its_presses_alone_are_asked_about(config: Path) -> None:
     """Until the bundle is proven there: what is learnt of this gel is learnt from them."""
-    with SteppedStation(station_config(tmp_path, presses, bundle)) as station:
+    with SteppedStation(config) as station:
         station.play_presses(1)
         station.clock.sleep(1)
         station.ask("replace_gel")
@@ -245,12 +245,12 @@ def test_on_a_new_gel_its_presses_alone_are_asked_about(tmp_path: Path, presses:
 
 @pytest.mark.parametrize("is_new", [True, False])
 def test_what_a_new_gel_has_refused_for_its_colours_is_asked_about(
-    tmp_path: Path, presses: Path, bundle: Path, is_new: bool
+    tmp_path: Path, recording: Path, bundle: Path, is_new: bool
 ) -> None:
     """It has no score, and nothing else could be learnt of such a gel. On a known gel it is another sensor's."""
     known = json.loads((bundle / "manifest.json").read_text())["colours"]
     strict = variant(bundle, tmp_path / "strict", colours={**known, "limit": 1e-9})
-    with SteppedStation(station_config(tmp_path, presses, strict)) as station:
+    with SteppedStation(station_config(tmp_path, recording, strict)) as station:
         station.play_presses(1)
         station.clock.sleep(1)
         if is_new:
@@ -265,11 +265,11 @@ def test_what_a_new_gel_has_refused_for_its_colours_is_asked_about(
     assert {one["score_ratio"] for one in asked} <= {None}
 
 
-def test_where_nobody_is_asked_nothing_is_remembered(tmp_path: Path, presses: Path, bundle: Path) -> None:
+def test_where_nobody_is_asked_nothing_is_remembered(tmp_path: Path, recording: Path, bundle: Path) -> None:
     """A station that refuses every press for its colours may do so for months."""
     known = json.loads((bundle / "manifest.json").read_text())["colours"]
     strict = variant(bundle, tmp_path / "strict", colours={**known, "limit": 1e-9})
-    config = station_config(tmp_path, presses, strict, tables="[confirm]\nquestions_per_day = 0")
+    config = station_config(tmp_path, recording, strict, tables="[confirm]\nquestions_per_day = 0")
     with SteppedStation(config) as station:
         station.play_presses(4)
         (stage,) = (one for one in station.parts.stages if isinstance(one, PersonVerdicts))
@@ -278,7 +278,7 @@ def test_where_nobody_is_asked_nothing_is_remembered(tmp_path: Path, presses: Pa
 
 
 def test_more_false_alarms_than_promised_are_an_alarm_until_another_bundle_inspects(
-    tmp_path: Path, presses: Path, bundle: Path
+    tmp_path: Path, recording: Path, bundle: Path
 ) -> None:
     """A fifth is promised, and three of four fails are good. On a new gel the alarm of the proof says it."""
     promised = limit(bundle, **FIVE)
@@ -286,7 +286,7 @@ def test_more_false_alarms_than_promised_are_an_alarm_until_another_bundle_inspe
     other = variant(bundle, tmp_path / "other", threshold=promised)
 
     def open_with(inspecting: Path) -> SteppedStation:
-        return SteppedStation(station_config(tmp_path, presses, f'bundle = "{inspecting}"'))
+        return SteppedStation(station_config(tmp_path, recording, f'bundle = "{inspecting}"'))
 
     def look(station: SteppedStation) -> str | None:
         settle(station)
@@ -341,21 +341,19 @@ def test_a_word_that_stands_in_the_way_is_asked_for_once_more(played: SteppedSta
     "tables",
     ["[archive]\npresses = 0", '[commands]\npage = ["select_part"]', "[confirm]\nquestions_per_day = 0"],
 )
-def test_nothing_is_asked_that_nobody_could_answer(
-    tmp_path: Path, presses: Path, bundle: Path, tables: str
-) -> None:
+def test_nothing_is_asked_that_nobody_could_answer(configure: Configure, tables: str) -> None:
     """A retained question of an earlier configuration is replaced."""
-    with SteppedStation(station_config(tmp_path, presses, bundle, tables=tables)) as station:
+    with SteppedStation(configure(tables=tables)) as station:
         station.play_presses(1)
         settle(station)
 
         assert (station.said("questions")["per_day"], station.said("questions")["presses"]) == (0, [])
 
 
-def test_a_pedal_says_what_the_last_press_was(tmp_path: Path, presses: Path, bundle: Path) -> None:
+def test_a_pedal_says_what_the_last_press_was(config: Path) -> None:
     """Nothing is kept of no press, of a master piece, nor while the press that a light shows already waits for the
     database: the one before it is another part."""
-    with SteppedStation(station_config(tmp_path, presses, bundle)) as station:
+    with SteppedStation(config) as station:
         outputs, store = Outputs(lambda alarm, text: None, station.clock), station.parts.store
         outputs.confirm_last("good", store)
         station.play_presses(2)

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import pytest
 from recorded_presses import make_press, messages_of, path, store
-from station import MQTT, station_config, variant
+from station import MQTT, Configure, variant
 from stepped_station import SteppedStation
 
 from edge.config import load_config
@@ -150,9 +150,8 @@ def lose_the_bundle(folder: Path) -> None:
     ],
 )
 def test_a_stop_before_the_picture_is_made_good(
+    config: Path,
     tmp_path: Path,
-    recording: Path,
-    bundle: Path,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
     lose: Callable[[Path], None],
@@ -160,7 +159,7 @@ def test_a_stop_before_the_picture_is_made_good(
 ) -> None:
     """After a crash the results are there. The next start draws the pictures from the archived bytes, byte for byte;
     where they are gone it sends empty ones, and says why: a subscriber need not wait."""
-    config, expected = station_config(tmp_path, recording, bundle), dict[str, PressFiles]()
+    expected = dict[str, PressFiles]()
     with monkeypatch.context() as killed:
         killed.setattr(Pictures, "add", lambda self, one: expected.setdefault(one.press_id, one.draw()))
         with SteppedStation(config) as station:
@@ -217,7 +216,7 @@ def test_a_full_disk_delays_the_picture(store: Store, path: Path, monkeypatch: p
 
 
 def test_presses_that_wait_for_the_store_hold_no_arrays(
-    tmp_path: Path, recording: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
+    config: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """While the disk is full the presses behind the first are drawn, which takes a fraction of the memory. When there
     is room again, each picture comes."""
@@ -228,7 +227,7 @@ def test_presses_that_wait_for_the_store_hold_no_arrays(
         return files(caption.press_id).sheet
 
     monkeypatch.setattr(recorder, "encode_press", draw)
-    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+    with SteppedStation(config) as station:
         with station.refusing("presses"):
             while not station.has_ended:
                 station.play(1)
@@ -298,14 +297,12 @@ def test_an_end_while_the_thread_draws_keeps_the_order(
     assert topics == [f"heatmap/{IDS[0]}", f"heatmap/{IDS[1]}"]
 
 
-def test_a_picture_of_an_earlier_configuration_is_forgotten(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_a_picture_of_an_earlier_configuration_is_forgotten(configure: Configure, tmp_path: Path) -> None:
     """Where the newest picture is no longer retained: at every connection the topic is emptied, and what waited for it
     is not sent. A sink that announces itself to Home Assistant has it retained."""
 
     def is_retained(tables: str, sinks: str = "") -> tuple[bool, bool, bool]:
-        config = station_config(tmp_path, recording, bundle, tables=tables, sinks=sinks)
+        config = configure(tables=tables, sinks=sinks)
         with SteppedStation(config) as station:
             station.play()
             birth = {message.topic for message in station.parts.publisher.retained_state.all()}

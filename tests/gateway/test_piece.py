@@ -280,7 +280,7 @@ def test_a_press_that_began_before_its_piece_is_of_none(configure: Make) -> None
     """The loop is some frames behind: when the piece is begun something presses already, and is not seen yet. It may
     be the piece before, so the request is refused."""
     with PieceStation(configure(plan(), pace=1.0)) as station:
-        station.play_until(lambda: station.loop.session is not None and station.loop.session.has_contact)
+        pressing(station)
         frames = station.parts.acquisition.status.frames
     with PieceStation(configure(plan(), pace=1.0)) as station:
         station.play_until(lambda: station.parts.acquisition.status.frames == frames - 8)
@@ -390,9 +390,7 @@ def test_a_new_gel_a_reload_and_an_unsure_press_leave_the_piece_as_it_is(configu
         station.play_presses(1)
         before = station.said("piece")
         station.ask("replace_gel")
-        station.parts.selection.reload()
-        station.parts.selection.worker.step()
-        station.turn()
+        station.reload()
 
         assert station.said("piece") == before
         assert filled(before) == ["pass", None, None]
@@ -403,16 +401,13 @@ def test_a_place_whose_bundle_goes_with_a_reload_is_an_alarm(tmp_path: Path, con
     with PieceStation(configure(plan())) as station:
         station.play_until(lambda: station.loop.session is not None)
         shutil.move(tmp_path / "bundles" / "middle", tmp_path / "middle")
-        station.parts.selection.reload()
-        station.parts.selection.worker.step()
-        station.turn()
+        station.reload()
         station.play_presses(1)
         station.turn()
         assert "the place PZ0/middle of the piece has no bundle any more" in str(station.alarm("piece"))
         shutil.move(tmp_path / "middle", tmp_path / "bundles" / "middle")
-        station.parts.selection.reload()
-        station.parts.selection.worker.step()
-        station.turn(2)
+        station.reload()
+        station.turn()
         assert station.alarm("piece") is None
         assert station.parts.selection.part == MIDDLE
 

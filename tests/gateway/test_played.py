@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from command_line import gelgate
-from station import Motion, press_recording, station_config
+from station import Configure, Motion, press_recording, station_config
 
 from edge import registry
 from edge.clock import SystemClock
@@ -24,13 +24,11 @@ from plugins.devices.recorded import RecordedOptions
 @pytest.mark.parametrize(
     ("device", "faults"), [("recorded", []), ("usb_mock", []), ("usb_mock", ["unplug@34:0.05"])]
 )
-def test_played_on_demand_every_press_is_seen(
-    tmp_path: Path, recording: Path, bundle: Path, device: str, faults: list[str]
-) -> None:
+def test_played_on_demand_every_press_is_seen(configure: Configure, device: str, faults: list[str]) -> None:
     """Contact uses the recording's time: with pace 0 each press is found, whatever the machine's speed. Unplugged
     while a part is held, the time that passes on demand has the gap, so the press is not counted twice; the sensor
     that was opened for the check is opened again, and goes on with the recording."""
-    config = station_config(tmp_path, recording, bundle, faults=faults)
+    config = configure(faults=faults)
     text = config.read_text().replace('"usb_mock"', f'"{device}"')
     config.write_text(text.replace(", faults = []", "") if device == "recorded" else text)
     done = gelgate("run", "--config", config)
@@ -102,10 +100,8 @@ def test_what_a_run_on_labelled_presses_must_have_seen(
         played.check_presses(seen, 90, dropped)
 
 
-def test_a_run_that_was_stopped_before_the_end_is_not_compared(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
-    done = gelgate("run", "--presses", "1", "--config", station_config(tmp_path, recording, bundle))
+def test_a_run_that_was_stopped_before_the_end_is_not_compared(config: Path) -> None:
+    done = gelgate("run", "--presses", "1", "--config", config)
     assert done.code == 0, done.err
 
 

@@ -13,7 +13,7 @@ from unittest.mock import Mock
 
 import pytest
 from ports import free_port
-from station import MQTT, station_config, two_parts, variant
+from station import MQTT, Configure, station_config, two_parts, variant
 from stepped_station import SteppedStation
 
 from edge.acquisition import AcquisitionState
@@ -61,13 +61,11 @@ class Counted:
         return staticmethod(counted) if key == "Bundle.load" else counted  # type: ignore[return-value]
 
 
-def test_a_start_after_the_check_opens_everything_once(
-    tmp_path: Path, recording: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_start_after_the_check_opens_everything_once(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The bundle is loaded and hashed once, its golden frames are scored once, the sensor is opened once."""
     counted = Counted(monkeypatch)
-    config, clock = load_config(station_config(tmp_path, recording, bundle)), SystemClock()
-    with preflight(config, clock) as checked, open_station(config, clock, checked=checked) as station:
+    loaded, clock = load_config(config), SystemClock()
+    with preflight(loaded, clock) as checked, open_station(loaded, clock, checked=checked) as station:
         assert [finding.error for finding in checked.findings] == [None] * 6
         acquisition = station.parts.acquisition
         acquisition.step()
@@ -77,14 +75,14 @@ def test_a_start_after_the_check_opens_everything_once(
     assert counted.calls == {"Bundle.load": 1, "Scorer.check_golden": 1, "UsbMock.open": 1}
 
 
-def test_a_check_without_a_start_gives_the_sensor_back(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_a_check_without_a_start_gives_the_sensor_back(config: Path) -> None:
     """`gelgate check` twice in a row, and from two processes, finds it free."""
-    config, clock = load_config(station_config(tmp_path, recording, bundle)), SystemClock()
-    with preflight(config, clock) as checked:
+    loaded, clock = load_config(config), SystemClock()
+    with preflight(loaded, clock) as checked:
         device = checked.take_device()
         assert device is not None
         device.close()
-    with preflight(config, clock) as checked:
+    with preflight(loaded, clock) as checked:
         held = checked._device
     assert held is not None
     with pytest.raises(DeviceLost):
@@ -135,10 +133,10 @@ def test_a_part_without_a_bundle_is_found_by_the_check(tmp_path: Path, recording
     assert [finding.text for finding in find(config, "part")] == ["PZ1/pos1"]
 
 
-def test_metrics_are_tried_where_they_are_wanted(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_metrics_are_tried_where_they_are_wanted(configure: Configure) -> None:
     """A port that is taken is found by the check, not by the start; a free one is free again afterwards."""
     port = free_port()
-    path = station_config(tmp_path, recording, bundle, tables=f"[metrics]\nport = {port}")
+    path = configure(tables=f"[metrics]\nport = {port}")
     with socket.create_server(("127.0.0.1", port)):
         (finding,) = find(path, "metrics")
     assert isinstance(finding.error, ConfigError)
@@ -159,12 +157,10 @@ def test_metrics_are_tried_where_they_are_wanted(tmp_path: Path, recording: Path
         ("[metrics]\nport = 5021", None),
     ],
 )
-def test_two_servers_of_a_station_have_two_ports(
-    tmp_path: Path, recording: Path, bundle: Path, table: str, fault: str | None
-) -> None:
+def test_two_servers_of_a_station_have_two_ports(configure: Configure, table: str, fault: str | None) -> None:
     """Each alone may be free, and the start would say that a program uses it."""
     plc = '[handshake]\nplugin = "modbus"\noptions = { port = 5020 }\n'
-    path = station_config(tmp_path, recording, bundle, sinks=MQTT % free_port(), tables=f"{table}\n{plc}")
+    path = configure(sinks=MQTT % free_port(), tables=f"{table}\n{plc}")
     assert [fault and fault in one.text for one in find(path, "ports")] == ([True] if fault else [])
 
 
@@ -195,19 +191,19 @@ AWAY = 'plugin = "recorded"\noptions = { recording = "away" }\n'
     ],
 )
 def test_an_overview_camera_is_found_by_name_or_waited_for(
-    tmp_path: Path, recording: Path, bundle: Path, table: str, words: str, is_fault: bool
+    configure: Configure, table: str, words: str, is_fault: bool
 ) -> None:
-    (finding,) = find(station_config(tmp_path, recording, bundle, tables=f"[overview]\n{table}"), "overview")
+    (finding,) = find(configure(tables=f"[overview]\n{table}"), "overview")
     assert re.search(words, finding.text)
     assert isinstance(finding.error, ConfigError) == is_fault
 
 
-def test_a_second_gateway_never_reaches_the_broker(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_a_second_gateway_never_reaches_the_broker(configure: Configure) -> None:
     """Both have one client id: a connection of the second would disconnect the first from its broker."""
     with socket.create_server(("127.0.0.1", 0)) as broker:
         broker.settimeout(0.3)
         sinks = MQTT % broker.getsockname()[1]
-        config = load_config(station_config(tmp_path, recording, bundle, sinks=sinks))
+        config = load_config(configure(sinks=sinks))
         with closing(PublisherLock(config.store.path)):
             refused = pytest.raises(StoreError, match="another gelgate process publishes")
             with refused, open_station(config, SystemClock()):
@@ -216,12 +212,10 @@ def test_a_second_gateway_never_reaches_the_broker(tmp_path: Path, recording: Pa
                 broker.accept()
 
 
-def test_a_sink_that_cannot_be_opened_closes_those_before_it(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_a_sink_that_cannot_be_opened_closes_those_before_it(configure: Configure) -> None:
     """The first sink's threads end, and the database is free again."""
     second = MQTT.replace("port = %d", 'username = "u", password_file = "/nowhere/password"')
-    config = load_config(station_config(tmp_path, recording, bundle, sinks=MQTT % free_port() + second))
+    config = load_config(configure(sinks=MQTT % free_port() + second))
     before = set(threading.enumerate())
     refused = pytest.raises(ConfigError, match="password file /nowhere/password cannot be read")
     with refused, open_station(config, SystemClock()):

@@ -2,15 +2,14 @@
 
 import json
 import logging
-import sqlite3
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
 from command_line import gelgate
+from sql import execute
 from station import Motion, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
@@ -63,8 +62,7 @@ def test_a_press_a_little_above_the_limit_asks_and_the_lower_score_of_two_is_dec
         station.play()
         lines = [press_line(report) for report in station.reports]
     first, second, third = results = station.results
-    with closing(sqlite3.connect(tmp_path / "gelgate.db")) as connection:
-        pairs = connection.execute("SELECT second_of FROM presses ORDER BY number").fetchall()
+    pairs = execute(tmp_path / "gelgate.db", "SELECT second_of FROM presses ORDER BY number")
 
     assert station.verdicts == ["unsure", "pass", "pass"]
     assert (first.score or 0) > (first.threshold or 9)

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from station import station_config
+from station import Configure
 from stepped_station import SteppedStation
 
 from edge.acquisition import AcquisitionStatus
@@ -22,12 +22,12 @@ from edge.store.gel_ledger import GelRecord
 
 @pytest.mark.parametrize(("stats_s", "least", "most"), [(0.5, 8, 10), (60, 0, 0)])
 def test_the_interval_of_the_counters_is_configured(
-    tmp_path: Path, recording: Path, bundle: Path, stats_s: float, least: int, most: int
+    configure: Configure, stats_s: float, least: int, most: int
 ) -> None:
     """Five seconds: a report every half second, or none. It names the raised alarms, for a dashboard that comes
     later."""
     times = set()
-    config = station_config(tmp_path, recording, bundle, tables=f"[station]\nstats_s = {stats_s}")
+    config = configure(tables=f"[station]\nstats_s = {stats_s}")
     with SteppedStation(config) as station:
         for _ in range(50):
             station.clock.sleep(0.1)

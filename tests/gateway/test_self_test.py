@@ -9,7 +9,7 @@ from typing import Any
 from unittest.mock import ANY
 
 import pytest
-from station import station_config
+from station import Configure
 from stepped_station import SteppedStation
 
 from edge.config import load_config
@@ -84,12 +84,9 @@ def drop(station: SteppedStation, pictures: int) -> None:
     station.parts.store.write("dropping", fill)
 
 
-def test_dropped_messages_are_acknowledged_until_more_are_dropped(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_dropped_messages_are_acknowledged_until_more_are_dropped(config: Path) -> None:
     """The alarm of a drop stays over reports and restarts, also where the process ended before it could say so; it
     ends by the request, and comes back with the next drop."""
-    config = station_config(tmp_path, recording, bundle)
     with SteppedStation(config) as station:
         drop(station, 1)
     for number, has_acknowledged in ((1, False), (1, True), (2, False)):
@@ -104,11 +101,8 @@ def test_dropped_messages_are_acknowledged_until_more_are_dropped(
                 drop(station, 2)
 
 
-def test_corrected_counts_are_an_alarm_until_a_person_acknowledges_it(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_corrected_counts_are_an_alarm_until_a_person_acknowledges_it(config: Path) -> None:
     """Over a restart too, and before the first frame; then no report raises it again."""
-    config = station_config(tmp_path, recording, bundle)
     counts = PressCounts(load_config(config).store.path)
     with SteppedStation(config):
         pass
@@ -126,11 +120,9 @@ def test_corrected_counts_are_an_alarm_until_a_person_acknowledges_it(
                 assert station.raised == []
 
 
-def test_pulses_that_were_not_given_are_acknowledged_without_the_verdict(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_pulses_that_were_not_given_are_acknowledged_without_the_verdict(configure: Configure) -> None:
     """The count starts again; the light goes on showing the last verdict."""
-    with SteppedStation(station_config(tmp_path, recording, bundle, tables=PEDAL)) as station:
+    with SteppedStation(configure(tables=PEDAL)) as station:
         io = station.find(Outputs)
         for _ in range(2):
             io.note_late("relay", "41 ms late")

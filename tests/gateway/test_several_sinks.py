@@ -4,18 +4,18 @@ from pathlib import Path
 
 from page_messages import asked
 from ports import free_port
-from station import JSONL, MQTT, station_config
+from station import JSONL, MQTT, Configure
 from stepped_station import SteppedStation
 
 from edge.store.outbox import Outbox
 
 
-def test_a_page_and_a_file_go_on_without_a_broker(tmp_path: Path, recording: Path, bundle: Path) -> None:
+def test_a_page_and_a_file_go_on_without_a_broker(configure: Configure, tmp_path: Path) -> None:
     """Three verdicts and their pictures, while the results wait for the broker; each result is in the file once."""
     port, away = free_port(), free_port()
     page = f'[[sinks]]\nplugin = "page"\noptions = {{ port = {port} }}\n'
     sinks = MQTT % away + page + JSONL % (tmp_path / "out")
-    with SteppedStation(station_config(tmp_path, recording, bundle, sinks=sinks)) as station:
+    with SteppedStation(configure(sinks=sinks)) as station:
         station.play()
         for _ in range(5):
             station.publish()

@@ -9,8 +9,8 @@ from unittest.mock import Mock
 
 import pytest
 from command_line import gelgate
-from shadow_station import FIVE, adopt, configure, limit
-from station import Motion, press_recording, station_config, variant
+from shadow_station import FIVE, Shadowed, adopt, limit
+from station import Motion, press_recording, variant
 from stepped_station import SteppedStation
 
 from edge.core.shadow import ShadowVerdict
@@ -22,7 +22,7 @@ from edge.store.integrity import check_database
 
 
 @pytest.fixture(scope="module")
-def presses(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Eight short presses, the third and sixth one dented."""
     folder = tmp_path_factory.mktemp("shadow") / "presses"
     return press_recording(folder, 8, dented=[2, 5], motion=Motion(hold=8, idle=24), seed=5)
@@ -42,16 +42,16 @@ def say(station: SteppedStation, words: Mapping[int, str], person: str = "kim") 
 
 
 def test_a_shadow_says_what_it_would_decide_and_decides_nothing(
-    tmp_path: Path, presses: Path, bundle: Path
+    shadowed: Shadowed, tmp_path: Path, bundle: Path
 ) -> None:
     """One that passes everything: verdicts are as without it, and both are in the result, the row and the history."""
     lenient = variant(bundle, tmp_path / "lenient", threshold=limit(bundle, value=1e6))
-    with SteppedStation(station_config(tmp_path / "alone", presses, bundle)) as alone:
+    with SteppedStation(shadowed(bundle, folder="alone")) as alone:
         alone.play_presses(8)
-    with SteppedStation(configure(tmp_path / "both", presses, bundle, lenient)) as station:
+    with SteppedStation(shadowed(bundle, lenient, folder="both")) as station:
         station.play_presses(8)
         database = station.parts.store.path
-        ids = station.parts.selection.inspector.bundle.digest, station.parts.selection.shadow.bundle.digest
+        ids = station.bundle_id, station.parts.selection.shadow.bundle.digest
 
     assert station.verdicts == alone.verdicts
     assert station.verdicts.count("fail") == 2
@@ -78,10 +78,10 @@ def test_a_shadow_says_what_it_would_decide_and_decides_nothing(
 
 
 def test_a_press_with_a_shadow_takes_one_head_more_and_no_trunk(
-    tmp_path: Path, presses: Path, bundle: Path, shadow: Path
+    shadowed: Shadowed, bundle: Path, shadow: Path
 ) -> None:
     """The features of the bundle in use serve both; counted in runs of the graphs."""
-    with SteppedStation(configure(tmp_path, presses, bundle, shadow)) as station:
+    with SteppedStation(shadowed(bundle, shadow)) as station:
         station.play_presses(1)  # now all memory is there
         scorers = station.parts.selection.inspector.scorer, station.parts.selection.shadow.scorer
         assert scorers[0]._trunk is scorers[1]._trunk
@@ -101,18 +101,18 @@ def test_a_press_with_a_shadow_takes_one_head_more_and_no_trunk(
 
 
 def test_a_shadow_takes_over_stays_and_is_taken_back(
-    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+    shadowed: Shadowed, tmp_path: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By two requests; what it replaced is its shadow then, also after a restart, and counts as no older bundle."""
     monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 3)
     first = variant(bundle, tmp_path / "first", revision=1)
     old, new = Bundle.load(first).digest, Bundle.load(shadow).digest
-    config = configure(tmp_path / "station", presses, first, shadow)
+    config = shadowed(first, shadow)
     with SteppedStation(config) as station:
         station.play_presses(3)
         say(station, {0: "good", 2: "damaged"})
         data = adopt(station)
-        assert station.loop.session.inspector.bundle.digest == new
+        assert station.bundle_id == new
         station.play_presses(4)
         text = station.alarm("takeover")
         (act,) = [act for act in station.parts.store.acts() if act.verb == "take_over"]
@@ -142,12 +142,12 @@ def test_a_shadow_takes_over_stays_and_is_taken_back(
 
 
 def test_a_shadow_takes_over_by_itself_once_and_not_where_it_was_taken_back(
-    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+    shadowed: Shadowed, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where that is configured: when the request would not be refused, with the same act and alarm."""
     monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 3)
     monkeypatch.setattr("edge.features.shadow.WEIGHED_EVERY_S", 0.0)
-    new, config = Bundle.load(shadow).digest, configure(tmp_path / "station", presses, bundle, shadow)
+    new, config = Bundle.load(shadow).digest, shadowed(bundle, shadow)
 
     def play(station: SteppedStation, upto: int) -> None:
         for number in range(len(station.reports) + 1, upto + 1):
@@ -173,10 +173,9 @@ def test_a_shadow_takes_over_by_itself_once_and_not_where_it_was_taken_back(
 
 
 def test_the_takeover_waits_for_the_end_of_a_press(
-    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+    shadowed: Shadowed, bundle: Path, shadow: Path, few: None
 ) -> None:
-    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 1)
-    with SteppedStation(configure(tmp_path, presses, bundle, shadow)) as station:
+    with SteppedStation(shadowed(bundle, shadow)) as station:
         station.play_presses(1)
         station.play_until(lambda: station.loop.session.has_contact)
         adopt(station)
@@ -200,10 +199,15 @@ def test_the_takeover_waits_for_the_end_of_a_press(
     ],
 )
 def test_a_shadow_that_is_worse_is_refused_with_the_presses(
-    tmp_path: Path, presses: Path, bundle: Path, words: Mapping[int, str], value: float, sentences: list[str]
+    shadowed: Shadowed,
+    tmp_path: Path,
+    bundle: Path,
+    words: Mapping[int, str],
+    value: float,
+    sentences: list[str],
 ) -> None:
     other = variant(bundle, tmp_path / "other", revision=3, threshold=limit(bundle, **FIVE, value=value))
-    with SteppedStation(configure(tmp_path, presses, bundle, other)) as station:
+    with SteppedStation(shadowed(bundle, other)) as station:
         station.play_presses(3)
         say(station, words)
         with pytest.raises(ValueError, match="does not take over") as refused:
@@ -217,7 +221,7 @@ def test_a_shadow_that_is_worse_is_refused_with_the_presses(
 
 
 def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
-    tmp_path: Path, presses: Path, bundle: Path
+    shadowed: Shadowed, tmp_path: Path, bundle: Path
 ) -> None:
     """Four of it that people call good, judged from the archive; with three, and on a gel on which the bundle in use
     is proven, it waits for 100 presses. Damage that people named stands in its way as ever, and is asked for again."""
@@ -229,8 +233,7 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
         provenance = {**proven, "presses": names}
         return variant(bundle, tmp_path / name, revision=2, threshold=threshold, provenance=provenance)
 
-    folder = tmp_path / "station"
-    with SteppedStation(station_config(folder, presses, bundle)) as station:
+    with SteppedStation(shadowed(bundle)) as station:
         station.play_presses(1)
         station.ask("replace_gel")
         station.play_presses(8)
@@ -238,12 +241,12 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
         say(station, dict.fromkeys((0, 1, 3, 4, 6), "good"))
     four, three = [ids[k] for k in (1, 3, 4, 6)], [ids[k] for k in (0, 1, 3, 4)]
     waits = learnt("three", three, limit(bundle, **FIVE))
-    with SteppedStation(configure(folder, presses, bundle, waits)) as later:
+    with SteppedStation(shadowed(bundle, waits)) as later:
         later.play_presses(1)
         with pytest.raises(ValueError, match="both have judged 1 presses, at least 100 are needed"):
             adopt(later)
     blind = learnt("blind", four, lenient)
-    with SteppedStation(configure(folder, presses, bundle, blind)) as later:
+    with SteppedStation(shadowed(bundle, blind)) as later:
         given = {"press_id": ids[2], "verdict": "damaged"}
         later.parts.store.begin_act(Act(1, "kim, at the page", CONFIRM, None, given, outcome="done"), 0)
         later.play_presses(1)
@@ -252,9 +255,7 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
         later.clock.sleep(2)
         later.turn()
         asked = [one["press_id"] for one in later.said("questions")["presses"]]
-    with SteppedStation(
-        configure(folder, presses, bundle, learnt("four", four, limit(bundle, **FIVE)))
-    ) as last:
+    with SteppedStation(shadowed(bundle, learnt("four", four, limit(bundle, **FIVE)))) as last:
         last.play_presses(1)
         adopt(last)
         assert last.parts.selection.inspector.bundle.manifest.revision == 2
@@ -267,14 +268,14 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
 
 
 def test_a_shadow_that_has_learnt_false_alarms_need_not_wait(
-    tmp_path: Path, presses: Path, bundle: Path
+    shadowed: Shadowed, tmp_path: Path, bundle: Path
 ) -> None:
     """Five good presses that the bundle in use fails and the shadow, judged from the archive, does not; with four, and
     where another bundle had failed them, it waits for 100 presses."""
     provenance = json.loads((bundle / "manifest.json").read_text())["provenance"]
-    strict, folder = limit(bundle, **FIVE, value=1e-9), tmp_path / "station"
+    strict = limit(bundle, **FIVE, value=1e-9)
     in_use = variant(bundle, tmp_path / "strict", threshold=strict)
-    with SteppedStation(station_config(folder, presses, f'bundle = "{in_use}"')) as station:
+    with SteppedStation(shadowed(in_use)) as station:
         station.play_presses(8)
         say(station, dict.fromkeys((0, 1, 3, 4, 6), "good"))
         ids = [one.press_id for one in station.results]
@@ -283,7 +284,7 @@ def test_a_shadow_that_has_learnt_false_alarms_need_not_wait(
         names = [*provenance["presses"], *(f"confirmed/{ids[number]}.jpg" for number in learnt)]
         changes = {"threshold": limit(bundle, **FIVE), "provenance": {**provenance, "presses": names}}
         other = variant(bundle, tmp_path / f"{beside.name} {len(learnt)}", revision=3, **changes)
-        with SteppedStation(configure(folder, presses, beside, other)) as later:
+        with SteppedStation(shadowed(beside, other)) as later:
             try:
                 return adopt(later)["why"]
             except ValueError as refusal:
@@ -302,17 +303,16 @@ def test_a_shadow_that_has_learnt_false_alarms_need_not_wait(
 
 
 def test_known_damage_of_before_the_shadow_is_judged_from_the_archive(
-    tmp_path: Path, presses: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
+    shadowed: Shadowed, tmp_path: Path, bundle: Path, few: None
 ) -> None:
     """And what is gone from there is named: nobody knows whether it is found."""
-    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 1)
     lenient = variant(bundle, tmp_path / "lenient", threshold=limit(bundle, **FIVE, value=1e6))
-    with SteppedStation(station_config(tmp_path / "station", presses, bundle)) as station:
+    with SteppedStation(shadowed(bundle)) as station:
         station.play_presses(8)
         say(station, {2: "damaged", 5: "damaged"})
         ids = [one.press_id for one in station.results]
     (tmp_path / "station" / "gelgate.archive" / "presses" / f"{ids[5]}.json").unlink()
-    with SteppedStation(configure(tmp_path / "station", presses, bundle, lenient)) as later:
+    with SteppedStation(shadowed(bundle, lenient)) as later:
         later.play_presses(1)
         with pytest.raises(ValueError, match="does not take over") as refused:
             adopt(later)
@@ -334,7 +334,7 @@ def test_known_damage_of_before_the_shadow_is_judged_from_the_archive(
     ],
 )
 def test_a_shadow_that_cannot_be_compared_is_a_sentence_and_the_station_inspects(
-    tmp_path: Path, presses: Path, bundle: Path, changes: dict[str, Any] | None, sentence: str
+    shadowed: Shadowed, tmp_path: Path, bundle: Path, changes: dict[str, Any] | None, sentence: str
 ) -> None:
     """At `check` and as an alarm."""
     other = tmp_path / "other"
@@ -347,7 +347,7 @@ def test_a_shadow_that_cannot_be_compared_is_a_sentence_and_the_station_inspects
         if not changes:
             shutil.rmtree(other)
             shutil.copytree(bundle, other)
-    config = configure(tmp_path / "station", presses, bundle, other)
+    config = shadowed(bundle, other)
 
     checked = gelgate("check", "-c", config)
     with SteppedStation(config) as station:
@@ -362,10 +362,10 @@ def test_a_shadow_that_cannot_be_compared_is_a_sentence_and_the_station_inspects
 
 
 def test_a_shadow_that_fails_while_it_scores_disturbs_no_verdict(
-    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+    shadowed: Shadowed, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is said once, and over with the next score."""
-    with SteppedStation(configure(tmp_path, presses, bundle, shadow)) as station:
+    with SteppedStation(shadowed(bundle, shadow)) as station:
         station.play_presses(1)
         scorer = station.parts.selection.shadow.scorer
         with monkeypatch.context() as patch:
@@ -382,12 +382,11 @@ def test_a_shadow_that_fails_while_it_scores_disturbs_no_verdict(
 
 
 def test_a_shadow_that_took_over_and_is_gone_leaves_the_configured_bundle(
-    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+    shadowed: Shadowed, tmp_path: Path, bundle: Path, shadow: Path, few: None
 ) -> None:
     """The station inspects, and says so; the older revision is the way back and no older bundle."""
-    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 1)
     first = variant(bundle, tmp_path / "first", revision=1)
-    config = configure(tmp_path / "station", presses, first, shadow)
+    config = shadowed(first, shadow)
     with SteppedStation(config) as station:
         station.play_presses(1)
         adopt(station)
@@ -403,25 +402,17 @@ def test_a_shadow_that_took_over_and_is_gone_leaves_the_configured_bundle(
 
 
 def test_a_reload_opens_a_shadow_and_keeps_a_takeover(
-    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+    shadowed: Shadowed, bundle: Path, shadow: Path, few: None
 ) -> None:
-    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 1)
-    from edge.config import load_config
-
-    config = configure(tmp_path / "station", presses, bundle)
-    with SteppedStation(config, lambda: load_config(config)) as station:
+    config = shadowed(bundle)
+    with SteppedStation(config) as station:
         station.play_presses(1)
-        configure(tmp_path / "station", presses, bundle, shadow)
+        shadowed(bundle, shadow)
 
-        def reload() -> None:
-            station.parts.selection.reload()
-            station.parts.selection.worker.step()
-            station.turn()
-
-        reload()
+        station.reload()
         station.play_presses(2)
         adopt(station)
-        reload()
+        station.reload()
         station.play_presses(3)
 
     new = Bundle.load(shadow).digest
@@ -430,16 +421,15 @@ def test_a_reload_opens_a_shadow_and_keeps_a_takeover(
 
 
 def test_a_takeover_that_cannot_be_recorded_is_made_when_it_can(
-    tmp_path: Path, presses: Path, bundle: Path, shadow: Path, monkeypatch: pytest.MonkeyPatch
+    shadowed: Shadowed, bundle: Path, shadow: Path, few: None
 ) -> None:
-    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 1)
-    with SteppedStation(configure(tmp_path, presses, bundle, shadow)) as station:
+    with SteppedStation(shadowed(bundle, shadow)) as station:
         station.play_presses(1)
         with station.refusing("acts"):
             adopt(station)
             assert station.loop.is_halted
-            assert station.parts.selection.inspector.bundle.digest == Bundle.load(bundle).digest
+            assert station.bundle_id == Bundle.load(bundle).digest
         station.turn(2)
         assert not station.loop.is_halted
-        assert station.parts.selection.inspector.bundle.digest == Bundle.load(shadow).digest
+        assert station.bundle_id == Bundle.load(shadow).digest
         assert station.find(Shadow)._exchange is None

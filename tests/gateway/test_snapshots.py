@@ -6,7 +6,7 @@ from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
-from station import station_config
+from station import Configure
 from stepped_station import SteppedStation
 
 from edge.clock import ManualClock
@@ -172,11 +172,9 @@ def test_an_outcome_that_the_database_refuses_is_written_later(tmp_path: Path) -
     assert [act.after["recording"] for act in acts] == list(map(str, folders))
 
 
-def test_a_snapshot_of_a_station_is_a_recording_of_its_sensor(
-    tmp_path: Path, recording: Path, bundle: Path
-) -> None:
+def test_a_snapshot_of_a_station_is_a_recording_of_its_sensor(configure: Configure, tmp_path: Path) -> None:
     """Below the state folder, with a row in the table of acts; presses are judged as without it."""
-    with SteppedStation(station_config(tmp_path, recording, bundle, tables=SERVED)) as station:
+    with SteppedStation(configure(tables=SERVED)) as station:
         with pytest.raises(ValueError, match="no frame has arrived"):
             station.ask("snapshot", before_s=5, after_s=0)
         station.play_until(lambda: len(station.reports) == 1)
@@ -197,9 +195,9 @@ def test_a_snapshot_of_a_station_is_a_recording_of_its_sensor(
     [("", "", "'snapshot' is off"), (SERVED, "free_mb = 1e9", "no snapshot is written: the disk of")],
 )
 def test_a_station_that_may_not_write_one_says_why(
-    tmp_path: Path, recording: Path, bundle: Path, tables: str, store: str, words: str
+    configure: Configure, tables: str, store: str, words: str
 ) -> None:
     """It does not serve the request, as a station comes, or there is little room: the disk is the database's."""
-    config = station_config(tmp_path, recording, bundle, tables=tables, store=store)
+    config = configure(tables=tables, store=store)
     with SteppedStation(config) as station, pytest.raises(ValueError, match=words):
         station.ask("snapshot", before_s=5, after_s=0)

@@ -1,11 +1,10 @@
 """`check_database`: a sound database has no fault, and each kind of damage is named."""
 
-import sqlite3
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 from recorded_presses import SERIAL, count, make_press, record
+from sql import execute
 
 from edge.core.errors import StoreError
 from edge.store.database import quick_check
@@ -30,12 +29,6 @@ def used(path: Path) -> Path:
     return path
 
 
-def damage(path: Path, *statements: str) -> None:
-    with closing(sqlite3.connect(path)) as connection, connection:
-        for statement in statements:
-            connection.execute(statement)
-
-
 def faults(path: Path) -> list[str]:
     return [finding.text for finding in check_database(path) if finding.is_fault]
 
@@ -43,7 +36,7 @@ def faults(path: Path) -> list[str]:
 def test_a_quick_check_ends_when_it_must(used: Path) -> None:
     """A large database would keep a waiting person for minutes."""
     assert quick_check(used, lambda: True) is None
-    damage(
+    execute(
         used,
         "CREATE TABLE filler AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 60000) "
         "SELECT i, hex(i) AS text FROM n",
@@ -102,7 +95,7 @@ def test_it_may_be_checked_while_a_gateway_writes(used: Path) -> None:
 )
 def test_each_kind_of_damage_is_a_fault(used: Path, statement: str, found: str) -> None:
     """One sentence with the numbers, and the place."""
-    damage(used, statement)
+    execute(used, statement)
 
     assert any(found in fault for fault in faults(used)), check_database(used)
 
@@ -142,7 +135,7 @@ def test_a_damaged_page_is_found(used: Path) -> None:
 
 def test_a_file_of_another_program_is_refused(tmp_path: Path) -> None:
     """It is not a damaged one of ours."""
-    damage(tmp_path / "other.db", "CREATE TABLE t (x)")
+    execute(tmp_path / "other.db", "CREATE TABLE t (x)")
 
     with pytest.raises(StoreError, match="belongs to another program"):
         check_database(tmp_path / "other.db")

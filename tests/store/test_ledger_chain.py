@@ -7,12 +7,12 @@ import sqlite3
 import struct
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded_presses import SERIAL, T0, make_press, record
+from sql import execute
 
 from edge.core.press import StudyLabel
 from edge.core.reference_press.charts import ReferencePress
@@ -35,17 +35,6 @@ OLD = Path(__file__).parents[1] / "compatibility" / "version_0_1_0" / "gelgate.d
 def ledger(path: Path, held: Head | None = None) -> list[str]:
     """The faults of the ledger alone."""
     return [one.text for one in check_database(path, held) if one.part == "ledger" and one.is_fault]
-
-
-def change(path: Path, *statements: str) -> None:
-    with closing(sqlite3.connect(path)) as connection, connection:
-        for statement in statements:
-            connection.execute(statement)
-
-
-def rows(path: Path, query: str) -> list[tuple[Any, ...]]:
-    with closing(sqlite3.connect(path)) as connection:
-        return connection.execute(query).fetchall()
 
 
 def shift(path: Path) -> Head:
@@ -83,10 +72,10 @@ def test_links_and_acts_are_numbered_once(used: Path) -> None:
         store.replace_gel("S-1", T0)
         for outcome in (None, "done", "refused"):
             number, _ = store.begin_act(Act(T0, "a person", "relearn", outcome=outcome), 60)
-            assert rows(used, "SELECT max(act_id) FROM acts") == [(number,)]
+            assert execute(used, "SELECT max(act_id) FROM acts") == [(number,)]
     links = "SELECT count(*) FROM ledger_chain WHERE kind = 'gel' GROUP BY ref ORDER BY min(link)"
 
-    assert rows(used, links) == [(2,), (2,), (1,)]
+    assert execute(used, links) == [(2,), (2,), (1,)]
 
 
 def test_every_press_moves_the_head(store: Store) -> None:
@@ -99,10 +88,10 @@ def test_every_press_moves_the_head(store: Store) -> None:
 
 def test_a_link_is_what_the_manual_says(used: Path) -> None:
     """An outsider can compute it: canonical JSON, SHA-256, and the hash before."""
-    press = rows(used, "SELECT press_id, time_ns, running_ns, gel_id FROM presses WHERE number = 2")[0]
-    (before,) = rows(used, "SELECT hash FROM ledger_chain WHERE link = (SELECT link - 1 FROM ledger_chain "
+    press = execute(used, "SELECT press_id, time_ns, running_ns, gel_id FROM presses WHERE number = 2")[0]
+    (before,) = execute(used, "SELECT hash FROM ledger_chain WHERE link = (SELECT link - 1 FROM ledger_chain "
                            "WHERE kind = 'press' AND ref = 2)")[0]  # fmt: skip
-    link, found = rows(used, "SELECT link, hash FROM ledger_chain WHERE kind = 'press' AND ref = 2")[0]
+    link, found = execute(used, "SELECT link, hash FROM ledger_chain WHERE kind = 'press' AND ref = 2")[0]
     real = {name: struct.pack(">d", value).hex() for name, value in (("score", 0.5), ("threshold", 1.0))}
     row = {
         "gel_id": press[3], "gel_presses": 2, "number": 2, "part": "bolt", "press_id": press[0],
@@ -149,11 +138,11 @@ TAMPERINGS = {
 @pytest.mark.parametrize("statement", TAMPERINGS)
 def test_a_change_from_outside_is_named(used: Path, statement: str) -> None:
     """Changed, removed or inserted: the first such row, in one sentence."""
-    change(used, statement)
+    execute(used, statement)
     (found,) = ledger(used)
 
     assert TAMPERINGS[statement] in found
-    change(used, "DELETE FROM presses WHERE number = 5")
+    execute(used, "DELETE FROM presses WHERE number = 5")
     assert len(ledger(used)) == 1  # the first one is named
 
 
@@ -162,7 +151,7 @@ def test_a_ledger_written_again_is_found_by_the_head_that_somebody_kept(used: Pa
     with Store(used) as store:
         held = store.ledger_head()
     assert ledger(used, held) == []
-    change(used, "UPDATE presses SET verdict = 'fail' WHERE number = 5")
+    execute(used, "UPDATE presses SET verdict = 'fail' WHERE number = 5")
     with closing(sqlite3.connect(used)) as connection, connection:
         forge(connection)
 
@@ -231,7 +220,7 @@ def test_a_database_that_was_migrated_says_where_its_chain_starts(tmp_path: Path
         record(store, make_press(1, serial="NEW"))
 
     notes = [one for one in check_database(path) if one.part == "ledger"]
-    (newest,) = rows(path, "SELECT max(number) FROM presses")[0:1]
+    (newest,) = execute(path, "SELECT max(number) FROM presses")[0:1]
     assert before > 0
     assert notes == [
         Finding(
@@ -241,7 +230,7 @@ def test_a_database_that_was_migrated_says_where_its_chain_starts(tmp_path: Path
             is_fault=False,
         )
     ]
-    change(path, "UPDATE presses SET verdict = 'error' WHERE serial = 'NEW'")
+    execute(path, "UPDATE presses SET verdict = 'error' WHERE serial = 'NEW'")
     assert len(ledger(path)) == 1
 
 
@@ -253,17 +242,17 @@ def test_the_chain_still_verifies_when_old_presses_go(path: Path, monkeypatch: p
             record(store, make_press(n))
             if n % 7 == 0:
                 store.replace_gel(SERIAL, T0, act=Act(T0, "x", "replace_gel", outcome="done"))
-    kept = [row[0] for row in rows(path, "SELECT number FROM presses")]
+    kept = [row[0] for row in execute(path, "SELECT number FROM presses")]
 
     assert kept == [17, 18, 19, 20]
-    assert len(rows(path, "SELECT link FROM ledger_chain")) < 20
+    assert len(execute(path, "SELECT link FROM ledger_chain")) < 20
     assert ledger(path) == []
-    ledger_id, link, anchor = rows(path, "SELECT ledger_id, link, hash FROM ledger_start")[0]
+    ledger_id, link, anchor = execute(path, "SELECT ledger_id, link, hash FROM ledger_start")[0]
     assert ledger(path, Head.parse(f"{ledger_id}.{link}.{anchor.hex()}")) == []
     assert "is not in the chain" in ledger(path, Head.parse(f"{ledger_id}.{link}.{'0' * 64}"))[0]
     older = check_database(path, Head.parse(f"{ledger_id}.{link - 1}.{'0' * 64}"))
     assert [one.is_fault for one in older if "went with its old presses" in one.text] == [False]
-    change(path, "UPDATE ledger_start SET hash = zeroblob(32)")
+    execute(path, "UPDATE ledger_start SET hash = zeroblob(32)")
     assert "does not follow" in ledger(path)[0]
 
 
@@ -273,11 +262,11 @@ def test_acts_that_go_leave_a_sound_chain(used: Path, monkeypatch: pytest.Monkey
     with Store(used) as store:
         for n in range(8):
             store.begin_act(Act(T0 + n, "x", "clock_step", outcome="done"), 0)
-    kept = [row[0] for row in rows(used, "SELECT act_id FROM acts WHERE outcome = 'done'")]
+    kept = [row[0] for row in execute(used, "SELECT act_id FROM acts WHERE outcome = 'done'")]
 
     assert len(kept) == 3
     assert ledger(used) == []
-    change(used, f"DELETE FROM acts WHERE act_id = {kept[1]}")
+    execute(used, f"DELETE FROM acts WHERE act_id = {kept[1]}")
     assert ledger(used)[0].startswith(f"act {kept[1]} was removed")
 
 
@@ -323,7 +312,7 @@ def test_presses_of_master_pieces_and_studies_are_chained(used: Path, statement:
     """What an auditor is shown can be checked as the presses of parts can."""
     labelled(used)
     assert ledger(used) == []
-    change(used, statement)
+    execute(used, statement)
 
     assert ledger(used)[0].startswith(expected)
 
@@ -334,7 +323,7 @@ def test_old_reference_presses_go_without_a_fault(used: Path, monkeypatch: pytes
         monkeypatch.setattr(module, "KEPT_REFERENCES", 1)
     labelled(used)
 
-    assert rows(used, "SELECT number FROM reference_presses") == [(2,)]
+    assert execute(used, "SELECT number FROM reference_presses") == [(2,)]
     assert ledger(used) == []
 
 

@@ -2,14 +2,13 @@
 
 import os
 import shutil
-import sqlite3
 import subprocess
 import sys
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 from recorded_presses import count, make_press
+from sql import execute
 
 from edge.core.errors import StoreError
 from edge.core.gel_life import LONGEST_ID, GelLabel
@@ -179,9 +178,7 @@ def test_uncounted_presses_do_not_stop_a_new_gel_from_taking_the_place_of_an_imp
     with Store(path) as store:
         count(store, make_press(1))
         store.note_uncounted(SERIAL, 20)
-    with closing(sqlite3.connect(path)) as connection:
-        connection.execute("UPDATE gels SET presses = -30, limit_presses = 0")
-        connection.commit()
+    execute(path, "UPDATE gels SET presses = -30, limit_presses = 0")
 
     with Store(path) as store:
         with pytest.raises(StoreError, match="gelgate gel replace"):

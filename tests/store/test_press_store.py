@@ -4,13 +4,13 @@ import os
 import sqlite3
 import threading
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from full_disk import room_for
 from recorded_presses import make_press, messages_of, record
+from sql import execute
 
 from edge.core.errors import StoreError
 from edge.core.gel_life import GelState
@@ -212,11 +212,7 @@ def write_bytes(content: bytes) -> Callable[[Path], object]:
 
 
 def write_tables(statement: str) -> Callable[[Path], object]:
-    def write(path: Path) -> None:
-        with closing(sqlite3.connect(path)) as connection:
-            connection.execute(statement)
-
-    return write
+    return lambda path: execute(path, statement)
 
 
 @pytest.mark.parametrize(

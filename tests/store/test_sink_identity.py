@@ -1,11 +1,10 @@
 """Receivers are known by name or address: their order in the configuration loses nothing and doubles nothing."""
 
-import sqlite3
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 from recorded_presses import make_press
+from sql import execute
 
 from edge.core.ports import Message
 from edge.store.outbox import Outbox
@@ -70,7 +69,6 @@ def test_names_by_position_are_taken_over_where_they_are_clear(
 def test_a_topic_with_damaged_text_is_read_and_not_a_fault_of_the_outbox(path: Path) -> None:
     """A flipped bit in one row would otherwise keep every row from being read."""
     record(path, 2)
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("UPDATE outbox SET topic = CAST(x'726573756cff' AS TEXT) WHERE row_id = 1")
+    execute(path, "UPDATE outbox SET topic = CAST(x'726573756cff' AS TEXT) WHERE row_id = 1")
 
     assert waiting(path, A) == 2

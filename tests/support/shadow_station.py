@@ -1,9 +1,11 @@
 """A station with a shadow: its configuration, and the request that lets the shadow take over."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
 from station import mark_tried, station_config
 from stepped_station import SteppedStation
 
@@ -14,6 +16,8 @@ FIVE = {
     "method": "held out",
 }
 
+Shadowed = Callable[..., Path]
+
 
 def limit(bundle: Path, **changes: Any) -> dict[str, Any]:
     """The bundle's threshold with these changes."""
@@ -21,11 +25,23 @@ def limit(bundle: Path, **changes: Any) -> dict[str, Any]:
     return threshold | changes
 
 
-def configure(folder: Path, presses: Path, bundle: Path, *shadows: Path) -> Path:
-    named = ", ".join(f'"{path}"' for path in shadows)
-    config = station_config(folder, presses, f'bundle = "{bundle}"\nshadows = [{named}]')
-    mark_tried(folder / "gelgate.db", *(one for one in (bundle, *shadows) if one.is_dir()))
-    return config
+@pytest.fixture
+def shadowed(tmp_path: Path, recording: Path) -> Shadowed:
+    """Write a configuration with the bundle that inspects and its shadows."""
+
+    def write(bundle: Path, *shadows: Path, folder: str = "station") -> Path:
+        named = ", ".join(f'"{path}"' for path in shadows)
+        config = station_config(tmp_path / folder, recording, f'bundle = "{bundle}"\nshadows = [{named}]')
+        mark_tried(tmp_path / folder / "gelgate.db", *(one for one in (bundle, *shadows) if one.is_dir()))
+        return config
+
+    return write
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One press that both have judged is enough for a takeover."""
+    monkeypatch.setattr("edge.core.shadow.LEAST_COMPARED", 1)
 
 
 def adopt(station: SteppedStation) -> Any:

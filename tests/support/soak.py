@@ -26,6 +26,7 @@ from pathlib import Path
 
 import paho.mqtt.client as paho
 from paho.mqtt.enums import CallbackAPIVersion
+from sql import execute
 from station import MQTT, Motion, press_recording, small_bundle, station_config
 
 from edge.clock import SystemClock
@@ -171,10 +172,6 @@ class Bench:
             return int(connection.execute("SELECT count(*) FROM presses").fetchone()[0])
         return 0  # the first gateway has not made it yet
 
-    def execute(self, statement: str) -> None:
-        with closing(sqlite3.connect(self.database, timeout=30)) as connection, connection:
-            connection.execute(statement)
-
 
 def kill_the_gateway(bench: Bench) -> ForkServerProcess:
     process = bench.start()
@@ -218,13 +215,14 @@ def freeze_the_broker(bench: Bench) -> ForkServerProcess:
 
 
 def refuse_writes(bench: Bench) -> ForkServerProcess:
-    bench.execute(
-        "CREATE TRIGGER IF NOT EXISTS no BEFORE INSERT ON presses BEGIN SELECT RAISE(FAIL, 'no room'); END"
+    execute(
+        bench.database,
+        "CREATE TRIGGER IF NOT EXISTS no BEFORE INSERT ON presses BEGIN SELECT RAISE(FAIL, 'no room'); END",
     )
     process = bench.start()
     bench.some_time()
     time.sleep(1.0)
-    bench.execute("DROP TRIGGER no")
+    execute(bench.database, "DROP TRIGGER no")
     return process
 
 

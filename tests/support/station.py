@@ -6,7 +6,7 @@ The fixtures are of every room that runs stations: its `conftest.py` imports the
 import hashlib
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib.metadata import version
@@ -185,6 +185,10 @@ def station_config(
     if isinstance(bundle, Path) and (bundle / "manifest.json").is_file():
         mark_tried(folder / "gelgate.db", bundle)
     return path
+
+
+Configure = Callable[..., Path]
+"""Writes `gelgate.toml` as `station_config` does, of what a test has: its recording, and the fitted bundle."""
 
 
 def mark_tried(database: Path, *bundles: Path) -> None:

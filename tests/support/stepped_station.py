@@ -1,15 +1,17 @@
 """A station without threads and without time of its own: a test says when the sensor is read and the loop looks."""
 
 import json
-import sqlite3
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
+from sql import execute
+
 from edge.clock import ManualClock
-from edge.config import Config, load_config
+from edge.config import load_config
 from edge.core.errors import RecordingEnded
 from edge.gateway.build import open_station
 from edge.gateway.command_table import every_command
@@ -30,7 +32,6 @@ class SteppedStation:
     def __init__(
         self,
         config: Path,
-        read_again: Callable[[], Config] | None = None,
         stages: Mapping[str, PressStage] | None = None,
         on_press: Callable[[PressReport], None] = lambda report: None,
     ) -> None:
@@ -44,7 +45,8 @@ class SteppedStation:
             self.reports.append(report)
             on_press(report)
 
-        opened = open_station(load_config(config), self.clock, note, None, read_again, stages)
+        read = partial(load_config, config)
+        opened = open_station(read(), self.clock, note, None, read, stages)
         self.loop = self._closing.enter_context(opened)
         self.parts = self.loop.parts
 
@@ -135,15 +137,26 @@ class SteppedStation:
         """Read and look in turn until this number of presses is recorded, and the gel is free again."""
         self.play_until(lambda: len(self.reports) == number and not self.loop.session.has_contact)
 
+    def reload(self) -> None:
+        """Read the configuration again, open its bundles, and let the loop take them."""
+        self.parts.selection.reload()
+        self.parts.selection.worker.step()
+        self.turn()
+
+    @property
+    def bundle_id(self) -> str:
+        """Of the bundle in use."""
+        return self.parts.selection.inspector.bundle.digest
+
     @contextmanager
     def refusing(self, table: str) -> Iterator[None]:
         """Inside, the database takes no new row of that table: "no room"."""
         path = self.parts.store.path
-        _execute(path, f"CREATE TRIGGER no BEFORE INSERT ON {table} BEGIN SELECT RAISE(FAIL, 'no room'); END")
+        execute(path, f"CREATE TRIGGER no BEFORE INSERT ON {table} BEGIN SELECT RAISE(FAIL, 'no room'); END")
         try:
             yield
         finally:
-            _execute(path, "DROP TRIGGER no")
+            execute(path, "DROP TRIGGER no")
 
     def __enter__(self) -> Self:
         return self
@@ -158,8 +171,3 @@ def correct_counts(store: Store, sentence: str) -> None:
     """As after a database was lost."""
     statement = "INSERT INTO corrected_counts (sentence) VALUES (?)"
     store.write("correcting counts", lambda connection: connection.execute(statement, (sentence,)))
-
-
-def _execute(path: Path, statement: str) -> None:
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute(statement)
