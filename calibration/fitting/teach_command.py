@@ -83,7 +83,7 @@ def teach(given: TeachArguments) -> None:
     if not lesson.missed:
         raise FitError("the bundle finds every one of these presses; there is nothing to teach")
     remedies = _try_remedies(given, lesson)
-    if given.take not in (None, *remedies):
+    if given.take is not None and given.take not in remedies:
         raise ConfigError(
             f"'{given.take}' is not among what can be taken; {suggestion(given.take, list(remedies))}"
         )
