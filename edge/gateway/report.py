@@ -361,6 +361,6 @@ class Report:
 
 
 def _describe(sink: SinkCounters) -> str:
-    """Return a receiver's state in `stats`."""
-    level = f", MQTT {sink.level}" if sink.level else ""
-    return ("up" if sink.is_up else sink.last_error or "not yet tried") + level
+    """Return a receiver's state in `stats`; errors are English."""
+    said = Sentence("up") if sink.is_up else sink.last_error or Sentence("not yet tried")
+    return Sentence(f"{said}, MQTT {sink.level}") if sink.level else said

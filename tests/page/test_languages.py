@@ -32,7 +32,7 @@ WORDS = {
     *("ignored", "of", *get_args(RegionKind), "no region is drawn any more"),
     *(str(one.value) for kinds in (Cause, GelState, Reason) for one in kinds),
     *get_args(StatePayload.model_fields["state"].annotation),
-    *("error", "incomplete", "damaged", "cannot tell"),
+    *("error", "incomplete", "damaged", "cannot tell", "levels"),
 }
 PATTERNS, NOT_LITERAL = find_sentences()
 # Patterns, and the words that stand in their places; a name of a part is looked up among nothing else.

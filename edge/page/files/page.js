@@ -261,7 +261,7 @@ function showStation(station) {
     typeof stats.delivered_fps === "number" && t("{n} frames a second", { n: stats.delivered_fps.toFixed(1) }),
     stats.reconnects > 0 && t("{reconnects} reconnects", stats)].filter(Boolean).join(", ") || t("not known yet"));
   const receivers = Object.entries(stats.receivers || {});
-  draw("receivers", receivers, () => receivers.map(([name, said]) => element("li", `${name}: ${said}`)));
+  draw("receivers", receivers, () => receivers.map(([name, said]) => element("li", `${name}: ${tell(said)}`)));
   at("manual").hidden = !station.has_manual;
   const why = tell(station.changes.why_not);
   put("why-not", why || (key ? t("Unlocked. It locks itself after five minutes.") : t("Locked. With the token you select the part, acknowledge alarms and record a new gel.")));
@@ -337,7 +337,7 @@ function sketch(chart, limit) {
 }
 
 function showChart(chart, drift) {
-  const item = element("li", "", chart.shift ? "shifted" : ""), unit = chart.unit ? ` ${chart.unit}` : "";
+  const item = element("li", "", chart.shift ? "shifted" : ""), unit = chart.unit ? ` ${t(chart.unit)}` : "";
   const value = (number) => Number(number.toPrecision(3)) + unit;
   const said = chart.count < drift.learnt ? t("{count} of {learnt} presses learnt", { ...drift, ...chart })
     : [t("{newest} lately, {mean} in the mean:", { newest: value(chart.newest), mean: value(chart.mean) }),
