@@ -132,7 +132,9 @@ def build_site(folder: Path) -> None:
         (Path(work, "site") / "404.html").unlink(missing_ok=True)  # its links begin at the root of a server
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(Path(work, "site"), folder)
-    typer.echo(f"the manual is in {folder}; it begins with index.html, and its search works where --serve or a station shows it")
+    typer.echo(
+        f"the manual is in {folder}; it begins with index.html; its search needs --serve or a station's page"
+    )
 
 
 def _site_files(root: Path) -> Iterator[tuple[str, Path]]:
