@@ -5,6 +5,7 @@ the bundle. A step whose file is there is not done again, so the same command go
 """
 
 import json
+import re
 import socket
 import sys
 import time
@@ -13,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, TypeVar
 
 import typer
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from edge.config import Config
 
 __all__ = ["new_part"]
+
+T = TypeVar("T")
 
 STATION: Final = """\
 # A gelgate station, begun by `gelgate new-part`. `gelgate check --example` prints every table.
@@ -53,6 +56,8 @@ BROKER: Final = """
 plugin = "mqtt"
 options = {{ host = {host}, port = {port} }}
 """
+
+PORTS: Final = range(1, 65536)
 
 STEPS: Final = ("sensor", "presses", "fit", "check")
 
@@ -86,6 +91,7 @@ def new_part(
     guide = _Guide(is_quick)
     part, _, position = name.partition("/")
     with guide.step("sensor"):
+        bundle_name = _name_bundle(name)
         if not config.exists():
             _write_station(guide, config, *_find_sensor(guide, device, option or []))
         loaded = load_config(config)
@@ -95,7 +101,7 @@ def new_part(
                 "name another file with --config"
             )
         typer.echo(f"{config} is the station, with the device plugin {loaded.device.plugin}")
-        bundle = _bundle_path(loaded, config, part, position)
+        bundle = _bundle_path(loaded, config, bundle_name)
     if bundle.exists():
         typer.echo(f"\n{bundle} is there already; remove it to press the part again")
     else:
@@ -136,30 +142,45 @@ class _Guide:
             raise
         self.seconds[title] = time.monotonic() - started
 
-    def ask(self, question: str, default: str) -> str:
-        """Return the answer, or the default. Errors: ConfigError where nobody can answer."""
+    def ask(self, question: str, default: str, read: Callable[[str], T]) -> T:
+        """Return what is read of the answer, or of the default; ask again where reading is a ValueError. Errors:
+        ConfigError where nobody can answer."""
         from edge.core.errors import ConfigError
 
+        def take(answer: str) -> T:
+            try:
+                return read(answer.strip())
+            except ValueError as error:
+                raise typer.BadParameter(str(error)) from error
+
         if self.is_quick:
-            return default
+            return read(default)
         if not sys.stdin.isatty():
             raise ConfigError(
                 f"'{question}' needs an answer and there is no terminal; add --yes for '{default}'"
             )
-        return str(typer.prompt(question, default=default)).strip()
+        answer: T = typer.prompt(question, default=default, value_proc=take)
+        return answer
 
     def choose(self, question: str, most: int) -> int:
-        """Return a number from 1, the default, to this. Errors: ConfigError for another answer."""
-        from edge.core.errors import ConfigError
+        """Return a number from 1, the default, to this. Errors: as `ask`."""
 
-        answer = self.ask(question, "1")
-        if not (answer.isdecimal() and 1 <= int(answer) <= most):
-            raise ConfigError(f"'{answer}' is no answer to '{question}', expected a number from 1 to {most}")
-        return int(answer)
+        def read(answer: str) -> int:
+            if not (answer.isdecimal() and 1 <= int(answer) <= most):
+                raise ValueError(f"'{answer}' is no answer, expected a number from 1 to {most}")
+            return int(answer)
+
+        return self.ask(question, "1", read)
 
     def agrees(self, question: str, *, is_default: bool) -> bool:
-        """Return whether the answer begins with y. Errors: ConfigError where nobody can answer."""
-        return self.ask(f"{question} (y/n)", "y" if is_default else "n").lower().startswith("y")
+        """Return whether the answer begins with y. Errors: as `ask`."""
+
+        def read(answer: str) -> bool:
+            if not answer.lower().startswith(("y", "n")):
+                raise ValueError(f"'{answer}' is no answer, expected y or n")
+            return answer.lower().startswith("y")
+
+        return self.ask(f"{question} (y/n)", "y" if is_default else "n", read)
 
 
 def _take_presses(
@@ -237,19 +258,27 @@ def _find_sensor(
 def _write_station(guide: _Guide, config: Path, plugin: str, options: Mapping[str, object]) -> None:
     """Write a configuration with this sensor, the page, and a broker if one is named. Errors: ConfigError, OSError."""
     from calibration.folders import write_whole
-    from edge.core.errors import ConfigError
 
     table = ", ".join(f"{key} = {_toml(value)}" for key, value in options.items())
     text = STATION.format(plugin=_toml(plugin), options=f"{{ {table} }}", port=_free_port())
-    broker = guide.ask("MQTT broker, as host or host:port", "none")
-    if broker != "none":
-        host, _, port = broker.partition(":")
-        if not (port or "1883").isdecimal():
-            raise ConfigError(
-                f"'{broker}' is no broker, expected host or host:port; such as 192.168.1.5:1883"
-            )
-        text += BROKER.format(host=_toml(host), port=int(port or 1883))
+    broker = guide.ask("MQTT broker, as host or host:port", "none", _read_broker)
+    if broker is not None:
+        text += BROKER.format(host=_toml(broker[0]), port=broker[1])
     write_whole(config, text.encode())
+
+
+def _read_broker(answer: str) -> tuple[str, int] | None:
+    """Return (host, port); None for none. Errors: ValueError."""
+    if answer == "none":
+        return None
+    host, _, port = answer.partition(":")
+    if (
+        not re.fullmatch(r"[^\s/]+", host)
+        or not re.fullmatch(r"[0-9]{0,5}", port)
+        or int(port or 1883) not in PORTS
+    ):
+        raise ValueError(f"'{answer}' is no broker, expected host or host:port; such as 192.168.1.5:1883")
+    return host, int(port or 1883)
 
 
 def _toml(value: object) -> str:
@@ -266,15 +295,22 @@ def _free_port() -> int:
     return 8080
 
 
-def _bundle_path(loaded: "Config", config: Path, part: str, position: str) -> Path:
-    """Return where the station looks for the bundle of this part. Errors: ConfigError."""
+def _name_bundle(part: str) -> str:
+    """Name the folder of a part's bundle. Errors: ConfigError."""
     from edge.core.errors import ConfigError
 
-    name = f"{part}-{position}" if position else part
+    name = "-".join(word for word in part.split("/", 1) if word)
     if not name.strip(". ") or Path(name).name != name or not name.isprintable():
         raise ConfigError(
-            f"'{name}' is no name of a part, expected a word such as bolt or bolt/pos1; give another"
+            f"'{part}' is no name of a part, expected a word such as bolt or bolt/pos1; give another"
         )
+    return name
+
+
+def _bundle_path(loaded: "Config", config: Path, name: str) -> Path:
+    """Return where the station looks for the bundle of this name. Errors: ConfigError."""
+    from edge.core.errors import ConfigError
+
     table = loaded.inspection
     if table.bundle_folder is not None:
         return table.bundle_folder / name

@@ -65,11 +65,9 @@ VIRTUAL = ("--device", "usb_mock", "--option", "recording=RECORDING")
 @pytest.mark.parametrize(
     ("words", "typed", "station", "sentence"),
     [
-        (("a/b/c", "--yes", *VIRTUAL), "", "", "'a-b/c' is no name of a part, expected a word"),
+        (("a/b/c", "--yes", *VIRTUAL), "", "", "'a/b/c' is no name of a part, expected a word"),
         (("..", "--yes", *VIRTUAL), "", "", "'..' is no name of a part, expected a word"),
         (("bolt", *VIRTUAL), None, "", "needs an answer and there is no terminal; add --yes for 'none'"),
-        (("bolt", *VIRTUAL), "plant:mqtt\n", "", "'plant:mqtt' is no broker, expected host or host:port"),
-        (("bolt", *VIRTUAL), "none\ntwice\n", "", "'twice' is no answer to 'How often is each piece pressed"),
         (("bolt", "--option", "pace=0"), "", "", "--option belongs to one plugin; name it with --device"),
         (("bolt", "--device", "lamp"), "", "", "lamp"),
         (("bolt", "--yes"), "", STATION, "names no bundle bolt; write bundle_folder"),
@@ -109,3 +107,19 @@ def test_what_cannot_be_is_refused_in_a_sentence(
     assert sentence in refused.sentence()
     assert "not done: " in refused.err
     assert not Path("bundles").exists()
+
+
+def test_a_bad_answer_is_asked_for_again(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing of it is written: with a port that is none in the configuration no repetition would go on."""
+    monkeypatch.chdir(tmp_path)
+    brokers, pressed = ("plant:mqtt", ":1883", "plant 1", "plant:99999", "plant:0"), ("twice", "0", "101")
+    lines = "\n".join((*brokers, "plant:1884", *pressed, "3", "perhaps", "n", ""))
+    monkeypatch.setattr(sys, "stdin", Typed(lines))
+    refused = gelgate("new-part", "bolt", *(word.replace("RECORDING", str(recording)) for word in VIRTUAL))
+
+    assert re.findall("'(.*)' is no broker", refused.out) == [*brokers]
+    assert re.findall("'(.*)' is no answer", refused.out) == [*pressed, "perhaps"]
+    assert "12 presses of bolt do not keep the promise" in refused.sentence()
+    assert load_config(Path("gelgate.toml")).sinks[1].options == {"host": "plant", "port": 1884}
