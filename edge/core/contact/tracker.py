@@ -289,15 +289,17 @@ class ContactTracker:
         return self.relief.gain(self.mask)
 
     def _agrees_with_witness(self, view: View) -> bool:
-        """Tell whether an area that looks touched is the free gel of the bundle."""
-        if (
-            self._witness is None
-            or self._is_lent
-            or self.state in LEARNING
-            or self._witness.view.shape != view.shape
-        ):
+        """Tell whether a view looks touched because the reference is: the view is the free gel of the bundle, and the
+        reference is not. A press that begins has no area yet, and leaves the reference the free gel."""
+        witness, reference = self._witness, self.reference
+        if witness is None or reference is None or self._is_lent or self.state in LEARNING:
             return False
-        return touched(touched_mask(self._witness.difference(view))).area < self.settings.off_area
+        if witness.view.shape != view.shape:
+            return False
+        touched_now, touched_then = (
+            touched(touched_mask(witness.difference(one))).area for one in (view, reference.view)
+        )
+        return touched_now < self.settings.off_area and touched_then >= self.settings.on_area
 
     def _refer_to(self, reference: Reference | None) -> None:
         self.reference = reference

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from press_films import grains, series
+from press_films import PARTS, grains, series
 
 from edge.core.contact.events import (
     PressBegan,
@@ -130,3 +130,17 @@ def test_a_first_press_is_not_taken_for_a_lift() -> None:
         station.press()
         assert station.of(ReferenceDoubted) == []
         assert len(station.of(PressSettled)) == 1
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_a_slow_first_press_is_counted_where_the_bundles_free_gel_is_known(part: str) -> None:
+    """It bends the gel before it touches an area of it, and as long shows no area against the bundle's picture."""
+    station = Station(ContactTracker(witness=Reference(free_view(part))), part)
+    station.show(2.0, 0)
+    for depth in range(13):
+        station.show(0.12, depth)
+    station.show(1.0, 12)
+    station.show(0.08, 7)
+    station.show(2.0, 0)
+    assert station.of(ReferenceDoubted) == []
+    assert [len(station.of(kind)) for kind in (PressBegan, PressSettled, PressEnded)] == [1, 1, 1]
