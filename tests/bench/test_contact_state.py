@@ -62,6 +62,12 @@ def _beyond(squared: F64) -> NDArray[np.bool_]:
     return np.asarray(cv2.drawContours(opened, outlines, -1, 1, cv2.FILLED), bool)
 
 
+def _strength(squared: F64) -> float:
+    """How much an imprint differs from the free gel, as `imprint_strength`."""
+    distance = np.sqrt(cv2.blur(squared, (3, 3)))
+    return float((distance * np.clip(distance / 5 - 2, 0, 1)).mean())
+
+
 @dataclass
 class Truth:
     """What one frame shows: its time, what it adds to the free gel, touched area, relief, strength and texture."""
@@ -101,17 +107,24 @@ def _truths(film: Film, times: list[float], shown: list[CameraFrame]) -> tuple[l
             for t, view in zip(times, views, strict=True)
         ],
         [
-            _truth(t, learnt.difference(view.astype(np.float32)), by_learning)
+            _truth(
+                t,
+                learnt.difference(view.astype(np.float32)),
+                by_learning,
+                float(free.mean() / learnt.view.mean()),
+            )
             for t, view in zip(times, views, strict=True)
         ],
     )
 
 
-def _truth(t: float, added: NDArray[np.floating], structure: ReliefOfReference) -> Truth:
+def _truth(
+    t: float, added: NDArray[np.floating], structure: ReliefOfReference, dimming: float = 1.0
+) -> Truth:
     squared = (added.astype(np.float64) ** 2).sum(axis=2)
     level = added.astype(np.float32)
     mask, relief = _beyond(squared), structure.of(level, RULES.light_levels)
-    strength = float(np.sqrt(squared[mask]).sum()) / squared.size
+    strength = _strength(squared * dimming**2)
     return Truth(t, level, float(mask.mean()), relief.area, strength, relief.level)
 
 
@@ -191,7 +204,8 @@ REACHED: dict[str, tuple[ContactState, ...]] = {
 
 def _stream(film: Film, shown: list[CameraFrame], nominal: NominalStrength) -> list[ContactState]:
     """What is said after each frame; presses are judged and recorded at once, and each begins once."""
-    detector, follower, began = PressDetector(PROFILE), ContactFollower(), 0
+    at_fit = Reference(series(film.part, film.gel)[0])
+    detector, follower, began = PressDetector(PROFILE, witness=at_fit), ContactFollower(), 0
     follower.nominal = nominal
     said: list[ContactState] = []
     for frame in shown:
@@ -212,7 +226,7 @@ def _stream(film: Film, shown: list[CameraFrame], nominal: NominalStrength) -> l
 def _strength_at(film: Film, depth: float) -> float:
     views = series(film.part, film.gel)
     squared = ((_pressed(views, depth, (0.0, 0.0)).astype(np.float64) - views[0]) ** 2).sum(axis=2)
-    return float(np.sqrt(squared[_beyond(squared)]).sum()) / squared.size
+    return _strength(squared)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.fitting.presses.sheared_dots import dot_light, find_common_dots
-from edge.core.contact.mask import imprint_strength, mask_beyond, squared_distance, touched_mask
+from edge.core.contact.mask import imprint_strength, squared_distance, touched_mask
 from edge.core.contact.reference import Reference, View, fit_levels
 from edge.core.contact.relief import fine_structure
 from edge.core.contact.settings import ContactSettings
@@ -270,5 +270,6 @@ def _rim(shape: tuple[int, ...]) -> Mask:
 def measure_strengths(views: Sequence[U8], free: View) -> tuple[float, ...]:
     """Measure how strong each imprint is, as the gateway does. views: uint8 (120, 160, 3)."""
     reference = Reference(free)
-    squared = [squared_distance(reference.difference(view.astype(np.float32))) for view in views]
-    return tuple(imprint_strength(one, mask_beyond(one)) for one in squared)
+    return tuple(
+        imprint_strength(squared_distance(reference.difference(view.astype(np.float32)))) for view in views
+    )

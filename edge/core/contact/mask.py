@@ -29,6 +29,11 @@ MORPHOLOGY_SIDE = 5
 # it takes even a shearing fingertip's pauses for still (the maker's press video), and no approach.
 CHANGE_LEVELS = 12.0
 
+# A pixel adds nothing to the strength of an imprint up to this distance, and all of it from the threshold on. It is
+# taken over a neighbourhood.
+_FAINT_LEVELS = 10.0
+_SMOOTH = (3, 3)
+
 # Adds the colours of a pixel.
 _SUM = np.ones((1, 3), np.float32)
 
@@ -93,10 +98,15 @@ def measure_change(view: View, earlier: View) -> float:
     return 1.0 - cv2.countNonZero(same) / same.size
 
 
-def imprint_strength(squared: NDArray[np.float32], mask: NDArray[np.bool_]) -> float:
-    """How much an imprint differs from the free gel, averaged over the view, levels; it grows with depth. squared:
-    float32 (h, w), mask: of the same view."""
-    return float(np.sqrt(squared[mask]).sum()) / squared.size
+def imprint_strength(squared: NDArray[np.float32]) -> float:
+    """How much an imprint differs from the free gel, averaged over the view, levels; it grows with depth.
+
+    squared: `squared_distance`, float32 (h, w). A pixel counts by how far it is beyond the threshold, after noise is
+    averaged out: what is in a mask or not would move the strength of a part at rest by a twentieth.
+    """
+    distance = cv2.sqrt(cv2.blur(squared, _SMOOTH))
+    weight = np.clip((distance - _FAINT_LEVELS) / (TOUCH_LEVELS - _FAINT_LEVELS), 0, 1)
+    return float((distance * weight).mean())
 
 
 def is_black(view: View) -> bool:

@@ -19,7 +19,7 @@ from edge.core.contact.mask import (
     touched,
     touched_mask,
 )
-from edge.core.contact.reference import Reference, View
+from edge.core.contact.reference import GAIN_RANGE, Reference, View
 from edge.core.contact.relief import Relief, ReliefOfReference, with_relief
 from edge.core.contact.settings import ContactSettings
 from edge.core.contact.settled_frame import DEPTH_NOISE, Observation
@@ -92,6 +92,8 @@ class ContactTracker:
         self.reference: Reference | None = None
         """The free gel as last learnt, or the stored one until then."""
         self._structure: ReliefOfReference | None = None
+        self._light_at_fit = None if witness is None else float(witness.view.mean())
+        self._dimming = 1.0
         self._refer_to(stored or witness)
         self._baseline, self._free = _Mean(), _Mean()
         self._free_looks: tuple[View, ...] = ()
@@ -238,7 +240,7 @@ class ContactTracker:
             motion=self._motion(level),
             is_black=is_black(view),
             relief=self.relief.area,
-            strength=imprint_strength(squared, self.mask),
+            strength=imprint_strength(squared * np.float32(self._dimming**2)),
             texture=self.relief.level,
             imprint=imprint,
             place=self._place(),
@@ -304,6 +306,9 @@ class ContactTracker:
     def _refer_to(self, reference: Reference | None) -> None:
         self.reference = reference
         self._structure = None if reference is None else ReliefOfReference(reference.view)
+        if reference is not None and self._light_at_fit is not None:
+            # A dark gel shows all of an imprint darker; by its strength a press is compared with those at fit.
+            self._dimming = float(np.clip(self._light_at_fit / max(reference.view.mean(), 1.0), *GAIN_RANGE))
 
     def _learn(self, before: State, view: View, timestamp_ns: int) -> list[Event]:
         match before, self.state:
