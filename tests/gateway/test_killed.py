@@ -1,13 +1,14 @@
-"""A gateway that is killed between any two writes of a press, and started again.
+"""A gateway that is killed after any of its writes of a press, and started again.
 
-A kill leaves the files as they are: before each write of a first life, to the database or to the file sink, they are
-copied, and a second life goes on with the copy. tests/support/soak.py kills processes.
+A kill leaves the files as they are: before each COMMIT and each write to the file sink of a first life they are copied,
+and a second life goes on with the copy; what was not committed is gone. tests/support/soak.py kills processes.
 """
 
 import json
 import shutil
 import sqlite3
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,12 @@ from edge.store.history import HistoryQuery, read_history
 from edge.store.integrity import check_database
 from edge.store.press_store import Store
 
-WRITES = ("INSERT", "UPDATE", "DELETE", "COMMIT")
 # The acknowledgements of the later messages are like those of the first.
-KILLS = 24
+KILLS = 8
 
 
 class Kills:
-    """Copies the files of a station before each write once something has pressed; SQL triggers count as one with it.
+    """Copies the files of a station before each commit and write once something has pressed.
 
     The shared memory of the journal is none of them: SQLite makes it again where no other process has the file.
     """
@@ -33,7 +33,7 @@ class Kills:
     def __init__(self, station: Path, copies: Path) -> None:
         self.is_armed = False
         self.folders: list[Path] = []
-        self._station, self._copies, self._last = station, copies, ""
+        self._station, self._copies = station, copies
         self._connect, self._open = sqlite3.connect, Path.open
 
     def open(self, path: Path, *arguments: Any, **options: Any) -> Any:
@@ -43,13 +43,8 @@ class Kills:
 
     def connect(self, *arguments: object, **options: object) -> sqlite3.Connection:
         connection: sqlite3.Connection = self._connect(*arguments, **options)  # type: ignore[call-overload]
-        connection.set_trace_callback(self.see)
+        connection.set_trace_callback(lambda sql: self.copy() if sql == "COMMIT" else None)
         return connection
-
-    def see(self, sql: str) -> None:
-        if self.is_armed and sql != self._last and sql.lstrip().upper().startswith(WRITES):
-            self._last = sql
-            self.copy()
 
     def copy(self) -> None:
         if self.is_armed and len(self.folders) < KILLS:
@@ -68,25 +63,27 @@ def live(config: Path, kills: Kills | None = None, part: str = "PZ0") -> None:
             station.publish()
 
 
-def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(
-    tmp_path: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Killed before each of its writes in turn: no press is lost, doubled or counted twice."""
+def kill(configure: Callable[[Path], Path], folder: Path, part: str = "PZ0") -> list[Path]:
+    """Kill a station after each write that follows the first press of the part; the folders in which it was killed."""
+    first = configure(folder / "station")
+    kills = Kills(first.parent, folder / "killed")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(sqlite3, "connect", kills.connect)
+        patched.setattr(Path, "open", lambda path, *given, **options: kills.open(path, *given, **options))
+        live(first, kills, part)
+    assert len(kills.folders) == KILLS
+    return kills.folders
+
+
+def test_each_press_arrives_exactly_once_by_id_and_the_ledger_agrees(tmp_path: Path, bundle: Path) -> None:
+    """Killed before each of its commits in turn: no press is lost, doubled or counted twice."""
     recording = press_recording(tmp_path / "presses", 1, motion=Motion(free=28, hold=8, idle=2))
 
     def config(folder: Path) -> Path:
         return station_config(folder, recording, bundle, sinks=f'{JSONL % (folder / "out")}\nname = "line"')
 
-    first = config(tmp_path / "station")
-    kills = Kills(first.parent, tmp_path / "killed")
-    with monkeypatch.context() as patched:
-        patched.setattr(sqlite3, "connect", kills.connect)
-        patched.setattr(Path, "open", lambda path, *given, **options: kills.open(path, *given, **options))
-        live(first, kills)
-    assert len(kills.folders) == KILLS
-
     recorded = []
-    for folder in kills.folders:
+    for folder in kill(config, tmp_path):
         live(config(folder))
         seen: dict[str, set[str]] = defaultdict(set)
         for line in map(json.loads, (folder / "out/messages.jsonl").read_text().splitlines()):
@@ -109,29 +106,18 @@ places = [{ part = "PZ0", position = "pos1" }, { part = "PZ1", position = "pos1"
 """
 
 
-def test_a_piece_that_is_killed_at_its_last_press_ends_exactly_once(
-    tmp_path: Path, bundle: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Killed before each write of its second press: it is over before, or goes on where it was, and the next one is
+def test_a_piece_that_is_killed_at_its_last_press_ends_exactly_once(tmp_path: Path, bundle: Path) -> None:
+    """Killed before each commit of its second press: it is over before, or goes on where it was, and the next one is
     another piece."""
     recording = press_recording(tmp_path / "presses", 2, motion=Motion(free=28, hold=8))
     bundles = two_parts(tmp_path / "bundles", bundle)
 
     def config(folder: Path) -> Path:
-        return station_config(
-            folder, recording, bundles, sinks=f'{JSONL % (folder / "out")}\nname = "line"', tables=PLAN
-        )
-
-    first = config(tmp_path / "station")
-    kills = Kills(first.parent, tmp_path / "killed")
-    with monkeypatch.context() as patched:
-        patched.setattr(sqlite3, "connect", kills.connect)
-        patched.setattr(Path, "open", lambda path, *given, **options: kills.open(path, *given, **options))
-        live(first, kills, part="PZ1")
-    assert len(kills.folders) == KILLS
+        sinks = f'{JSONL % (folder / "out")}\nname = "line"'
+        return station_config(folder, recording, bundles, sinks=sinks, tables=PLAN)
 
     ended = []
-    for folder in kills.folders:
+    for folder in kill(config, tmp_path, part="PZ1"):
         live(config(folder))
         said = map(json.loads, (folder / "out/messages.jsonl").read_text().splitlines())
         results = {
