@@ -6,12 +6,12 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
-from command_line import gelgate
+from command_line import gelgate, ran
 from station import press_recording, station_config
 from stepped_station import SteppedStation
 
@@ -28,9 +28,10 @@ LONG = "a_name_of_thirty_characters_ok"
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with plugins of each kind: one to install, one of the longest name, and one of a short one."""
     folder = tmp_path_factory.mktemp("plugins")
-    for kind in GROUPS:
-        for name in (NAMES[kind], f"{kind}{LONG[len(kind) :]}", f"{kind[0]}{kind[-1]}"):
-            subprocess.run([BIN / "gelgate", "new", kind, name], cwd=folder, check=True, capture_output=True)
+    with chdir(folder):
+        for kind in GROUPS:
+            for name in (NAMES[kind], f"{kind}{LONG[len(kind) :]}", f"{kind[0]}{kind[-1]}"):
+                ran("new", kind, name)
     return folder
 
 
@@ -56,21 +57,15 @@ def test_what_is_written_is_linted_formatted_and_typed(written: Path) -> None:
     """Lint and format whatever the length of its name."""
     run(written, "ruff", "check", "--no-cache", ".")
     run(written, "ruff", "format", "--no-cache", "--check", ".")
-    run(
-        written,
-        "mypy",
-        "--strict",
-        "--cache-dir",
-        os.devnull,
-        *(f"gelgate-{name}" for name in NAMES.values()),
-    )
+    packages = [f"gelgate-{name}" for name in NAMES.values()]
+    run(written, "mypy", "--strict", "--cache-dir", os.devnull, *packages)
 
 
 def test_its_own_tests_pass(written: Path, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The published checks, where the package is installed."""
     monkeypatch.setenv("PYTHONPATH", str(site))
-    for name in NAMES.values():
-        run(written / f"gelgate-{name}", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider")
+    packages = [f"gelgate-{name}" for name in NAMES.values()]
+    run(written, "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", *packages)
 
 
 @pytest.mark.parametrize(
