@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from command_line import gelgate
 from station import Motion, mark_tried, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
@@ -38,6 +39,23 @@ def station(tmp_path: Path, bundle: Path) -> Iterator[SteppedStation]:
         yield opened
 
 
+@pytest.fixture(autouse=True)
+def without_children(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw in this process, and try no bundle: a child takes longer than all the rest of a test."""
+    start = subprocess.run
+
+    def run(words: list[Any], **how: Any) -> Any:
+        if words[1:2] != ["-m"]:
+            return start(words, **how)
+        code, out, err = 0, "", ""
+        if words[2] == "gelgate":
+            done = gelgate(*words[3:])
+            code, out, err = done.code, done.out, done.err
+        return subprocess.CompletedProcess(words, code, out, err)
+
+    monkeypatch.setattr(subprocess, "run", run)
+
+
 def draw(station: SteppedStation, **arguments: Any) -> Any:
     """Ask, and have the new bundle opened: the asker's thread, the one that opens, and the loop take their turns."""
     done = station.ask("set_regions", **arguments)
@@ -52,8 +70,11 @@ def newest(station: SteppedStation) -> str:
     return str(station.results[-1].press_id)
 
 
-def test_a_region_is_drawn_seen_and_removed(station: SteppedStation, tmp_path: Path) -> None:
+def test_a_region_is_drawn_seen_and_removed(
+    station: SteppedStation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The next press passes there; the revision before stays beside it byte for byte; without the region it fails."""
+    monkeypatch.undo()  # in a child, as at a station
     path = tmp_path / "bundles" / "pz0"
     before = {file.name: file.read_bytes() for file in path.iterdir() if file.is_file()}
     assert station.verdicts == ["fail"]
@@ -193,6 +214,7 @@ def test_what_ends_in_the_middle_leaves_the_bundle(
     station: SteppedStation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A child that takes too long, a folder that cannot be written, and a request beside another one."""
+    monkeypatch.undo()
     path = tmp_path / "bundles" / "pz0"
     arguments = {"add": "logo", "points_mm": DENT, "press_id": newest(station)}
     ask: Callable[[], Any] = station.ask("set_regions", **arguments)
