@@ -264,14 +264,7 @@ def _facts(loop: StationLoop) -> Data:
     known = {**_selection(loop), "alarms": _alarms(loop)}
     if loop.session is None:
         return known
-    gel = loop.session.gel
-    return {
-        "gel_id": gel.gel_id,
-        "presses": gel.presses,
-        "limit_presses": gel.limit_presses,
-        "state": loop.session.contact_state,
-        **known,
-    }
+    return {**loop.session.gel.facts, "state": loop.session.contact_state, **known}
 
 
 def _selection(loop: StationLoop) -> Data:

@@ -64,6 +64,11 @@ class GelRecord:
             return GelState.REPLACE
         return state_of(self.presses, self.limit_presses, self.warn_fraction)
 
+    @property
+    def facts(self) -> dict[str, str | int]:
+        """Which gel it is and its count, for the table of acts."""
+        return {"gel_id": self.gel_id, "presses": self.presses, "limit_presses": self.limit_presses}
+
     def list_remarks(self, today: date) -> list[Sentence]:
         """List what a person who mounts it must know, a sentence each."""
         remarks = []

@@ -8,7 +8,7 @@ transaction.
 import sqlite3
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol, Self, TypeVar
 
@@ -272,14 +272,14 @@ class Store:
         label: GelLabel = NO_LABEL,
     ) -> GelRecord:
         """Record that another gel was mounted, as `gel_ledger.mount` does; act: recorded with it, both or neither.
-
-        Errors: StoreError for an id that this sensor already had, and for a gel that is on another sensor.
-        """
+        Errors: StoreError for an id that this sensor already had, and for a gel that is on another sensor."""
         self._compare(serial, time_ns)
         with self._database.writing(f"replacing the gel of sensor {serial}") as connection:
+            before = ledger.find_mounted(connection, serial, self._warn_fraction)
             ledger.mount(connection, serial, gel_id, limit_presses, self._limit_presses, note, time_ns, label)
             gel, self._newest = self._require_mounted(connection, serial), _newest_number(connection)
             if act is not None:
+                act = replace(act, before=before.facts if before else None, after=gel.facts)
                 act_table.begin(connection, act, self._running.store(connection))
             if make_messages is not None:
                 outbox.put(connection, make_messages(gel), "", time_ns, self._running.store(connection))

@@ -55,6 +55,10 @@ def test_replace_records_the_act_and_publishes_it(database: Path, capsys: pytest
     with Outbox(database) as outbox:
         (row,) = outbox.pending("mqtt")
     assert (row.message.topic, row.message.retain) == ("gel", True)
+    with Store(database) as store:
+        (act,) = store.acts(1)
+    assert act.before == {"gel_id": "2BNN4ZE7-1", "presses": 1, "limit_presses": 1000}
+    assert act.after == {"gel_id": "2BNN4ZE7-2", "presses": 0, "limit_presses": 500}
 
 
 def test_with_two_sensors_one_must_be_named(database: Path) -> None:
