@@ -131,10 +131,16 @@ def _read_press(
     press: str, number: int, free: Path | None, find_database: Callable[[], Path], archive: Path | None
 ) -> _Shown:
     """Read a press from a recording's folder, from a picture, or from the archive. Errors: GelgateError."""
+    from edge.core.errors import ConfigError
+
     if Path(press).is_dir():
         return _read_recorded(Path(press), number)
     if Path(press).is_file():
         return _read_pictures(Path(press), free)
+    if Path(press).name != press or Path(press).suffix:  # no press_id
+        raise ConfigError(
+            f"{press} does not exist; name a picture, a recording's folder, or an archived press"
+        )
     return _read_archived(press, find_database(), archive)
 
 

@@ -22,7 +22,8 @@ from edge.core.reference_press.charts import newest_begin
 from edge.core.shadow import JudgedTwice, ShadowVerdict, Weighing
 from edge.core.suggest import suggestion
 from edge.extras import needs
-from edge.store.history import HistoryQuery, HistoryRow, read_history, write_history
+from edge.messaging.deviation_payload import DeviationPlace
+from edge.store.history import MEASURED, HistoryQuery, HistoryRow, read_history, write_history
 from edge.store.press_store import VERDICTS
 
 __all__ = ["history", "moment_ns"]
@@ -193,7 +194,9 @@ def _line(row: HistoryRow) -> str:
     said = " ".join(filter(None, (row.person_verdict, row.damage_kind)))
     piece = f"  piece {row.piece_id}" if row.piece_id else ""
     shadow = f"  shadow {ShadowVerdict.decode(row.shadow).verdict}" if row.shadow else ""
+    measured = str(DeviationPlace(**{name: getattr(row, name) for name in MEASURED}))
     return printable(
         f"{row.number}  {local_time(row.time_ns)}  {row.part}/{row.position or '-'}  {row.verdict}{cause}{score}"
         f"  gel {row.gel_id}{f'  {row.person}: {said}' if said else ''}{shadow}{piece}"
+        f"{f'  {measured}' if measured else ''}"
     )

@@ -16,7 +16,7 @@ from edge.core.person_verdict import settle
 from edge.store.database import open_read_only
 from edge.store.person_verdicts import read_verdicts
 
-__all__ = ["COLUMNS", "FORMATS", "HistoryQuery", "HistoryRow", "read_history", "write_history"]
+__all__ = ["COLUMNS", "FORMATS", "MEASURED", "HistoryQuery", "HistoryRow", "read_history", "write_history"]
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,10 @@ class HistoryRow:
 
 COLUMNS: Final = tuple(field.name for field in fields(HistoryRow))
 
-_MEASURED: Final = ("depth_mm", "depth_u95_mm", "size_mm", "size_u95_mm")
-# Those come from the acts, the others from the table of presses.
+MEASURED: Final = ("depth_mm", "depth_u95_mm", "size_mm", "size_u95_mm")
+"""A deviation, as fields of `edge.messaging.deviation_payload.DeviationPlace`."""
+
+# These come from the acts, the others from the table of presses.
 _OF_PEOPLE: Final = ("person_verdict", "damage_kind", "person")
 _STORED: Final = tuple(name for name in COLUMNS if name not in _OF_PEOPLE)
 _OF_GEL_SERIAL: Final = "SELECT serial, gel_id FROM gels WHERE gel_serial = ? COLLATE NOCASE"
@@ -166,7 +168,7 @@ def _write_parquet(path: Path, rows: Iterator[HistoryRow]) -> None:
     from pyarrow import parquet
 
     types = {"number": pa.int64(), "time_ns": pa.timestamp("ns", "UTC")}
-    types |= {name: pa.float64() for name in ("running_s", "score", "threshold", *_MEASURED)}
+    types |= {name: pa.float64() for name in ("running_s", "score", "threshold", *MEASURED)}
     schema = pa.schema([(name, types.get(name, pa.string())) for name in COLUMNS])
     with parquet.ParquetWriter(path, schema) as writer:
         while group := list(map(vars, islice(rows, GROUP_ROWS))):

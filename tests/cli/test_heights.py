@@ -145,6 +145,8 @@ def test_without_a_calibration_nothing_is_in_millimetres(folder: Path, tmp_path:
         "station", "heights", folder / "press.png", *words[2:], "--calibration", folder / "gel.toml"
     )
     assert "give one of the free gel with --free" in done.sentence()
+    done = gelgate("station", "heights", folder / "gone.png", *words)
+    assert "gone.png does not exist; name a picture" in done.sentence()
 
 
 def test_a_press_of_a_recording_is_measured(folder: Path, tmp_path: Path) -> None:

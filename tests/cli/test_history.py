@@ -42,6 +42,16 @@ def test_the_newest_presses_are_printed_with_their_totals(database: Path) -> Non
     assert lines[-1] == "20 presses: 4 fail, 16 pass"
 
 
+def test_a_measured_deviation_is_printed(database: Path) -> None:
+    """With its uncertainty, as on the picture of its press; what is not told is left out."""
+    with Store(database) as store:
+        measured = "UPDATE presses SET depth_mm = 0.249, depth_u95_mm = 0.179 WHERE number = 25"
+        store.write("measuring a press", lambda connection: connection.execute(measured))
+    line = gelgate("history", "--database", database).out.splitlines()[-2]
+    assert line.startswith("25  ")
+    assert line.endswith("  gel 2BNN4ZE7-1  depth 0.249 +- 0.179 mm")
+
+
 def test_a_file_has_all_that_fit(database: Path, tmp_path: Path) -> None:
     """Not only the newest twenty."""
     done = gelgate("history", "--database", database, "-o", tmp_path / "all.csv")
