@@ -219,7 +219,7 @@ def test_how_often_a_part_looks_the_same_in_a_turn(part: parts.Bumps, symmetry: 
 
 def test_one_asymmetric_damage_among_nominal_presses_of_a_symmetric_part_is_named() -> None:
     """The part keeps its symmetry, and the press stands apart."""
-    poses, presses = parts.anywhere(parts.CROSS, 14)
+    poses, presses = parts.anywhere(parts.CROSS, 10)
     presses[9] = parts.press((*parts.CROSS, (10.0, 12.0, 4.0, 5.0)), poses[9], seed=10)
     manifest = fitted(nominal(presses), "auto").manifest
 
