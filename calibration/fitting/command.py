@@ -215,7 +215,7 @@ def _detection(given: FitArguments) -> dict[str, Any]:
         fields |= getattr(detector.parameters(published), "__dict__", {})
     for name in overrides:
         if fields and name not in fields:
-            hints = get_type_hints(FitArguments, include_extras=True).items()
+            hints = get_type_hints(fit, include_extras=True).items()
             ours = [one for one, hint in hints if getattr(hint.__metadata__[0], "hidden", False)]
             raise ConfigError(
                 f"--set {name}: the fit and {given.method} have no such parameter; "
