@@ -145,7 +145,7 @@ def test_without_a_calibration_nothing_is_in_millimetres(folder: Path, tmp_path:
         "station", "heights", folder / "press.png", *words[2:], "--calibration", folder / "gel.toml"
     )
     assert "give one of the free gel with --free" in done.sentence()
-    done = gelgate("station", "heights", folder / "gone.png", *words)
+    done = gelgate("station", "heights", folder / "gone.png", *words[:2], *words[4:])
     assert "gone.png does not exist; name a picture" in done.sentence()
 
 
