@@ -381,6 +381,40 @@ def test_a_trigger_that_names_a_piece_begins_it(
     assert "the piece P1 is over (" in str(act.sentence)
 
 
+@pytest.mark.parametrize("is_free_said", [False, True], ids=["while it is pressed", "when `free` is said"])
+def test_a_piece_begins_when_the_part_before_is_lifted(
+    tmp_path: Path, configure: Make, bundle: Path, is_free_said: bool
+) -> None:
+    """A trigger that comes earlier, also one that a PLC gives as soon as it reads that nothing touches the gel, waits
+    for that. The press that is held then is of the piece before."""
+    bundles = two_parts(tmp_path / "bundles", bundle)
+    with PlcStation(configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')) as station:
+        station.play_until_ready()
+        station.play_until_pressed()
+        if is_free_said:
+            station.play_until(lambda: station.seen.station.contact == "free")
+        assert station.loop.is_pressed
+        assert station.trigger(1, piece="P1") is Code.NONE
+        station.play_until(lambda: station.seen.step == "done")
+        assert station.result[:3] in (("done", 1, "place"), ("done", 1, "fail"))
+    before, first = station.results[:2]
+    assert before.piece_id != "P1"
+    assert first.piece_id == "P1"
+
+
+def test_a_trigger_that_is_taken_back_begins_no_piece(tmp_path: Path, configure: Make, bundle: Path) -> None:
+    """It waited for the gel to be free."""
+    bundles = two_parts(tmp_path / "bundles", bundle)
+    with PlcStation(configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')) as station:
+        station.play_until_ready()
+        station.play_until_pressed()
+        assert station.trigger(1, piece="P1") is Code.NONE
+        station.turn()
+        station.acknowledge()
+        station.play_presses(2)
+    assert "P1" not in [result.piece_id for result in station.results]
+
+
 def test_a_press_of_the_next_piece_answers_no_trigger_for_the_one_before(
     tmp_path: Path, configure: Make, bundle: Path
 ) -> None:

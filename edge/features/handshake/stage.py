@@ -51,6 +51,7 @@ class HandshakeStage(PressStage):
         self._gel_left_percent = 0
         self._has_contact = False
         self._piece_id: str | None = None
+        self._early: Trigger | None = None  # its piece begins when what presses now is lifted
         self._answer = ("", 0)
         self._alarm: str | None = None
 
@@ -81,11 +82,15 @@ class HandshakeStage(PressStage):
             self._parts.trigger()
 
     def _reach(self, trigger: Trigger) -> None:
-        """Begin the piece of several places that a trigger names, unless it is in progress. Where that fails the result
-        is an error."""
+        """Begin the piece of several places that a trigger names, unless it is in progress; where something presses,
+        once that is lifted. Where that fails the result is an error."""
+        is_new = trigger.piece not in ("", self._piece_id) and self._parts.config.piece is not None
+        if is_new and self._has_contact and not self._is_command:
+            self._early = trigger
+            return
         with self.port.machine() as (machine, _):
             machine.reach(trigger.trigger_id)
-        if trigger.piece in ("", self._piece_id) or self._parts.config.piece is None:
+        if not is_new:
             return
         try:
             self._parts.do("begin_piece", {"piece_id": trigger.piece})
@@ -164,6 +169,10 @@ class HandshakeStage(PressStage):
 
     def turn(self, mounted: Mounted | None) -> None:
         self._has_contact = mounted is not None and mounted.has_contact
+        if (early := self._early) is not None and not self._has_contact:
+            self._early, view = None, self.port.read()
+            if (view.step, view.trigger_id) == ("busy", early.trigger_id):
+                self._reach(early)
 
     def show(self, view: StationView) -> None:
         self._piece_id = view.piece_id

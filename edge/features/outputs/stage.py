@@ -205,8 +205,9 @@ class Outputs(PressStage):
     def _pulse(self, press: Press) -> None:
         """Deadlines count from the judged frame, or from now where there is none."""
         judged_ns = self._clock.monotonic_ns() if press.judged_ns is None else press.judged_ns
-        for driver in self.drivers if press.shown else ():
-            driver.pulse(press.shown or "", judged_ns)
+        if press.shown is not None:
+            for driver in self.drivers:
+                driver.pulse(press.shown, judged_ns)
 
 
 def _open_later(plugin: Any, table: PluginTable, clock: Clock) -> Callable[[], Any]:
