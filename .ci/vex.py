@@ -2,7 +2,7 @@
 
     python .ci/vex.py PIP_AUDIT OUTPUT
 
-pip-audit asks the database of PyPI. Without an answer for every package nothing is written: silence is no good news.
+pip-audit asks the database of PyPI. Without an answer for every package there is no document: silence is no good news.
 deploy/vex.toml has the statements, kept by hand; a weakness without one stands as `in_triage`, and the end is 1.
 """
 
@@ -22,7 +22,9 @@ KEYS = {"id", "package", "state", "justification", "detail"}
 
 
 def main(pip_audit: str, output: Path) -> None:
-    """Write the document; end with a sentence and 1 where something is unknown, undecided, or exploitable."""
+    """Write the document; end with a sentence and 1 where something is unknown, undecided, or exploitable. An older
+    document goes: it would be taken for an answer of now."""
+    output.unlink(missing_ok=True)
     bill = json.loads(bill_of_materials([]))
     packages = {
         one["purl"].removeprefix("pkg:pypi/"): one["bom-ref"]
@@ -57,17 +59,16 @@ def ask(pip_audit: str, packages: list[str]) -> list[dict[str, Any]]:
         words = [pip_audit, "-r", pinned.name, "--no-deps", "--disable-pip", "--format", "json"]
         done = subprocess.run(words, capture_output=True, text=True, check=False)
     try:
-        answers = {
-            f"{one['name']}@{one['version']}": one
-            for one in json.loads(done.stdout)["dependencies"]
-            if "vulns" in one
-        }
+        found = json.loads(done.stdout)["dependencies"]
+        # Not its last words: they are "No known vulnerabilities found" where it has asked about none.
+        why = next((one["skip_reason"] for one in found if "skip_reason" in one), "")
     except ValueError:
-        answers = {}
+        found, why = [], done.stderr[-300:]
+    answers = {f"{one['name']}@{one['version']}": one for one in found if "vulns" in one}
     if missing := [one for one in packages if one not in answers]:
         sys.exit(
             f"UNKNOWN, NOT CHECKED: pip-audit has no answer for {len(missing)} of {len(packages)} packages, "
-            f"such as {missing[0]}; nothing was written. Is the database of PyPI reachable? {done.stderr[-300:]}"
+            f"such as {missing[0]}; there is no document. Is the database of PyPI reachable? {why}"
         )
     return list(answers.values())
 

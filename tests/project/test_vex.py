@@ -43,6 +43,7 @@ def pip_audit(folder: Path, *, known: dict[str, list[object]], unknown: str = ""
         f"""#!{sys.executable}
 import json, sys
 known, unknown = {known!r}, {unknown!r}
+print("No known vulnerabilities found", file=sys.stderr)
 lines = [line.strip().split("==") for line in open(sys.argv[2])]
 print(json.dumps({{"fixes": [], "dependencies": [
     {{"name": name, "skip_reason": "Dependency not found on PyPI"}} if name == unknown
@@ -75,9 +76,12 @@ def test_a_weakness_is_told_with_its_statement_and_is_open_without_one(
 
 
 def test_a_package_that_the_database_does_not_know_is_no_good_news(vex: ModuleType, tmp_path: Path) -> None:
-    """pip-audit says "No known vulnerabilities found" of it; here nothing is written."""
+    """pip-audit says "No known vulnerabilities found" of it; here that is not repeated, nothing is written, and an
+    older document goes."""
     for program in (pip_audit(tmp_path, known={}, unknown="numpy"), "/bin/false"):
-        with pytest.raises(SystemExit, match="UNKNOWN, NOT CHECKED: pip-audit has no answer for"):
+        (tmp_path / "bill.json").write_text("{}")
+        with pytest.raises(SystemExit, match="UNKNOWN, NOT CHECKED: pip-audit has no answer for") as ended:
             vex.main(program, tmp_path / "bill.json")
 
-    assert not (tmp_path / "bill.json").exists()
+        assert "No known vulnerabilities" not in str(ended.value)
+        assert not (tmp_path / "bill.json").exists()
