@@ -249,8 +249,8 @@ class Pieces(PressStage):
             self._last = last.piece.piece_id, last.verdict
             if last.ended_by == "time":
                 self._lock = Sentence(
-                    f"the piece {last.piece.piece_id} was not complete within {self._within_s:g} s, "
-                    f"{_list(last.piece.missing)} is missing; take it away, then begin the next piece "
+                    f"the piece {last.piece.piece_id} was not complete within {self._within_s:g} s, it lacks "
+                    f"{_list(last.piece.missing)}; take it away, then begin the next piece "
                     f"with `{BEGIN}` or its code"
                 )
         if self._piece is not None and (before is None or before.piece_id != self._piece.piece_id):

@@ -221,7 +221,7 @@ def test_a_piece_that_takes_too_long_is_incomplete_and_the_next_one_is_begun_by_
 
     assert (ended["verdict"], ended["ended_by"]) == ("incomplete", "time")
     assert filled(ended) == ["pass", "pass", None]
-    assert "PZ0/right is missing; take it away, then begin the next piece" in str(alarm)
+    assert "it lacks PZ0/right; take it away, then begin the next piece" in str(alarm)
     assert str(refused.reason) == f"no_place: {alarm}"
     assert (station.results[-1].piece_id, station.results[-1].place) == ("P2", "PZ0/left")
 
