@@ -3,18 +3,9 @@
 from pathlib import Path
 
 import cv2
-from command_line import gelgate
+from command_line import Outcome, gelgate
+from station import station_config
 
-STATION = """
-version = 1
-[device]
-plugin = "recorded"
-options = { recording = "presses" }
-[inspection]
-bundle = "bundle"
-[[sinks]]
-plugin = "memory"
-"""
 OVERVIEW = """
 [overview]
 plugin = "virtual_overview"
@@ -25,23 +16,15 @@ options = { parts = ["%s"] }
 """
 
 
-def written(folder: Path, text: str) -> Path:
-    path = folder / "gelgate.toml"
-    path.write_text(text)
-    return path
+def overview(folder: Path, tables: str, *more: object) -> Outcome:
+    config = station_config(folder, folder / "presses", folder / "bundle", tables=tables)
+    return gelgate("station", "overview", "-c", config, *more)
 
 
 def test_the_empty_station_is_saved_and_then_compared_with(tmp_path: Path) -> None:
     """First without a part, into the file that [overview] names; then with one: its code, and how much differs."""
-    saved = gelgate(
-        "station",
-        "overview",
-        "-c",
-        written(tmp_path, STATION + OVERVIEW % ""),
-        "--save",
-        tmp_path / "empty.jpg",
-    )
-    seen = gelgate("station", "overview", "-c", written(tmp_path, STATION + OVERVIEW % "PZ0;42"))
+    saved = overview(tmp_path, OVERVIEW % "", "--save", tmp_path / "empty.jpg")
+    seen = overview(tmp_path, OVERVIEW % "PZ0;42")
 
     assert saved.out.splitlines() == [
         f"saved {tmp_path / 'empty.jpg'}",
@@ -57,7 +40,7 @@ def test_the_empty_station_is_saved_and_then_compared_with(tmp_path: Path) -> No
 
 def test_a_station_without_an_overview_camera_is_refused(tmp_path: Path) -> None:
     """With the page that shows how to have one."""
-    done = gelgate("station", "overview", "-c", written(tmp_path, STATION))
+    done = overview(tmp_path, "")
 
     assert done.code != 0
     assert "has no [overview]; docs/operations.md shows one" in done.err

@@ -6,36 +6,22 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from station import station_config
 
 from edge.config import load_config
 from edge.core.errors import ConfigError
 from edge.core.overview.view import Zone
 from edge.features.overview import read_rules
 
-STATION = """
-version = 1
-[device]
-plugin = "recorded"
-options = { recording = "presses" }
-[inspection]
-bundle = "bundle"
-[[sinks]]
-plugin = "memory"
-[overview]
-plugin = "virtual_overview"
-"""
-
 
 def written(folder: Path, table: str = "") -> Path:
-    path = folder / "gelgate.toml"
-    path.write_text(STATION + table)
-    return path
+    table = f'[overview]\nplugin = "virtual_overview"\n{table}'
+    return station_config(folder, folder / "presses", folder / "bundle", tables=table)
 
 
 def test_without_the_table_there_is_no_overview_camera(tmp_path: Path) -> None:
     """It is off by default."""
-    path = written(tmp_path)
-    path.write_text(STATION.partition("[overview]")[0])
+    path = station_config(tmp_path, tmp_path / "presses", tmp_path / "bundle")
 
     assert load_config(path).overview is None
 

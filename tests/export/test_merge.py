@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import onnx
@@ -10,7 +11,6 @@ import onnxruntime as ort
 import pytest
 import tiny
 from command_line import ran
-from registered_bundle import registered
 
 from calibration.fitting.regions.drawing import draw_regions
 from edge.core.drawn_regions import DrawnRegion
@@ -95,7 +95,7 @@ def test_what_cannot_be_merged_is_refused(bundle: Bundle, tmp_path: Path) -> Non
     with pytest.raises(BundleMismatch, match=r"copy its detector\.onnx"):
         merged_graph(Bundle.load(tmp_path / "single"))
     with pytest.raises(BundleMismatch, match="fit it again with --register never"):
-        merged_graph(registered().bundle())
+        merged_graph(dataclasses.replace(bundle, registration=Mock()))
 
 
 def test_a_graph_that_scores_otherwise_is_not_written(

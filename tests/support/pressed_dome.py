@@ -1,15 +1,18 @@
 """A simulated station that presses one domed part, sound or with damage of known size."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from damaged_part_presses import with_damage
 from numpy.typing import NDArray
 
 from calibration.fitting.damage.damage import Damage
+from calibration.fitting.damage.imprint import Station
 from calibration.fitting.fit import FitConfig
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
@@ -83,3 +86,21 @@ def write(path: Path, rgb: NDArray[np.uint8]) -> None:
     """A picture, RGB, with the folders above it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(path), rgb[..., ::-1])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def as_files_are_rendered() -> Iterator[None]:
+    """Later modules have OpenCV's fast code again: a fit gives other bits with it."""
+    with reproducible_opencv():
+        yield
+
+
+@pytest.fixture(scope="session")
+def bench() -> Bench:
+    return dome_bench()
+
+
+@pytest.fixture(scope="session")
+def station(bench: Bench) -> Station:
+    with reproducible_opencv():
+        return Station(PROFILE, REGION, REGION.crop(bench.free()).astype(np.float32))

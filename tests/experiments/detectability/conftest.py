@@ -1,34 +1,15 @@
 """The simulated station of these tests, pictures of its presses, and a bundle fitted on some of them."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
-from pressed_dome import PROFILE, REGION, Bench, dome_bench, dome_config, write
+from pressed_dome import PROFILE, REGION, Bench, as_files_are_rendered, bench, dome_config, station, write
 
-from calibration.fitting.damage.imprint import Station
 from calibration.fitting.fit import fit_files
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.simulator.reproducible_math import reproducible_opencv
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _as_files_are_rendered() -> Iterator[None]:
-    """Later modules have OpenCV's fast code again: a fit gives other bits with it."""
-    with reproducible_opencv():
-        yield
-
-
-@pytest.fixture(scope="session")
-def bench() -> Bench:
-    return dome_bench()
-
-
-@pytest.fixture(scope="session")
-def station(bench: Bench) -> Station:
-    with reproducible_opencv():
-        return Station(PROFILE, REGION, REGION.crop(bench.free()).astype(np.float32))
+__all__ = ["as_files_are_rendered", "bench", "station"]
 
 
 @pytest.fixture(scope="session")

@@ -22,17 +22,6 @@ from edge.core.errors import ConfigError, StoreError
 SUPPORT = Path(__file__).resolve().parents[2] / "support"
 
 
-@pytest.fixture
-def counted(tmp_path: Path) -> Counted:
-    (tmp_path / "ran").mkdir()
-    return Counted(tmp_path / "ran")
-
-
-@pytest.fixture
-def rows(tmp_path: Path) -> Rows:
-    return Rows(tmp_path / "rows.jsonl")
-
-
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """A scheduler and workers of a busy machine answer late."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 from study_cells import Counted, DiesOnce, Interrupted, cells, quiet, seeds_of
@@ -11,17 +10,6 @@ from calibration.experiments.harness.rows import Rows
 from calibration.experiments.harness.runner import run
 from calibration.progress import Advance
 from edge.core.errors import StoreError
-
-
-@pytest.fixture
-def counted(tmp_path: Path) -> Counted:
-    (tmp_path / "ran").mkdir()
-    return Counted(tmp_path / "ran")
-
-
-@pytest.fixture
-def rows(tmp_path: Path) -> Rows:
-    return Rows(tmp_path / "rows.jsonl")
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
