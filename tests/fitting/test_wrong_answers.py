@@ -57,7 +57,7 @@ def operation(inspected: Judged, tmp_path_factory: pytest.TempPathFactory) -> Op
     limit = Bundle.load(old).manifest.threshold
     judged = {}
     for factor in FACTORS:
-        changed = limit.model_copy(update={"value": factor * limit.value}).model_dump(mode="json")
+        changed = {"value": factor * limit.value}
         bundle = Bundle.load(variant(old, station.folder / f"limit {factor}", threshold=changed))
         judged[factor] = judge_presses(bundle, presses, database, 1)
     assert [judged[1.5][inspected.ids[number]].word for number in DENTED] == ["pass", "pass"]

@@ -362,8 +362,7 @@ def test_a_takeover_in_the_middle_of_a_piece_counts_for_the_places_after_it(
 ) -> None:
     """The place before keeps its verdict, the next is judged by the bundle that took over, which fails it: so the piece
     fails. Each result names its bundle; after a restart it is the same."""
-    limit = json.loads((bundle / "manifest.json").read_text())["threshold"] | {"value": 1e-6}
-    strict = variant(bundle, tmp_path / "strict", position="middle", revision=2, threshold=limit)
+    strict = variant(bundle, tmp_path / "strict", position="middle", revision=2, threshold={"value": 1e-6})
     config = configure(plan(), shadows=[strict])
     with PieceStation(config) as station:
         station.ask("begin_piece", piece_id="P1")

@@ -9,7 +9,7 @@ from unittest.mock import Mock
 
 import pytest
 from command_line import gelgate
-from shadow_station import FIVE, Shadowed, adopt, limit
+from shadow_station import FIVE, Shadowed, adopt
 from station import Motion, press_recording, variant
 from stepped_station import SteppedStation
 
@@ -31,7 +31,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def shadow(tmp_path: Path, bundle: Path) -> Path:
     """The same bundle with a stated promise and another revision."""
-    return variant(bundle, tmp_path / "new", revision=2, threshold=limit(bundle, **FIVE))
+    return variant(bundle, tmp_path / "new", revision=2, threshold=FIVE)
 
 
 def say(station: SteppedStation, words: Mapping[int, str], person: str = "kim") -> None:
@@ -45,7 +45,7 @@ def test_a_shadow_says_what_it_would_decide_and_decides_nothing(
     shadowed: Shadowed, tmp_path: Path, bundle: Path
 ) -> None:
     """One that passes everything: verdicts are as without it, and both are in the result, the row and the history."""
-    lenient = variant(bundle, tmp_path / "lenient", threshold=limit(bundle, value=1e6))
+    lenient = variant(bundle, tmp_path / "lenient", threshold={"value": 1e6})
     with SteppedStation(shadowed(bundle, folder="alone")) as alone:
         alone.play_presses(8)
     with SteppedStation(shadowed(bundle, lenient, folder="both")) as station:
@@ -206,7 +206,7 @@ def test_a_shadow_that_is_worse_is_refused_with_the_presses(
     value: float,
     sentences: list[str],
 ) -> None:
-    other = variant(bundle, tmp_path / "other", revision=3, threshold=limit(bundle, **FIVE, value=value))
+    other = variant(bundle, tmp_path / "other", revision=3, threshold=FIVE | {"value": value})
     with SteppedStation(shadowed(bundle, other)) as station:
         station.play_presses(3)
         say(station, words)
@@ -225,13 +225,14 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
 ) -> None:
     """Four of it that people call good, judged from the archive; with three, and on a gel on which the bundle in use
     is proven, it waits for 100 presses. Damage that people named stands in its way as ever, and is asked for again."""
-    lenient = limit(bundle, **FIVE, value=1e6)
-    proven = json.loads((bundle / "manifest.json").read_text())["provenance"]
+    lenient = FIVE | {"value": 1e6}
+    proven = Bundle.load(bundle).manifest.provenance.presses
 
     def learnt(name: str, ids: list[str], threshold: Any) -> Path:
-        names = [*proven["presses"], *(f"confirmed/{press_id}.jpg" for press_id in ids)]
-        provenance = {**proven, "presses": names}
-        return variant(bundle, tmp_path / name, revision=2, threshold=threshold, provenance=provenance)
+        names = [*proven, *(f"confirmed/{press_id}.jpg" for press_id in ids)]
+        return variant(
+            bundle, tmp_path / name, revision=2, threshold=threshold, provenance={"presses": names}
+        )
 
     with SteppedStation(shadowed(bundle)) as station:
         station.play_presses(1)
@@ -240,7 +241,7 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
         ids = [one.press_id for one in station.results]
         say(station, dict.fromkeys((0, 1, 3, 4, 6), "good"))
     four, three = [ids[k] for k in (1, 3, 4, 6)], [ids[k] for k in (0, 1, 3, 4)]
-    waits = learnt("three", three, limit(bundle, **FIVE))
+    waits = learnt("three", three, FIVE)
     with SteppedStation(shadowed(bundle, waits)) as later:
         later.play_presses(1)
         with pytest.raises(ValueError, match="both have judged 1 presses, at least 100 are needed"):
@@ -255,7 +256,7 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
         later.clock.sleep(2)
         later.turn()
         asked = [one["press_id"] for one in later.said("questions")["presses"]]
-    with SteppedStation(shadowed(bundle, learnt("four", four, limit(bundle, **FIVE)))) as last:
+    with SteppedStation(shadowed(bundle, learnt("four", four, FIVE))) as last:
         last.play_presses(1)
         adopt(last)
         assert last.parts.selection.inspector.bundle.manifest.revision == 2
@@ -272,8 +273,8 @@ def test_a_shadow_that_has_learnt_false_alarms_need_not_wait(
 ) -> None:
     """Five good presses that the bundle in use fails and the shadow, judged from the archive, does not; with four, and
     where another bundle had failed them, it waits for 100 presses."""
-    provenance = json.loads((bundle / "manifest.json").read_text())["provenance"]
-    strict = limit(bundle, **FIVE, value=1e-9)
+    proven = Bundle.load(bundle).manifest.provenance.presses
+    strict = FIVE | {"value": 1e-9}
     in_use = variant(bundle, tmp_path / "strict", threshold=strict)
     with SteppedStation(shadowed(in_use)) as station:
         station.play_presses(8)
@@ -281,8 +282,8 @@ def test_a_shadow_that_has_learnt_false_alarms_need_not_wait(
         ids = [one.press_id for one in station.results]
 
     def ask(beside: Path, *learnt: int) -> str:
-        names = [*provenance["presses"], *(f"confirmed/{ids[number]}.jpg" for number in learnt)]
-        changes = {"threshold": limit(bundle, **FIVE), "provenance": {**provenance, "presses": names}}
+        names = [*proven, *(f"confirmed/{ids[number]}.jpg" for number in learnt)]
+        changes = {"threshold": FIVE, "provenance": {"presses": names}}
         other = variant(bundle, tmp_path / f"{beside.name} {len(learnt)}", revision=3, **changes)
         with SteppedStation(shadowed(beside, other)) as later:
             try:
@@ -306,7 +307,7 @@ def test_known_damage_of_before_the_shadow_is_judged_from_the_archive(
     shadowed: Shadowed, tmp_path: Path, bundle: Path, few: None
 ) -> None:
     """And what is gone from there is named: nobody knows whether it is found."""
-    lenient = variant(bundle, tmp_path / "lenient", threshold=limit(bundle, **FIVE, value=1e6))
+    lenient = variant(bundle, tmp_path / "lenient", threshold=FIVE | {"value": 1e6})
     with SteppedStation(shadowed(bundle)) as station:
         station.play_presses(8)
         say(station, {2: "damaged", 5: "damaged"})

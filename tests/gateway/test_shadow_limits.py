@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from shadow_station import FIVE, Shadowed, adopt, limit
+from shadow_station import FIVE, Shadowed, adopt
 from station import Motion, press_recording, station_config, variant
 from stepped_station import SteppedStation
 
@@ -24,12 +24,12 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def old(tmp_path: Path, bundle: Path) -> Path:
-    return variant(bundle, tmp_path / "old", revision=1, threshold=limit(bundle, **FIVE))
+    return variant(bundle, tmp_path / "old", revision=1, threshold=FIVE)
 
 
 @pytest.fixture
 def new(tmp_path: Path, bundle: Path) -> Path:
-    return variant(bundle, tmp_path / "new", revision=2, threshold=limit(bundle, **FIVE, value=0.2))
+    return variant(bundle, tmp_path / "new", revision=2, threshold=FIVE | {"value": 0.2})
 
 
 def test_an_older_bundle_is_no_shadow_so_it_cannot_take_over(

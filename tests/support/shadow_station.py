@@ -1,6 +1,5 @@
 """A station with a shadow: its configuration, and the request that lets the shadow take over."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,12 +16,6 @@ FIVE = {
 }
 
 Shadowed = Callable[..., Path]
-
-
-def limit(bundle: Path, **changes: Any) -> dict[str, Any]:
-    """The bundle's threshold with these changes."""
-    threshold: dict[str, Any] = json.loads((bundle / "manifest.json").read_text())["threshold"]
-    return threshold | changes
 
 
 @pytest.fixture

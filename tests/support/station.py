@@ -204,19 +204,25 @@ def mark_tried(database: Path, *bundles: Path) -> None:
 
 
 def variant(bundle: Path, path: Path, **changes: Any) -> Path:
-    """Copy the bundle with these fields of its manifest changed, in the place of an earlier copy."""
+    """Copy the bundle with these fields of its manifest changed, in the place of an earlier copy; of a table, those
+    fields alone that are given."""
     shutil.rmtree(path, ignore_errors=True)
     shutil.copytree(bundle, path)
     manifest = json.loads((path / "manifest.json").read_text())
-    (path / "manifest.json").write_text(json.dumps(manifest | changes))
+    (path / "manifest.json").write_text(json.dumps(_merge(manifest, changes)))
     return path
+
+
+def _merge(old: Any, new: Any) -> Any:
+    if not (isinstance(old, dict) and isinstance(new, dict)):
+        return new
+    return old | {name: _merge(old.get(name), value) for name, value in new.items()}
 
 
 def two_parts(folder: Path, bundle: Path) -> str:
     """Make two bundles that differ in part and threshold (every press passes the second); return their line."""
-    lenient = json.loads((bundle / "manifest.json").read_text())["threshold"] | {"value": 1e6}
     variant(bundle, folder / "a")
-    variant(bundle, folder / "b", part="PZ1", threshold=lenient)
+    variant(bundle, folder / "b", part="PZ1", threshold={"value": 1e6})
     return f'bundle_folder = "{folder}"'
 
 
