@@ -15,7 +15,7 @@ from edge.core.backoff import Backoff
 from edge.core.digital_io import Actuator, OutputRule, StationView
 from edge.core.errors import DeviceError
 from edge.core.ports import Clock
-from edge.core.sentence import Sentence
+from edge.core.sentence import Sentence, join_sentences
 from edge.features.outputs.connection import FIRST_PAUSE_S, LONGEST_PAUSE_S, Connection, OnFault
 from edge.features.outputs.rules import levels, next_blink_ns
 
@@ -202,9 +202,9 @@ class ActuatorDriver:
         self._say()
 
     def _say(self) -> None:
-        hanging = "the station's loop does not answer; its outputs are in the state `halted`"
+        hanging = Sentence("the station's loop does not answer; its outputs are in the state `halted`")
         words = [self._device_fault, hanging if self._is_hanging else None]
-        self._on_fault("; ".join(word for word in words if word) or None)
+        self._on_fault(join_sentences(word for word in words if word))
 
     def _run(self) -> None:
         while not self._is_closing:
