@@ -109,17 +109,16 @@ def test_what_cannot_be_is_refused_in_a_sentence(
     assert not Path("bundles").exists()
 
 
-def test_a_bad_answer_is_asked_for_again(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bad_answer_is_asked_for_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing of it is written: with a port that is none in the configuration no repetition would go on."""
     monkeypatch.chdir(tmp_path)
     brokers, pressed = ("plant:mqtt", ":1883", "plant 1", "plant:99999", "plant:0"), ("twice", "0", "101")
     lines = "\n".join((*brokers, "plant:1884", *pressed, "3", "perhaps", "n", ""))
     monkeypatch.setattr(sys, "stdin", Typed(lines))
-    refused = gelgate("new-part", "bolt", *(word.replace("RECORDING", str(recording)) for word in VIRTUAL))
+    recording = str(press_recording(tmp_path / "recording", 3))
+    refused = gelgate("new-part", "bolt", *(word.replace("RECORDING", recording) for word in VIRTUAL))
 
     assert re.findall("'(.*)' is no broker", refused.out) == [*brokers]
     assert re.findall("'(.*)' is no answer", refused.out) == [*pressed, "perhaps"]
-    assert "12 presses of bolt do not keep the promise" in refused.sentence()
+    assert "3 presses of bolt do not keep the promise" in refused.sentence()
     assert load_config(Path("gelgate.toml")).sinks[1].options == {"host": "plant", "port": 1884}
