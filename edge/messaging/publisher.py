@@ -75,9 +75,10 @@ log = logging.getLogger(__name__)
 # A sink's last send and its `close` return within this time; shipped sinks need less than a second.
 CLOSE_S: Final = 5.0
 
-# The pauses are short: an attempt on a sink that is away costs nothing, because the sink itself connects.
+# The pauses are short: an attempt on a sink that is away costs nothing, because the sink itself connects. It then says
+# the state of that moment, and a halt that follows must not wait long for the next attempt.
 BACKOFF_FIRST_S: Final = 0.1
-BACKOFF_CEILING_S: Final = 5.0
+BACKOFF_CEILING_S: Final = 0.5
 
 
 class Publisher:

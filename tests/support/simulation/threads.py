@@ -162,7 +162,7 @@ class Threads:
         workers = self._run.station.loop.parts.publisher.workers
         worker = list(workers.values())[[*self._run.order, "file"].index(name)]
         pause_s = worker.step()
-        return min(pause_s, 5.0) if not worker.counters.is_up else min(pause_s, 0.2 + self._lag(0.2))
+        return pause_s if not worker.counters.is_up else min(pause_s, 0.2 + self._lag(0.2))
 
     def _connect(self, name: str) -> float:
         sink, now_ns = self._run.world.connections.sinks[name], self._run.world.clock.now_ns
