@@ -137,10 +137,8 @@ class DrawnRegions:
         """Say what is ignored, and how many regions there are, in a few words."""
         kinds = [region.kind for region in self.regions]
         counts = [f"{kinds.count(kind)} {kind}" for kind in get_args(RegionKind) if kind in kinds]
-        said = (
-            [f"ignored: {self.ignored_mm2:.1f} mm2 of {self.contact_mm2:.0f} mm2"] if self.contact_mm2 else []
-        )
-        return "; ".join([*said, ", ".join(counts)])
+        ignored = f"ignored: {self.ignored_mm2:.1f} mm2 of {self.contact_mm2:.0f} mm2 contact; "
+        return (ignored if self.contact_mm2 else "") + ", ".join(counts)
 
 
 def weigh_places(

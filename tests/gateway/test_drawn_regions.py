@@ -82,7 +82,7 @@ def test_a_region_is_drawn_seen_and_removed(
     data = draw(station, add="logo", points_mm=DENT, press_id=newest(station))
 
     assert data["regions"] == ["logo"]
-    assert re.fullmatch(r"ignored: 1\d\.\d mm2 of 7\d mm2; 1 ignore", data["said"])
+    assert re.fullmatch(r"ignored: 1\d\.\d mm2 of 7\d mm2 contact; 1 ignore", data["said"])
     assert {file.name: file.read_bytes() for file in Path(data["kept"]).iterdir() if file.is_file()} == before
     assert station.said("info")["revision"] == data["revision"]
     assert station.said("info")["regions"] == data["said"]

@@ -29,7 +29,7 @@ SCRIPT = (FILES / "page.js").read_text(encoding="utf-8")
 # What a station or a person says in words that do not change, which the page looks up.
 WORDS = {
     *(text for kind in ALARMS.values() for text in (kind.title, kind.what_to_do)),
-    *("ignored", "of", *get_args(RegionKind), "no region is drawn any more"),
+    *("ignored", "of", "contact", *get_args(RegionKind), "no region is drawn any more"),
     *(str(one.value) for kinds in (Cause, GelState, Reason) for one in kinds),
     *get_args(StatePayload.model_fields["state"].annotation),
     *("error", "incomplete", "damaged", "cannot tell", "levels"),

@@ -93,7 +93,7 @@ def test_the_file_says_what_it_shows(form: PictureForm) -> None:
     regions are drawn, what they ignore; where heights are measured, the deviation."""
     plain = texts(encode_press(press(40, 56), with_defect(40, 56), CAPTION, form))
     drawn = CAPTION._replace(
-        drawn="ignored: 3.0 mm2 of 9 mm2; 1 ignore", deviation="0.10 ± 0.02 mm deep, 0.8 ± 0.1 mm"
+        drawn="ignored: 3.0 mm2 of 9 mm2 contact; 1 ignore", deviation="0.10 ± 0.02 mm deep, 0.8 ± 0.1 mm"
     )
     data = encode_press(press(40, 56), with_defect(40, 56), drawn, form)
 

@@ -179,7 +179,7 @@ function showRegion(name, mayDraw) {
   return item;
 }
 
-// Numbers between a few words, such as "ignored: 18.6 mm2 of 72 mm2; 1 ignore".
+// Numbers between a few words, such as "ignored: 18.6 mm2 of 72 mm2 contact; 1 ignore".
 const ofRegions = (said) => translations[said] || said.replace(/[a-z]+/g, (one) => t(one));
 const saidOfRegions = (data) => t("Revision {revision}: {said}. It inspects when it is open; the one before stays as {kept}.", { ...data, said: ofRegions(data.said) });
 

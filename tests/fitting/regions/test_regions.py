@@ -65,7 +65,7 @@ def test_a_dent_in_an_ignored_place_passes_and_one_beside_it_fails(inspected: Ju
     done = draw(inspected, new, "--add", DENT)
 
     assert done.code == 0, done.err
-    assert re.search(r"ignored: 1\d\.\d mm2 of 7\d mm2; 1 ignore", done.out)
+    assert re.search(r"ignored: 1\d\.\d mm2 of 7\d mm2 contact; 1 ignore", done.out)
     assert "revision 2" in done.out
     here, there = film_press(dent=True), film_press(dent=True, shift_px=66)
     raw, weighed = (score(one, here, tmp_path) for one in (old, new))
