@@ -72,6 +72,16 @@ def test_what_is_announced_just_before_the_end_is_said(store: Store, path: Path)
     assert sink.topics()[:2] == ["result", "state"]
 
 
+def test_a_sink_that_was_away_for_long_is_soon_tried_again(path: Path) -> None:
+    """It retains what is so when it is back: after a halt `ready` would be five seconds old."""
+    sink = ScriptedSink()
+    sink.is_away = True
+    running = publisher(path, mqtt=sink)
+    pauses = [running.workers["mqtt"].step() for _ in range(20)]
+    running.stop()
+    assert 0 < max(pauses) <= 0.5
+
+
 def test_stopping_while_a_sink_is_away_keeps_its_rows(store: Store, path: Path) -> None:
     """The next process finds them."""
     sink = ScriptedSink()

@@ -1,6 +1,6 @@
 """What holds of what a PLC reads (docs/plc.md): a result is that of the press of its id, and of no other."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 from simulation.lives import Seen, Station
@@ -70,7 +70,7 @@ def audit_answers(world: World, station: Station) -> Iterator[str]:
                 found.setdefault(int(str(number)), set()).add(press_id)
                 pieces[int(str(number))] = results[0]["piece_id"]
     for other in world.plcs[1:]:
-        yield from _audit_writers(world.plcs[0], other)
+        yield from _audit_writers(world.plcs[0], other, station.ended_ns)
     parts = {row[0]: row[2] for row in station.rows()}
     for plc in world.plcs:
         for number, own in plc.asked.items():
@@ -88,10 +88,11 @@ def audit_answers(world: World, station: Station) -> Iterator[str]:
                     yield from (f"{said}: {one}" for one in what)
 
 
-def _audit_writers(plc: Plc, other: Plc) -> Iterator[str]:
-    """While one writes nobody else does, and for a while after."""
+def _audit_writers(plc: Plc, other: Plc, ended_ns: Sequence[int]) -> Iterator[str]:
+    """While one writes nobody else does, and for a while after; a station that starts again knows no writer."""
     for before_ns, after_ns in pairwise(plc.writes_ns):
-        is_alone = after_ns - before_ns < WRITES_ALONE_S * S and other.left_ns > after_ns
+        is_one_life = not any(before_ns < end_ns < after_ns for end_ns in ended_ns)
+        is_alone = after_ns - before_ns < WRITES_ALONE_S * S and other.left_ns > after_ns and is_one_life
         if is_alone and any(before_ns < write_ns < after_ns for write_ns in other.writes_ns):
             yield f"PLC {other.ip} wrote between {before_ns / S:.3f} and {after_ns / S:.3f} s, as {plc.ip} did"
 
