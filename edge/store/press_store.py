@@ -275,7 +275,8 @@ class Store:
         Errors: StoreError for an id that this sensor already had, and for a gel that is on another sensor."""
         self._compare(serial, time_ns)
         with self._database.writing(f"replacing the gel of sensor {serial}") as connection:
-            before = ledger.find_mounted(connection, serial, self._warn_fraction)
+            gels = ledger.history(connection, serial, self._warn_fraction)  # an impossible count too
+            before = next((gel for gel in gels if gel.removed_ns is None), None)
             ledger.mount(connection, serial, gel_id, limit_presses, self._limit_presses, note, time_ns, label)
             gel, self._newest = self._require_mounted(connection, serial), _newest_number(connection)
             if act is not None:
