@@ -1,8 +1,7 @@
 """A TCP port of this machine for one test alone."""
 
+import atexit
 import socket
-
-_reserved: list[socket.socket] = []
 
 
 def free_port() -> int:
@@ -11,5 +10,5 @@ def free_port() -> int:
     one = socket.socket()
     one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     one.bind(("127.0.0.1", 0))
-    _reserved.append(one)
+    atexit.register(one.close)
     return int(one.getsockname()[1])
