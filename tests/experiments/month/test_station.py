@@ -5,7 +5,7 @@ from pathlib import Path
 
 import cv2
 import pytest
-from shadow_station import FIVE, limit
+from shadow_station import FIVE
 from station import variant
 from tiny import TINY, tiny_trunk
 
@@ -61,7 +61,7 @@ def test_a_day_counts_every_piece_and_keeps_every_answer(bundle: Path, tmp_path:
 
 def test_a_day_of_false_alarms_ends_with_the_wish_to_learn(bundle: Path, tmp_path: Path) -> None:
     """The person says that what failed was good, and the bundle had promised a twentieth."""
-    promised = limit(bundle, **FIVE | {"alpha": 0.05, "alpha_floor": 0.05})
+    promised = FIVE | {"alpha": 0.05, "alpha_floor": 0.05}
     wishes = []
     for name, value in (("lenient", 1e6), ("strict", 1e-9)):
         used = variant(bundle, tmp_path / name, threshold={**promised, "value": value})
