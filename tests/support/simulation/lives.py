@@ -330,7 +330,7 @@ class Station:
         press, now_ns = report.press, self.world.clock.now_ns
         judged_ns, frame_ns = self.judged_ns[press.press_id], press.judged_ns or now_ns
         gaps = [(then, later) for then, later in pairwise(self.fed_ns[-200:]) if later - then > GAP_NS]
-        is_over = any(later >= frame_ns and then <= judged_ns for then, later in gaps)
+        is_over = any(later >= frame_ns and then + GAP_NS <= judged_ns for then, later in gaps)
         ended_ns = max((later for _, later in gaps if later <= judged_ns), default=0)
         after_s = (now_ns - ended_ns) / S
         self.seen.append(
