@@ -1,6 +1,6 @@
 """The events of contact detection: a reference is ready, a press began, settled or did not, and ended."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -120,9 +120,9 @@ class PressSettled:
     strength: float = 0.0
     is_held: bool = True
     """False for one that is judged at its peak, after it was lifted."""
-    findings: Findings | None = None
+    findings: Findings | None = field(default=None, repr=False)
     """What the tracker adds to the event."""
-    frame: CameraFrame | None = None
+    frame: CameraFrame | None = field(default=None, repr=False)
     """The one to score, added by the detector."""
 
 

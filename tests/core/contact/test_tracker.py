@@ -119,6 +119,7 @@ def test_a_short_grasp_is_judged_at_its_peak(fps: float) -> None:
     assert depth_at(settled.sequence / fps, start, hold=0.0, ramp=0.5) > 0.85
     assert settled.findings is not None
     assert settled.findings.mask.mean() == pytest.approx(settled.touch.area)
+    assert "array" not in repr(settled), "the log has a line for each event"
 
 
 def test_idle_frames_are_mostly_not_due() -> None:
