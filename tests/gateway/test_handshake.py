@@ -215,6 +215,15 @@ def test_what_is_refused_is_an_act_once(configure: Make) -> None:
     assert str(acts[1].sentence).startswith("trigger 2 came while trigger 1 is busy; wait for done")
 
 
+def test_what_is_refused_for_hours_is_an_act_a_minute(configure: Make) -> None:
+    """Else the ledger says that a PLC which is wired wrongly was refused once, hours ago."""
+    with PlcStation(configure()) as station:
+        for _ in range(181):
+            assert station.trigger(1, part="PZ9") is Code.UNKNOWN_PART
+            station.clock.sleep(1)
+        assert len([act for act in station.parts.store.acts() if act.who == "plc"]) == 4
+
+
 @pytest.mark.parametrize(("trigger_id", "part"), [(0, "PZ9"), (1, "M\xfcller"), (1, "PZ\n9")])
 def test_a_value_that_can_never_be_right_is_told_before_the_part_is_sought(
     configure: Make, trigger_id: int, part: str

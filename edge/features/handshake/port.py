@@ -102,11 +102,14 @@ class Port:
         """Record it once, and have it in the log."""
         now_ns = self._clock.monotonic_ns()
         with self._lock:
-            seen_ns = self._recent.pop(sentence, None)
+            noted_ns = self._recent.get(sentence)
+            if noted_ns is not None and now_ns - noted_ns < SAME_S * 1e9:
+                return
             self._recent[sentence] = now_ns
+            self._recent.move_to_end(sentence)
             if len(self._recent) > _MOST_REMEMBERED:
                 self._recent.popitem(last=False)
-        if (seen_ns is not None and now_ns - seen_ns < SAME_S * 1e9) or not self._rate.take():
+        if not self._rate.take():
             return
         log.warning("the %s of the PLC was refused: %s", verb, sentence)
         time_ns = self._clock.time_ns()
