@@ -35,7 +35,8 @@ log = logging.getLogger(__name__)
 WRITER_S: Final = 3.0
 # A request that has begun comes to its end within this time, and its answer is taken.
 REQUEST_S: Final = 5.0
-# A PLC has one or two; those of a pulled cable are ended by the kernel after some ten seconds.
+# A PLC has one or two. Those of a pulled cable are ended by the kernel after some ten seconds, but not where something
+# between still answers for the PLC: one more takes the place of the one that is silent longest.
 MOST_CONNECTIONS: Final = 32
 LOOK_S: Final = 0.1
 
@@ -266,6 +267,7 @@ class _Connection(BaseRequestHandler):
                     log.warning("what %s sends is no Modbus TCP; its connection is ended", ip)
                     return
                 answer = registers.answer(self._receive(length - 1), self, ip)
+                self.server.hear(self.request)
                 self.request.sendall(struct.pack(">HHHB", transaction, 0, len(answer) + 1, unit) + answer)
         except (OSError, EOFError):  # a cable that is pulled, or a client that stops in the middle
             return
@@ -309,7 +311,7 @@ class ModbusServer(ThreadingTCPServer):
     def __init__(self, host: str, port: int, clock: Clock) -> None:
         self.registers: _Registers | None = None
         self._clock = clock
-        self._open: set[socket.socket] = set()
+        self._open: dict[socket.socket, None] = {}  # the one that is silent longest first
         self._open_lock = threading.Lock()
         self._thread = threading.Thread(target=self.serve_forever, args=(LOOK_S,), name="modbus", daemon=True)
         super().__init__((host, port), _Connection)
@@ -337,22 +339,30 @@ class ModbusServer(ThreadingTCPServer):
                 with suppress(OSError):
                     connection.shutdown(socket.SHUT_RDWR)
 
+    def hear(self, request: socket.socket) -> None:
+        """A connection has asked something."""
+        with self._open_lock:
+            if request in self._open:
+                self._open[request] = self._open.pop(request)
+
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._open_lock:
-            is_full = len(self._open) >= MOST_CONNECTIONS
-            if not is_full:
-                self._open.add(request)
-        if is_full:
-            log.warning(
-                "%s has no connection: %d are open; end some of them", client_address[0], MOST_CONNECTIONS
-            )
-            self.shutdown_request(request)
-        else:
-            super().process_request(request, client_address)
+            if len(self._open) >= MOST_CONNECTIONS:
+                silent = next(iter(self._open))
+                del self._open[silent]
+                log.warning(
+                    "%d connections are open; the one that is silent longest is ended for %s",
+                    MOST_CONNECTIONS,
+                    client_address[0],
+                )
+                with suppress(OSError):  # its thread ends it
+                    silent.shutdown(socket.SHUT_RDWR)
+            self._open[request] = None
+        super().process_request(request, client_address)
 
     def shutdown_request(self, request: Any) -> None:
         with self._open_lock:
-            self._open.discard(request)
+            self._open.pop(request, None)
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:

@@ -16,6 +16,7 @@ from contextlib import suppress
 from contextvars import ContextVar
 from datetime import UTC, datetime
 from functools import partial
+from math import inf
 from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import BaseModel, Field
@@ -39,6 +40,7 @@ log = logging.getLogger(__name__)
 WRITER_S: Final = 3.0
 # Subscriptions are told of changes this often; whoever reads gets the value of that moment.
 PUSH_S: Final = 0.02
+# One more takes the place of the one that is silent longest: that of a pulled cable is never ended otherwise.
 MOST_CONNECTIONS: Final = 32
 
 _caller: ContextVar[Any] = ContextVar("session")
@@ -110,6 +112,7 @@ class OpcUaServer:
         try:
             while not self._closing.is_set():
                 await self._push(server)
+                _make_place(server)
                 with suppress(TimeoutError):
                     await asyncio.wait_for(self._closing.wait(), PUSH_S)
         finally:
@@ -125,7 +128,7 @@ class OpcUaServer:
         server.set_endpoint("opc.tcp://{}:{}".format(*self._address))
         server.set_server_name("gelgate")
         server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
-        server.iserver.max_connections = MOST_CONNECTIONS
+        server.iserver.max_connections = 2 * MOST_CONNECTIONS  # those that come between two looks
         _note_callers(server, self._clock)
         space = await server.register_namespace(NAMESPACE)
         root = await server.nodes.objects.add_object(f"ns={space};s=VisionSystem", f"{space}:VisionSystem")
@@ -283,6 +286,19 @@ def _note_callers(server: "Server", clock: Clock) -> None:
         return session
 
     server.iserver.create_session = create_session
+
+
+def _make_place(server: "Server") -> None:
+    """End what is silent longest, where more than so many connections are open."""
+    clients = server.bserver.clients
+    silent = sorted(clients, key=lambda client: client.processor.session_last_activity or inf)
+    for client in silent[: max(0, len(clients) - MOST_CONNECTIONS)]:
+        log.warning(
+            "more than %d connections are open; %s, silent longest, is ended",
+            MOST_CONNECTIONS,
+            client.peer_name,
+        )
+        client.transport.abort()  # what it has not taken it never will
 
 
 def _now() -> datetime:

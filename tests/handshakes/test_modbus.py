@@ -16,7 +16,7 @@ from edge.clock import ManualClock
 from edge.core.errors import ConfigError
 from edge.core.handshake import Code, Trigger
 from edge.messaging.alarm_payload import ALARMS
-from plugins.handshakes.modbus import WRITER_S, ModbusOptions, ModbusServer, plugin
+from plugins.handshakes.modbus import MOST_CONNECTIONS, WRITER_S, ModbusOptions, ModbusServer, plugin
 from plugins.handshakes.registers import ALARM_BITS, COILS, HOLDING, INPUTS, STATUS_BITS
 
 STATUS, ID, ERROR, REFUSAL, RATIO, GEL, ALARM_WORD = 0, 1, 3, 4, 5, 6, 7
@@ -292,6 +292,17 @@ def test_a_client_at_another_address_finds_no_trigger_of_the_one_before(served: 
         assert exchange(other, b"\x05\0\0\0\0", b"\x05\0\0\xff\0") == [b"\x05\0\0\0\0", b"\x85\x03"]
         assert exchange(other, b"\x03\0\0\0\x02") == [b"\x03\x04\0\0\0\0"]
     assert served.handshake.taken == []
+
+
+def test_cables_that_fell_silent_keep_no_plc_out(served: Served) -> None:
+    """Something between may answer for a PLC that is gone. The one that asks is not the one that is ended."""
+    first, silent = served.client(), []
+    for _ in range(MOST_CONNECTIONS + 8):
+        silent.append(served.client())
+        assert silent[-1].bits == {"ready", "not passed"}
+        assert first.bits == {"ready", "not passed"}
+    assert served.client().trigger(1) == 0
+    assert silent[0].client.socket.recv(1) == b"", "the one that was silent longest"
 
 
 class CutPlc:

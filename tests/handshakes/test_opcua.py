@@ -190,6 +190,15 @@ def test_a_second_plc_may_read_and_call_nothing(served: Served, plc: OpcUaPlc) -
     assert plc.acknowledge() == "Good"
 
 
+def test_cables_that_fell_silent_keep_no_plc_out(served: Served, plc: OpcUaPlc) -> None:
+    """Nothing else ends them: the server sends nothing by itself. The one that asks is not the one that is ended."""
+    for _ in range(opcua.MOST_CONNECTIONS + 2):
+        served.client()
+        assert plc.read()["IsNotPassed"] is True
+    assert served.client().start_job(1) == "Good"
+    assert plc.read()["JobId"] == 1
+
+
 def test_one_request_reads_one_moment(served: Served, plc: OpcUaPlc) -> None:
     """While results come and go on another thread, no request sees half of one."""
     stop = threading.Event()
