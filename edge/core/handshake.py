@@ -66,7 +66,7 @@ CODES: Final = {
     Code.TIMED_OUT: "no press was judged and recorded in time",
     Code.HALTED: "the station stopped inspecting before the result was acknowledged",
     Code.NOTHING_PRESSED: "nothing pressed the gel, or its press had its verdict before the trigger",
-    Code.OTHER_PART: "the press was judged by the bundle of another part",
+    Code.OTHER_PART: "another part was selected when the press came, so it was not judged",
     Code.NOT_JUDGED: "the press could not be judged, or ended without a verdict",
     Code.PIECE: "the piece of several places that the trigger names cannot begin, for its id was used before, or "
     "was over when the press came",
@@ -281,6 +281,11 @@ class HandshakeMachine:
             self._finish("error", Code.NOT_JUDGED)
         elif not self._needs_free:
             self._is_pressed = True
+
+    def asked_part(self, now_ns: int) -> str | None:
+        """Return the part that must judge the press that is decided now; None for any."""
+        is_answer = self.read(now_ns).step == "busy" and self._is_pressed and self._awaited is None
+        return self._part if is_answer else None
 
     def judge(
         self,

@@ -444,3 +444,41 @@ def test_a_press_of_the_next_piece_answers_no_trigger_for_the_one_before(
     pieces = [result.piece_id for result in station.results]
     assert pieces[:2] == ["P1", "P1"]
     assert pieces[2] not in ("P1", None)
+
+
+@pytest.mark.parametrize("is_pressed", [False, True], ids=["free", "while a part presses"])
+def test_a_press_of_a_place_that_comes_later_fills_no_other_place(
+    tmp_path: Path, configure: Make, bundle: Path, is_pressed: bool
+) -> None:
+    """The plan selects its first place as the piece begins, and the PLC says that the part lies at the second."""
+    bundles = two_parts(tmp_path / "bundles", bundle)
+    with PlcStation(configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')) as station:
+        station.play_until_ready()
+        if is_pressed:
+            station.play_until_pressed()
+        assert station.trigger(1, piece="P1", part="PZ1") is Code.NONE
+        station.play_until(lambda: station.seen.step == "done")
+        assert station.result == ("done", 1, "rejected", Code.NONE)
+    answer = station.results[-1]
+    assert (answer.piece_id, answer.place, answer.trigger_id) == ("P1", None, 1)
+    assert "PZ1/pos1 comes later; select and press PZ0/pos1" in str(answer.reason)
+
+
+def test_a_press_that_another_bundle_would_judge_fills_no_place(
+    tmp_path: Path, configure: Make, bundle: Path
+) -> None:
+    """The press that was held when the trigger came was recorded after it, and then the plan has selected its next
+    place."""
+    bundles = two_parts(tmp_path / "bundles", bundle)
+    with PlcStation(configure(tables=PIECE, inspection=f'{bundles}\npart = "PZ0"')) as station:
+        station.play_until_ready()
+        assert station.trigger(1, piece="P1") is Code.NONE
+        station.play_until_pressed()
+        station.acknowledge()
+        assert station.trigger(2, piece="P1", part="PZ0") is Code.NONE
+        station.play_until(lambda: station.seen.step == "done")
+        assert station.result == ("done", 2, "error", Code.OTHER_PART)
+    first, answer = station.results[:2]
+    assert (first.place, first.trigger_id) == ("PZ0/pos1", None)
+    assert (answer.verdict, answer.trigger_id) == ("rejected", None)
+    assert str(answer.reason).startswith("other_part: the PLC asks for PZ0/pos1")

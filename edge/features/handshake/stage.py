@@ -18,6 +18,7 @@ from edge.core.digital_io import StationView
 from edge.core.errors import GelgateError, StoreError
 from edge.core.gel_life import GelState
 from edge.core.handshake import Code, HandshakeMachine, HandshakeServer, Trigger
+from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
 from edge.core.press import Press, PressLabel
@@ -51,7 +52,9 @@ class HandshakeStage(PressStage):
         self._gel_left_percent = 0
         self._has_contact = False
         self._piece_id: str | None = None
-        self._early: Trigger | None = None  # its piece begins when what presses now is lifted
+        self._early: tuple[Trigger, PartPosition | None] | None = (
+            None  # its piece begins when what presses now is lifted
+        )
         self._answer = ("", 0)
         self._alarm: str | None = None
 
@@ -75,28 +78,29 @@ class HandshakeStage(PressStage):
 
     def _triggered(self, trigger: Trigger, part: PartPosition | None) -> None:
         """Let the loop do what a trigger asks for. The server's thread calls it."""
-        if part is not None:
-            self._parts.post(partial(self._select, part, trigger))
-        self._parts.post(partial(self._reach, trigger))
+        self._parts.post(partial(self._reach, trigger, part))
         if self._is_command:
             self._parts.trigger()
 
-    def _reach(self, trigger: Trigger) -> None:
+    def _reach(self, trigger: Trigger, part: PartPosition | None) -> None:
         """Begin the piece of several places that a trigger names, unless it is in progress; where something presses,
-        once that is lifted. Where that fails the result is an error."""
+        once that is lifted. Then select its part, for the plan has selected the piece's first place. Where one of them
+        fails the result is an error."""
         is_new = trigger.piece not in ("", self._piece_id) and self._parts.config.piece is not None
         if is_new and self._has_contact and not self._is_command:
-            self._early = trigger
+            self._early = trigger, part
             return
         with self.port.machine() as (machine, _):
             machine.reach(trigger.trigger_id)
-        if not is_new:
-            return
-        try:
-            self._parts.do("begin_piece", {"piece_id": trigger.piece})
-        except (GelgateError, ValueError) as error:
-            self.port.refuse("begin_piece", str(error))
-            self._miss(Code.PIECE)
+        if is_new:
+            try:
+                self._parts.do("begin_piece", {"piece_id": trigger.piece})
+            except (GelgateError, ValueError) as error:
+                self.port.refuse("begin_piece", str(error))
+                self._miss(Code.PIECE)
+                return
+        if part is not None:
+            self._select(part, trigger)
 
     def _select(self, part: PartPosition, trigger: Trigger) -> None:
         """Select the part that a trigger names, instead of one that waits. Where that fails the result is an error."""
@@ -145,6 +149,17 @@ class HandshakeStage(PressStage):
                 machine.begin(now_ns)
         return label
 
+    def admit(self, press: Press) -> Press:
+        """Return it rejected where it answers a trigger for another part: it would count for a place of the piece at
+        which the part does not lie."""
+        selected = self._parts.selection.part
+        with self.port.machine() as (machine, now_ns):
+            part = machine.asked_part(now_ns) if press.label is None else None
+        if part in (None, str(selected)):
+            return press
+        reason = Sentence(f"the PLC asks for {part}, and {selected} is selected; see `gelgate station acts`")
+        return press.reject(Rejection(Reason.OTHER_PART, reason))
+
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         if press.label is None:
             manifest, verdict = inspector.bundle.manifest, press.verdict
@@ -171,8 +186,8 @@ class HandshakeStage(PressStage):
         self._has_contact = mounted is not None and mounted.has_contact
         if (early := self._early) is not None and not self._has_contact:
             self._early, view = None, self.port.read()
-            if (view.step, view.trigger_id) == ("busy", early.trigger_id):
-                self._reach(early)
+            if (view.step, view.trigger_id) == ("busy", early[0].trigger_id):
+                self._reach(*early)
 
     def show(self, view: StationView) -> None:
         self._piece_id = view.piece_id
