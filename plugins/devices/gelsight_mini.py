@@ -5,6 +5,7 @@ a real kernel (tests/hardware/kernel_lab): both stream paths work, are unplugged
 program: a sensor on a physical bus.
 """
 
+from contextlib import ExitStack
 from typing import Literal
 
 import usb.core
@@ -91,15 +92,15 @@ def _open_v4l2(
     identity = found.discovered.identity
     if identity is None:
         raise ValueError(f"{found.discovered.place} is not a sensor")
-    lock = SensorLock(identity.serial)
-    try:
+    with ExitStack() as on_failure:
+        lock = SensorLock(identity.serial)
+        on_failure.callback(lock.close)
         node = capture_node(identity.serial)
         capture = open_capture(node.path, identity.mode)
+        on_failure.callback(capture.release)
         with guarded(identity.product):
             unset = pin_v4l2_controls(node.path, options.controls)
-    except BaseException:
-        lock.close()
-        raise
+        on_failure.pop_all()
     report_unset(identity.serial, unset)
     sensor = V4l2Sensor(
         identity, capture, clock, is_present=lambda: _is_on_bus(backend, identity.serial), on_close=lock.close
