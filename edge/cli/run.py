@@ -191,12 +191,14 @@ def press_line(report: PressReport) -> str:
         outcome = f"score {score:>8} / {threshold}"
     if result.press_again is not None and result.press_again.is_asked:
         outcome += "  PRESS AGAIN"
-    stages = " ".join(f"{stage} {ms:.1f}" for stage, ms in result.latency_ms.items() if stage != "total")
+    stages = {stage: ms for stage, ms in result.latency_ms.items() if stage != "total"}
     total = result.latency_ms.get("total", 0.0)
+    took = " ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
+    ahead = "done ahead: " if total < sum(stages.values()) else ""  # while the press came to rest
     verdict = (result.verdict or "error").upper()
     named = f"{label.kind} {label.piece}  " if (label := report.press.label) else ""
     said = "".join(f"  {sentence}" for sentence in report.sentences)
     return (
         f"{result.part}/{result.position or '-'}  {named}{verdict:8} {outcome}  "
-        f"{total:6.1f} ms ({stages})  gel {report.gel.presses}/{report.gel.limit_presses}{said}"
+        f"{total:6.1f} ms ({ahead}{took})  gel {report.gel.presses}/{report.gel.limit_presses}{said}"
     )
