@@ -49,8 +49,6 @@ JPEG = (cv2.IMWRITE_JPEG_QUALITY, 97, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWR
 NOISE = 0.005
 SENSOR_FRAME_S = 0.054
 MOMENTS = ("touching", "pressing", "press", "deep_enough", "at_rest", "free")
-# A rest that is none, or none that is one, with a tenth less or more of growth: no frame can tell.
-NEAR = {"rest with less growth": 0.9, "rest with more growth": 1.1}
 # What shows less of the last press's strength may be the rest of it.
 REST_SHARE = 0.1
 
@@ -135,20 +133,29 @@ def _has_changed(truth: Truth, before: Truth) -> bool:
     return share > RULES.still_share * max(truth.touched, RULES.on_area)
 
 
-def _rest(truths: list[Truth], start: int, stop: int, growth_share: float = RULES.growth_share) -> int | None:
+def _deepest(truths: list[Truth]) -> float:
+    return sum(
+        max((getattr(truth, name) for truth in truths), default=0.0) for name in ("strength", "texture")
+    )
+
+
+def _rest(truths: list[Truth], start: int, stop: int) -> int | None:
     """The first frame at which the press rests, by the rules of docs/contact.md."""
     for k in range(start, stop):
         settled_s = truths[k].t - 0.95 * RULES.settle_s
         anchor = next((j for j in range(k, start - 1, -1) if truths[j].t <= settled_s), None)
         if anchor is None or _has_changed(truths[k], truths[anchor]):
             continue
+        if anchor == k - 1 and _deepest(truths[start:anchor]) < 0.75 * _deepest([truths[anchor]]):
+            continue
         is_grown = any(
             max(getattr(truth, name) for truth in truths[anchor + 1 : k + 1])
-            > (1 + growth_share) * max(getattr(truth, name) for truth in truths[start : anchor + 1]) + NOISE
+            > (1 + RULES.growth_share) * max(getattr(truth, name) for truth in truths[start : anchor + 1])
+            + NOISE
             for name in ("strength", "texture")
         )
         now, then = (truths[j].strength + truths[j].texture for j in (k, anchor))
-        if not is_grown and now >= (1 - growth_share) * then - NOISE:
+        if not is_grown and now >= (1 - RULES.growth_share) * then - NOISE:
             return k
     return None
 
@@ -185,10 +192,6 @@ def _moments(truths: list[Truth], press: Press, deep: float, rest_before: Rest) 
     if begun:
         moments["press"] = begun[0]
     rest = _rest(truths, start, last + 1)
-    for name, share in NEAR.items():
-        near = _rest(truths, start, last + 1, share * RULES.growth_share)
-        if near is not None:
-            moments[name] = near
     enough = next((k for k in pressing if truths[k].strength >= deep), None)
     if rest is not None:
         moments["at_rest"] = max(rest, pressing[0])
@@ -246,8 +249,6 @@ class Late:
     seconds: float = 0.0
     is_false: bool = False
     """It is said, and the oracle has none."""
-    is_near: bool = False
-    """A rest that is never said, or said without, as the oracle would with a tenth less or more of growth."""
 
     @property
     def is_on_time(self) -> bool:
@@ -285,10 +286,9 @@ def _compare(film: Film) -> Iterator[Late]:
             if known is not None and at is not None:
                 yield Late(film, moment, by, at - known, truths[at].t - truths[known].t)
             elif known is not None:
-                is_near = moment == "at_rest" and "rest with less growth" not in moments
-                yield Late(film, moment, by, is_near=is_near)
+                yield Late(film, moment, by)
             elif at is not None and moment == "at_rest":
-                yield Late(film, moment, by, is_false=True, is_near="rest with more growth" in moments)
+                yield Late(film, moment, by, is_false=True)
         for state in said[held[0] : held[-1]] if held else ():
             if state in ("free", "unknown", "overload"):
                 yield Late(film, state, is_false=True)
@@ -313,10 +313,6 @@ def _print(delays: list[Late]) -> None:
             f"{sum(late.is_false and late.moment == moment for late in delays)} |"
         )
     print("false:", Counter((late.moment, late.film.seed) for late in delays if late.is_false))
-    wrong = [late for late in delays if late.is_false or late.frames is None]
-    print(
-        f"never said or false: {len(wrong)}, of which the oracle is near: {sum(late.is_near for late in wrong)}"
-    )
     print(
         "late:",
         Counter((late.moment, late.film.fps) for late in right if late.frames and not late.is_on_time),
