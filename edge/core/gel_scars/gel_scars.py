@@ -142,7 +142,8 @@ class GelScars:
         return Repeated(
             float(x_px - press.region.x) * press.mm_per_pixel[0],
             float(y_px - press.region.y) * press.mm_per_pixel[1],
-            not bool(_within((excess > 0) & ~outside, _HALO_PX / 2)[row, column]),
+            # of what exceeds in this press, the nearest
+            bool(_away((excess > 0) & ~outside)[row, column] > _away(outside)[row, column]),
         )
 
     def find_marks(self, free: View | None, left: View | None = None) -> Marks | None:
@@ -226,10 +227,14 @@ def _lefts(press: ScoredPress, judged: list[F32], known: Marks | None) -> list[f
 
 def _within(places: Mask, reach_px: float) -> Mask:
     """Pixels at most this far from one of the places, bool (h, w)."""
+    return np.asarray(_away(places) <= reach_px)
+
+
+def _away(places: Mask) -> F32:
+    """How far each pixel is from the nearest of the places, in pixels, float32 (h, w)."""
     if not places.any():
-        return places
-    away = cv2.distanceTransform((~places).astype(np.uint8), cv2.DIST_L2, 5)
-    return np.asarray(away <= reach_px)
+        return np.full(places.shape, np.inf, np.float32)
+    return np.asarray(cv2.distanceTransform((~places).astype(np.uint8), cv2.DIST_L2, 5))
 
 
 def _wide_mm(box: NDArray[np.int32], press: ScoredPress) -> float:

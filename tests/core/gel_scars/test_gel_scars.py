@@ -233,6 +233,15 @@ def test_damage_that_moves_with_the_part_is_not_repeated_and_of_a_fixture_it_is_
     assert all(one.blame is not None for one in fixed)
 
 
+def test_parts_that_fail_by_turns_on_both_sides_of_a_place_are_not_said_to_fail_by_nothing() -> None:
+    """As where a drawn region is stricter: the place between is reached by the part, and each press fails."""
+    gel = GelScars(first=FREE)
+    found = [gel.judge(beside(speck(50, 62 + 14 * (n % 2))), None) for n in range(5)]
+
+    assert found[4].repeated is not None
+    assert not found[4].repeated.is_outside
+
+
 def test_a_known_scar_is_not_said_to_be_repeated() -> None:
     """It is masked, and how much is masked has an alarm of its own."""
     gel = GelScars(first=FREE)
