@@ -134,9 +134,12 @@ class DrawnRegions:
             )
 
     def describe(self) -> str:
-        """Say what is ignored, and how many regions there are, in a few words."""
+        """Say what is ignored, how many regions there are, and how much stricter, in a few words."""
         kinds = [region.kind for region in self.regions]
         counts = [f"{kinds.count(kind)} {kind}" for kind in get_args(RegionKind) if kind in kinds]
+        factors = [f"{region.factor:g}" for region in self.regions if region.kind == "stricter"]
+        if factors:  # the last kind
+            counts[-1] += f" (limit / {', '.join(factors)})"
         ignored = f"ignored: {self.ignored_mm2:.1f} mm2 of {self.contact_mm2:.0f} mm2 contact; "
         return (ignored if self.contact_mm2 else "") + ", ".join(counts)
 

@@ -67,7 +67,7 @@ def test_corners_lie_where_the_part_does() -> None:
 def test_what_is_ignored_is_said_in_mm2() -> None:
     drawn = DrawnRegions((square("logo", "ignore", 1, 1, 1),), 12.34, 180.2)
     assert drawn.describe() == "ignored: 12.3 mm2 of 180 mm2 contact; 1 ignore"
-    assert DrawnRegions((square("s", "stricter", 1, 1, 1, 2.0),)).describe() == "1 stricter"
+    assert DrawnRegions((square("s", "stricter", 1, 1, 1, 2.0),)).describe() == "1 stricter (limit / 2)"
 
 
 TRIANGLE = ((0, 0), (1, 0), (1, 1))
