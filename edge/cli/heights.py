@@ -29,7 +29,10 @@ _UNCALIBRATED: Final = (
 
 def heights(
     press: Annotated[
-        str, typer.Argument(metavar="PRESS", help="An archived press_id, a picture, or a recording's folder.")
+        str,
+        typer.Argument(
+            metavar="PRESS", help="An archived press by number or id, a picture, or a recording's folder."
+        ),
     ],
     output: Annotated[
         Path | None,

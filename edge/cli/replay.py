@@ -32,7 +32,10 @@ _FindInspector = Callable[[ArchivedPress], Inspector | None]
 
 def replay(
     press_id: Annotated[
-        str | None, typer.Argument(metavar="[PRESS_ID]", help="A press_id, or its beginning.")
+        str | None,
+        typer.Argument(
+            metavar="[PRESS_ID]", help="A press: its number, its press_id, or the id's beginning."
+        ),
     ] = None,
     config: ConfigOption = CONFIG,
     database: DatabaseOption = None,

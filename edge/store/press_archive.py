@@ -279,21 +279,18 @@ class KnownPress:
 
 
 def find_press(database: Path, prefix: str) -> KnownPress:
-    """The press with this id, or the only one whose id begins so. Errors: ArchiveError, StoreError."""
+    """The press with this number or id, or the only one whose id begins so. Errors: ArchiveError, StoreError."""
     wanted = prefix.strip().upper()
     if not wanted.isalnum() or not wanted.isascii():
-        raise ArchiveError(
-            f"'{prefix:.60}' is no press id; give the 26 letters and digits of a result's press_id, or their beginning"
-        )
-    presses = list(_presses(database, "press_id >= ? AND press_id < ?", (wanted, wanted + "~"), _SHOWN + 1))
+        raise ArchiveError(f"'{prefix:.60}' is no press; give its number, its id, or the id's beginning")
+    condition = "CAST(number AS TEXT) = ? OR press_id >= ? AND press_id < ?"  # an id begins with 0
+    presses = list(_presses(database, condition, (wanted, wanted, wanted + "~"), _SHOWN + 1))
     if len(presses) > 1:
         ids = ", ".join(press.press_id for press in presses[:_SHOWN])
         more = " and more" if len(presses) > _SHOWN else ""
         raise ArchiveError(f"'{prefix}' is the beginning of {ids}{more}; give more of the id")
     if not presses:
-        raise ArchiveError(
-            f"no press {prefix:.60} is in {_describe(database)}; is it of another station, or older?"
-        )
+        raise ArchiveError(f"no press {prefix:.60} is in {_describe(database)}; is it another station's?")
     return presses[0]
 
 

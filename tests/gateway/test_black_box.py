@@ -93,6 +93,7 @@ def test_every_verdict_is_made_again_bit_for_bit(made: Played, tmp_path: Path) -
 
     assert (done.code, one.code) == (0, 0), done.err
     assert done.out.count("equal, bit for bit") == 3
+    assert [made.replay(number).out[:26] for number in "123"] == made.ids
     assert "3 presses: 3 equal, 0 differ, 0 not made again; 0 others were never archived" in done.out
     pictures = {path.stem: path.read_bytes() for path in (tmp_path / "all").iterdir()}
     assert pictures == made.pictures
@@ -107,9 +108,10 @@ def test_every_verdict_is_made_again_bit_for_bit(made: Played, tmp_path: Path) -
         ([], "give a press id, --all or --since"),
         (["--all", "--since", "8h"], "give a press id, --all or --since"),
         (["01ARZ3NDEKTSV4RRFFQ69G5FAV"], "no press 01ARZ3NDEKTSV4RRFFQ69G5FAV is in database"),
-        (["7ZZZZZZZZZZZZZZZZZZZZZZZZZ"], "is it of another station"),
+        (["7ZZZZZZZZZZZZZZZZZZZZZZZZZ"], "is it another station's"),
         (["0"], "is the beginning of"),
-        (["a%b"], "is no press id"),
+        (["a%b"], "is no press; give its number"),
+        (["77"], "no press 77 is in database"),
         (["--all", "--bundles", "nowhere"], "nowhere does not exist"),
     ],
 )
