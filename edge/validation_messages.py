@@ -16,13 +16,22 @@ def sentences(model: type[BaseModel], error: ValidationError, where: str = "") -
     where: the key of the table itself in the file that holds it. A table's own values are not repeated: one of them
     may be a secret.
     """
-    return [_sentence(model, where, dict(fault)) for fault in error.errors()]
+    faults = [dict(fault) for fault in error.errors()]
+    return [_sentence(model, where, fault) for fault in faults if not _is_follower(fault, faults)]
 
 
 def numbered(what: str, faults: Sequence[str]) -> str:
     """All faults of one file in one report."""
     lines = "".join(f"\n  {number}. {fault}" for number, fault in enumerate(faults, 1))
     return f"{what} has {len(faults)} fault(s):{lines}"
+
+
+def _is_follower(fault: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether a list is too short by its faulty items alone, which have sentences of their own."""
+    place = fault["loc"]
+    return fault["type"] == "too_short" and any(
+        len(other["loc"]) > len(place) and other["loc"][: len(place)] == place for other in faults
+    )
 
 
 def _sentence(model: type[BaseModel], where: str, fault: Mapping[str, Any]) -> str:
@@ -37,9 +46,10 @@ def _sentence(model: type[BaseModel], where: str, fault: Mapping[str, Any]) -> s
         message = "expected a table"
     if fault["type"] in ("tuple_type", "list_type"):
         message = "expected a list, such as [1, 2]"
-    if isinstance(fault["input"], Mapping | BaseModel):
+    found = fault["input"]
+    if any(isinstance(one, Mapping | BaseModel) for one in (found if isinstance(found, list) else [found])):
         return f"'{key}': {message}" if key else message
-    return f"'{key}' is {fault['input']!r}: {message}"
+    return f"'{key}' is {found!r}: {message}"
 
 
 def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

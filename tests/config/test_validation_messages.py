@@ -1,7 +1,7 @@
 """What is wrong in a table that a person wrote, told in sentences."""
 
 import pytest
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from edge.core.suggest import suggestion
 from edge.validation_messages import numbered, sentences
@@ -25,17 +25,22 @@ class Room(BaseModel):
 
     height_m: float
     lamps: list[Lamp] = []
+    doors: tuple[Lamp, ...] = Field(default=(Lamp(),), min_length=1)
 
 
 @pytest.mark.parametrize(
     ("table", "told"),
     [
         ({"height_m": 2, "lamp": []}, ["'room.lamp' is not known; did you mean 'lamps'?"]),
-        ({"height_m": 2, "zzz": 1}, ["'room.zzz' is not known; known: height_m, lamps"]),
+        ({"height_m": 2, "zzz": 1}, ["'room.zzz' is not known; known: height_m, lamps, doors"]),
         ({}, ["'room.height_m' is missing"]),
         ({"height_m": 2, "lamps": [{}, {"color": ""}]}, ["'room.lamps.1.color' is not known; did you mean 'colour'?"]),
         ({"height_m": 2, "lamps": [{"colour": "black", "password": "s3"}]}, ["'room.lamps.0': a lamp has a colour"]),
         ({"height_m": 2, "lamps": [7]}, ["'room.lamps.0' is 7: expected a table"]),
+        ({"height_m": [{"password": "s3"}]}, ["'room.height_m': Input should be a valid number"]),
+        ({"height_m": 2, "doors": [{"colour": 7}]}, ["'room.doors.0.colour' is 7: Input should be a valid string"]),
+        ({"height_m": 2, "doors": []},
+         ["'room.doors' is []: Tuple should have at least 1 item after validation, not 0"]),
     ],
 )  # fmt: skip
 def test_each_fault_is_told_with_its_whole_key(table: dict[str, object], told: list[str]) -> None:
