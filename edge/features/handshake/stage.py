@@ -52,9 +52,8 @@ class HandshakeStage(PressStage):
         self._gel_left_percent = 0
         self._has_contact = False
         self._piece_id: str | None = None
-        self._early: tuple[Trigger, PartPosition | None] | None = (
-            None  # its piece begins when what presses now is lifted
-        )
+        # Its piece begins when what presses now is lifted.
+        self._early: tuple[Trigger, PartPosition | None] | None = None
         self._answer = ("", 0)
         self._alarm: str | None = None
 
