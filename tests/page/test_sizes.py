@@ -15,18 +15,23 @@ WHOLE = """(() => { const image = document.getElementById('picture'), box = imag
   return image.naturalWidth > 0 && box.width > 150 && box.height > 150 && box.top >= 0 && box.left >= 0
     && box.bottom <= innerHeight && box.right <= innerWidth; })()"""
 
+ALL_SEEN = """(() => { const alarms = document.getElementById('alarms');
+  return alarms.children.length === 3 && alarms.scrollHeight <= alarms.clientHeight
+    && document.getElementById('picture').clientHeight >= innerHeight / 2; })()"""
+TEXT = "the disk of /var/lib/gelgate has 212 MB free, expected at least 500 MB; make room"
+
 
 @pytest.mark.parametrize(
     "size",
-    [(390, 844), (1024, 768), (1280, 800), (1920, 1080)],
-    ids=["phone", "tablet", "desk", "television"],
+    [(390, 844), (1024, 768), (1280, 800), (1440, 900), (1920, 1080)],
+    ids=["phone", "tablet", "desk", "large desk", "television"],
 )
 def test_press_and_heatmap_are_whole_without_scrolling(
     browser: Any, sink: PageSink, size: tuple[int, int]
 ) -> None:
     """Also below three alarms and above a long reason; nothing is wider than the window."""
     alarms = [
-        AlarmPayload(time_ns=T0_NS, alarm=name, text=f"{name}: a sentence of eight words says why").message()
+        AlarmPayload(time_ns=T0_NS, alarm=name, text=f"{name}: {TEXT}").message()
         for name in ("gel", "outbox_full", "disk")
     ]
     failed = press(
@@ -52,4 +57,8 @@ def test_press_and_heatmap_are_whole_without_scrolling(
         "JSON.stringify(document.getElementById('picture').getBoundingClientRect())"
     )
     assert tab.evaluate("document.scrollingElement.scrollWidth <= innerWidth")
+    if size[0] >= 1440:
+        tab.select_option("#language", "de")
+        tab.wait_for_selector("html[lang=de]")
+        assert tab.evaluate(ALL_SEEN)
     tab.close()
