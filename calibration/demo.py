@@ -78,6 +78,8 @@ def demo(
         tally.show(heatmaps)
         tally.check(test)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s; try it again with --seed {seed + 1}")
+    if not keep:
+        typer.echo(f"with --keep its recordings stay, for `gelgate run -c {output / 'gelgate.toml'}`")
 
 
 def _open_folder(kept: Path | None) -> AbstractContextManager[str]:

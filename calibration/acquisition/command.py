@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from calibration.acquisition.sources import Found
     from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["acquire", "alpha", "fit_command", "fit_now", "summarise", "take_presses"]
+__all__ = ["acquire", "alpha", "check_promise", "fit_command", "fit_now", "summarise", "take_presses"]
 
 
 @flatten
@@ -69,10 +69,17 @@ def _check(given: AcquireArguments) -> None:
     if sum(bool(source) for source in (given.sources, given.config, given.device)) != 1:
         raise ConfigError("name one of SOURCE, --config and --device; `gelgate devices` lists the devices")
     for name, value in (("--promise", given.promise), ("--confidence", given.confidence)):
-        if not 0 < value < 1:
-            raise ConfigError(f"{name} lies between 0 and 1, found {value}; 0.1 is one in ten")
+        check_promise(name, value)
     if given.per_piece is not None and given.enter:
         raise ConfigError("--per-piece and --enter are two ways to say when a piece is new; give one of them")
+
+
+def check_promise(name: str, value: float) -> None:
+    """Check a share that is an option of this name. Errors: ConfigError."""
+    from edge.core.errors import ConfigError
+
+    if not 0 < value < 1:
+        raise ConfigError(f"{name} lies between 0 and 1, found {value}; 0.1 is one in ten")
 
 
 Stream = Iterator["Found"]

@@ -84,14 +84,17 @@ def new_part(
 
     It finds the sensor, takes presses until they are enough, fits a bundle, checks the station and starts it. After
     an interruption the same command goes on."""
+    from calibration.acquisition.command import check_promise
     from edge.cli.run import check, run
     from edge.config import load_config
     from edge.core.errors import ConfigError
+    from edge.gateway.preflight import try_sink
 
     guide = _Guide(is_quick)
     part, _, position = name.partition("/")
     with guide.step("sensor"):
         bundle_name = _name_bundle(name)
+        check_promise("--promise", promise)
         if not config.exists():
             _write_station(guide, config, *_find_sensor(guide, device, option or []))
         loaded = load_config(config)
@@ -102,6 +105,8 @@ def new_part(
             )
         typer.echo(f"{config} is the station, with the device plugin {loaded.device.plugin}")
         bundle = _bundle_path(loaded, config, bundle_name)
+        for index, sink in enumerate(loaded.sinks):
+            try_sink(sink, f"sinks.{index}")
     if bundle.exists():
         typer.echo(f"\n{bundle} is there already; remove it to press the part again")
     else:
@@ -278,6 +283,11 @@ def _read_broker(answer: str) -> tuple[str, int] | None:
         or int(port or 1883) not in PORTS
     ):
         raise ValueError(f"'{answer}' is no broker, expected host or host:port; such as 192.168.1.5:1883")
+    try:
+        socket.getaddrinfo(host, None)
+    except (socket.gaierror, UnicodeError) as error:
+        if getattr(error, "errno", None) != socket.EAI_AGAIN:  # the name server may be away
+            raise ValueError(f"'{answer}' is no broker: the address '{host}' is not known") from error
     return host, int(port or 1883)
 
 

@@ -1,5 +1,7 @@
 """`gelgate lab calibrate`: presses of a ball in; out a file of heights for a station, or a sensor for the simulator."""
 
+from dataclasses import replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -89,7 +91,8 @@ def _heights(
 
     made = calibrate_heights(presses, output.stem, ball_radius_mm, mm_per_px, serial, say)
     _say_heights(made, ball_radius_mm)
-    write_atomically(output, write_calibration(made.calibration).encode())
+    dated = replace(made.calibration, made_on=datetime.now(UTC).date())
+    write_atomically(output, write_calibration(dated).encode())
     typer.echo(f"written: {output}")
 
 

@@ -38,7 +38,7 @@ from edge.model.manifest_facts import licence_sentence
 from edge.store import bundles_in_use, gel_ledger
 from edge.store.database import SCHEMA_VERSION, open_read_only, quick_check, schema_version
 
-__all__ = ["Finding", "Preflight", "preflight"]
+__all__ = ["Finding", "Preflight", "preflight", "try_sink"]
 
 CONNECT_TIMEOUT_S = 2.0
 
@@ -161,7 +161,7 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
         selected = _describe_store(config, bundles_in_use.read_selected)
         found.try_part("part", lambda: str(first_part(config.inspection, found.bundles, selected)))
     if config.piece is not None and found.bundles.bundles:
-        found.try_part("piece", partial(_check_places, config.piece, found.bundles))
+        found.try_part("places", partial(_check_places, config.piece, found.bundles))
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
     found.try_part("database", lambda: _database(config))
     found.try_part("commands", lambda: _commands(config))
@@ -172,7 +172,7 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     except ConfigError as error:
         found.findings.append(Finding("ports", str(error), error))
     for index, sink in enumerate(config.sinks):
-        found.try_part(f"sink {sink.plugin}", partial(_try_sink, sink, f"sinks.{index}"))
+        found.try_part(f"sink {sink.plugin}", partial(try_sink, sink, f"sinks.{index}"))
     return found
 
 
@@ -189,7 +189,7 @@ def _describe_bundles(one: OpenBundle) -> str:
 def _check_places(table: PieceTable, bundles: BundleSet) -> str:
     """Check that each place of the plan has a bundle. Errors: ConfigError."""
     check_places(table.plan, bundles.find_all)
-    return f"{len(table.places)} places, in {table.order} order: {', '.join(map(str, table.plan))}"
+    return f"{len(table.places)} of a piece, in {table.order} order: {', '.join(map(str, table.plan))}"
 
 
 def _describe_store(config: Config, ask: Callable[[sqlite3.Connection], T]) -> T | None:
@@ -288,7 +288,7 @@ def _check_ports(config: Config) -> None:
             raise ConfigError(f"{key}.port and {other}.port are both {port}; give each its own")
 
 
-def _try_sink(table: PluginTable, key: str) -> str:
+def try_sink(table: PluginTable, key: str) -> str:
     """Say how a sink answers. Errors: ConfigError for an address that does not exist, or files that cannot be used."""
     options = registry.options("sinks", table.plugin).model_validate(table.options)
     warnings = options.warnings() if isinstance(options, HasWarnings) else ()

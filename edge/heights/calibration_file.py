@@ -1,6 +1,7 @@
 """A gel's calibration of heights, as `gelgate lab calibrate --heights` writes it: one TOML file."""
 
 import tomllib
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -29,6 +30,7 @@ class _File(BaseModel):
     kind: Literal["heights"]
     name: Annotated[str, Field(min_length=1, max_length=128)]
     serial: str | None = None
+    made_on: date | None = None
     mm_per_px: Annotated[float, Field(gt=0, le=1)]
     scale_u95: _Share
     floor_u95_mm: Annotated[float, Field(ge=0, le=10)]
@@ -61,6 +63,7 @@ def write_calibration(made: HeightCalibration) -> str:
     """Return the file's text, with as many digits as a fit is worth."""
     lines = ["version = 1", 'kind = "heights"', f'name = "{made.name}"']
     lines += [] if made.serial is None else [f'serial = "{made.serial}"']
+    lines += [] if made.made_on is None else [f"made_on = {made.made_on}"]
     for key in ("mm_per_px", "scale_u95", "floor_u95_mm", "height_u95", "noise_mm"):
         lines.append(f"{key} = {getattr(made, key):.5g}")
     for key, digits in zip(_ARRAYS, (3, 4, 1), strict=True):

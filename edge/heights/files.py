@@ -4,6 +4,7 @@ import hashlib
 import io
 import zipfile
 from collections.abc import Callable, Mapping
+from datetime import date
 from pathlib import Path
 from typing import Any, Final
 from xml.sax.saxutils import escape
@@ -69,7 +70,7 @@ _X3P = """<?xml version="1.0" encoding="UTF-8"?>
 <CY><AxisType>I</AxisType><DataType>D</DataType><Increment>{step}</Increment><Offset>0</Offset></CY>
 <CZ><AxisType>A</AxisType><DataType>F</DataType><Increment>1</Increment><Offset>0</Offset></CZ></Axes></Record1>
 <Record2><Date>{time}</Date><Instrument><Manufacturer>GelSight</Manufacturer><Model>Mini, read by gelgate</Model>
-<Serial>{serial}</Serial><Version>not available</Version></Instrument><CalibrationDate>{time}</CalibrationDate>
+<Serial>{serial}</Serial><Version>not available</Version></Instrument><CalibrationDate>{calibrated}</CalibrationDate>
 <ProbingSystem><Type>NonContacting</Type><Identification>{calibration}</Identification></ProbingSystem>
 <Comment>{comment}</Comment></Record2>
 <Record3><MatrixDimension><SizeX>{columns}</SizeX><SizeY>{rows}</SizeY><SizeZ>1</SizeZ></MatrixDimension>
@@ -86,6 +87,7 @@ def _x3p(heights: HeightMap, source: str, time: str) -> bytes:
     document = _X3P.format(
         step=repr(heights.mm_per_px / 1000),
         time=escape(time),
+        calibrated=f"{calibration.made_on or date.min}T00:00:00Z",  # the format needs one
         serial=escape(calibration.serial or "not available"),
         calibration=escape(calibration.name),
         comment=escape(f"{source}; 95 % uncertainty {_facts(heights, source, time)['u95']}"),

@@ -6,6 +6,8 @@ name stands.
 
 import keyword
 import re
+import shlex
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
@@ -76,8 +78,10 @@ def new(
         (folder / written).write_text(text.replace("template", name), encoding="utf-8")
     project = PROJECT.format(name=name, group=GROUPS[kind])
     (folder / "pyproject.toml").write_text(project, encoding="utf-8")
+    python = shlex.quote(sys.executable)  # a plain pip may be that of another environment
     typer.echo(
-        f"{kind} {name} written into {folder}; install it with `pip install -e {folder}`, then `pytest {folder}`"
+        f"{kind} {name} written into {folder}; install it beside this gelgate, and try it:\n"
+        f"  {python} -m pip install -e {folder}\n  {python} -m pytest {folder}"
     )
 
 

@@ -4,6 +4,8 @@ import io
 import re
 import xml.etree.ElementTree as ElementTree
 import zipfile
+from dataclasses import replace
+from datetime import date
 from pathlib import Path
 
 import cv2
@@ -56,6 +58,19 @@ def test_the_files_agree(folder: Path, tmp_path: Path) -> None:
     assert np.abs(grey * scale["step_mm"] + scale["zero_mm"] - heights).max() < scale["step_mm"]
     assert scale["mm_per_px"] == pytest.approx(mm)
     assert np.array_equal(metres(tmp_path / "a.x3p"), heights / np.float32(1000))
+
+
+@pytest.mark.parametrize(("made_on", "said"), [(date(2026, 3, 9), "2026-03-09"), (None, "0001-01-01")])
+def test_an_x3p_says_when_the_gel_was_calibrated(
+    folder: Path, tmp_path: Path, made_on: date | None, said: str
+) -> None:
+    """Not when the press was taken."""
+    made = replace(calibration(), made_on=made_on)
+    (folder / "gel.toml").write_text(write_calibration(made))
+    assert measure(folder, tmp_path / "a.x3p").code == 0
+    with zipfile.ZipFile(tmp_path / "a.x3p") as archive:
+        document = ElementTree.fromstring(archive.read("main.xml"))
+    assert document.findtext("Record2/CalibrationDate") == f"{said}T00:00:00Z"
 
 
 def metres(path: Path) -> np.ndarray:

@@ -59,6 +59,7 @@ class Typed(io.StringIO):
 STATION = (
     '[device]\nplugin = "usb_mock"\noptions = { recording = "." }\n[inspection]\nbundle = "bundles/nut"\n'
 )
+LOST = '[[sinks]]\nplugin = "mqtt"\noptions = { host = "a..b" }\n'
 VIRTUAL = ("--device", "usb_mock", "--option", "recording=RECORDING")
 
 
@@ -77,7 +78,8 @@ VIRTUAL = ("--device", "usb_mock", "--option", "recording=RECORDING")
             STATION,
             "names the device plugin usb_mock, found --device",
         ),
-        (("bolt", "--yes", "--promise", "2", *VIRTUAL), "", "", "--promise lies between 0 and 1, found 2"),
+        (("bolt", "--yes", "--promise", "2"), "", STATION, "--promise lies between 0 and 1, found 2"),
+        (("nut", "--yes"), "", STATION + LOST, "'a..b' cannot be the name of a host; correct sinks.0.options.host"),
         (
             ("bolt", "--yes", "--device", "recorded", "--option", "recording=absent"),
             "",
@@ -105,15 +107,15 @@ def test_what_cannot_be_is_refused_in_a_sentence(
 
     assert refused.code in (3, 4)
     assert sentence in refused.sentence()
-    assert "not done: " in refused.err
+    assert "not done: sensor" in refused.err
     assert not Path("bundles").exists()
 
 
 def test_a_bad_answer_is_asked_for_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing of it is written: with a port that is none in the configuration no repetition would go on."""
     monkeypatch.chdir(tmp_path)
-    brokers, pressed = ("plant:mqtt", ":1883", "plant 1", "plant:99999", "plant:0"), ("twice", "0", "101")
-    lines = "\n".join((*brokers, "plant:1884", *pressed, "3", "perhaps", "n", ""))
+    brokers, pressed = ("a..b", "plant:mqtt", ":1883", "plant 1", "plant:99999", "plant:0"), ("twice", "0", "101")
+    lines = "\n".join((*brokers, "localhost:1884", *pressed, "3", "perhaps", "n", ""))
     monkeypatch.setattr(sys, "stdin", Typed(lines))
     recording = str(press_recording(tmp_path / "recording", 3))
     refused = gelgate("new-part", "bolt", *(word.replace("RECORDING", recording) for word in VIRTUAL))
@@ -121,4 +123,4 @@ def test_a_bad_answer_is_asked_for_again(tmp_path: Path, monkeypatch: pytest.Mon
     assert re.findall("'(.*)' is no broker", refused.out) == [*brokers]
     assert re.findall("'(.*)' is no answer", refused.out) == [*pressed, "perhaps"]
     assert "3 presses of bolt do not keep the promise" in refused.sentence()
-    assert load_config(Path("gelgate.toml")).sinks[1].options == {"host": "plant", "port": 1884}
+    assert load_config(Path("gelgate.toml")).sinks[1].options == {"host": "localhost", "port": 1884}

@@ -22,7 +22,7 @@ from edge.core.errors import ConfigError, DeviceLost, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Sink
 from edge.gateway.build import open_station
-from edge.gateway.preflight import Finding, _try_sink, preflight
+from edge.gateway.preflight import Finding, preflight, try_sink
 from edge.messaging.publisher import Publisher, PublisherLock
 from edge.messaging.sink_worker import RetainedState
 from edge.model.bundle import Bundle
@@ -41,7 +41,7 @@ def find(config: Path, part: str) -> list[Finding]:
 def test_a_name_that_no_host_can_have_is_a_sentence(host: str) -> None:
     """Python refuses such a name with another kind of error."""
     with pytest.raises(ConfigError, match=r"cannot be the name of a host; correct sinks\.1\.options\.host"):
-        _try_sink(PluginTable(plugin="mqtt", options={"host": host}), "sinks.1")
+        try_sink(PluginTable(plugin="mqtt", options={"host": host}), "sinks.1")
 
 
 class Counted:

@@ -30,7 +30,8 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with chdir(folder):
         for kind in GROUPS:
             for name in (NAMES[kind], f"{kind}{LONG[len(kind) :]}", f"{kind[0]}{kind[-1]}"):
-                ran("new", kind, name)
+                told = ran("new", kind, name)
+                assert f"{sys.executable} -m pip install -e gelgate-{name}" in told
     return folder
 
 

@@ -29,6 +29,7 @@ def test_another_ball_comes_back(tmp_path: Path) -> None:
     assert "6 balls of 2 mm held out; 95 % of all heights are within" in done.out
     made = read_calibration(tmp_path / "g.toml")
     assert (made.serial, made.scale_u95) == ("2BNN4ZE7", 0.01)
+    assert made.made_on is not None
     height = ball_height(_AT, _OTHER_MM, *grids(LR))
     rgb = renderer().press(lambda _x, _y: height, 0.0, ("other",))
     free_rgb = cv2.cvtColor(cv2.imread(str(free)), cv2.COLOR_BGR2RGB).astype(np.uint8)

@@ -1,6 +1,7 @@
 """What presses of a ball tell of one gel: how its colours answer its surface, and how well heights come back."""
 
 from dataclasses import dataclass
+from datetime import date
 from typing import Final
 
 import numpy as np
@@ -74,6 +75,8 @@ class HeightCalibration:
     """Standard deviation of heights of the free gel between 0.25 and 0.8 mm."""
     serial: str | None = None
     """The sensor; None where it was not known."""
+    made_on: date | None = None
+    """Day of the calibration, UTC; None in files that do not say it."""
 
     def __post_init__(self) -> None:
         shapes = (self.response.shape, self.rest.shape, self.free_levels.shape)

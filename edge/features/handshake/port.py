@@ -91,11 +91,13 @@ class Port:
         known = self._selection.find_all(name)
         if len(known) == 1:
             return next(iter(known))
-        found = ", ".join(sorted(map(str, known))) or "none"
+        if not known:
+            return Refusal(
+                Code.UNKNOWN_PART, f"this station has no bundle of the part '{name:.64}'; add it to [inspection]"
+            )
+        positions = ", ".join(sorted(map(str, known)))
         return Refusal(
-            Code.UNKNOWN_PART,
-            f"the part '{name:.64}' has {len(known)} bundles here ({found}), expected one; name `part/position`, or "
-            "add its bundle",
+            Code.UNKNOWN_PART, f"the part '{name:.64}' has {len(known)} positions here; name one of {positions}"
         )
 
     def _note(self, verb: str, sentence: str, arguments: Mapping[str, Any]) -> None:
