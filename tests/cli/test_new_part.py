@@ -79,7 +79,12 @@ VIRTUAL = ("--device", "usb_mock", "--option", "recording=RECORDING")
             "names the device plugin usb_mock, found --device",
         ),
         (("bolt", "--yes", "--promise", "2"), "", STATION, "--promise lies between 0 and 1, found 2"),
-        (("nut", "--yes"), "", STATION + LOST, "'a..b' cannot be the name of a host; correct sinks.0.options.host"),
+        (
+            ("nut", "--yes"),
+            "",
+            STATION + LOST,
+            "'a..b' cannot be the name of a host; correct sinks.0.options.host",
+        ),
         (
             ("bolt", "--yes", "--device", "recorded", "--option", "recording=absent"),
             "",
@@ -114,7 +119,10 @@ def test_what_cannot_be_is_refused_in_a_sentence(
 def test_a_bad_answer_is_asked_for_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing of it is written: with a port that is none in the configuration no repetition would go on."""
     monkeypatch.chdir(tmp_path)
-    brokers, pressed = ("a..b", "plant:mqtt", ":1883", "plant 1", "plant:99999", "plant:0"), ("twice", "0", "101")
+    brokers, pressed = (
+        ("a..b", "plant:mqtt", ":1883", "plant 1", "plant:99999", "plant:0"),
+        ("twice", "0", "101"),
+    )
     lines = "\n".join((*brokers, "localhost:1884", *pressed, "3", "perhaps", "n", ""))
     monkeypatch.setattr(sys, "stdin", Typed(lines))
     recording = str(press_recording(tmp_path / "recording", 3))

@@ -209,9 +209,7 @@ def test_what_is_refused_is_an_act_once(configure: Make) -> None:
         ("trigger", "refused", 2),
         ("trigger", "refused", 1),
     ]
-    assert acts[2].sentence == (
-        "this station has no bundle of the part 'PZ9'; add it to [inspection]"
-    )
+    assert acts[2].sentence == "this station has no bundle of the part 'PZ9'; add it to [inspection]"
     assert str(acts[1].sentence).startswith("trigger 2 came while trigger 1 is busy; wait for done")
 
 

@@ -417,7 +417,7 @@ def checked(configure: Make) -> Callable[[str], list[str]]:
 
     def check(tables: str) -> list[str]:
         with preflight(load_config(configure(tables)), SystemClock(), is_start=False) as found:
-            return [one.text for one in found.findings if one.part == "piece" and one.error]
+            return [f"{one.part}: {one.text}" for one in found.findings if one.error]
 
     return check
 
@@ -430,7 +430,9 @@ def test_the_check_names_a_place_without_a_bundle_and_a_piece_that_nobody_can_be
     (locked,) = checked(plan().replace(BEGUN, ""))
 
     assert checked(plan()) == []
+    assert lacking.startswith("places: ")
     assert "no bundle for PZ0/behind; add one to [inspection]" in lacking
+    assert locked.startswith("piece: ")
     assert "name begin_piece in [commands] under signed or unsigned" in locked
 
 

@@ -93,11 +93,13 @@ class Port:
             return next(iter(known))
         if not known:
             return Refusal(
-                Code.UNKNOWN_PART, f"this station has no bundle of the part '{name:.64}'; add it to [inspection]"
+                Code.UNKNOWN_PART,
+                f"this station has no bundle of the part '{name:.64}'; add it to [inspection]",
             )
         positions = ", ".join(sorted(map(str, known)))
         return Refusal(
-            Code.UNKNOWN_PART, f"the part '{name:.64}' has {len(known)} positions here; name one of {positions}"
+            Code.UNKNOWN_PART,
+            f"the part '{name:.64}' has {len(known)} positions here; name one of {positions}",
         )
 
     def _note(self, verb: str, sentence: str, arguments: Mapping[str, Any]) -> None:
