@@ -175,6 +175,7 @@ def _entered(track: Track, before: Track, seen: Observation, settings: ContactSe
                 residue=0.0,
                 relief_residue=0.0,
                 strength_residue=0.0,
+                strength_peak=0.0,  # what was in doubt was no press whose rest may show
                 earlier_imprints=0.0,
                 is_confirmed=False,
                 is_cycled=False,

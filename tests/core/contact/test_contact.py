@@ -173,7 +173,12 @@ def test_a_lift_from_a_pressed_reference_is_no_press() -> None:
     assert story(events) == "ReferenceDoubted ReferenceCorrected ReferenceReady"
     assert (track.state, track.is_confirmed) == (State.RECOVERY, False)
     later = [*(inverse(40 * k, imprint=0.0) for k in range(1, 5)), *(inverse(40 * k) for k in range(5, 20))]
-    assert story(run(unconfirmed(), later)[1]).startswith("PressBegan PressNotSettled:DOUBTED PressEnded")
+    track, events = run(unconfirmed(), [*later, *at(800, [FREE] * 20)])
+    assert story(events).startswith("PressBegan PressNotSettled:DOUBTED PressEnded")
+    assert track.state is State.RECOVERY
+    assert story(run(track, deep(1640, [0.9] * 10))[1]) == HELD, (
+        "a light press is no rest of what was in doubt"
+    )
 
 
 def test_what_no_press_decides_several_do() -> None:
