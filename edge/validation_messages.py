@@ -27,7 +27,7 @@ def numbered(what: str, faults: Sequence[str]) -> str:
 
 
 def _is_follower(fault: Mapping[str, Any], faults: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether a list is too short by its faulty items alone, which have sentences of their own."""
+    """Tell whether a list is too short by its faulty items alone, which have sentences of their own."""
     place = fault["loc"]
     return fault["type"] == "too_short" and any(
         len(other["loc"]) > len(place) and other["loc"][: len(place)] == place for other in faults

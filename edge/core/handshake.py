@@ -282,7 +282,7 @@ class HandshakeMachine:
         elif not self._needs_free:
             self._is_pressed = True
 
-    def asked_part(self, now_ns: int) -> str | None:
+    def find_asked_part(self, now_ns: int) -> str | None:
         """Return the part that must judge the press that is decided now; None for any."""
         is_answer = self.read(now_ns).step == "busy" and self._is_pressed and self._awaited is None
         return self._part if is_answer else None

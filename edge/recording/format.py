@@ -280,8 +280,7 @@ def _read_header(folder: Path) -> RecordingHeader:
     except FileNotFoundError as error:
         fault = f"is not a recording: it has no {_HEADER}" if folder.is_dir() else "does not exist"
         raise RecordingError(
-            f"recording {folder} {fault}; correct the path, or make one with `gelgate record`; "
-            "`gelgate demo --keep` keeps those of the demo"
+            f"recording {folder} {fault}; correct the path, or make one with `gelgate record`"
         ) from error
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise RecordingError(f"{path} cannot be read: {error}") from error

@@ -143,7 +143,10 @@ class GelScars:
             float(x_px - press.region.x) * press.mm_per_pixel[0],
             float(y_px - press.region.y) * press.mm_per_pixel[1],
             # of what exceeds in this press, the nearest
-            bool(_away((excess > 0) & ~outside)[row, column] > _away(outside)[row, column]),
+            bool(
+                _measure_distance((excess > 0) & ~outside)[row, column]
+                > _measure_distance(outside)[row, column]
+            ),
         )
 
     def find_marks(self, free: View | None, left: View | None = None) -> Marks | None:
@@ -227,11 +230,11 @@ def _lefts(press: ScoredPress, judged: list[F32], known: Marks | None) -> list[f
 
 def _within(places: Mask, reach_px: float) -> Mask:
     """Pixels at most this far from one of the places, bool (h, w)."""
-    return np.asarray(_away(places) <= reach_px)
+    return np.asarray(_measure_distance(places) <= reach_px)
 
 
-def _away(places: Mask) -> F32:
-    """How far each pixel is from the nearest of the places, in pixels, float32 (h, w)."""
+def _measure_distance(places: Mask) -> F32:
+    """Measure how far each pixel is from the nearest of the places, in pixels, float32 (h, w)."""
     if not places.any():
         return np.full(places.shape, np.inf, np.float32)
     return np.asarray(cv2.distanceTransform((~places).astype(np.uint8), cv2.DIST_L2, 5))

@@ -153,7 +153,7 @@ class HandshakeStage(PressStage):
         which the part does not lie."""
         selected = self._parts.selection.part
         with self.port.machine() as (machine, now_ns):
-            part = machine.asked_part(now_ns) if press.label is None else None
+            part = machine.find_asked_part(now_ns) if press.label is None else None
         if part in (None, str(selected)):
             return press
         reason = Sentence(f"the PLC asks for {part}, and {selected} is selected; see `gelgate station acts`")
