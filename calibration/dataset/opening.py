@@ -11,6 +11,7 @@ from calibration.dataset.files import Faults
 from calibration.dataset.layouts import Resolution, is_mvtec, is_paper, read_mvtec, read_paper
 from calibration.dataset.press import LabelledPress
 from edge.core.errors import DatasetError
+from edge.recording.format import HEADER
 
 __all__ = [
     "DATASET_VERSION",
@@ -95,6 +96,12 @@ def _read(root: Path, resolution: Resolution, faults: Faults) -> tuple[Layout, l
     if not root.is_dir():
         raise DatasetError(f"dataset '{root}' is not a folder; give the folder that holds the parts")
     layout = layout_of(root)
+    folders = ("", "*/", "*/*/") if layout in (None, "mvtec") else ()
+    if recording := next((found.parent for folder in folders for found in root.glob(folder + HEADER)), None):
+        raise DatasetError(
+            f"'{recording}' is a recording, whose frames are not sorted into good and damaged; `gelgate run` plays one "
+            'with device.plugin = "usb_mock", and `gelgate fit` learns from it'
+        )
     match layout:
         case "cvat_xml":
             return layout, read_cvat_xml(root, faults)

@@ -25,12 +25,12 @@ from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.image_bytes import kind
 from edge.core.ports import DeviceIdentity
 
-__all__ = ["DELIVERED_SHARE", "Recording", "RecordingHeader", "RecordingWriter"]
+__all__ = ["DELIVERED_SHARE", "HEADER", "Recording", "RecordingHeader", "RecordingWriter"]
 
 VERSION = 1
 # Independent reports agree on 18.75 fps delivered where 25 are advertised (firmware_notes/gelsight_mini.md).
 DELIVERED_SHARE = 0.75
-_HEADER, _INDEX, _FRAMES = "recording.toml", "index.jsonl", "frames"
+HEADER, _INDEX, _FRAMES = "recording.toml", "index.jsonl", "frames"
 # An error lists at most this many entries and counts the others.
 _LISTED = 20
 
@@ -196,7 +196,7 @@ class RecordingWriter:
         try:
             (folder / _FRAMES).mkdir(parents=True, exist_ok=True)
             if keep == 0:
-                (folder / _HEADER).write_text(_header_text(header), encoding="utf-8")
+                (folder / HEADER).write_text(_header_text(header), encoding="utf-8")
             self._index = (folder / _INDEX).open("ab", buffering=0)
             # Lines are removed before their frames, so a kill in between leaves no line without its frame.
             self._index.truncate(index_end)
@@ -267,18 +267,18 @@ def _header_text(header: RecordingHeader) -> str:
 
 
 def _read_header(folder: Path) -> RecordingHeader:
-    path = folder / _HEADER
+    path = folder / HEADER
     if folder.is_file():
         raise RecordingError(
             f"{folder} is a file, not the folder of a recording; a film becomes one with "
             f"`gelgate record FOLDER --from-video {folder.name}`"
         )
     if path.is_fifo() or (folder / _INDEX).is_fifo():
-        raise RecordingError(f"recording {folder} has a named pipe in place of {_HEADER} or {_INDEX}")
+        raise RecordingError(f"recording {folder} has a named pipe in place of {HEADER} or {_INDEX}")
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        fault = f"is not a recording: it has no {_HEADER}" if folder.is_dir() else "does not exist"
+        fault = f"is not a recording: it has no {HEADER}" if folder.is_dir() else "does not exist"
         raise RecordingError(
             f"recording {folder} {fault}; correct the path, or make one with `gelgate record`"
         ) from error

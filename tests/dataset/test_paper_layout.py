@@ -177,7 +177,7 @@ def test_a_split_needs_specimens(root: Path) -> None:
 
 
 def test_unknown_layouts_and_selections(root: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """No folder, no layout, no picture and no such part are four different sentences."""
+    """No folder, no layout, no picture and no such part are different sentences; so is a recording."""
     empty = tmp_path_factory.mktemp("empty")
     with pytest.raises(DatasetError, match="is not a folder"):
         open_dataset(empty / "nothing")
@@ -186,5 +186,10 @@ def test_unknown_layouts_and_selections(root: Path, tmp_path_factory: pytest.Tem
     (empty / "PZ1" / "1" / "rgb_320x240").mkdir(parents=True)
     with pytest.raises(DatasetError, match="no picture in it"):
         open_dataset(empty)
+    (empty / "run" / "frames").mkdir(parents=True)
+    (empty / "run" / "recording.toml").write_text("version = 1")
+    for folder in (empty, empty / "run"):
+        with pytest.raises(DatasetError, match="run' is a recording"):
+            open_dataset(folder)
     with pytest.raises(DatasetError, match="no press of PZ9/\\*; it has PZ1/1, PZ1/2"):
         open_dataset(root).select("PZ9")

@@ -29,7 +29,7 @@ from edge.core.imaging.quality import BLACK_LEVEL
 from edge.core.imaging.region import Region, touched_in
 from edge.core.imaging.sensor_profile import SensorProfile
 from edge.core.suggest import suggestion
-from edge.recording.format import Recording
+from edge.recording.format import HEADER, Recording
 from edge.recording.from_images import images_in
 
 __all__ = [
@@ -195,7 +195,7 @@ class _Gathered:
 
 def is_recording(source: Path) -> bool:
     """Tell whether a folder is a recording rather than a folder of pictures."""
-    return (source / "recording.toml").is_file()
+    return (source / HEADER).is_file()
 
 
 def read_presses(
