@@ -186,10 +186,11 @@ def test_unknown_layouts_and_selections(root: Path, tmp_path_factory: pytest.Tem
     (empty / "PZ1" / "1" / "rgb_320x240").mkdir(parents=True)
     with pytest.raises(DatasetError, match="no picture in it"):
         open_dataset(empty)
-    (empty / "run" / "frames").mkdir(parents=True)
-    (empty / "run" / "recording.toml").write_text("version = 1")
-    for folder in (empty, empty / "run"):
-        with pytest.raises(DatasetError, match="run' is a recording"):
+    recorded = tmp_path_factory.mktemp("recorded")
+    (recorded / "run" / "test").mkdir(parents=True)
+    (recorded / "run" / "test" / "recording.toml").write_text("version = 1")
+    for folder in (recorded, recorded / "run", recorded / "run" / "test"):
+        with pytest.raises(DatasetError, match="test' is a recording"):
             open_dataset(folder)
     with pytest.raises(DatasetError, match="no press of PZ9/\\*; it has PZ1/1, PZ1/2"):
         open_dataset(root).select("PZ9")
