@@ -14,7 +14,15 @@ import json
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from edge.core.gel_life import MOST_PRESSES, GelLabel
 from edge.messaging.payload_base import Payload
@@ -66,6 +74,13 @@ class CommandRequest(BaseModel):
         default=None, pattern=r"^[0-9a-f]{64}$", description="HMAC-SHA256 of a signed request, hexadecimal"
     )
 
+    @field_validator("arguments")
+    @classmethod
+    def _can_be_kept(cls, arguments: dict[str, Any]) -> dict[str, Any]:
+        """Refuse NaN, infinity and integers without end, which are no JSON: the table of acts keeps the arguments."""
+        json.dumps(arguments, allow_nan=False)
+        return arguments
+
 
 class CommandArguments(BaseModel):
     """Arguments of a verb; each verb has its own."""
@@ -80,7 +95,8 @@ class CommandArguments(BaseModel):
         except ValidationError as error:
             known = ", ".join(cls.model_fields) or "none"
             faults = "; ".join(
-                f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in error.errors()
+                f"{'.'.join(map(str, fault['loc'])) or 'arguments'}: {fault['msg'].removeprefix('Value error, ')}"
+                for fault in error.errors()
             )
             raise ValueError(f"{faults} (known arguments: {known})") from error
 

@@ -49,10 +49,14 @@ def read_verdicts(
 
 
 def read_spoken_of(connection: sqlite3.Connection, after: int) -> tuple[int, set[str]]:
-    """Read of which presses people spoke after an act, and the number of the newest word."""
-    query = "SELECT act_id, arguments FROM acts WHERE act_id > ? AND verb = ? AND outcome IS NOT 'refused'"
+    """Read of which presses people spoke after an act, and the number of the newest word. A request that is not done
+    yet, or was never completed, may have anything for arguments: what is no text names no press."""
+    query = (
+        "SELECT act_id, CASE WHEN json_valid(arguments) THEN json_extract(arguments, '$.press_id') END FROM acts "
+        "WHERE act_id > ? AND verb = ? AND outcome IS NOT 'refused'"
+    )
     rows = connection.execute(query, (after, CONFIRM)).fetchall()
-    return max([after, *(number for number, _ in rows)]), {json.loads(given)["press_id"] for _, given in rows}
+    return max([after, *(number for number, _ in rows)]), {one for _, one in rows if isinstance(one, str)}
 
 
 def _name(who: str) -> str:

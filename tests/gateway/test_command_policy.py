@@ -288,6 +288,15 @@ def test_control_characters_in_a_request_are_refused(bench: Bench, field: str) -
     assert bench.done == []
 
 
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_a_number_that_is_no_json_is_refused_unrecorded(bench: Bench, number: float) -> None:
+    """The table of acts could not be read by SQLite any more."""
+    answer = bench.ask("trigger", arguments={"a": [{"b": number}]})
+
+    assert answer["status"] == "error"
+    assert (bench.done, bench.store.acts()) == ([], [])
+
+
 @pytest.mark.parametrize("change", [{"gel_id": "\x00"}, {"note": "a\x1b[2J"}])
 def test_control_characters_of_a_gel_are_refused(bench: Bench, change: dict[str, str]) -> None:
     """From the command line too."""
