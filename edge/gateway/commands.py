@@ -295,7 +295,9 @@ def _request(payload: bytes) -> CommandRequest:
     except ValidationError as error:
         fault = error.errors()[0]
         where = ".".join(str(part) for part in fault["loc"]) or "the request"
-        raise ValueError(f"{where}: {fault['msg']}; see docs/mqtt.md") from error
+        raise ValueError(
+            f"{where}: {fault['msg'].removeprefix('Value error, ')}; see docs/mqtt.md"
+        ) from error
 
 
 def policy_of(config: Config) -> CommandPolicy:
