@@ -90,7 +90,8 @@ class ScarWatch(PressStage):
 
     def look(self, look: Look) -> None:
         if look.level is not None:
-            self._free.see(look.state, look.level)
+            # Just after an interruption the table's state is that of before: a part may lie there by now.
+            self._free.see(look.state, None if look.phase == "unseen" else look.level)
 
     def expect(self, frame: CameraFrame, examined: Press) -> None:
         """Look for the marks of the free gel ahead, where the press will need a cause."""

@@ -1,16 +1,19 @@
 """A scar of the gel at a station: named, masked, more than is accepted, and gone with the gel; across a restart."""
 
+from itertools import chain, repeat
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import gelgate
 from scarred_gel import MARK, scarred_recording
-from station import station_config
+from station import FPS, HEADER, gel, jpeg, station_config
 from stepped_station import SteppedStation
 
 from edge.core.press import PressLabel, StudyLabel
 from edge.core.verdict import Cause, Kind
 from edge.press_stage import PressStage
+from edge.recording.format import RecordingWriter
 from edge.store.history import HistoryQuery, read_history
 
 # Of the other marks together, more than a twentieth of the contact once they are masked with their surroundings.
@@ -118,3 +121,24 @@ def test_scars_that_are_not_masked_are_judged(
     assert stages or station.verdicts[2:] == [Kind.FAIL, Kind.FAIL]
     assert [result.cause for result in station.results] == [None, None, cause, cause]
     assert [result.unmasked_score for result in station.results] == [None] * 4
+
+
+def test_a_part_that_lies_there_after_an_interruption_is_no_free_gel(tmp_path: Path, bundle: Path) -> None:
+    """No picture comes as a damaged part is put on the gel, and it lies there as they come back. Its damage is no mark
+    of the gel, so that it is not masked, and the next part with the same damage fails too."""
+    before = [*repeat(0.0, 28), 0.5]
+    back = [*repeat(1.0, 16), *repeat(0.0, 12)]
+    next_part = [0.5, *repeat(1.0, 10), 0.3, *repeat(0.0, 6)]
+    rng, time_ns = np.random.default_rng(3), 0
+    left, top, side = MARK
+    with RecordingWriter(tmp_path / "presses", HEADER) as writer:
+        for number, depth in enumerate(chain(before, back, next_part)):
+            time_ns += round((2 if number == len(before) else 1 / FPS) * 1e9)
+            frame = gel(rng, depth)
+            frame[top : top + side, left : left + side] -= np.uint8(70 * depth)
+            writer.add(jpeg(frame), time_ns, {})
+    with SteppedStation(station_config(tmp_path, tmp_path / "presses", bundle)) as station:
+        station.play()
+
+    assert station.verdicts == [Kind.FAIL, Kind.FAIL]
+    assert Cause.GEL not in [result.cause for result in station.results]

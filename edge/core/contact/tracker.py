@@ -178,7 +178,8 @@ class ContactTracker:
         self.level = level
         # Looks that follow each other at once may all show an approach.
         is_apart = timestamp_ns - self._free_ns >= self.settings.idle_interval_s * 1e9
-        if self.state in IDLE and not seen.is_black and is_apart:
+        is_free = self.state in IDLE and self.phase != "unseen" and not seen.is_black
+        if is_free and is_apart:
             self._newest_free, self._free_ns = (*self._newest_free[-2:], view), timestamp_ns
         has_grown = seen.depth > self._depth + DEPTH_NOISE
         self._depth = seen.depth if has_grown else min(seen.depth, self._depth)

@@ -243,6 +243,18 @@ def test_unplugged_in_the_middle_of_presses() -> None:
     assert camera.names() == ["PressBegan", "PressSettled", "PressEnded"] * 20
 
 
+def test_a_part_that_lies_there_after_an_interruption_is_no_free_gel() -> None:
+    """It was put on the gel meanwhile, and there are two: the light of presses is still that of the gel before."""
+    camera = ready()
+    camera.wait(1)
+    for _ in range(2):
+        camera.tracker.gap()
+        camera.count += 50
+        camera.wait(0.3, depth=1.0)
+    assert camera.tracker.newest_free is not None
+    assert np.abs(camera.tracker.newest_free - free_gel()).max() < 10
+
+
 def test_relearning_follows_a_change_of_gel() -> None:
     """Another gel looks like contact everywhere; after `relearn` it is the free gel."""
     camera = ready()

@@ -54,7 +54,7 @@ LATEST_S = 1.5
 
 
 def _audit_results(world: World, station: Station) -> Iterator[str]:
-    """What holds of all that a subscriber got: one result a press, with a verdict or an error."""
+    """What holds of all that a subscriber got: one result a press, with a verdict or an error, and all of it judged."""
     for broker in world.brokers.values():
         for press_id, results in broker.results.items():
             kept = [{key: value for key, value in one.items() if key != "is_replayed"} for one in results]
@@ -63,6 +63,8 @@ def _audit_results(world: World, station: Station) -> Iterator[str]:
             shadow = results[0]["shadow"]
             if shadow is not None and (shadow["verdict"], results[0]["part"]) != ("pass", PARTS[0]):
                 yield f"{broker.name}: the shadow says {shadow['verdict']} of press {press_id} of {results[0]['part']}"
+            if results[0]["blind_share"]:
+                yield f"{broker.name}: a part of press {press_id} was not judged, and no gel has a scar"
             if results[0]["verdict"] is None and not results[0]["error"]:
                 yield f"{broker.name}: press {press_id} has neither a verdict nor an error"
 

@@ -286,4 +286,11 @@ BUGS = (
         "        if False:\n",
         "was answered by a press of",
     ),
+    Bug(
+        "what lies there after an interruption is the free gel",
+        "edge/features/scars.py",
+        'None if look.phase == "unseen" else look.level',
+        "look.level",
+        "no gel has a scar",
+    ),
 )
