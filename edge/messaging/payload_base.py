@@ -24,9 +24,15 @@ PressId = Annotated[str, StringConstraints(pattern=r"^[0-7][0-9A-HJKMNP-TV-Z]{25
 
 
 def iso_time(time_ns: int) -> str:
-    """Wall-clock nanoseconds as ISO 8601 in UTC with microseconds, such as `2026-01-31T12:00:00.000250Z`."""
+    """Wall-clock nanoseconds as ISO 8601 in UTC with microseconds, such as `2026-01-31T12:00:00.000250Z`.
+
+    Errors: ValueError for a time beyond the year 9999.
+    """
     seconds, rest = divmod(time_ns, 1_000_000_000)
-    moment = datetime.datetime.fromtimestamp(seconds, datetime.UTC)
+    try:
+        moment = datetime.datetime.fromtimestamp(seconds, datetime.UTC)
+    except (OverflowError, OSError) as error:
+        raise ValueError("the time is beyond the year 9999") from error
     return f"{moment:%Y-%m-%dT%H:%M:%S}.{rest // 1000:06d}Z"
 
 

@@ -99,16 +99,22 @@ class BrokerStation:
         return self._root
 
     def _keep_listening(self) -> None:
-        while not self._closing.is_set():
-            try:
-                self.listen()
-            except SinkError as error:
-                why = Sentence(f"{error}; trying again")
-                if why != self._why_away:  # once, and not with each attempt
-                    log.warning("%s", why)
-                self._why_away = why
-                self.shown.set_away(why)
-                self._closing.wait(RETURN_S)
+        try:
+            while not self._closing.is_set():
+                try:
+                    self.listen()
+                except SinkError as error:
+                    why = Sentence(f"{error}; trying again")
+                    if why != self._why_away:  # once, and not with each attempt
+                        log.warning("%s", why)
+                    self._why_away = why
+                    self.shown.set_away(why)
+                    self._closing.wait(RETURN_S)
+        finally:
+            if not self._closing.is_set():  # a page that goes on looks as if nothing happened
+                self.shown.set_away(
+                    Sentence("the page listens no more after a fault, see its log; start it again")
+                )
 
     def listen(self) -> None:
         """Listen until `close`. Errors: SinkError when there is no connection, or when it is lost."""

@@ -1,6 +1,7 @@
 """The page of a station at a broker: the same JSON, also while the broker is away; changes go there, signed."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -129,6 +130,7 @@ def test_one_station_is_shown_and_others_are_named(caplog: pytest.LogCaptureFixt
     [
         (f"{ROOT}/state", b"{"),
         (f"{ROOT}/state", b"[" * 50_000),
+        (f"{ROOT}/state", re.sub(rb'"time_ns":\d+', b'"time_ns":1' + b"0" * 300, state("halted").payload)),
         (f"{ROOT}/result", b'{"press_id":"<script>"}'),
         (f"{ROOT}/heatmap/../../x", b"\x89PNG"),
         (f"{ROOT}/last/heatmap", b"GIF"),
@@ -152,6 +154,16 @@ def test_a_malformed_message_ends_nothing_and_is_not_shown(topic: str, payload: 
 
     assert station.shown.station() == before
     assert station.shown.presses() == []
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_page_that_listens_no_more_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would look as if nothing happened at the station."""
+    station = unheard()
+    monkeypatch.setattr(station, "listen", lambda: 1 / 0)
+    station.start()
+    until(lambda: "listens no more" in station.shown.station()["away"])
+    station.close()
 
 
 @pytest.fixture
