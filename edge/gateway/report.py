@@ -314,6 +314,8 @@ class Report:
         status.announce(payload.message())
         refusals = "; ".join(sink.last_refusal for sink in counters.values() if sink.last_refusal)
         refused = Sentence(f"{outbox.refused} messages were refused and are kept: {refusals}")
+        if outbox.refused == 1:
+            refused = Sentence(f"1 message was refused and is kept: {refusals}")
         status.say("refused", refused if outbox.refused else None)
         faults = [f"{name}: {fault}" for name, sink in counters.items() for fault in sink.faults]
         status.say("receiver", join_sentences(faults), "warning")

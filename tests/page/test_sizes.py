@@ -62,3 +62,30 @@ def test_press_and_heatmap_are_whole_without_scrolling(
         tab.wait_for_selector("html[lang=de]")
         assert tab.evaluate(ALL_SEEN)
     tab.close()
+
+
+def test_a_phone_shows_the_most_serious_alarm_whole_and_a_line_opens_the_others(
+    browser: Any, sink: PageSink
+) -> None:
+    """An error comes before the warnings that were there first, and a list that changes stays open."""
+    for alarm, severity in (("gel", "warning"), ("receiver", "warning"), ("outbox_full", "error")):
+        text = f"{alarm}: {TEXT}"
+        sink.send(AlarmPayload(time_ns=T0_NS, alarm=alarm, text=text, severity=severity).message())  # type: ignore[arg-type]
+    tab = browser.new_page(viewport={"width": 390, "height": 844})
+    tab.set_default_timeout(BROWSER_MS)
+    tab.goto(f"http://127.0.0.1:{sink.port}/")
+    tab.wait_for_selector("#alarms .alarm")
+
+    seen = "[...document.querySelectorAll('#alarms .alarm')].filter(row => row.checkVisibility()).length"
+    whole = "document.getElementById('alarms').scrollHeight <= document.getElementById('alarms').clientHeight"
+    assert tab.evaluate(seen) == 1
+    assert tab.inner_text("#alarms > .alarm").startswith("outbox_full: ")
+    line = "The gel is worn; A receiver works with a fault"
+    assert tab.inner_text("#alarms summary") == f"2 more alarms: {line}"
+    assert tab.evaluate(whole)
+
+    tab.click("#alarms summary")
+    assert tab.evaluate(seen) == 3
+    sink.send(AlarmPayload(time_ns=T0_NS, alarm="disk", text=TEXT).message())
+    wait_until(tab, f"{seen} === 4")
+    tab.close()

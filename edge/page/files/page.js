@@ -97,6 +97,18 @@ function showAlarm(alarm) {
   return row;
 }
 
+// As many as stand in one row, one on a phone, the most serious first. A line names the others, and opens: they do not push the press away.
+const isWarning = (alarm) => Number(alarm.severity === "warning");
+const alarmsInRow = () => Math.min(3, Math.max(1, Math.floor(innerWidth / 468)));
+function showAlarms(alarms, most) {
+  const sorted = [...alarms].sort((one, other) => isWarning(one) - isWarning(other)), rest = sorted.slice(most);
+  if (!rest.length) { return sorted.map(showAlarm); }
+  const more = document.createElement("details"), count = rest.length === 1 ? t("1 more alarm") : t("{n} more alarms", { n: rest.length });
+  more.open = at("alarms").querySelector("details")?.open || false;
+  more.append(element("summary", `${count}: ${rest.map((alarm) => t(alarm.title || alarm.alarm)).join("; ")}`), ...rest.map(showAlarm));
+  return [...sorted.slice(0, most).map(showAlarm), more];
+}
+
 // A pass is that of one place: what is large is the piece, and what is to be pressed now stands below it.
 const count = (piece) => t("{n} of {all}", { n: piece.places.filter((place) => place.verdict).length, all: piece.places.length });
 function large(press, piece) {
@@ -251,7 +263,8 @@ function showStation(station) {
   at("state").className = station.away ? "away" : state.state === "ready" && alarms.length ? "alarmed" : state.state;
   put("away", tell(station.away) || "");
   at("away").hidden = !station.away;
-  draw("alarms", [alarms, may("acknowledge_alarm")], () => alarms.map(showAlarm));
+  const most = alarmsInRow();
+  draw("alarms", [alarms, may("acknowledge_alarm"), most], () => showAlarms(alarms, most));
   showPart(info);
   showPiece(station.piece);
   showGel(station.gel);
