@@ -123,10 +123,21 @@ def _licences(package: Distribution) -> list[dict[str, Any]]:
         for line in stated.get("classifier", ())
         if line.startswith("License :: ") and line != "License :: OSI Approved"
     ]
-    text = str(stated.get("license", "UNKNOWN")).strip()
-    if not names and "\n" not in text and text != "UNKNOWN":
-        names = [text]
+    if not names:
+        text = str(stated.get("license", "UNKNOWN")).strip()
+        lines = (_licence_file(package) if text == "UNKNOWN" else text).split("\n")
+        # Of a whole licence the first two lines are its name and its version.
+        title = [line.strip() for line in lines if line.strip()][:2]
+        names = [" ".join(title)] if title else []
     return [{"license": {"name": name}} for name in names]
+
+
+def _licence_file(package: Distribution) -> str:
+    """Read the licence that a wheel brings; empty where it brings none."""
+    for path in package.files or ():
+        if path.parts[0].endswith(".dist-info") and re.match("LICEN[CS]E|COPYING", path.name):
+            return path.read_text()
+    return ""
 
 
 def _surroundings() -> Iterator[dict[str, Any]]:

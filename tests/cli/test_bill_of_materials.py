@@ -5,14 +5,14 @@ That the document is CycloneDX is judged by CycloneDX's own schema in tests/proj
 
 import hashlib
 import json
-from importlib.metadata import distribution
+from importlib.metadata import Distribution, distribution
 from pathlib import Path
 from typing import Any
 
 import pytest
 import tiny
 
-from edge.cli.bill_of_materials import bill_of_materials
+from edge.cli.bill_of_materials import bill_of_materials, package_component
 from edge.cli.describe import Format, describe
 from edge.core.errors import BundleError, ConfigError
 from edge.model.bundle_writer import write_bundle
@@ -37,6 +37,30 @@ def test_an_installed_package_is_there_with_version_licence_and_its_foreign_libr
     assert found["licenses"] == [{"license": {"name": "Apache Software License"}}]
     path = package.locate_file(library["name"])
     assert library["hashes"][0]["content"] == hashlib.sha256(Path(str(path)).read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("metadata", "licence_file", "name"),
+    [
+        ("License: MIT", "", "MIT"),
+        ("License: UNKNOWN", "  Apache License\n  Version 2.0\n\n  Terms", "Apache License Version 2.0"),
+        ("License: GNU LICENSE\n         Version 3\n \n         Preamble", "", "GNU LICENSE Version 3"),
+        ("License: UNKNOWN", "", None),
+    ],
+)
+def test_a_licence_is_named_also_where_its_text_alone_states_it(
+    tmp_path: Path, metadata: str, licence_file: str, name: str | None
+) -> None:
+    """Some packages put the whole text into the field, or say UNKNOWN beside a file."""
+    folder = tmp_path / "part-1.dist-info"
+    folder.mkdir()
+    (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: part\nVersion: 1\n{metadata}\n")
+    (folder / "LICENSE").write_text(licence_file)
+    (folder / "RECORD").write_text("part-1.dist-info/METADATA,,\npart-1.dist-info/LICENSE,,\n")
+
+    found = package_component(Distribution.at(folder)).get("licenses")
+
+    assert found == (None if name is None else [{"license": {"name": name}}])
 
 
 def test_what_needs_what_is_said_of_installed_packages() -> None:
