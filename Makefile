@@ -181,6 +181,8 @@ verify-release: $(VENV)/.test $(VENV)-trust/.made
 	$(VENV)-release/bin/python -m pip install --quiet "$$(echo dist/*.whl)[demo]"
 	$(VENV)-release/bin/gelgate --help >/dev/null
 	$(VENV)-release/bin/gelgate demo -o $(VENV)-release/demo
+	@echo "verify-release: $$(cd dist && echo *.whl *.tar.gz) were built twice with the same bytes, and pass twine;" \
+	  "the wheel, alone in a new environment, judged the presses of the demo"
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

@@ -90,7 +90,7 @@ def docs(
 def _pages() -> Mapping[str, Path]:
     """Every page by its name without `.md`, from the source tree if there is one, else from the installation."""
     pages = {
-        path.relative_to(root / room).with_suffix("").as_posix(): path
+        room if path.stem == "README" else path.relative_to(root / room).with_suffix("").as_posix(): path
         for root in _roots()
         for room in ("docs", "firmware_notes")
         for path in (root / room).rglob("*.md")
