@@ -5,7 +5,7 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
@@ -31,7 +31,7 @@ from edge.recording.format import RecordingHeader, RecordingWriter
 __all__ = ["PRESSES", "PlayedStation", "open_played"]
 
 PRESSES: Final = ("pass", "fail", "pass")
-"""The verdicts of the presses, where no stage changes them."""
+"""The verdicts of the presses that the checks play."""
 
 _FPS: Final = 18.75
 _SIZE: Final = (320, 240)
@@ -88,15 +88,20 @@ class PlayedStation:
 
 
 @contextmanager
-def open_played(folder: Path, first: PressStage | None = None, tables: str = "") -> Iterator[PlayedStation]:
+def open_played(
+    folder: Path,
+    first: PressStage | None = None,
+    tables: str = "",
+    presses: Sequence[Literal["pass", "fail"]] = PRESSES,
+) -> Iterator[PlayedStation]:
     """Open a station with all features that are installed.
 
     folder: takes its files; the second time, as after a restart, they are there. first: a stage before the others.
-    tables: of its configuration, as TOML.
+    tables: of its configuration, as TOML. presses: the verdicts of its presses, where no stage changes them.
     """
     files = {name: folder / name for name in ("recording", "bundle", "database")}
     if not files["recording"].exists():
-        _record(files["recording"])
+        _record(files["recording"], presses)
         _write_bundle(files["bundle"])
     config = folder / "gelgate.toml"
     config.write_text(
@@ -113,10 +118,10 @@ def open_played(folder: Path, first: PressStage | None = None, tables: str = "")
         yield PlayedStation(loop, results)
 
 
-def _record(folder: Path) -> None:
-    """Record the free gel, then one press for each of PRESSES."""
+def _record(folder: Path, presses: Sequence[str]) -> None:
+    """Record the free gel, then one press for each verdict."""
     phases: list[tuple[float, bool]] = [(0.0, False)] * 28
-    for verdict in PRESSES:
+    for verdict in presses:
         is_damaged = verdict == "fail"
         phases += [(depth, is_damaged) for depth in (0.5, *[1.0] * 10, 0.3)] + [(0.0, False)] * 6
     header = RecordingHeader("GelSight Mini R0B CHECK-0001", "CHECK0001", _SIZE, _FPS, profile="cropped_lr")

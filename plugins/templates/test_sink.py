@@ -13,7 +13,7 @@ from plugins.conformance import check_sink
 
 from .sink import Sink, SinkOptions, plugin
 
-LARGEST = 1000
+LARGEST = 100_000
 """Bytes that the server takes."""
 
 
