@@ -21,6 +21,7 @@ from calibration.fitting.options import (
     Threshold,
 )
 from edge.cli.arguments import add_argument, add_option, flatten
+from edge.core.printable import write_count
 
 if TYPE_CHECKING:
     import numpy as np
@@ -72,7 +73,6 @@ def wrap(given: WrapArguments) -> None:
     The graph is adapted and compared with itself. The threshold comes from nominal presses."""
     from calibration.fitting.command import (
         choose_profile,
-        count_presses,
         make,
         refuse_existing,
         resolve_sources,
@@ -102,7 +102,9 @@ def wrap(given: WrapArguments) -> None:
     facts = {"licence": licence, "graph": graph.name, **facts}
     where = (material.part, material.position, sensor, region)
     config = WrapConfig(*where, given.method, given.alpha, given.threshold, given.threads, facts)
-    typer.echo(f"{count_presses(len(presses))}, {graph.name} as '{given.method}', region {region}")
+    typer.echo(
+        f"{write_count(len(presses), 'nominal press')}, {graph.name} as '{given.method}', region {region}"
+    )
     make(partial(wrap_files, ready, presses, config), given.output, given.overwrite)
 
 

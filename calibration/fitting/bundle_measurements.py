@@ -17,6 +17,7 @@ from calibration.fitting.presses.strangers import find_copies
 from edge.core.detector import Detector, KeepsMean
 from edge.core.errors import FitError, NotScorable
 from edge.core.imaging.quality import NominalContact, NominalStrength
+from edge.core.printable import write_count
 from edge.model.bundle import GoldenFrame
 from edge.model.manifest import CostCard, Provenance, ThresholdEntry, ToleranceEntry
 from edge.model.manifest_facts import GIVEN
@@ -194,7 +195,7 @@ def rate_warnings(specimens: Sequence[str | None], alpha: float | None) -> list[
         return [
             f"1 press promises no false-alarm rate; {count_needed(alpha)} presses are needed for {alpha:g}"
         ]
-    counted = f"{n} presses" if pieces == n else f"{n} presses of {pieces} piece{'' if pieces == 1 else 's'}"
+    counted = write_count(n, "press") + ("" if pieces == n else f" of {write_count(pieces, 'piece')}")
     what = "presses" if pieces == n else "pieces"
     return [
         f"{counted} promise a false-alarm rate of 1/{pieces + 1} at best; {count_needed(alpha)} {what} are "

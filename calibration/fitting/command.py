@@ -33,6 +33,7 @@ from calibration.fitting.options import (
 )
 from calibration.fitting.trunks import DEFAULT_BACKBONE
 from edge.cli.arguments import add_argument, add_option, flatten, parse_values
+from edge.core.printable import write_count
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
 __all__ = [
     "FitArguments",
     "choose_profile",
-    "count_presses",
     "fit",
     "make",
     "next_revision",
@@ -126,7 +126,7 @@ def fit(given: FitArguments) -> None:
     refuse_existing(given.output, given.overwrite)
     presses, config = plan_fit(given)
     how = f"{config.detector.name} ({config.mode}) on {config.trunk.id}"
-    typer.echo(f"{count_presses(len(presses))}, {how}, region {config.region}")
+    typer.echo(f"{write_count(len(presses), 'nominal press')}, {how}, region {config.region}")
     make(partial(fit_files, presses, config), given.output, given.overwrite)
 
 
@@ -282,10 +282,6 @@ def next_revision(output: Path) -> int:
     except BundleError:
         return 1
     return (manifest.revision or 0) + 1
-
-
-def count_presses(n: int) -> str:
-    return f"{n} nominal press{'' if n == 1 else 'es'}"
 
 
 def write(fitted: "Fitted", output: Path, overwrite: bool) -> None:

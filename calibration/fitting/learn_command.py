@@ -10,6 +10,7 @@ import typer
 from calibration.fitting.options import GelId, LeaveOut, NoContact, Output, Overwrite, Threads
 from edge.cli.arguments import add_argument, add_option, flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
+from edge.core.printable import write_count
 
 if TYPE_CHECKING:
     from calibration.fitting.learn import Comparison, ConfirmedPresses
@@ -50,7 +51,7 @@ def learn(given: LearnArguments) -> None:
     """
     import tempfile
 
-    from calibration.fitting.command import count_presses, make, refuse_existing
+    from calibration.fitting.command import make, refuse_existing
     from calibration.fitting.fit import Fitted, fit_files
     from calibration.fitting.fit_again import configure_again, read_again
     from calibration.fitting.learn import compare, write_pictures
@@ -82,7 +83,7 @@ def learn(given: LearnArguments) -> None:
     _warn_without_gel(old, presses)
     warn_of_lost(old)
     learnt = sum(name.startswith(f"{pictures.name}/") for name in presses.names)
-    typer.echo(f"{count_presses(len(presses))}, {learnt} of them from the station")
+    typer.echo(f"{write_count(len(presses), 'nominal press')}, {learnt} of them from the station")
 
     def fit_and_check(created: str, report: Report) -> Fitted:
         fitted = fit_files(presses, config, created=created, report=report)

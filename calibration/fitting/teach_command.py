@@ -10,6 +10,7 @@ import typer
 from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
 from edge.cli.arguments import add_argument, add_option, flatten
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption
+from edge.core.printable import write_count
 
 if TYPE_CHECKING:
     from calibration.fitting.fit import Fitted
@@ -153,7 +154,7 @@ def _prepare(
     damaged = read_presses(files, old.profile, old.region, no_contact=given.no_contact)
     archived = {path.name: path.stem for path in files if path.parent == folder}
     damaged = replace(damaged, names=tuple(archived.get(Path(one).name, one) for one in damaged.names))
-    typer.echo(f"{len(damaged)} damaged and {len(nominal)} nominal presses")
+    typer.echo(f"{len(damaged)} damaged and {write_count(len(nominal), 'nominal press')}")
     config = configure_again(old, None, given.threads, None)
     return Lesson(old, damaged, nominal, config, datetime.date.today().isoformat())
 

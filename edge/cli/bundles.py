@@ -9,6 +9,7 @@ import typer
 
 from edge.cli.options import BundlePath, TrunkStore
 from edge.core.errors import BundleError
+from edge.core.printable import write_count
 from edge.model.again_facts import DEFAULT_COSTS, again_sentence, plan_for
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import MAX_MANIFEST_BYTES, Bundle, parse_manifest
@@ -172,7 +173,7 @@ def verify(
         checked = Bundle.load(bundle, trunks, trust=trust)
         typer.echo(f"signature: {checked.signature}")
         typer.echo(f"manifest schema {checked.manifest.schema_version}: known")
-        typer.echo(f"{len(checked.manifest.files)} files: every SHA-256 is correct")
+        typer.echo(f"{write_count(len(checked.manifest.files), 'file')}: every SHA-256 is correct")
         scorer = Scorer(checked, threads)
         typer.echo("graphs: they open, and give the promised shapes")
         worst = scorer.check_golden()

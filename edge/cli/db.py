@@ -7,7 +7,7 @@ import typer
 
 from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
 from edge.core.errors import ConfigError, StoreError
-from edge.core.printable import printable
+from edge.core.printable import printable, write_count
 from edge.messaging.publisher import PublisherLock
 from edge.store.backup import back_up, backups_in
 from edge.store.backup import migrate as migrate_file
@@ -42,8 +42,8 @@ def check(
     faults = sum(finding.is_fault for finding in findings)
     if faults:
         raise StoreError(
-            f"database {path} has {faults} faults, see above; stop the gateway, keep a copy of the file and of those "
-            "with its name, and go on with the newest sound backup"
+            f"database {path} has {write_count(faults, 'fault')}, see above; stop the gateway, keep a copy of the file "
+            "and of those with its name, and go on with the newest sound backup"
         )
     typer.echo(f"ok     {path} is sound")
 

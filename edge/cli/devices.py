@@ -13,6 +13,7 @@ from edge.cli.arguments import plugin_options
 from edge.clock import SystemClock
 from edge.core.errors import ConfigError, GelgateError
 from edge.core.plugins import RecordsDialogue, Resettable
+from edge.core.printable import write_count
 
 __all__ = ["devices"]
 
@@ -80,8 +81,8 @@ def _write_dialogue(lines: Sequence[str], path: Path) -> None:
     path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     heard = json.loads(lines[0])["heard"]
     typer.echo(
-        f"{path}: {len(lines) - 1} calls, {len(heard['frames'])} frames of {heard['product']}; no picture can be seen "
-        "in it, its serial number can"
+        f"{path}: {write_count(len(lines) - 1, 'call')}, {write_count(len(heard['frames']), 'frame')} of "
+        f"{heard['product']}; no picture can be seen in it, its serial number can"
     )
     if "fault" in heard:
         typer.echo(f"it ended with: {heard['fault']}")

@@ -17,7 +17,7 @@ from edge.clock import local_time
 from edge.config import load_config
 from edge.core.errors import ConfigError
 from edge.core.person_verdict import Agreement
-from edge.core.printable import printable, score_texts
+from edge.core.printable import printable, score_texts, write_count
 from edge.core.reference_press.charts import newest_begin
 from edge.core.shadow import JudgedTwice, ShadowVerdict, Weighing
 from edge.core.suggest import suggestion
@@ -88,7 +88,7 @@ def history(
     elif by is not None:
         _print_agreement(rows, _GROUPS[by], _shifts(config) if by == "shift" else ())
     elif output is not None:
-        typer.echo(f"{write_history(output, rows)} presses in {output}")
+        typer.echo(f"{write_count(write_history(output, rows), 'press')} in {output}")
     else:
         _print(rows, as_json=as_json)
 
@@ -183,7 +183,7 @@ def _print(rows: Iterable[HistoryRow], *, as_json: bool) -> None:
         totals[row.verdict] += 1
     words = ", ".join(f"{n} {verdict}" for verdict, n in sorted(totals.items()))
     if not as_json:
-        typer.echo(f"{totals.total()} presses: {words}" if totals else "no press fits")
+        typer.echo(f"{write_count(totals.total(), 'press')}: {words}" if totals else "no press fits")
 
 
 def _line(row: HistoryRow) -> str:

@@ -12,6 +12,7 @@ from edge.clock import SystemClock
 from edge.core.errors import ConfigError, FrameCorrupt, GelgateError, RecordingEnded
 from edge.core.imaging.known_profiles import profile as named
 from edge.core.imaging.sensor_profile import cut_in_words
+from edge.core.printable import write_count
 from edge.recording.format import Recording, RecordingHeader, RecordingWriter
 from edge.recording.from_images import PressLift, images_in, record_images
 from edge.recording.from_video import film_of, record_video
@@ -99,7 +100,9 @@ def _from_images(given: RecordArguments, folder: Path) -> str:
         raise ConfigError(str(error)) from error
     names = {"product": given.product, "serial": given.serial, "profile": given.profile}
     count = record_images(given.out, images, free, plan, **names)
-    return f"{given.out}: {count} frames, {len(images)} presses at {plan.fps} fps"
+    return (
+        f"{given.out}: {write_count(count, 'frame')}, {write_count(len(images), 'press')} at {plan.fps} fps"
+    )
 
 
 def _from_video(given: RecordArguments, path: Path) -> str:
@@ -130,7 +133,7 @@ def _from_video(given: RecordArguments, path: Path) -> str:
         profile=profile,
     )
     scaled = f", {cut_in_words(film.size, wanted)}" if is_other and wanted else ""
-    return f"{given.out}: {count} frames of {path.name}{scaled}"
+    return f"{given.out}: {write_count(count, 'frame')} of {path.name}{scaled}"
 
 
 def _say_presses(out: Path, name: str) -> None:
@@ -164,9 +167,11 @@ def _from_device(given: RecordArguments, name: str) -> str:
             try:
                 corrupt, ending = _copy_frames(sensor, writer, clock, end_ns, given.frames)
             except GelgateError:
-                typer.echo(f"{given.out}: {len(writer)} frames were recorded and are kept", err=True)
+                typer.echo(
+                    f"{given.out}: what was recorded is kept: {write_count(len(writer), 'frame')}", err=True
+                )
                 raise
-            return f"{given.out}: {len(writer)} frames, {corrupt} corrupt ones left out{ending}"
+            return f"{given.out}: {write_count(len(writer), 'frame')}, {corrupt} corrupt left out{ending}"
     finally:
         sensor.close()
 
@@ -187,7 +192,7 @@ def _copy_frames(
             writer.add(frame.payload, frame.timestamp_ns)
             if frame.timestamp_ns - said_ns >= _SAY_EVERY_NS:
                 said_ns = frame.timestamp_ns
-                typer.echo(f"{len(writer)} frames", err=True)
+                typer.echo(write_count(len(writer), "frame"), err=True)
     except RecordingEnded:
         return corrupt, "; the played recording has ended"
     except KeyboardInterrupt:

@@ -18,7 +18,7 @@ from edge.config import Config, load_config
 from edge.config.reference_table import ReferenceTable
 from edge.core.errors import ConfigError, GelgateError
 from edge.core.ports import Clock
-from edge.core.printable import printable, score_texts
+from edge.core.printable import printable, score_texts, write_count
 from edge.core.reference_press.charts import Chart, ReferencePress, charts, judge
 from edge.core.reference_press.control_chart import MEASURES
 from edge.core.reference_press.outcome import Outcome
@@ -169,7 +169,7 @@ def _write(output: Path, chosen: Mapping[PieceKey, list[ReferencePress]], learn:
         ((key, presses),) = chosen.items()
         text = control_charts_svg(charts(presses, learn), str(key))
     output.write_text(text, encoding="utf-8")
-    typer.echo(f"{sum(map(len, chosen.values()))} reference presses in {output}")
+    typer.echo(f"{write_count(sum(map(len, chosen.values())), 'reference press')} in {output}")
 
 
 def _nothing_text(known: Sequence[PieceKey]) -> str:
@@ -181,7 +181,7 @@ def _nothing_text(known: Sequence[PieceKey]) -> str:
 
 def _piece_text(key: PieceKey, presses: Sequence[ReferencePress], learn: int, count: int) -> str:
     """The limits of each measure, then the newest presses, oldest first."""
-    lines = [f"master piece {key}: {len(presses)} presses", ""]
+    lines = [f"master piece {key}: {write_count(len(presses), 'press')}", ""]
     lines += [_chart_line(chart) for chart in charts(presses, learn)]
     shown = range(max(0, len(presses) - count), len(presses))
     lines += ["", *(_press_line(presses[: number + 1], learn) for number in shown)]

@@ -15,7 +15,7 @@ from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
 from edge.clock import SystemClock, local_time
 from edge.config import Config, load_config
 from edge.core.errors import ArchiveError, BundleError, ConfigError
-from edge.core.printable import printable
+from edge.core.printable import printable, write_count
 from edge.features.black_box.replay import Bundles, Replayed, judge_again
 from edge.gateway.recorder import press_drawing
 from edge.model.bundle import Bundle
@@ -128,8 +128,8 @@ def _print_differences(
     if is_many and not as_json:
         total = counts["equal"] + counts["differ"] + counts["impossible"]
         typer.echo(
-            f"{total} presses: {counts['equal']} equal, {counts['differ']} differ, {counts['impossible']} not made "
-            f"again; {counts['never']} others were never archived"
+            f"{write_count(total, 'press')}: {counts['equal']} equal, {counts['differ']} differ, "
+            f"{counts['impossible']} not made again; {counts['never']} others were never archived"
         )
 
 
@@ -146,7 +146,7 @@ def _print_changes(made_again: Iterable[tuple[KnownPress, Replayed]], *, as_json
         return
     words = sorted({word for pair in counts for word in pair})
     changed = sum(n for (then, now), n in counts.items() if then != now)
-    typer.echo(f"{counts.total()} presses of this part: {changed} verdicts change")
+    typer.echo(f"{write_count(counts.total(), 'press')} of this part; verdicts that change: {changed}")
     if words:
         typer.echo("then \\ now".ljust(12) + "".join(word.rjust(10) for word in words))
     for then in words:

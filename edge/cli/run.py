@@ -15,7 +15,7 @@ from edge.cli.options import CONFIG, ConfigOption
 from edge.clock import SystemClock, local_time
 from edge.config import load_config
 from edge.core.errors import DeviceError, GelgateError
-from edge.core.printable import score_texts
+from edge.core.printable import score_texts, write_count
 from edge.gateway.build import open_station
 from edge.gateway.opening import played_recording
 from edge.gateway.preflight import preflight
@@ -152,13 +152,15 @@ def summary_text(summary: Summary) -> str:
     words = ", ".join(f"{n} {word}" for word, n in sorted(summary.verdicts.items())) or "none"
     frames = summary.frames
     text = (
-        f"{summary.presses} presses: {words}\n{frames.frames} frames: {frames.dropped} dropped, {frames.late} late, "
-        f"{summary.frames_stale} repeated, {summary.frames_corrupt} corrupt"
+        f"{write_count(summary.presses, 'press')}: {words}\n{write_count(frames.frames, 'frame')}: "
+        f"{frames.dropped} dropped, {frames.late} late, {summary.frames_stale} repeated, "
+        f"{summary.frames_corrupt} corrupt"
     )
     if frames.interrupted or frames.late_presses:
         text += (
-            f"; frames were dropped {frames.interrupted} times while the gel was pressed and {frames.late_presses} "
-            "presses were judged too late: this machine is too slow, presses may have been missed"
+            f"; frames were dropped {write_count(frames.interrupted, 'time')} while the gel was pressed and "
+            f"{write_count(frames.late_presses, 'press')} came too late: this machine is too slow, presses may "
+            "have been missed"
         )
     return text
 

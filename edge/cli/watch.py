@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from edge.core.printable import printable
+from edge.core.printable import printable, write_count
 from edge.extras import needs
 from edge.messaging.mqtt_broker import Broker
 from edge.messaging.subscriber import broker_at, describe, receive, station_filter
@@ -97,10 +97,11 @@ def _validate(broker: Broker, topics: str, count: int | None, timeout: float | N
             if count is not None and check.checked >= count:
                 break
     finally:
-        print(f"{check.checked} messages checked, {faults} not as described", flush=True)
+        print(f"{write_count(check.checked, 'message')} checked, {faults} not as described", flush=True)
         for root, number in check.undescribed.items():
             print(
-                f"{printable(root)}: {number} messages not checked, its topic asyncapi is empty", flush=True
+                f"{printable(root)}: {write_count(number, 'message')} not checked, its topic asyncapi is empty",
+                flush=True,
             )
     if faults or check.undescribed or (count is not None and check.checked < count):
         raise typer.Exit(1)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from edge.core.binomial import rate_limits
+from edge.core.printable import write_count
 from edge.core.sentence import Sentence
 
 __all__ = [
@@ -86,7 +87,7 @@ class Agreement:
         """
         share = f"{self.passed / self.presses:.1%}" if self.presses else "-"
         return (
-            f"{self.presses} presses, yield {share}; "
+            f"{write_count(self.presses, 'press')}, yield {share}; "
             f"false alarms: {_rate(self.good[False], self.good[False] + self.damaged[False], 'fail')}; "
             f"escapes: {_rate(self.damaged[True], self.good[True] + self.damaged[True], 'pass')}"
         )

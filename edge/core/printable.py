@@ -1,11 +1,16 @@
 """Text from elsewhere, for a terminal."""
 
-__all__ = ["printable", "score_texts"]
+__all__ = ["printable", "score_texts", "write_count"]
 
 
 def printable(text: object) -> str:
     """The text with every control character as its escape, so that a terminal shows it and does not obey it."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+
+
+def write_count(n: int, noun: str) -> str:
+    """Write how many there are: `1 press`, `2 presses`, `1 nominal frame`."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}{'es' if noun.endswith('s') else 's'}"
 
 
 def score_texts(score: float, threshold: float, digits: int = 4, form: str = "f") -> tuple[str, str]:

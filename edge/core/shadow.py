@@ -6,6 +6,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 from typing import Final, Self
 
+from edge.core.printable import write_count
+
 __all__ = ["LEAST_COMPARED", "LEAST_ON_NEW_GEL", "JudgedTwice", "ShadowVerdict", "Weighing"]
 
 LEAST_COMPARED: Final = 100
@@ -88,7 +90,7 @@ class Weighing:
         good = self._good
         stricter = sum(one.verdict == "pass" for one in self.differing)
         return (
-            f"{len(self.presses)} presses judged by both: {stricter} pass the bundle in use alone, "
+            f"{write_count(len(self.presses), 'press')} judged by both: {stricter} pass the bundle in use alone, "
             f"{len(self.differing) - stricter} the shadow alone; of {len(good)} that people call good "
             f"{_count(good, 'verdict', passes=False)} and {_count(good, 'other', passes=False)} do not pass, of "
             f"{len(damaged)} that they call damaged {_count(damaged, 'verdict', passes=True)} and "
@@ -147,15 +149,17 @@ class Weighing:
         if self.is_new_gel:
             compared, least, which = len(self._good), LEAST_ON_NEW_GEL, " that people call good"
         if compared < least and not self.is_clear:
-            found.append(f"both have judged {compared} presses{which}, at least {least} are needed")
+            found.append(
+                f"both have judged {write_count(compared, 'press')}{which}, at least {least} are needed"
+            )
         if self.lost:
             found.append(f"it passes damage that was found: {', '.join(self.lost)}")
         if self.new_alarms:
             good = self._good
             now, then = _count(good, "other", passes=False), _count(good, "verdict", passes=False)
             found.append(
-                f"{now} instead of {then} of the {len(good)} presses that people call good do not pass it: "
-                f"{', '.join(self.new_alarms[:_MOST_NAMED])}"
+                f"{now} instead of {then} of the {write_count(len(good), 'press')} that people call good do not "
+                f"pass it: {', '.join(self.new_alarms[:_MOST_NAMED])}"
             )
         return found
 

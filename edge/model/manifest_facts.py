@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from edge.core.errors import BundleMismatch
+from edge.core.printable import write_count
 from edge.model.manifest import Manifest, RatePromise, ThresholdEntry
 
 __all__ = [
@@ -138,9 +139,9 @@ def promise(limit: ThresholdEntry) -> str:
     if limit.is_floored:
         floor = f"{_percent(limit.alpha_floor)} (1 in {round(1 / limit.alpha_floor)})"
         rate = f"at best {floor}, not the {_percent(limit.alpha)} asked for,"
-    presses, whom = f"{limit.n} presses", "sound presses"
+    presses, whom = write_count(limit.n, "press"), "sound presses"
     if limit.pieces not in (None, limit.n):
-        presses += f" of {limit.pieces} piece{'' if limit.pieces == 1 else 's'}"
+        presses += f" of {write_count(limit.pieces, 'piece')}"
         whom += " of new pieces"
     whole = f"{presses}: {rate} of {whom} fail, on average over bundles"
     return f"{whole}{_of_this_bundle(limit)}"
@@ -148,12 +149,11 @@ def promise(limit: ThresholdEntry) -> str:
 
 def _of_known_pieces(limit: ThresholdEntry, press: RatePromise) -> str:
     """No piece was held out, so the limit knows nothing of others."""
-    pieces, these = (
-        ("1 piece", "this piece") if limit.pieces == 1 else (f"{limit.pieces} pieces", "these pieces")
-    )
+    these = "this piece" if limit.pieces == 1 else "these pieces"
     return (
-        f"{limit.n} presses of {pieces}: at most {_percent(press.rate)} of presses of {these} fail, "
-        f"{100 * press.confidence:.0f} % sure; of other pieces nothing is promised, their sound presses may all fail"
+        f"{write_count(limit.n, 'press')} of {write_count(limit.pieces or 0, 'piece')}: at most "
+        f"{_percent(press.rate)} of presses of {these} fail, {100 * press.confidence:.0f} % sure; "
+        "of other pieces nothing is promised, their sound presses may all fail"
     )
 
 

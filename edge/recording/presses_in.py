@@ -9,6 +9,7 @@ from edge.core.contact.wear import foreign_free_gel
 from edge.core.errors import RecordingError
 from edge.core.imaging.known_profiles import PROFILES
 from edge.core.imaging.sensor_profile import SensorProfile
+from edge.core.printable import write_count
 from edge.recording.format import Recording
 
 __all__ = ["find_profile", "find_settled", "presses_in"]
@@ -33,7 +34,7 @@ def find_settled(recording: Recording, number: int) -> PressSettled:
             if isinstance(event, PressSettled) and count == number:
                 return event
     raise RecordingError(
-        f"recording {recording.folder} has {count} presses at rest, found --number {number}; count from 1"
+        f"recording {recording.folder} has {write_count(count, 'press')} at rest, found --number {number}; count from 1"
     )
 
 
@@ -49,9 +50,9 @@ def presses_in(recording: Recording, profile: SensorProfile) -> tuple[str, list[
                 touches.append(event.touch)
                 reliefs.append(event.findings.relief.area)
     presses = counts[PressSettled] + counts[PressNotSettled]
-    found = f"{presses} presses, {counts[PressSettled]} of them at rest"
+    found = f"{write_count(presses, 'press')}, {counts[PressSettled]} of them at rest"
     if detector.corrupt:
-        found += f"; {detector.corrupt} frames refused, the first: {detector.first_fault}"
+        found += f"; {write_count(detector.corrupt, 'frame')} refused, the first: {detector.first_fault}"
     doubt = foreign_free_gel(touches, reliefs)
     doubts = [] if doubt is None else [doubt]
     if counts[ReferenceCorrected]:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from edge.core.printable import write_count
 from edge.store.database import open_read_only
 from edge.store.ledger_chain import KIND_OF, KINDS, NO_HASH, Head, canonical, hash_link, read_row
 from edge.store.outbox import ROW_OVERHEAD_BYTES
@@ -106,7 +107,7 @@ def _gels(connection: sqlite3.Connection) -> Iterator[Finding]:
         "FROM gels ORDER BY serial, gels.rowid"
     )
     for gel_id, serial, counted, recorded in rows:
-        where = f"gel {gel_id} of sensor {serial} counts {counted} presses, the history has {recorded}"
+        where = f"gel {gel_id} of sensor {serial} counts {write_count(counted, 'press')}, the history has {recorded}"
         if counted < recorded:
             yield Finding("gels", f"{where}: the count was lowered")
         elif counted > recorded:
@@ -125,12 +126,14 @@ def _counts(connection: sqlite3.Connection, counts: dict[str, Count]) -> Iterato
         if known.presses > presses or known.sequence > number:
             yield Finding(
                 "counts",
-                f"the second record has {known.presses} presses of gel {known.gel_id} up to number {known.sequence}, "
+                f"the second record has {write_count(known.presses, 'press')} of gel {known.gel_id} up to number "
+                f"{known.sequence}, "
                 f"the database {presses} up to {number}: it was removed, cut or replaced by an old copy; look for "
                 "the lost file, or start the gateway, which goes on from the higher count",
             )
         if known.uncounted:
-            text = f"{known.uncounted} presses of sensor {serial} wait to be counted; the next start does"
+            waiting = write_count(known.uncounted, "press")
+            text = f"not yet counted: {waiting} of sensor {serial}; the next start does it"
             yield Finding("counts", text, is_fault=False)
 
 

@@ -39,7 +39,7 @@ def test_a_fault_is_printed_and_ends_with_1(database: Path) -> None:
     assert done.code == 1
     assert done.out == (
         "FAULT  gels: gel 2BNN4ZE7-1 of sensor 2BNN4ZE7 counts 0 presses, the history has 1: the count was lowered\n"
-        "FAULT  counts: the second record has 1 presses of gel 2BNN4ZE7-1 up to number 1, the database 0 up to 1: it "
+        "FAULT  counts: the second record has 1 press of gel 2BNN4ZE7-1 up to number 1, the database 0 up to 1: it "
         "was removed, cut or replaced by an old copy; look for the lost file, or start the gateway, which goes on "
         "from the higher count\n"
     )

@@ -182,7 +182,7 @@ def test_a_press_of_a_recording_is_measured(folder: Path, tmp_path: Path) -> Non
         assert read["heights_mm"].max() == pytest.approx(0.9, rel=0.06)
         assert str(read["source"]) == f"{tmp_path / 'presses'}, press 1"
     refused = gelgate("station", "heights", tmp_path / "presses", *words[:2], "--number", 2).sentence()
-    assert "has 1 presses at rest, found --number 2" in refused
+    assert "has 1 press at rest, found --number 2" in refused
 
 
 def test_equal_pictures_give_equal_heights(folder: Path, tmp_path: Path) -> None:

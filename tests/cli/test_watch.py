@@ -282,4 +282,4 @@ def test_a_station_without_a_description_is_named(
             watch_command(host=broker.host, port=broker.port, timeout=timeout, validate=True)
         said, timeout = capsys.readouterr().out, 3 * timeout
 
-    assert "gelgate/plant/line1/press2: 1 messages not checked, its topic asyncapi is empty" in said
+    assert "gelgate/plant/line1/press2: 1 message not checked, its topic asyncapi is empty" in said

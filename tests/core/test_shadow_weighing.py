@@ -39,7 +39,7 @@ def test_what_a_shadow_says_is_written_and_read_again() -> None:
         ),
         (
             [*ENOUGH, press(1, "pass", "error", "good")],
-            "1 instead of 0 of the 1 presses that people call good",
+            "1 instead of 0 of the 1 press that people call good",
         ),
         ([*ENOUGH, press(1, "pass", "fail", "good"), press(2, "fail", "pass", "good")], ""),
     ],

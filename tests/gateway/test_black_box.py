@@ -237,7 +237,7 @@ def test_another_bundle_shows_the_verdicts_that_change(made: Played, tmp_path: P
     changed, *table = done.out.splitlines()
     assert changed.startswith(f"{made.ids[1]}  fail")
     assert "->  pass" in changed
-    assert table[0] == "3 presses of this part: 1 verdicts change"
+    assert table[0] == "3 presses of this part; verdicts that change: 1"
     assert table[-1].split() == ["pass", "0", "2"]
 
 

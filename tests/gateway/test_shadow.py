@@ -195,7 +195,7 @@ def test_the_takeover_waits_for_the_end_of_a_press(
             1e6,
             ["at least 100", "it passes damage that was found: {2}", "passes {2}, which somebody"],
         ),
-        ({0: "good"}, 1e-9, ["at least 100", "1 instead of 0 of the 1 presses that people call good"]),
+        ({0: "good"}, 1e-9, ["at least 100", "1 instead of 0 of the 1 press that people call good"]),
     ],
 )
 def test_a_shadow_that_is_worse_is_refused_with_the_presses(
@@ -244,7 +244,7 @@ def test_on_a_new_gel_a_shadow_that_has_learnt_its_presses_need_not_wait(
     waits = learnt("three", three, FIVE)
     with SteppedStation(shadowed(bundle, waits)) as later:
         later.play_presses(1)
-        with pytest.raises(ValueError, match="both have judged 1 presses, at least 100 are needed"):
+        with pytest.raises(ValueError, match="both have judged 1 press, at least 100 are needed"):
             adopt(later)
     blind = learnt("blind", four, lenient)
     with SteppedStation(shadowed(bundle, blind)) as later:

@@ -126,7 +126,7 @@ def test_other_sizes_are_cut_and_scaled_only_when_asked(tmp_path: Path) -> None:
         assert says in gelgate(*common, *words).sentence()
     said = ran(*common, "--profile", "cropped_lr", "--resize")
     assert "640x400 cut to 533x400 in the middle and scaled to 320x240" in said
-    assert "seen in it: 1 presses, 1 of them at rest" in said
+    assert "seen in it: 1 press, 1 of them at rest" in said
     assert Recording.open(tmp_path / "out").header.mode == (320, 240)
 
 

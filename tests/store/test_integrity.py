@@ -71,7 +71,7 @@ def test_it_may_be_checked_while_a_gateway_writes(used: Path) -> None:
     [
         (
             "UPDATE gels SET presses = 1 WHERE removed_ns IS NULL",
-            "counts 1 presses, the history has 2: the count",
+            "counts 1 press, the history has 2: the count",
         ),
         ("UPDATE presses SET gel_id = 'lost' WHERE number = 1", "1 are of gels that are not in the ledger"),
         (
@@ -109,7 +109,7 @@ def test_presses_that_have_no_result_are_a_note(used: Path) -> None:
     assert faults(used) == []
     text = " ".join(finding.text for finding in check_database(used))
     assert "counts 5 presses, the history has 2: the others were made" in text
-    assert "6 presses of sensor 2BNN4ZE7 wait to be counted" in text
+    assert "not yet counted: 6 presses of sensor 2BNN4ZE7" in text
 
 
 def test_an_old_copy_is_found_by_the_second_record(used: Path) -> None:

@@ -20,6 +20,7 @@ from calibration.fitting.tap_reader import TapReader
 from edge import registry
 from edge.core.detector import Nominal
 from edge.core.errors import DatasetError, PoseNotFound
+from edge.core.printable import write_count
 from edge.core.verdict import Kind as Result
 from edge.model.bundle import Bundle, Graphs
 from edge.model.bundle_writer import bundle_files
@@ -155,7 +156,7 @@ def _shuffle(indices: Sequence[int], seed: int) -> list[int]:
     """Shuffle indices by the seed. Errors: DatasetError for too few."""
     if len(indices) < MIN_PRESSES:
         raise DatasetError(
-            f"{len(indices)} press{'' if len(indices) == 1 else 'es'} to edit, at least {MIN_PRESSES} are needed for a "
+            f"{write_count(len(indices), 'press')} to edit, at least {MIN_PRESSES} are needed for a "
             "probability of detection; give more presses"
         )
     return [indices[k] for k in np.random.default_rng(seed).permutation(len(indices)).tolist()]

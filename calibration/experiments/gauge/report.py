@@ -21,6 +21,7 @@ from calibration.experiments.gauge.gauge import (
 from calibration.experiments.gauge.plan import Material
 from calibration.experiments.harness.markdown import markdown_table
 from edge.clock import local_time
+from edge.core.printable import write_count
 
 __all__ = ["FORMATS", "Section", "csv_tables", "markdown", "report_sections"]
 
@@ -63,8 +64,9 @@ def _about(study: Material, zone: tzinfo | None) -> Section:
 def _gaps(study: Material) -> Iterator[str]:
     if study.missing:
         yield (
-            f"The study is not complete: {study.missing} presses of the plan have no score. The analysis is that of "
-            f"the largest table without gaps, which leaves out {study.left_out} presses."
+            f"The study is not complete: {write_count(study.missing, 'press')} of the plan without a score. The "
+            f"analysis is that of the largest table without gaps, which leaves out "
+            f"{write_count(study.left_out, 'press')}."
         )
     if study.rejected:
         words = ", ".join(f"{name} {number}" for name, number in sorted(study.rejected.items()))

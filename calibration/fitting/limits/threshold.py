@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES
 from edge.core.binomial import CONFIDENCE, beta_quantile, upper_rate
 from edge.core.errors import FitError
+from edge.core.printable import write_count
 from edge.model.manifest import RatePromise, ThresholdEntry
 
 __all__ = [
@@ -166,7 +167,7 @@ def require_enough(presses: int, alpha: float, fewest: int = MIN_PRESSES, why: s
     """
     if presses < fewest:
         raise FitError(
-            f"{presses} nominal press{'' if presses == 1 else 'es'} give{'s' if presses == 1 else ''} no threshold: "
+            f"{write_count(presses, 'nominal press')} give{'s' if presses == 1 else ''} no threshold: "
             f"with one held out fewer than {MIN_PRESSES - 1} are left to learn from; give at least {MIN_PRESSES} "
             f"({count_needed(alpha)} for a false-alarm rate of {alpha:g}), or state a threshold yourself"
             f"{why and f'; {why}'}"

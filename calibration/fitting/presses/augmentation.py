@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
 from edge.core.detector import Features, Mode, Nominal
 from edge.core.errors import FitError
+from edge.core.printable import write_count
 from edge.core.registration.colours import FreeLight
 from edge.core.registration.pose import Pose
 from edge.model.manifest_facts import AUGMENTATION
@@ -102,12 +103,12 @@ def plan_copies(
     if why:
         return Augmentation(0, f"no copies are added: {why}")
     each = max(1, min(EACH, MOST // n))
-    counted, of = ("1 press", "it") if n == 1 else (f"{n} presses", "each")
+    of = "it" if n == 1 else "each"
     return Augmentation(
         each,
-        f"the bank is of {counted} and {each} rendered cop{'y' if each == 1 else 'ies'} of {of}: shifted by up to "
-        f"{_MOST_SD * _SHIFT_MM:.1f} mm, turned by up to {_MOST_SD * _TURN_DEG:.1f} degrees, tilted, and pressed "
-        "deeper and lighter",
+        f"the bank is of {write_count(n, 'press')} and {each} rendered cop{'y' if each == 1 else 'ies'} of {of}: "
+        f"shifted by up to {_MOST_SD * _SHIFT_MM:.1f} mm, turned by up to {_MOST_SD * _TURN_DEG:.1f} degrees, tilted, "
+        "and pressed deeper and lighter",
     )
 
 

@@ -8,6 +8,7 @@ import typer
 
 from calibration.fitting.options import LeaveOut, NoContact, Overwrite, Threads
 from edge.cli.arguments import add_argument, add_option, flatten
+from edge.core.printable import write_count
 
 if TYPE_CHECKING:
     from edge.core.drawn_regions import DrawnRegion
@@ -98,7 +99,6 @@ def _find_promise(
     FitError, ConfigError without the nominal presses."""
     import datetime
 
-    from calibration.fitting.command import count_presses
     from calibration.fitting.fit_again import configure_again, read_again
     from calibration.fitting.regions.drawing import find_promise, is_stricter
     from edge.core.errors import ConfigError
@@ -113,6 +113,6 @@ def _find_promise(
     nominal = read_again(
         old, given.sources, no_contact=given.no_contact, leave_out=given.leave_out or (), say=typer.echo
     )
-    typer.echo(count_presses(len(nominal)))
+    typer.echo(write_count(len(nominal), "nominal press"))
     config = configure_again(old, None, given.threads, None)
     return find_promise(old, wanted, nominal, config, datetime.date.today().isoformat())

@@ -72,7 +72,7 @@ def test_missing_presses_are_said_and_leave_a_smaller_table(plan: StudyPlan, row
     found = material(plan, rows)
 
     assert (found.pieces, found.missing, found.left_out) == (("P1", "P3", "P4"), 1, 3)
-    assert "not complete: 1 presses of the plan have no score" in text_of(plan, rows)
+    assert "not complete: 1 press of the plan without a score" in text_of(plan, rows)
     assert "leaves out 3 presses" in text_of(plan, rows)
 
 

@@ -104,7 +104,7 @@ def test_a_shadow_of_too_few_presses_stays_a_shadow(bundle: Path, tmp_path: Path
 
     assert refusal is not None
     assert "promises no rate of false alarms" in refusal
-    assert "both have judged 1 presses, at least 100 are needed" in refusal
+    assert "both have judged 1 press, at least 100 are needed" in refusal
     assert is_early(refusal)
     assert not is_early(f"{refusal}; it passes damage that was found: one")
 
