@@ -3,6 +3,7 @@
 import argparse
 import logging
 import multiprocessing
+import random
 import shutil
 import sys
 import tempfile
@@ -96,7 +97,7 @@ def main() -> int:
     )
     words.add_argument("--seconds", type=float, default=0, help="end after the run that is on then")
     words.add_argument("--jobs", type=int, default=1, help="processes, each with seeds of its own")
-    words.add_argument("--presses", type=int, default=60, help="presses of a run")
+    words.add_argument("--presses", type=int, default=0, help="presses of a run; by default they are drawn")
     words.add_argument("--events", action="store_true", help="print what happens")
     words.add_argument("--no-shrink", action="store_true", help="print a failure as it is")
     words.add_argument("--bundle", type=Path, nargs=2, help="of both parts; by default new ones")
@@ -149,7 +150,9 @@ def _plays(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder:
     )
     with contextmanager(install_plugins)(folder / f"packages{job}"), suppress(KeyboardInterrupt):
         for seed in seeds:
-            simulation = Simulation(seed, given.presses, bundles, folder / f"run{seed}")
+            # Short runs try more options; the long ones fill an outbox.
+            presses = given.presses or random.Random(f"{seed} presses").choice((20, 20, 60))
+            simulation = Simulation(seed, presses, bundles, folder / f"run{seed}")
             run = simulation.play()
             shutil.rmtree(folder / f"run{seed}")
             if given.events or run.faults or given.runs == 1:

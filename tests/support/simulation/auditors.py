@@ -113,7 +113,7 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from audit_outputs(world, station)
     yield from audit_lifts(world, station)
     yield from audit_overloads(world, station)
-    yield from audit_answers(world, station)
+    yield from audit_answers(world, station, found)
     yield from audit_pieces(world, station)
     yield from audit_retained(world, station)
     yield from audit_late(world, station)

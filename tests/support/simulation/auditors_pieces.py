@@ -2,7 +2,7 @@
 
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 
 from simulation.auditors_outputs import OPENED_S, SHOWN_S
@@ -39,11 +39,16 @@ def audit_pieces(world: World, station: Station) -> Iterator[str]:
             "ORDER BY number"
         ).fetchall()
     made: dict[str, dict[str, list[str]]] = {piece: {} for piece, _ in pieces}
+    order: dict[str, list[str]] = {}
     for piece, place, verdict, _ in rows:
         made.setdefault(piece, {}).setdefault(place, []).append(verdict)
+        order.setdefault(piece, []).extend([place] if verdict in ("pass", "fail") else [])
+    if world.worker.order == "fixed":
+        wrong = {piece: places for piece, places in order.items() if places != [*PLAN][: len(places)]}
+        yield from (f"{piece} was pressed at {places}, in fixed order" for piece, places in wrong.items())
     for piece, verdict in pieces:
         yield from (f"{piece} is {verdict}: {what}" for what in _audit_verdict(verdict, made[piece]))
-    yield from _audit_presses(world, station, {press_id: piece for piece, _, _, press_id in rows})
+    yield from _audit_presses(world, station, {press_id: row for *row, press_id in rows})
     over = {piece: verdict for piece, verdict in pieces if verdict is not None}
     current = next((piece for piece, verdict in pieces if verdict is None), None)
     for broker in world.brokers.values():
@@ -65,15 +70,19 @@ def _audit_verdict(verdict: str | None, places: Places) -> Iterator[str]:
         yield f"in progress, and its places are {words}"
 
 
-def _audit_presses(world: World, station: Station, pieces: Mapping[str, str]) -> Iterator[str]:
-    """A press is of the piece that the person had begun."""
+def _audit_presses(world: World, station: Station, rows: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """A press is of the piece that the person had begun, and judged as the place at which it lies. rows: piece, place
+    and verdict of each."""
     for seen in station.seen:
-        piece, at_ns = pieces.get(seen.press_id, ""), seen.frame_ns or seen.judged_ns
+        piece, place, verdict = rows.get(seen.press_id, ("", "", ""))
+        at_ns = seen.frame_ns or seen.judged_ns
         press = next((one for one in reversed(world.hand.presses) if one.begin_ns <= at_ns), None)
         if press is None or press.why or not piece.startswith("piece "):
             continue
         if not world.pieces.allows(press, piece):
             yield f"press {press.number} counts for {piece}, and another piece was begun before it"
+        if verdict in ("pass", "fail") and not world.places.allows(press, place):
+            yield f"press {press.number} lay elsewhere, and its {verdict} is of {place}"
 
 
 def _audit_results(

@@ -1,9 +1,9 @@
 """What holds of what a PLC reads (docs/plc.md): a result is that of the press of its id, and of no other."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
-from simulation.lives import Seen, Station
+from simulation.lives import Row, Seen, Station
 from simulation.plc import TIMEOUT_S, Asked, Plc, Shown
 from simulation.sensor import S
 from simulation.surroundings import World
@@ -50,6 +50,8 @@ def _audit_trigger(shown: Shown, own: Asked) -> Iterator[str]:
     """Note what is shown of a trigger, and find what may not come after what was shown before."""
     if own.acknowledged_ns is not None and shown.at_ns > own.acknowledged_ns:
         yield "it is shown again, and was acknowledged"
+    if shown.has("busy"):
+        own.busy_ns = shown.at_ns
     if shown.has("busy") and own.taken_ns and shown.at_ns - own.taken_ns > (TIMEOUT_S + LATE_S) * S:
         yield f"it is busy for {(shown.at_ns - own.taken_ns) / S:.1f} s"
     for word in shown.words:
@@ -60,8 +62,8 @@ def _audit_trigger(shown: Shown, own: Asked) -> Iterator[str]:
             own.words.append((word, shown.at_ns))
 
 
-def audit_answers(world: World, station: Station) -> Iterator[str]:
-    """Each result is that of one recorded press: the first that began after its trigger."""
+def audit_answers(world: World, station: Station, rows: Mapping[int | None, Sequence[Row]]) -> Iterator[str]:
+    """Each result is that of one recorded press: the first that began after its trigger. rows: of each press."""
     found: dict[int, set[str]] = {}
     pieces: dict[int, object] = {}
     for broker in world.brokers.values():
@@ -74,6 +76,7 @@ def audit_answers(world: World, station: Station) -> Iterator[str]:
     parts = {row[0]: row[2] for row in station.rows()}
     for plc in world.plcs:
         for number, own in plc.asked.items():
+            yield from (f"trigger {number}: {what}" for what in _audit_place(world, station, own, rows))
             presses = found.get(number, set())
             if len(presses) > 1:
                 yield f"trigger {number} was answered by the presses {', '.join(sorted(presses))}"
@@ -86,6 +89,27 @@ def audit_answers(world: World, station: Station) -> Iterator[str]:
                     said = f"trigger {number}, {word} at {shown_ns / S:.3f} s"
                     what = _audit_answer(world, station, own, word, shown_ns, presses, parts)
                     yield from (f"{said}: {one}" for one in what)
+
+
+def _audit_place(
+    world: World, station: Station, own: Asked, rows: Mapping[int | None, Sequence[Row]]
+) -> Iterator[str]:
+    """The first press after a trigger lies where that says: no bundle of another part or place judges it."""
+    taken_ns = own.taken_ns
+    if own.part is None or taken_ns is None:
+        return
+    noticed_ns = world.noticed_s * S
+    press = next((one for one in world.hand.presses if one.begin_ns > taken_ns - noticed_ns), None)
+    if press is None or press.why or not taken_ns < press.begin_ns < own.busy_ns:
+        return
+    judged_ns = {seen.press_id: seen.judged_ns for seen in station.seen}
+    for press_id, verdict, part, _ in rows.get(press.number, []):
+        until_ns = judged_ns.get(press_id, 1 << 62)
+        is_open = until_ns < taken_ns + TIMEOUT_S * S and not any(
+            taken_ns < at_ns <= until_ns for plc in world.plcs for at_ns in plc.acknowledges_ns
+        )
+        if is_open and verdict in ("pass", "fail") and part != own.part:
+            yield f"press {press.number} lay at {own.part}, and its {verdict} is of {part}"
 
 
 def _audit_writers(plc: Plc, other: Plc, ended_ns: Sequence[int]) -> Iterator[str]:

@@ -80,7 +80,7 @@ class Chosen:
             rng.random() < 0.25,
             rng.random() < 0.3,
             rng.choice(("", "modbus", "modbus", "opcua")),
-            rng.choice(("", "", "fixed", "free")),
+            rng.choice(("", "fixed", "free")),
         )
         disturbed = {"second plc": 1.0, **rates, "plc": 4.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen

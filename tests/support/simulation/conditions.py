@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from simulation.brokers import Broker
+from simulation.bundles import PARTS
 from simulation.faults import MOODS
 from simulation.lives import Station
 from simulation.options import MESSAGES
@@ -85,6 +86,8 @@ SOMETIMES = (
     "a second PLC was refused",
     "a second PLC wrote",
     "a PLC had two places pressed, and the piece passed",
+    "a PLC began a piece at a place that comes later",
+    *(f"a person selected the {which} place of a piece" for which in ("right", "wrong")),
     *(f"a piece was {verdict}" for verdict in ("pass", "fail", "incomplete")),
     "a piece took too long",
     "plc mute",
@@ -144,6 +147,10 @@ def _of_plcs(world: World) -> Iterator[str]:
             yield "a PLC had two places pressed, and the piece passed"
         yield from ("a pass was taken back from a PLC" for said in words if said == ["pass", "error"])
         yield from (f"the cable of a PLC was pulled at {step}" for step in plc.cuts)
+        begun = {asked.piece: asked for asked in reversed(plc.asked.values()) if asked.taken_ns}
+        if world.has_pieces and world.worker.order == "fixed":
+            is_late = any(asked.part == PARTS[1] and asked.busy_ns for asked in begun.values())
+            yield from ["a PLC began a piece at a place that comes later"] * is_late
     for plc in world.plcs[1:]:
         yield "a second PLC wrote" if plc.writes_ns else "a second PLC was refused"
 

@@ -125,4 +125,12 @@ FAILED = (
         ),
         says="the alarm device is not raised # s after its reason came",
     ),
+    # A part lay on the gel when a silence ended: it was the free gel, so what it showed were marks, which were masked.
+    Failure(
+        seed=263320558,
+        presses=41,
+        chosen=Chosen(brokers=1, has_archive=True, rates={}, sloth_s=0.03, fps=18.75),
+        schedule=(Fault(at_s=66.63, name="silence", seed=1),),
+        says="press #, sound, has the verdict unsure, without any fault",
+    ),
 )

@@ -23,7 +23,7 @@ class PieceWorker:
     """Takes one piece after the other. order: of the plan; in a free one the person selects the place."""
 
     def __init__(self, rng: random.Random, order: str) -> None:
-        self._rng, self._order = rng, order
+        self._rng, self.order = rng, order
         self._number = self._first = self._wanted = 0
         self._chosen = -1
 
@@ -37,7 +37,7 @@ class PieceWorker:
         if made >= self._wanted:
             hand.wait(0.4)
             self._begin(run)
-        elif self._order == "free" and self._chosen != made:
+        elif self.order == "free" and self._chosen != made:
             hand.wait(0.4)
             self._choose(run, made)
         return 0.1
@@ -45,6 +45,7 @@ class PieceWorker:
     def _begin(self, run: "Simulation") -> None:
         self._number += 1
         name, now_ns = f"piece {self._number}", run.world.clock.now_ns
+        run.world.places.forget(now_ns)
         try:
             run.station.ask("begin_piece", piece_id=name)
         except ValueError:  # something presses still, or waits to be recorded
@@ -65,5 +66,8 @@ class PieceWorker:
         try:
             run.station.ask("select_part", part=part, position="pos1")
         except (ValueError, GelgateError):
+            run.world.places.forget(run.world.clock.now_ns)
             return
+        run.world.places.select(run.world.clock.now_ns, f"{part}/pos1")
+        run.reach(f"a person selected the {'right' if part == PARTS[made % 2] else 'wrong'} place of a piece")
         self._chosen = made

@@ -293,4 +293,13 @@ BUGS = (
         "look.level",
         "no gel has a scar",
     ),
+    Bug(
+        "a press of a place that comes later fills another one",
+        "edge/features/handshake/stage.py",
+        "        if is_new:\n            try:\n",
+        "        self.admit = lambda press: press  # type: ignore[method-assign]\n"
+        "        if part is not None:\n            self._select(part, trigger)\n            part = None\n"
+        "        if is_new:\n            try:\n",
+        "lay at .*, and its .* is of",
+    ),
 )

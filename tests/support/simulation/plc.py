@@ -123,6 +123,8 @@ class Asked:
     """That it names, and the piece."""
     piece: str
     taken_ns: int | None = None
+    busy_ns: int = 0
+    """It was last read then that the trigger waits for its press."""
     acknowledged_ns: int | None = None
     """The answer to an acknowledgement came then."""
     words: list[tuple[str, int]] = field(default_factory=list)
@@ -151,6 +153,8 @@ class Plc:
         self.writes_ns: list[int] = []
         """When a write was taken; `refused_ns`: when not."""
         self.refused_ns: list[int] = []
+        self.acknowledges_ns: list[int] = []
+        """When it acknowledged, taken or not: a trigger that is busy ends with it."""
         self.left_ns = 1 << 62
         self.cuts: set[str] = set()
         """The steps at which its cable was pulled."""
@@ -200,7 +204,8 @@ class Plc:
 
     def _ask(self) -> None:
         self._id, self._next_id = self._next_id, self._next_id + 1
-        part = self._rng.choice((None, None, None, *PARTS))
+        # Of a piece most programs name the place, right or wrong.
+        part = self._rng.choice((None, *PARTS) if self.on_piece else (None, None, None, *PARTS))
         if self.on_piece is None or not self._piece or self._rng.random() < 0.4:
             self._piece = f"piece {self._id}"
         piece = "" if self.on_piece and self._rng.random() < 0.1 else self._piece
@@ -235,6 +240,7 @@ class Plc:
 
     def _acknowledge(self) -> None:
         shown = self._look()
+        self.acknowledges_ns.append(self._clock.now_ns)
         if self._write(lambda port, line: port.acknowledge(line)) and shown.trigger_id in self.asked:
             self.asked[shown.trigger_id].acknowledged_ns = self._clock.now_ns
         self._go("release")

@@ -117,6 +117,9 @@ class World:
         self.has_pieces = bool(chosen.piece) and chosen.trigger == "automatic"
         self.pieces = Selected("", self.noticed_s)
         """The piece that the person has begun."""
+        self.places = Selected("", self.noticed_s)
+        """The place at which the person lets the part lie, in a free order; a PLC names it with each trigger."""
+        self.places.forget(0)
         if self.has_pieces:
             self.parts.forget(self.clock.now_ns)  # the plan selects the bundle
         self.worker = PieceWorker(random.Random(f"{seed} pieces"), chosen.piece)
