@@ -22,6 +22,7 @@ from edge.messaging.command_payloads import (
     SHORTEST_SECRET,
     CommandRequest,
     CommandResponse,
+    CommandTransaction,
     is_signed,
     signed_text,
 )
@@ -177,11 +178,9 @@ class Commands:
         return self._answer(verb, transaction, error=why)
 
     def _response(self, verb: str, payload: bytes, admit: _Admit) -> bytes:
-        transaction = None
+        transaction = _transaction(payload)
         try:
-            request = _request(payload)
-            transaction = request.transaction
-            return self._do_once(verb, request, admit)
+            return self._do_once(verb, _request(payload), admit)
         except (GelgateError, TypeError, ValueError) as error:
             self._warn(verb, error)
             return self._answer(verb, transaction, error=str(error))
@@ -281,10 +280,10 @@ class Commands:
 
 
 def _transaction(payload: bytes) -> str | None:
-    """Return the transaction of a request that is not done, as far as it can be read."""
+    """Return the transaction of a request, also where all else of it is wrong; None where it cannot be read."""
     try:
-        return _request(payload).transaction
-    except ValueError:
+        return CommandTransaction.model_validate_json(payload).transaction
+    except ValidationError:
         return None
 
 

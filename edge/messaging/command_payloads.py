@@ -35,6 +35,7 @@ __all__ = [
     "CommandArguments",
     "CommandRequest",
     "CommandResponse",
+    "CommandTransaction",
     "NoArguments",
     "PlainText",
     "ReplaceGelArguments",
@@ -54,10 +55,10 @@ PlainText = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f\x7f]*$")]
 """Without control characters, which a terminal would obey."""
 
 
-class CommandRequest(BaseModel):
-    """What arrives on `cmd/<verb>`. Retained requests are ignored: they would run again on every connection."""
+class CommandTransaction(BaseModel):
+    """The part of a request by which its response is told from others."""
 
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+    model_config = ConfigDict(strict=True, frozen=True)
 
     transaction: PlainText = Field(
         min_length=1,
@@ -65,6 +66,13 @@ class CommandRequest(BaseModel):
         description="chosen by the requester, returned in the response; the same one within a minute is the same "
         "request, and is not done twice",
     )
+
+
+class CommandRequest(CommandTransaction):
+    """What arrives on `cmd/<verb>`. Retained requests are ignored: they would run again on every connection."""
+
+    model_config = ConfigDict(extra="forbid")
+
     arguments: dict[str, Any] = Field(default_factory=dict, description="of the verb; may be left out")
     by: PlainText | None = Field(
         default=None, max_length=64, description="who asks, for the table of acts; claimed, unless signed"

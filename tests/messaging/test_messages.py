@@ -189,6 +189,13 @@ HANDLERS = {
         ("pong", b'{"transaction":"7"}', "7", "error", "the command 'pong' is off at this station"),
         ("refuse", b'{"transaction":"7"}', "7", "error", "no bundle is named 'x'"),
         ("break", b'{"transaction":"7"}', "7", "error", "it failed with an internal error"),
+        (
+            "ping",
+            b'{"transaction":"7","arguments":null,"by":1}',
+            "7",
+            "error",
+            "arguments: Input should be an object",
+        ),
         ("ping", b"not json", None, "error", "docs/mqtt.md"),
         ("ping", b'{"arguments":{}}', None, "error", "transaction: Field required"),
         ("ping", b'{"transaction":7}', None, "error", "transaction"),
