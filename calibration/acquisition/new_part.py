@@ -85,6 +85,7 @@ def new_part(
     It finds the sensor, takes presses until they are enough, fits a bundle, checks the station and starts it. After
     an interruption the same command goes on."""
     from calibration.acquisition.command import check_promise
+    from edge import registry
     from edge.cli.run import check, run
     from edge.config import load_config
     from edge.core.errors import ConfigError
@@ -92,9 +93,11 @@ def new_part(
 
     guide = _Guide(is_quick)
     part, _, position = name.partition("/")
+    bundle_name = _name_bundle(name)
+    check_promise("--promise", promise)
+    if device is not None:
+        registry.device(device)
     with guide.step("sensor"):
-        bundle_name = _name_bundle(name)
-        check_promise("--promise", promise)
         if not config.exists():
             _write_station(guide, config, *_find_sensor(guide, device, option or []))
         loaded = load_config(config)
