@@ -141,6 +141,7 @@ class Bundle:
         if isinstance(picture, str | Path):
             return read_rgb(Path(picture), self._loaded.profile)
         width, height = self.picture_size
+        _check_array(picture)
         if picture.dtype != np.uint8 or picture.shape != (height, width, 3):
             raise DatasetError(
                 f"the picture is {picture.dtype} {picture.shape}, expected uint8 ({height}, {width}, 3), RGB, as the "
@@ -197,10 +198,18 @@ def fit(
     return Bundle(fitted.bundle(), config.threads)
 
 
+def _check_array(picture: object) -> None:
+    """Errors: DatasetError for what is neither a path nor an array."""
+    if not isinstance(picture, np.ndarray):
+        kind = type(picture).__name__
+        raise DatasetError(f"the picture is of type {kind}, expected a path or an array uint8 (h, w, 3), RGB")
+
+
 def _as_file(picture: Picture, path: Path) -> Path:
     """Return the path of a picture; an array is written, without loss."""
     if isinstance(picture, str | Path):
         return Path(picture)
+    _check_array(picture)
     if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
         raise DatasetError(f"a picture is {picture.dtype} {picture.shape}, expected uint8 (h, w, 3), RGB")
     path.write_bytes(cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes())

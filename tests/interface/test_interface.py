@@ -111,6 +111,8 @@ def test_a_fit_of_arrays_with_settings() -> None:
         (np.zeros((240, 320, 3), np.float32), r"float32 \(240, 320, 3\), expected uint8 \(240, 320, 3\)"),
         (np.zeros((320, 240, 3), np.uint8), r"uint8 \(320, 240, 3\), expected uint8 \(240, 320, 3\)"),
         (np.zeros((240, 320), np.uint8), r"uint8 \(240, 320\), expected uint8 \(240, 320, 3\)"),
+        ([[1, 2]], "the picture is of type list, expected a path or an array"),
+        (None, "the picture is of type NoneType, expected a path or an array"),
         ("gelgate.toml", "gelgate.toml"),
         ("nowhere.jpg", "nowhere.jpg: cannot be opened"),
     ],
@@ -125,6 +127,7 @@ def test_what_is_no_picture_is_refused(bundle: gelgate.Bundle, picture: interfac
     ("pictures", "settings", "said"),
     [
         ([], {}, "no press"),
+        ([5], {}, "the picture is of type int, expected a path or an array"),
         ([np.zeros((4, 4), np.uint8)], {}, r"uint8 \(4, 4\), expected uint8 \(h, w, 3\)"),
         ("nominal", {"chanels": 5}, "channels"),
         ("nominal", {"limit": "best"}, "chosen or plain"),
