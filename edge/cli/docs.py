@@ -72,10 +72,16 @@ def docs(
     if not pages:
         raise ConfigError("this installation has no manual; install gelgate from its wheel")
     if site is not None or is_served:
-        with nullcontext(str(site)) if site is not None else TemporaryDirectory() as folder:
-            build_site(Path(folder) if site is not None else Path(folder, "site"))
+        with nullcontext(str(site)) if site is not None else TemporaryDirectory() as parent:
+            folder = Path(parent) if site is not None else Path(parent, "site")
             if is_served:
-                _serve(Path(folder) if site is not None else Path(folder, "site"), port)
+                _serve(folder, port)
+            else:
+                build_site(folder)
+                typer.echo(
+                    f"the manual is in {folder}; it begins with index.html; its search needs --serve or the page of a "
+                    "station"
+                )
     elif not page:
         for name, path in pages.items():
             lines = path.read_text(encoding="utf-8").splitlines()
@@ -132,9 +138,6 @@ def build_site(folder: Path) -> None:
         (Path(work, "site") / "404.html").unlink(missing_ok=True)  # its links begin at the root of a server
         shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(Path(work, "site"), folder)
-    typer.echo(
-        f"the manual is in {folder}; it begins with index.html; its search needs --serve or a station's page"
-    )
 
 
 def _site_files(root: Path) -> Iterator[tuple[str, Path]]:
@@ -160,9 +163,11 @@ def _navigation(readme: str) -> Iterator[str]:
 
 
 def _serve(folder: Path, port: int) -> None:
-    """Serve the site to browsers on this machine until Ctrl-C. Errors: ConfigError."""
+    """Write the site, and serve it to browsers on this machine until Ctrl-C. A port in use is refused before the
+    site is written, which takes some seconds. Errors: as build_site."""
     from edge.page.manual import serve_manual
 
     with serve_manual(folder, port, SystemClock()):
+        build_site(folder)
         typer.echo(f"http://127.0.0.1:{port}/  (Ctrl-C ends it)")
         threading.Event().wait()

@@ -3,6 +3,7 @@
 import html
 import os
 import re
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,15 @@ def page(site: Path) -> Iterator[PageSink]:
     opened = PageSink(PageOptions(manual=site), Station(ROOT, "press2"), SystemClock(), port=0)
     yield opened
     opened.close()
+
+
+def test_a_port_in_use_is_refused_before_the_site_is_written(tmp_path: Path) -> None:
+    """The site takes some seconds."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        refused = gelgate("station", "docs", "--site", tmp_path / "site", "--serve", "--port", port)
+    assert "cannot be served at port" in refused.sentence()
+    assert not (tmp_path / "site").exists()
 
 
 def test_every_page_is_there_and_every_link_leads_to_a_page_and_its_heading(site: Path) -> None:
