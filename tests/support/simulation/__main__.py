@@ -3,7 +3,6 @@
 import argparse
 import logging
 import multiprocessing
-import random
 import shutil
 import sys
 import tempfile
@@ -150,9 +149,7 @@ def _plays(job: int, given: argparse.Namespace, bundles: Sequence[Path], folder:
     )
     with contextmanager(install_plugins)(folder / f"packages{job}"), suppress(KeyboardInterrupt):
         for seed in seeds:
-            # Short runs try more options; the long ones fill an outbox.
-            presses = given.presses or random.Random(f"{seed} presses").choice((20, 20, 60))
-            simulation = Simulation(seed, presses, bundles, folder / f"run{seed}")
+            simulation = Simulation(seed, given.presses, bundles, folder / f"run{seed}")
             run = simulation.play()
             shutil.rmtree(folder / f"run{seed}")
             if given.events or run.faults or given.runs == 1:

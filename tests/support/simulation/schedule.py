@@ -19,7 +19,7 @@ from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.auditors_outbox import ARCHIVED
 from simulation.auditors_pieces import audit_pieces
 from simulation.auditors_retained import audit_retained
-from simulation.chosen import Chosen, Fault
+from simulation.chosen import SMALL_MB, Chosen, Fault
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
 from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK
@@ -77,7 +77,8 @@ class Run:
 
 
 class Simulation:
-    """A station in its world. bundles: of both parts, with the tiny detector. folder: empty, for the disk.
+    """A station in its world. presses: 0 draws how many. bundles: of both parts, with the tiny detector. folder: empty,
+    for the disk.
 
     schedule: the faults; by default they are drawn.
     """
@@ -93,6 +94,8 @@ class Simulation:
     ) -> None:
         self.chosen = chosen or Chosen.of(random.Random(f"{seed} chosen"), list(FAULTS))
         self.rng = random.Random(f"{seed} turns")
+        # Short runs try more options; a small outbox is filled by a long one.
+        presses = presses or (60 if self.chosen.outbox_mb == SMALL_MB else self.rng.choice((20, 20, 60)))
         self.run = Run(seed, presses, self.chosen)
         self.world = World(seed, self.chosen)
         self.world.hand.most_presses = presses
