@@ -13,6 +13,12 @@ if TYPE_CHECKING:
 
 __all__ = ["simulate"]
 
+SEEN_BY = {
+    "illumination": "no relief shows",
+    "noise": "frames are equal, as those of a camera that hangs",
+}
+"""The effects by which the presses of a recording are seen, each with what is missing without it."""
+
 
 def _list(is_wanted: bool) -> None:
     if is_wanted:
@@ -125,6 +131,9 @@ def _recordings(
             show = partial(report, f"simulate {name}")
             simulate_recording(scene, folder, seed, run=name, presses=presses, workers=workers, progress=show)
         typer.echo(f"recording: {folder}")
+    for effect, what in SEEN_BY.items():
+        if effect not in scene.effects:
+            typer.echo(f"warning: a gateway finds no press: without the effect '{effect}' {what}", err=True)
 
 
 def _preview(scenes: "list[Scene]", output: Path, seed: int) -> None:

@@ -21,6 +21,7 @@ from edge.core.printable import printable, score_texts, write_count
 from edge.core.reference_press.charts import newest_begin
 from edge.core.shadow import JudgedTwice, ShadowVerdict, Weighing
 from edge.core.suggest import suggestion
+from edge.core.verdict import Cause
 from edge.extras import needs
 from edge.messaging.deviation_payload import DeviationPlace
 from edge.store.history import MEASURED, HistoryQuery, HistoryRow, read_history, write_history
@@ -190,7 +191,7 @@ def _line(row: HistoryRow) -> str:
     score = ""
     if row.score is not None and row.threshold is not None:
         score = "  " + " / ".join(score_texts(row.score, row.threshold))
-    cause = f" ({row.cause})" if row.cause else ""
+    cause = f" ({'part or gel' if row.cause == Cause.UNSURE else row.cause})" if row.cause else ""
     said = " ".join(filter(None, (row.person_verdict, row.damage_kind)))
     piece = f"  piece {row.piece_id}" if row.piece_id else ""
     shadow = f"  shadow {ShadowVerdict.decode(row.shadow).verdict}" if row.shadow else ""

@@ -52,6 +52,14 @@ def test_a_measured_deviation_is_printed(database: Path) -> None:
     assert line.endswith("  gel 2BNN4ZE7-1  depth 0.249 +- 0.179 mm")
 
 
+def test_a_fail_of_part_or_gel_is_no_unsure_press(database: Path) -> None:
+    """It has failed; what is not clear is its cause."""
+    with Store(database) as store:
+        blamed = "UPDATE presses SET verdict = 'fail', cause = 'unsure' WHERE number = 25"
+        store.write("blaming", lambda connection: connection.execute(blamed))
+    assert "  fail (part or gel)  " in gelgate("history", "--database", database).out.splitlines()[-2]
+
+
 def test_a_file_has_all_that_fit(database: Path, tmp_path: Path) -> None:
     """Not only the newest twenty."""
     done = gelgate("history", "--database", database, "-o", tmp_path / "all.csv")

@@ -202,3 +202,21 @@ def test_the_command_makes_a_preview(tmp_path: Path) -> None:
     sheet = cv2.imread(str(tmp_path / "out" / "tiny_preview.png"))
     assert sheet is not None
     assert "effects that tiny does not use: partial_contact, residual_imprint, wear," in done.output
+
+
+def test_a_recording_without_a_press_that_is_seen_is_said(tmp_path: Path) -> None:
+    """Relief shows by its light; and a gateway leaves out frames that are equal."""
+    app = typer.Typer()
+    app.command()(simulate)
+    scene = (
+        (TINY + RUNS)
+        .replace('"illumination", "led_drift", "noise", ', "")
+        .replace("presses = 3", "presses = 2")
+    )
+    (tmp_path / "dark.toml").write_text(scene)
+    done = CliRunner().invoke(app, [str(tmp_path / "dark.toml"), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    warned = [
+        line for line in done.output.splitlines() if line.startswith("warning: a gateway finds no press")
+    ]
+    assert [line.split("'")[1] for line in warned] == ["illumination", "noise"]
