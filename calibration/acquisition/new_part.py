@@ -84,8 +84,6 @@ def new_part(
 
     It finds the sensor, takes presses until they are enough, fits a bundle, checks the station and starts it. After
     an interruption the same command goes on."""
-    from calibration.acquisition.command import check_promise
-    from edge import registry
     from edge.cli.run import check, run
     from edge.config import load_config
     from edge.core.errors import ConfigError
@@ -93,10 +91,7 @@ def new_part(
 
     guide = _Guide(is_quick)
     part, _, position = name.partition("/")
-    bundle_name = _name_bundle(name)
-    check_promise("--promise", promise)
-    if device is not None:
-        registry.device(device)
+    bundle_name = _check_words(name, promise, device)
     with guide.step("sensor"):
         if not config.exists():
             _write_station(guide, config, *_find_sensor(guide, device, option or []))
@@ -127,6 +122,17 @@ def new_part(
         run(config=config)
     else:
         typer.echo(f"start it with: gelgate run -c {config}")
+
+
+def _check_words(name: str, promise: float, device: str | None) -> str:
+    """Return the name of the bundle. Errors: ConfigError for a wrong word, before anything is begun."""
+    from calibration.acquisition.command import check_promise
+    from edge import registry
+
+    check_promise("--promise", promise)
+    if device is not None:
+        registry.device(device)
+    return _name_bundle(name)
 
 
 @dataclass
