@@ -196,4 +196,4 @@ def test_a_takeover_that_was_asked_for_twice_is_made_once(shadowed: Shadowed, ol
         asked[1]()
         station.turn()
         assert station.bundle_id == Bundle.load(new).digest
-        assert "presses judged by both" in station.alarm("takeover")
+        assert "1 press judged by both" in station.alarm("takeover")
