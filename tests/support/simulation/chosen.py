@@ -82,5 +82,6 @@ class Chosen:
             rng.choice(("", "modbus", "modbus", "opcua")),
             rng.choice(("", "fixed", "free")),
         )
+        rates["request"] = 4.0  # it costs little
         disturbed = {"second plc": 1.0, **rates, "plc": 4.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen

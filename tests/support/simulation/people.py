@@ -67,7 +67,7 @@ def reload(run: "Simulation", rng: random.Random) -> float:
 
 def request(run: "Simulation", rng: random.Random) -> float:
     """A request comes over MQTT: signed, forged, repeated, or of nobody."""
-    kind = rng.choice(("signed", "forged", "unsigned", "repeated", "too large", "elsewhere"))
+    kind = rng.choice(("signed", "forged", "unsigned", "repeated", "repeated", "too large", "elsewhere"))
     verb = rng.choice(("self_test", "reload", "acknowledge_alarm", "trigger"))
     if run.chosen.trigger == "command" and verb == "trigger":
         verb = "reload"  # the person at the station asks, and who knows for which press this one would ask
@@ -79,7 +79,8 @@ def request(run: "Simulation", rng: random.Random) -> float:
         arguments |= {"more": "x" * LARGEST_REQUEST_BYTES}
     transaction = run.station.send_request(verb, arguments, secret, elsewhere=kind == "elsewhere")
     if kind == "repeated":
-        run.later(rng.uniform(0, 50), lambda: run.station.send_request(verb, arguments, secret, transaction))
+        again_s = rng.choice((0.5, 3, 40))
+        run.later(again_s, lambda: run.station.send_request(verb, arguments, secret, transaction))
     run.reach(f"a {kind} request")
     run.note(f"a {kind} request, {verb}")
     return 0.0
