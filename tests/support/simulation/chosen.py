@@ -82,6 +82,9 @@ class Chosen:
             rng.choice(("", "modbus", "modbus", "opcua")),
             rng.choice(("", "fixed", "free")),
         )
-        rates["request"] = 4.0  # it costs little
+        # People cost little: somebody always asks, and selects where neither a plan nor a PLC does.
+        rates["request"] = 4.0
+        if chosen.trigger == "command" or not (chosen.plc or chosen.piece):
+            rates["select part"] = 4.0
         disturbed = {"second plc": 1.0, **rates, "plc": 4.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen
