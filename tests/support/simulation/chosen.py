@@ -86,5 +86,7 @@ class Chosen:
         rates["request"] = 4.0
         if chosen.trigger == "command" or not (chosen.plc or chosen.piece):
             rates["select part"] = 4.0
+        if chosen.outbox_mb == SMALL_MB:  # it is filled, and then the station begins anew
+            rates |= dict.fromkeys(("hang up", "stop"), 4.0)
         disturbed = {"second plc": 1.0, **rates, "plc": 4.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen

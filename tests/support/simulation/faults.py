@@ -388,6 +388,11 @@ def _is_press_waiting(run: "Simulation") -> bool:
     return run.station.loop.is_halted and has_begun and 0 < press.end_ns < run.world.clock.now_ns - 2 * S
 
 
+def _is_loss_unread(run: "Simulation") -> bool:
+    """A press waits for room, or messages were dropped from a full outbox, and nobody has acknowledged it."""
+    return _is_press_waiting(run) or run.station.is_drop_open
+
+
 def _is_press_unrecorded(run: "Simulation") -> bool:
     """A press has no row: it waits for room on the disk, or its verdict comes next."""
     return _is_press_waiting(run) if "fill disk" in run.chosen.rates else _is_pressed_unjudged(run)
@@ -398,7 +403,7 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "replace gel": _is_pass_shown,
     "kill": _is_press_unrecorded,
     "lose power": _is_press_unrecorded,
-    "stop": _is_press_waiting,
+    "stop": _is_loss_unread,
 }
 """When a fault does most harm: every other one waits for it."""
 
