@@ -25,6 +25,7 @@ MEETINGS = (
     ("hang up", "kill"),
     ("hang up", "stop"),
     ("hang up", "lose database"),
+    ("hang up", "step clock"),
     ("select part", "stop"),
     ("request", "relay"),
     ("plc", "second plc"),

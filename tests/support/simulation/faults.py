@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 LONG_UNSEEN_S = 4
 """A time without sight that is an act for certain (docs/operations.md)."""
 
+WAITS_S = 4
+"""A broker is away for so long, and then a result waits for it."""
+
 # The sensor
 
 
@@ -198,7 +201,7 @@ def step_clock(run: "Simulation", rng: random.Random) -> float:
         run.reach("the wall clock drifts")
         run.note(f"the wall clock drifts by {clock.drift}")
         return 0.0
-    step_s = rng.choice((-86_400, -3600, -1, 1, 3600, 31 * 86_400, 31 * 86_400))
+    step_s = rng.choice((-86_400, -3600, -1, 1, 3600, *[31 * 86_400] * 4))
     clock.wall_ns += step_s * S
     run.note(f"the wall clock is set by {step_s} s")
     run.reach("the wall clock went back" if step_s < 0 else "the wall clock went on")
@@ -398,14 +401,24 @@ def _is_press_unrecorded(run: "Simulation") -> bool:
     return _is_press_waiting(run) if "fill disk" in run.chosen.rates else _is_pressed_unjudged(run)
 
 
+def _is_result_waiting(run: "Simulation") -> bool:
+    """A broker has taken nothing for the time of a press and more."""
+    begun_ns = [broker.away_since_ns for broker in run.world.brokers.values() if broker.away_since_ns]
+    return bool(begun_ns) and run.world.clock.now_ns - min(begun_ns) > WAITS_S * S
+
+
 MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "select part": _is_pressed_unjudged,
     "replace gel": _is_pass_shown,
     "kill": _is_press_unrecorded,
     "lose power": _is_press_unrecorded,
     "stop": _is_loss_unread,
+    "step clock": _is_result_waiting,
 }
 """When a fault does most harm: every other one waits for it."""
+
+WAIT_FIRST = {"step clock"}
+"""Faults whose first one waits; of others a draw says whether it does."""
 
 NEEDS_ANSWER = {"stop", "lose database", "freeze", *PEOPLE}
 """Faults that need an answer of the process."""

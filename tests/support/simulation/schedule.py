@@ -22,7 +22,7 @@ from simulation.auditors_retained import audit_retained
 from simulation.chosen import SMALL_MB, Chosen, Fault
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
-from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK
+from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK, WAIT_FIRST
 from simulation.lives import Station
 from simulation.options import MESSAGES, SECRET
 from simulation.outputs import TABLES
@@ -109,7 +109,7 @@ class Simulation:
         self._calm_ns: int | None = None
         self._asked_ns = 0
         self.ending: dict[str, Callable[[], None]] = {}
-        self._aimed = {name for name in MOMENTS if self.rng.random() < 0.5}
+        self._aimed = {name for name in MOMENTS if name in WAIT_FIRST or self.rng.random() < 0.5}
         """Faults that wait for their moment, the next time."""
         self._threads = Threads(self)
         faults = self._drawn_faults(seed) if schedule is None else self._given_faults(schedule)
