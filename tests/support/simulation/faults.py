@@ -38,7 +38,9 @@ def unplug(run: "Simulation", rng: random.Random) -> float:
         sensor.forget()
 
     name = "another sensor" if is_other else "sensor unplugged"
-    return run.for_a_while(name, rng.choice((0.2, 2, 12)), plug, is_sensors=True)
+    # Another one that is gone at once was not opened.
+    lasts_s = rng.choice((12, 2, 12) if is_other else (0.2, 2, 12))
+    return run.for_a_while(name, lasts_s, plug, is_sensors=True)
 
 
 def silence(run: "Simulation", rng: random.Random) -> float:
