@@ -33,6 +33,7 @@ SOMETIMES = (
     "the alarm counts was acknowledged",
     "the wall clock drifts",
     "the gel was replaced while the disk was full",
+    "a part that nobody saw put down lay there",
     "a part change came as a press began, or after its verdict",
     "restarted while the disk was full",
     "a start failed, and the next one did not",

@@ -44,14 +44,20 @@ def unplug(run: "Simulation", rng: random.Random) -> float:
 
 
 def silence(run: "Simulation", rng: random.Random) -> float:
-    """The sensor gives no frame, and stays on the bus."""
-    sensor = run.world.sensor
+    """The sensor gives no frame, and stays on the bus; or a part is put down meanwhile, and lies until it is seen."""
+    sensor, hand, begun_ns = run.world.sensor, run.world.hand, run.world.clock.now_ns
+    lasts_s, is_held = rng.choice((0.3, 1.5, 6, 12)), rng.choice((False, False, False, True, True))
+    if is_held and hand.is_pressing_soon:
+        lasts_s = hand.free_s + 0.4
     sensor.is_silent = True
 
     def speak() -> None:
         sensor.is_silent = False
+        if is_held and hand.press and hand.press.begin_ns > begun_ns:
+            hand.hold(1)
+            run.reach("a part that nobody saw put down lay there")
 
-    return run.for_a_while("sensor silent", rng.choice((0.3, 1.5, 6, 12)), speak, is_sensors=True)
+    return run.for_a_while("sensor silent", lasts_s, speak, is_sensors=True)
 
 
 def blind(run: "Simulation", rng: random.Random) -> float:
@@ -417,10 +423,11 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "lose power": _is_press_unrecorded,
     "stop": _is_loss_unread,
     "step clock": _is_result_waiting,
+    "silence": lambda run: run.world.hand.is_pressing_soon,
 }
 """When a fault does most harm: every other one waits for it."""
 
-WAIT_FIRST = {"step clock"}
+WAIT_FIRST = {"step clock", "silence"}
 """Faults whose first one waits; of others a draw says whether it does."""
 
 NEEDS_ANSWER = {"stop", "lose database", "freeze", *PEOPLE}

@@ -90,6 +90,7 @@ class Hand:
         """What a robot looks at; None for a hand."""
         self.lifted_at_word = 0
         self._was_off = False
+        self._phase = FREE
         self._phases: deque[Phase] = deque(repeat(FREE, round(2.2 / period_s)))
 
     @property
@@ -105,7 +106,12 @@ class Hand:
     @property
     def is_pressing_soon(self) -> bool:
         """The gel is free, and not for long."""
-        return len(self._phases) < 8
+        return self.press is None and len(self._phases) < 8
+
+    @property
+    def free_s(self) -> float:
+        """The gel is free for so long from now on, where it is not pressed."""
+        return len(self._phases) * self._period_s
 
     def move(self, now_ns: int, is_ready: bool) -> Phase:
         """Go on by one frame. is_ready: the station says so; otherwise most people wait for it."""
@@ -117,6 +123,7 @@ class Hand:
             else:
                 self._begin(now_ns)
         phase, press = self._phases.popleft(), self.press
+        self._phase = phase
         if press and self.may_lift is not None and phase[0] >= 1.0 and press.way != "brief":
             self._hold(press, phase, now_ns)
         if press and phase == FREE:
@@ -134,6 +141,10 @@ class Hand:
             self.lifted_at_word += 1
         elif now_ns - press.begin_ns < ROBOT_WAITS_S * 10**9:
             self._phases.appendleft(phase)
+
+    def hold(self, seconds: float) -> None:
+        """Let the part lie for this long, as deep as it is now."""
+        self._phases.extendleft(repeat(self._phase, round(seconds / self._period_s)))
 
     def wait(self, seconds: float) -> None:
         """Leave the gel free for this long, from the end of the press on."""

@@ -118,7 +118,7 @@ class Threads:
                     press.is_asked = True
                     press.why |= {"it was asked for late"} if waited_s > LATE_S else set()
         said = self._run.station.loop.parts.status.view().alarms
-        if "contact" in said and not hand.press and hand.is_pressing_soon:
+        if "contact" in said and hand.is_pressing_soon:
             self._run.reach("the hand lifted because the station asked for it")
             hand.wait(3)
 
