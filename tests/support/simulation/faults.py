@@ -121,7 +121,7 @@ def hold_back(run: "Simulation", rng: random.Random) -> float:
 MOODS = (
     *(
         "away",
-        "away",
+        "restarts without memory",
         "silent",
         "forgets answers",
         "refuses",
