@@ -138,6 +138,7 @@ class Connection:
         self._is_lost = False
         self._is_established = False
         self._answers: dict[int, ReasonCode | None] = {}
+        self._unasked = set[int]()  # ids of messages whose answer nobody waits for; ids come again
         self._unheard = set[object]()
         self._client = self._make_client(will)
         self._establish()
@@ -187,7 +188,10 @@ class Connection:
         """Send at QoS 0 without waiting; lost when the connection is. Only this may be used in `on_received`."""
         if self.is_up:
             properties = self._properties(message)
-            self._client.publish(message.topic, message.payload, 0, message.retain, properties)
+            info = self._client.publish(message.topic, message.payload, 0, message.retain, properties)
+            with self._changed:
+                if self._answers.pop(info.mid, self) is self:  # it is not written yet
+                    self._unasked.add(info.mid)
 
     def subscribe(self, topic_filter: str, *, wants_retained: bool = True) -> None:
         """Subscribe and wait for the acknowledgement. Errors: SinkRejected, SinkUnavailable."""
@@ -374,7 +378,9 @@ class Connection:
 
     def _note(self, mid: int, reason: ReasonCode | None) -> None:
         with self._changed:
-            self._answers[mid] = reason
+            if mid not in self._unasked:
+                self._answers[mid] = reason
+            self._unasked.discard(mid)
             self._changed.notify_all()
 
     def _message(self, message: paho.MQTTMessage) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import pytest
 from scripted_broker import ScriptedBroker
 
+from edge.core.errors import SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES, WAITING_REQUESTS
@@ -145,3 +146,15 @@ def test_a_real_broker_does_not_deliver_a_huge_request(mosquitto: LocalBroker, s
     asker.close()
 
     assert asked == [len(b'{"transaction": "1"}')]
+
+
+def test_an_answer_that_nobody_waits_for_acknowledges_no_later_message(scripted: ScriptedBroker) -> None:
+    """An id comes again after 65,535 messages; a message with that of a response waits for its own acknowledgement."""
+    connection = Connection.open(Broker("127.0.0.1", scripted.port, "again", timeout_s=1.0))
+    scripted.topics["late"] = "silent"
+    connection.publish_soon(Message("soon", b"{}"))
+    until(lambda: len(scripted.published) == 1)
+    connection._client._last_mid -= 1
+    with pytest.raises(SinkUnavailable, match="did not acknowledge"):
+        connection.publish(Message("late", b"{}"))
+    connection.close()
