@@ -29,7 +29,8 @@ WAITS_S = 4
 def unplug(run: "Simulation", rng: random.Random) -> float:
     """The sensor's cable is pulled, and comes back; or another sensor is plugged in for a while."""
     sensor = run.world.sensor
-    is_other = rng.random() < 0.25
+    # A station that has not seen its own sensor yet takes any.
+    is_other = rng.random() < 0.25 and run.station.loop.session is not None
     sensor.is_plugged, sensor.serial = is_other, OTHER_SERIAL if is_other else SERIAL
     sensor.forget()
 
