@@ -72,6 +72,10 @@ class RefusedRows:
         self._outbox.refuse(row.row_id, self._sink, why)
         self._offered.discard(row.row_id)
 
+    def is_offered(self, row: OutboxRow) -> bool:
+        """Tell whether it was refused before."""
+        return row.row_id in self._offered
+
     def accept(self, row: OutboxRow) -> None:
         """Take a row that the sink has accepted."""
         if row.row_id in self._offered:
@@ -275,7 +279,7 @@ class SinkWorker:
             if row.message.retain:
                 self._retained_state.doubt(row.message.topic, row.row_id)
             try:
-                is_late = row.row_id <= self._late_up_to
+                is_late = row.row_id <= self._late_up_to or self._refused.is_offered(row)
                 self._deliver(as_replayed(row.message) if is_late else row.message)
             except SinkRejected as error:
                 self._set_aside(row, str(error))

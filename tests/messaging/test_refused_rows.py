@@ -18,9 +18,9 @@ from edge.store.outbox import Outbox
 from edge.store.press_store import Store
 
 
-def put(path: Path, *messages: Message) -> None:
+def put(path: Path, *messages: Message, press: int = 1) -> None:
     with Store(path) as store:
-        store.record_press(make_press(1), lambda recorded: messages)
+        store.record_press(make_press(press), lambda recorded: messages)
 
 
 def damage(path: Path, column: str, value: bytes, row: int) -> None:
@@ -49,6 +49,28 @@ def test_many_refused_rows_are_offered_in_turn_and_all_at_once_when_one_is_accep
         assert outbox.status().rows == 0
 
     assert sorted(int(m.payload) for m in sink.taken if m.topic == "result") == list(range(3 * OFFERED_ROWS))
+
+
+def test_a_result_that_was_refused_is_marked_as_late_when_it_comes(path: Path) -> None:
+    """Else a light or a page takes an older verdict for that of the part which lies there now."""
+    sink, clock = ScriptedSink(), ManualClock()
+    with Outbox(path) as outbox:
+        outbox.register(["mqtt"])
+        one = worker(outbox, sink, clock=clock)
+        drain(one)
+        sink.refuses = {"result"}
+        put(path, Message("result", b'{"n":1,"is_replayed":false}'))
+        drain(one)
+        sink.refuses = set()
+        put(path, Message("result", b'{"n":2,"is_replayed":false}'), press=2)
+        drain(one)
+        clock.sleep(OFFER_REFUSED_S)
+        drain(one)
+
+    assert [json.loads(m.payload) for m in sink.taken if m.topic == "result"] == [
+        {"n": 2, "is_replayed": False},
+        {"n": 1, "is_replayed": True},
+    ]
 
 
 def test_looking_for_refused_rows_holds_up_no_press(path: Path) -> None:

@@ -191,7 +191,7 @@ def test_a_refused_row_does_not_block_the_queue(store: Store, outbox: Outbox, si
     clock = ManualClock()
     one = worker(outbox, sink, clock=clock)
     sink.refuses = {"huge"}
-    store.record_press(make_press(1), lambda gel: [Message("huge", b"x"), Message("result", b"{}")])
+    store.record_press(make_press(1), lambda gel: [Message("huge", b"{}"), Message("result", b"{}")])
     drain(one)
     assert sink.topics() == ["result"]
     assert (one.counters.refused, outbox.status().refused) == (1, 1)
