@@ -106,13 +106,25 @@ class Shown:
         elif message.topic in ("result", "last/press"):
             content = readable("result", message.payload)
             with self._changed:
-                _keep(self._presses, content["press_id"], content, MOST_PRESSES)
+                self._keep_press(
+                    content, may_be_old=message.topic == "last/press" or content.get("is_replayed", False)
+                )
                 self._note()
         elif message.topic in _STATUS:
             status = readable(message.topic, message.payload) if message.payload else None
             with self._changed:
                 self._status[message.topic] = status
                 self._note()
+
+    def _keep_press(self, content: dict[str, Any], *, may_be_old: bool) -> None:
+        """An old one takes no place above newer ones: its part does not lie there any more."""
+        is_old = may_be_old and content["press_id"] not in self._presses
+        self._presses[content["press_id"]] = content
+        for other, known in list(self._presses.items()) if is_old else ():
+            if _order(known) > _order(content):
+                self._presses.move_to_end(other)
+        while len(self._presses) > MOST_PRESSES:
+            self._presses.popitem(last=False)
 
     def _see_picture(self, press_id: str, data: bytes) -> None:
         if not is_ulid(press_id) or len(data) > LARGEST_PICTURE_BYTES:
@@ -215,10 +227,9 @@ class Shown:
             self._changed.notify_all()
 
 
-def _keep(kept: OrderedDict[str, Any], key: str, value: Any, most: int) -> None:
-    kept[key] = value
-    while len(kept) > most:
-        kept.popitem(last=False)
+def _order(result: Mapping[str, Any]) -> tuple[int, int]:
+    """The number of a press, which knows no clock; a station of long ago says none."""
+    return result.get("sequence") or 0, result["time_ns"]
 
 
 def readable(kind: str, payload: bytes) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from page_messages import drift, gel, info, press, reference, state, stats
 
 from edge.core.gel_life import GelState
 from edge.core.ports import Message
+from edge.messaging.payload_base import as_replayed
 from edge.page.shown import LARGEST_PAYLOAD_BYTES, MOST_FOREIGN_ALARMS, Shown, readable
 
 OWN = {
@@ -116,3 +117,27 @@ def test_an_alarm_that_is_not_known_is_shown_without_what_to_do() -> None:
     assert "x0" not in shown.station()["alarms"]
     with pytest.raises(ValueError, match="a topic level has"):
         shown.see(Message("alarm/x/y", b""))
+
+
+def test_a_result_that_comes_late_takes_no_place_above_newer_ones() -> None:
+    """A pass that a broker had refused for a while is not that of the part which lies there now."""
+    shown = Shown("")
+    results = {n: press(n, picture=None)[0] for n in (1, 2, 3, 4)}
+    for topic, n, is_late in (
+        ("last/press", 2, False),
+        ("result", 1, True),
+        ("result", 4, True),
+        ("result", 3, True),
+        ("result", 2, True),
+    ):
+        shown.see(Message(topic, (as_replayed(results[n]) if is_late else results[n]).payload))
+    assert [one["gel_presses"] for one in shown.presses()] == [4, 3, 2, 1]
+
+
+def test_presses_keep_their_order_whatever_their_clock_says() -> None:
+    """It was set back; a broker that was restored retains an old press; what comes at once is the newest."""
+    shown = Shown("")
+    for topic, n, sequence in (("result", 9, 5), ("result", 2, 6), ("result", 1, 7), ("last/press", 8, 4)):
+        message = press(n, picture=None, sequence=sequence)[0]
+        shown.see(Message(topic, message.payload if n != 2 else as_replayed(message).payload))
+    assert [one["gel_presses"] for one in shown.presses()] == [1, 2, 9, 8]
