@@ -45,11 +45,12 @@ def find_file(folder: Path, path: str) -> ManualFile | None:
     root = folder.resolve()
     try:
         found = (root / (unquote(path) or "index.html")).resolve()
-    except ValueError:  # a NUL in it
+        if not found.is_relative_to(root) or not found.is_file():
+            return None
+        content = found.read_bytes()
+    except (OSError, ValueError):  # such as a NUL in it, or a name that is too long
         return None
-    if not found.is_relative_to(root) or not found.is_file():
-        return None
-    content, kind = found.read_bytes(), _TYPES.get(found.suffix, TEXT)
+    kind = _TYPES.get(found.suffix, TEXT)
     hashes = " ".join(
         f"'sha256-{base64.b64encode(hashlib.sha256(script).digest()).decode()}'"
         for script in _SCRIPT.findall(content if found.suffix == ".html" else b"")

@@ -99,7 +99,19 @@ def test_it_is_read_and_searched_in_a_browser_without_a_network(browser: Any, pa
 
 
 @pytest.mark.parametrize(
-    "path", ["", "nothing.html", "../secret", "%2e%2e/secret", "docs/../../secret", "docs", "link", "%00"]
+    "path",
+    [
+        "",
+        "nothing.html",
+        "../secret",
+        "%2e%2e/secret",
+        "docs/../../secret",
+        "docs",
+        "link",
+        "%00",
+        "a" * 5000,
+    ],
+    ids=lambda path: path[:20],
 )
 def test_no_other_file_is_given(path: str, tmp_path: Path) -> None:
     """Not beside the folder, nor where a link in it leads; a folder is no page."""
