@@ -2,6 +2,7 @@
 
 import json
 import logging
+import queue
 import threading
 from contextlib import suppress
 from typing import Any, Final
@@ -45,13 +46,12 @@ class BrokerStation:
         self._filter = topic_filter
         self._answer_s = answer_s
         self._closing = threading.Event()
-        self._changed = threading.Condition()
         self._connection: Connection | None = None
         self._inbox: Inbox | None = None
         self._root: str | None = None
         self._others: set[str] = set()
         self._why_away = ""
-        self._answers: dict[str, bytes | None] = {}
+        self._asked: list[tuple[str, queue.SimpleQueue[bytes]]] = []
         self._thread = threading.Thread(target=self._keep_listening, name="page-broker", daemon=True)
 
     def start(self) -> None:
@@ -74,22 +74,18 @@ class BrokerStation:
         connection, root = self._connection, self.root
         if connection is None:
             raise GelgateError(f"nothing was asked: {self.shown.station()['away']}")
-        with self._changed:
-            self._answers[transaction] = None
+        asked = transaction, queue.SimpleQueue[bytes]()
+        self._asked.append(asked)
         try:
             connection.publish(Message(f"{root}/cmd/{verb}", payload, expiry_s=max(1, round(self._answer_s))))
-            with self._changed:
-                self._changed.wait_for(lambda: self._answers[transaction] is not None, within_s)
-                answer = self._answers[transaction]
-        finally:
-            with self._changed:
-                del self._answers[transaction]
-        if answer is None:
+            return asked[1].get(timeout=within_s)
+        except queue.Empty:
             raise GelgateError(
                 f"the station did not answer within {within_s:g} s; `gelgate station acts` there says whether "
                 "it was done"
-            )
-        return answer
+            ) from None
+        finally:
+            self._asked.remove(asked)
 
     @property
     def root(self) -> str:
@@ -172,11 +168,11 @@ class BrokerStation:
     def _see_answer(self, topic: str, payload: bytes) -> None:
         if not topic.endswith("/response"):
             return
-        with suppress(ValueError, RecursionError), self._changed:
+        with suppress(ValueError, RecursionError):
             answer = _read_answer(payload)
-            if answer.transaction in self._answers:
-                self._answers[answer.transaction] = answer.encode()
-                self._changed.notify_all()
+            for transaction, waiting in list(self._asked):
+                if transaction == answer.transaction:
+                    waiting.put(answer.encode())
 
 
 def _read_answer(payload: bytes) -> CommandResponse:

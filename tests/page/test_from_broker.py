@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from edge.core.ports import Message
 from edge.core.sink_context import Station
 from edge.gateway.commands import Change, CommandPolicy, Commands
 from edge.messaging.alarm_payload import AlarmPayload, alarm_cleared
+from edge.messaging.command_payloads import CommandResponse
 from edge.messaging.local_broker import LocalBroker, available_brokers
 from edge.messaging.mqtt_broker import Broker, Received
 from edge.messaging.mqtt_connection import Connection
@@ -240,6 +242,24 @@ def test_a_station_that_does_not_answer_is_a_sentence(broker: LocalBroker) -> No
         until(lambda: station.shown.station()["away"] is None)
         with pytest.raises(GelgateError, match=r"did not answer within 0.2 s; `gelgate station acts` there"):
             station.ask("select_part", b'{"transaction":"1"}')
+
+
+def test_a_request_that_is_sent_twice_is_answered_twice(broker: LocalBroker) -> None:
+    """A browser may repeat it while the first waits; the station does it once."""
+    says(broker, state("ready"))
+    with ExitStack() as opened:
+        station = listening(broker, opened)
+        heard: list[Received] = []
+        there = Connection.open(Broker(broker.host, broker.port, "there"), on_received=heard.append)
+        opened.callback(there.close)
+        there.subscribe(f"{ROOT}/cmd/select_part")
+        until(lambda: station.shown.station()["away"] is None)
+        pool = opened.enter_context(ThreadPoolExecutor())
+        both = [pool.submit(station.ask, "select_part", b'{"transaction":"1"}') for _ in range(2)]
+        until(lambda: len(heard) == 2)
+        answer = CommandResponse(time_ns=1, transaction="1", verb="select_part", status="ok", error=None)
+        says(broker, Message("cmd/select_part/response", answer.encode()))
+        assert [json.loads(one.result(20))["transaction"] for one in both] == ["1", "1"]
 
 
 def test_nothing_is_asked_while_the_broker_is_away() -> None:
