@@ -174,9 +174,9 @@ _PLUGIN_TABLES: Final[dict[registry.PluginGroup, str]] = {
 def _config() -> Iterator[str]:
     yield (
         "# Configuration\n\n"
-        "A reference. One TOML file describes a station. It is read at the start, and its `[inspection]` again at a\n"
-        "reload; every fault is in one report (`gelgate check`). Relative paths, those in plugin options too, are\n"
-        "taken from the file's own folder. `gelgate check --example` prints\n"
+        "A reference. One TOML file describes a station. It is read at the start, and the bundles in its\n"
+        "`[inspection]` again at a reload; every fault is in one report (`gelgate check`). Relative paths, those in\n"
+        "plugin options too, are taken from the file's own folder. `gelgate check --example` prints\n"
         "[one with every table](../edge/service/example.toml).\n"
     )
     schema = Config.model_json_schema()

@@ -108,7 +108,7 @@ def _build(
     acquisition = Acquisition(device, clock, status.sensor_changed)
     closing.callback(acquisition.close)
     selection = PartSelection(
-        bundles, part, lambda in_use: opener.open(read_again().inspection, in_use), store, status, clock
+        bundles, part, lambda in_use: opener.open_again(config, read_again(), in_use), store, status, clock
     )
     closing.callback(selection.close)
     free_space = FreeSpace(config.store.path, round(config.store.free_mb * 1e6))

@@ -2,14 +2,14 @@
 
 import contextlib
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
 from edge import registry
-from edge.config import BundleTable, InspectionTable, PluginTable
+from edge.config import BundleTable, Config, InspectionTable, PluginTable
 from edge.core.errors import BundleMismatch, ConfigError, GelgateError
 from edge.core.part_position import PartPosition
 from edge.core.plugins import Played, PlaysRecording
@@ -37,6 +37,9 @@ __all__ = [
 
 NewestRevision = Callable[[PartPosition], int | None]
 
+# Keys of [inspection] that a reload reads again.
+_RELOADED: Final = {"bundle", "bundles", "bundle_folder", "shadows", "older", "signed", "trusted_keys"}
+
 # Bundles that were tried: more are forgotten, oldest first, and tried again.
 KEPT_TRIALS: Final = 256
 
@@ -47,6 +50,8 @@ class Opened:
 
     bundles: BundleSet
     faults: Mapping[Path, GelgateError]
+    left: Sequence[str] = ()
+    """What of the configuration has changed and is read at a start alone."""
 
 
 class BundleOpener:
@@ -89,6 +94,10 @@ class BundleOpener:
         ]
         self.trunks.keep_only(used)
         return Opened(found, faults)
+
+    def open_again(self, at_start: Config, now: Config, before: BundleSet) -> Opened:
+        """The same with what is configured now, and what else has changed since the start. Errors: as `open`."""
+        return replace(self.open(now.inspection, before), left=_find_left(at_start, now))
 
     def _open_shadows(
         self,
@@ -150,6 +159,20 @@ class BundleOpener:
         configured, _ = self.taken(part_of(bundle)) or ("", "")
         if table.older == "refused" and bundle.digest != configured:
             check_revision(bundle.manifest, self.newest(part_of(bundle)), bundle.where)
+
+
+def _find_left(before: Config, now: Config) -> list[str]:
+    """Return what differs and is left as it is at a reload, which reads the bundles alone."""
+    tables = [name for name in Config.model_fields if name != "inspection"]
+    keys = [name for name in InspectionTable.model_fields if name not in _RELOADED]
+    return [
+        *(name for name in tables if getattr(before, name) != getattr(now, name)),
+        *(
+            f"inspection.{name}"
+            for name in keys
+            if getattr(before.inspection, name) != getattr(now.inspection, name)
+        ),
+    ]
 
 
 def bundle_tables(table: InspectionTable) -> tuple[BundleTable, ...]:

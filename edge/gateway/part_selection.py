@@ -2,7 +2,7 @@
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Final
@@ -205,13 +205,18 @@ class PartSelection:
                         "or select another part and reload again"
                     )
                 )
-        self._report(faults)
+        self._report(faults, staged.left if isinstance(staged, Opened) else ())
 
-    def _report(self, faults: list[str]) -> None:
-        """Say it in the log and by the alarm; `step` writes it into the table of acts."""
+    def _report(self, faults: list[str], left: Sequence[str]) -> None:
+        """Say it in the log and by the alarm; `step` writes it into the table of acts. left: what has changed and is
+        not read again."""
         for fault in faults:
             log.error("%s", fault)
         self._status.say("bundle", join_sentences(faults))
+        said = list(faults)
+        if left:
+            said.append(f"changed in the configuration, and read at the next start alone: {', '.join(left)}")
+            log.warning("%s", said[-1])
         bundles = {str(part): one.bundle.digest for part, one in self.bundles.bundles.items()}
         self._unrecorded.append(
             Act(
@@ -219,7 +224,7 @@ class PartSelection:
                 "the gateway",
                 "open_bundles",
                 outcome="failed" if faults else "done",
-                sentence=join_sentences(faults),
+                sentence=join_sentences(said),
                 after={"bundles": bundles},
             )
         )

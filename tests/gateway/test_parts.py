@@ -281,6 +281,27 @@ def test_a_reload_reads_the_configuration_again(tmp_path: Path, config: Path, fo
         assert station.parts.selection.part == PZ0
 
 
+def test_a_reload_names_what_waits_for_a_restart(config: Path) -> None:
+    """Who has turned a second press off, or a request, would take `done` for it."""
+    with SteppedStation(config) as station:
+        station.turn()
+        station.reload()
+        good = config.read_text()
+        again = good.replace("[inspection]", '[inspection]\npress_again = "unsure"', 1)
+        config.write_text(f"{again}\n[confirm]\nquestions_per_day = 3\n")
+        station.reload()
+        station.turn(2)
+        acts = [(act.outcome, act.sentence) for act in station.parts.store.acts()]
+
+    assert acts == [
+        (
+            "done",
+            "changed in the configuration, and read at the next start alone: confirm, inspection.press_again",
+        ),
+        ("done", None),
+    ]
+
+
 def test_a_trunk_that_no_bundle_uses_any_more_is_forgotten(config: Path) -> None:
     """A gateway that runs for months keeps the backbones of its bundles and no others."""
     trunks = TrunkSessions()
