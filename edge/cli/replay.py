@@ -21,7 +21,16 @@ from edge.gateway.recorder import press_drawing
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.model.scorer import Scorer
-from edge.store.press_archive import ArchivedPress, ArchiveFolder, KnownPress, find_press, presses_since
+from edge.store.database import open_read_only
+from edge.store.person_verdicts import read_spoken_of
+from edge.store.press_archive import (
+    ArchivedPress,
+    ArchiveFolder,
+    KnownPress,
+    find_press,
+    list_presses,
+    presses_since,
+)
 
 __all__ = ["DIFFERS", "replay"]
 
@@ -70,7 +79,8 @@ def replay(
     wanted = _select_presses(path, press_id, is_all, since)
     folder, counts = ArchiveFolder(archive or path.with_suffix(".archive")), Counter[str]()
     find = Bundles(places, SystemClock()).inspector if bundle is None else _only_of_its_part(bundle)
-    made_again = _make_again(wanted, folder, find, picture, counts, is_many=press_id is None)
+    is_aged = (lambda press: False) if press_id is not None else _find_aged(path, folder)
+    made_again = _make_again(wanted, folder, find, picture, counts, is_aged, is_many=press_id is None)
     if bundle is not None:
         _print_changes(made_again, as_json=as_json)
     else:
@@ -87,13 +97,15 @@ def _make_again(
     find_inspector: _FindInspector,
     picture: Path | None,
     counts: Counter[str],
+    is_aged: Callable[[KnownPress], bool],
     *,
     is_many: bool,
 ) -> Iterator[tuple[KnownPress, Replayed]]:
-    """Judge the presses again; counts those that were `never` archived, and those where it is `impossible`."""
+    """Judge the presses again; counts those that were `never` archived, that are `aged`, and where it is
+    `impossible`."""
     for press in wanted:
-        if press.evidence is None and is_many:
-            counts["never"] += 1
+        if is_many and (press.evidence is None or is_aged(press)):
+            counts["never" if press.evidence is None else "aged"] += 1
             continue
         try:
             then = folder.press(press.press_id, press.evidence)
@@ -114,6 +126,17 @@ def _make_again(
         yield press, made_again
 
 
+def _find_aged(database: Path, folder: ArchiveFolder) -> Callable[[KnownPress], bool]:
+    """Say which presses are kept no longer: gone, and older than all that are kept for their age. Of an archive that is
+    empty, or elsewhere, none is aged."""
+    kept = set(list_presses(folder.folder))
+    with open_read_only(database, "reading of which presses people spoke") as connection:
+        _, spoken_of = read_spoken_of(connection, 0)
+    newest = kept - spoken_of
+    first = min((press.number for press in presses_since(database) if press.press_id in newest), default=0)
+    return lambda press: press.number < first and press.press_id not in kept
+
+
 def _print_differences(
     made_again: Iterable[tuple[KnownPress, Replayed]], counts: Counter[str], *, as_json: bool, is_many: bool
 ) -> None:
@@ -129,7 +152,8 @@ def _print_differences(
         total = counts["equal"] + counts["differ"] + counts["impossible"]
         typer.echo(
             f"{write_count(total, 'press')}: {counts['equal']} equal, {counts['differ']} differ, "
-            f"{counts['impossible']} not made again; {counts['never']} others were never archived"
+            f"{counts['impossible']} not made again; {counts['never']} others were never archived, "
+            f"{counts['aged']} kept no longer"
         )
 
 

@@ -163,6 +163,28 @@ def test_what_is_not_as_it_was_kept_is_named(
     assert "3 presses: 2 equal, 0 differ, 1 not made again" in every.out
 
 
+def test_a_press_that_is_kept_no_longer_is_no_fault_and_a_gap_is(copy: Played, tmp_path: Path) -> None:
+    """A station that runs for a day keeps its newest presses; that of before may be kept since a person spoke of it."""
+    execute(
+        copy.database,
+        "INSERT INTO acts (time_ns, running_ns, who, verb, arguments, outcome) "
+        "VALUES (1, 1, 'kim', 'confirm_press', ?, 'done')",
+        given=(json.dumps({"press_id": copy.ids[0], "verdict": "good"}),),
+    )
+    records = [copy.archive / f"presses/{press_id}.json" for press_id in copy.ids]
+    records[1].unlink()
+    aged = copy.replay("--all")
+    records[2].rename(tmp_path / records[2].name)
+    nothing_newer = copy.replay("--all")
+    shutil.rmtree(copy.archive)
+    empty = copy.replay("--all")
+
+    assert (aged.code, nothing_newer.code, empty.code) == (0, 1, 1)
+    assert "2 presses: 2 equal, 0 differ, 0 not made again" in aged.out
+    assert "0 others were never archived, 1 kept no longer" in aged.out
+    assert "3 presses: 1 equal, 0 differ, 2 not made again" in nothing_newer.out
+
+
 def test_the_evidence_is_in_the_chain(copy: Played) -> None:
     """A row that is given the SHA-256 of another record is a changed press."""
     copy.row("UPDATE presses SET evidence = zeroblob(32) WHERE number = 2")
