@@ -66,7 +66,7 @@ def backup(
     made = back_up(path, target)
     typer.echo(f"{made}: {made.stat().st_size:,} bytes")
     for old in backups_in(target, path)[:-keep] if keep else ():
-        old.unlink()
+        old.unlink(missing_ok=True)  # by another backup just now
         typer.echo(f"{old}: removed")
 
 

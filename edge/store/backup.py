@@ -8,7 +8,7 @@ import os
 import shutil
 import sqlite3
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Final
 
@@ -31,8 +31,9 @@ def back_up(database: Path, target: Path) -> Path:
     if target.is_dir():
         target = target / f"{database.stem}-{_utc()}.db"
     _refuse_target(database, target)
-    part = target.with_name(target.name + ".part")
+    part = target.with_name(f"{target.name}.{os.getpid()}.part")  # another one may be made just now
     try:
+        part.touch()  # what forbids that is of the copy's folder, not of the database
         _copy(database, part)
         os.chmod(part, 0o640)
         with part.open("rb") as file:
@@ -43,7 +44,8 @@ def back_up(database: Path, target: Path) -> Path:
             f"backup {target} cannot be written: {error.strerror or error}; check its folder and the free space"
         ) from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
     return target
 
 
@@ -91,7 +93,6 @@ def _refuse_target(database: Path, target: Path) -> None:
 
 def _copy(database: Path, part: Path) -> None:
     """Copy the database and check the copy. Errors: StoreError for a damaged source or copy."""
-    part.unlink(missing_ok=True)
     with (
         open_read_only(database, "reading it for a backup", any_version=True) as source,
         closing(sqlite3.connect(part)) as copy,

@@ -134,7 +134,7 @@ def write_history(path: Path, rows: Iterable[HistoryRow]) -> int:
     write = FORMATS.get(path.suffix.lower())
     if write is None:
         raise StoreError(f"the ending of {path} names no format; known are {', '.join(FORMATS)}")
-    part = path.with_name(path.name + ".part")
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
     number = 0
 
     def counted() -> Iterator[HistoryRow]:

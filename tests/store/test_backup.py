@@ -1,6 +1,8 @@
 """A copy made while a gateway runs: complete, of one moment, and alone in its file."""
 
 import sqlite3
+import subprocess
+import sys
 from contextlib import closing
 from fnmatch import fnmatch
 from pathlib import Path
@@ -53,6 +55,29 @@ def test_an_existing_file_is_never_replaced(store: Store, path: Path, tmp_path: 
     with pytest.raises(StoreError, match=r"copy\.db exists already"):
         back_up(path, tmp_path / "copy.db")
     assert (tmp_path / "copy.db").read_text() == "older"
+
+
+def test_two_backups_at_once_do_not_disturb_each_other(store: Store, path: Path, tmp_path: Path) -> None:
+    """Two timers at midnight, into one folder: what the other has begun is neither removed nor written to."""
+    code = (
+        "import sys; from pathlib import Path; from edge.store.backup import back_up; input(); "
+        "back_up(Path(sys.argv[1]), Path(sys.argv[2]))"
+    )
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("CREATE TABLE padding (data)")
+        connection.executemany("INSERT INTO padding VALUES (?)", ((bytes(10_000),) for _ in range(2000)))
+    command = [sys.executable, "-c", code, path, tmp_path / "copy.db"]
+    pipe = subprocess.PIPE
+    both = [subprocess.Popen(command, stdin=pipe, stderr=pipe, text=True) for _ in range(2)]
+    for one in both:
+        assert one.stdin is not None
+        one.stdin.write("\n")
+        one.stdin.flush()
+    said = [one.communicate()[1] for one in both]
+
+    assert [one for one in said if one and "exists already" not in one] == []
+    assert [file.name for file in tmp_path.glob("copy*")] == ["copy.db"]
+    assert check_database(tmp_path / "copy.db") == []
 
 
 def test_in_a_folder_the_time_is_in_the_name(store: Store, path: Path, tmp_path: Path) -> None:
