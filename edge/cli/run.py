@@ -66,15 +66,18 @@ def run(
     os.umask(os.umask(0o077) | 0o027)  # results and counts are not for every user of the machine
     loaded = load_config(config, state_dir)
     clock = SystemClock()
+    # A closed terminal (SIGHUP) ends it in good order; without a terminal SIGHUP reloads, as for a service, and one
+    # that comes during the start is done after it.
+    is_service, early = not os.isatty(0), threading.Event()
+    if is_service:
+        signal.signal(signal.SIGHUP, lambda *_: early.set())
     with preflight(loaded, clock) as checked:
         for finding in checked.findings:
             if finding.error is not None and not (wait_for_device and isinstance(finding.error, DeviceError)):
                 raise finding.error
         recording = played_recording(loaded.device)
         stop = threading.Event()
-        # A closed terminal (SIGHUP) ends it in good order too; without a terminal, SIGHUP reloads, as for a service.
-        is_service = not os.isatty(0)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        for number in (signal.SIGINT, signal.SIGTERM, *(() if is_service else (signal.SIGHUP,))):
             signal.signal(number, lambda *_: stop.set())
         out = Lines()
 
@@ -86,6 +89,8 @@ def run(
         with open_station(loaded, clock, on_press, checked, read_again) as station:
             if is_service:
                 signal.signal(signal.SIGHUP, lambda *_: station.reload())
+            if early.is_set():
+                station.reload()
             summary = station.run(stop, presses)
     if log_json:
         log_summary(summary)

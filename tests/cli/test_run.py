@@ -14,6 +14,8 @@ import pytest
 from breakable_station import Bench
 from station import press_recording, small_bundle, station_config
 
+from edge.store.database import open_read_only
+
 GELGATE = Path(sys.executable).parent / "gelgate"
 START_TIMEOUT_S = 120.0
 
@@ -35,14 +37,25 @@ def wait_for(bench: Bench, topic: str, running: "subprocess.Popen[str]") -> None
         time.sleep(0.05)
 
 
-def started(bench: Bench, stdin: int) -> "subprocess.Popen[str]":
-    """Start a gateway on presses that do not end; return it once it has seen a frame."""
+def begun(bench: Bench, stdin: int) -> "subprocess.Popen[str]":
+    """Start a gateway on presses that do not end."""
     config = bench.config()
     config.write_text(config.read_text().replace('"presses" }', '"presses", loop = true }'))
     command, pipe = [GELGATE, "run", "--config", config], subprocess.PIPE
-    running = subprocess.Popen(command, stdin=stdin, stdout=pipe, stderr=pipe, text=True)
+    return subprocess.Popen(command, stdin=stdin, stdout=pipe, stderr=pipe, text=True)
+
+
+def started(bench: Bench, stdin: int) -> "subprocess.Popen[str]":
+    """Begin, and return it once it has seen a frame."""
+    running = begun(bench, stdin)
     wait_for(bench, "gel", running)
     return running
+
+
+def acts(bench: Bench) -> list[str]:
+    """Return the verbs of the table of acts."""
+    with open_read_only(bench.folder / "gelgate.db", "reading acts") as connection:
+        return [verb for (verb,) in connection.execute("SELECT verb FROM acts")]
 
 
 def end(bench: Bench, running: "subprocess.Popen[str]", number: signal.Signals) -> None:
@@ -67,6 +80,24 @@ def test_a_service_reloads_by_sighup_and_ends_by_sigterm(bench: Bench) -> None:
     end(bench, running, signal.SIGTERM)
 
     assert "is not a gelgate manifest" in str(payloads(bench.folder, "alarm/bundle")[-1])
+
+
+def test_a_service_that_is_asked_to_reload_while_it_starts_does_not_end(bench: Bench) -> None:
+    """It reloads when it runs."""
+    running = begun(bench, subprocess.DEVNULL)
+    caught, deadline = 0, time.monotonic() + START_TIMEOUT_S
+    while not caught & 1 << signal.SIGHUP - 1:
+        assert running.poll() is None
+        assert time.monotonic() < deadline, "SIGHUP is not handled in time"
+        status = Path(f"/proc/{running.pid}/status").read_text(encoding="utf-8")
+        caught = int(re.findall(r"SigCgt:\s*(\w+)", status)[0], 16)
+    running.send_signal(signal.SIGHUP)
+    wait_for(bench, "gel", running)
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while "open_bundles" not in acts(bench):
+        assert time.monotonic() < deadline, "it has not reloaded in time"
+        time.sleep(0.05)
+    end(bench, running, signal.SIGTERM)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP], ids=["Ctrl-C", "a closed terminal"])
