@@ -77,9 +77,9 @@ class DriftWatch(PressStage):
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         """Chart it where it passes: damage is no drift."""
         if press.label is None and settled is not None and press.word == Kind.PASS.value:
-            charts = self._bundles.pop(self._bundle, {})
+            charts, values = self._bundles.pop(self._bundle, {}), _measure(press, settled, inspector)
             for measure in MEASURES:
-                value = _measure(press, settled, inspector).get(measure.name)
+                value = values.get(measure.name)
                 if value is not None:
                     chart = charts[measure.name] = charts.get(measure.name, DriftChart()).add(value, measure)
                     drawn = self._sums.setdefault((self._bundle, measure.name), deque(maxlen=_DRAWN))

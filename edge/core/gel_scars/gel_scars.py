@@ -70,6 +70,8 @@ class _Places(NamedTuple):
     @classmethod
     def of(cls, excess: F32) -> "_Places":
         above = (excess > 0).astype(np.uint8)
+        if not above.any():
+            return cls(np.zeros(above.shape, np.int32), np.zeros((1, 5), np.int32))
         return cls(*cv2.connectedComponentsWithStats(above, connectivity=8)[1:3])  # type: ignore[arg-type]
 
     def touch(self, places: Mask) -> NDArray[np.bool_]:
