@@ -273,9 +273,15 @@ class HandshakeMachine:
         self._is_touched = is_touched
         self._needs_free &= is_touched
 
-    def begin(self, now_ns: int) -> None:
-        """A press of a part begins. It answers a trigger that came while the gel was free."""
+    def begin(self, now_ns: int, frame_ns: int | None = None) -> None:
+        """A press of a part begins. It answers a trigger that came while the gel was free.
+
+        frame_ns: of the frame that shows it, which may have been held back until after the trigger; None for one
+        without a time of its own.
+        """
         if self.read(now_ns).step != "busy" or not self._is_reached or self._is_command:
+            return
+        if frame_ns is not None and frame_ns < self._trigger_ns:
             return
         if self._is_pressed:  # the one before has ended without a verdict
             self._finish("error", Code.NOT_JUDGED)

@@ -50,6 +50,17 @@ def seen_late(bench: Bench) -> None:
     bench.machine.reach(7)
 
 
+def held_back(bench: Bench) -> None:
+    """The sensor's bus gives the frames of before the trigger after it."""
+    before_ns = bench.now_ns
+    bench.wait(1)
+    bench.trigger(7)
+    bench.look(True)
+    bench.machine.begin(bench.now_ns, before_ns)
+    bench.judge("pass")
+    bench.record()
+
+
 def not_recorded(bench: Bench) -> None:
     bench.trigger(7)
     bench.begin()
@@ -70,7 +81,7 @@ def without_a_begin(bench: Bench) -> None:
 
 @pytest.mark.parametrize(
     "given",
-    [begun_before, touched_before, seen_late, not_recorded, other_is_recorded, without_a_begin],
+    [begun_before, touched_before, seen_late, held_back, not_recorded, other_is_recorded, without_a_begin],
 )
 def test_what_does_not_answer_a_trigger(given: Callable[[Bench], None]) -> None:
     """It stays busy, and ends as an error in time."""

@@ -12,12 +12,13 @@ from typing import Any, Self, final
 from edge import registry
 from edge.clock import SystemClock
 from edge.config import Config, HandshakeTable
-from edge.core.contact.events import Event, PressSettled, TriggerRepeated, TriggerWithoutContact
+from edge.core.contact.events import Event, PressBegan, PressSettled, TriggerRepeated, TriggerWithoutContact
 from edge.core.contact.press_detector import Look
 from edge.core.digital_io import StationView
 from edge.core.errors import GelgateError, StoreError
 from edge.core.gel_life import GelState
 from edge.core.handshake import Code, HandshakeMachine, HandshakeServer, Trigger
+from edge.core.imaging.frames import CameraFrame
 from edge.core.imaging.quality import Reason, Rejection
 from edge.core.part_position import PartPosition
 from edge.core.ports import Clock
@@ -50,7 +51,8 @@ class HandshakeStage(PressStage):
         )
         self.port = Port(machine, parts.selection, parts.store, parts.clock, self._triggered)
         self._gel_left_percent = 0
-        self._has_contact = False
+        self._has_contact = self._has_time = False
+        self._began_ns: int | None = None
         self._piece_id: str | None = None
         # Its piece begins when what presses now is lifted.
         self._early: tuple[Trigger, PartPosition | None] | None = None
@@ -131,8 +133,13 @@ class HandshakeStage(PressStage):
     def mount(self, gel: GelRecord) -> None:
         self._gel_left_percent = _left(gel)
 
+    def take(self, frame: CameraFrame) -> None:
+        self._has_time = not frame.is_on_demand
+
     def see(self, event: Event) -> None:
         match event:
+            case PressBegan():
+                self._began_ns = event.timestamp_ns if self._has_time else None
             case TriggerWithoutContact() | TriggerRepeated() if self._is_command:
                 self._miss(Code.NOTHING_PRESSED)
             case _:
@@ -145,7 +152,7 @@ class HandshakeStage(PressStage):
     def begin(self, label: PressLabel | None) -> PressLabel | None:
         if label is None:
             with self.port.machine() as (machine, now_ns):
-                machine.begin(now_ns)
+                machine.begin(now_ns, self._began_ns)
         return label
 
     def admit(self, press: Press) -> Press:
