@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 
-from simulation.chosen import SMALL_MB
+from simulation.chosen import is_small
 from simulation.lives import Station
 from simulation.options import MESSAGES
 from simulation.sensor import S
@@ -27,7 +27,8 @@ REPORTED_S = 12.0
 
 def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
     """A full outbox keeps to its room, drops pictures first, passes next and fails last, and says so."""
-    if station.config.store.outbox_mb != SMALL_MB or station.is_disk_disturbed:
+    room_mb = station.config.store.outbox_mb
+    if not is_small(room_mb) or station.is_disk_disturbed:
         station.so_since("a drop is not said", False)
         return
     path = station.disk.folder / "gelgate.db"
@@ -41,8 +42,8 @@ def audit_full_outbox(world: World, station: Station) -> Iterator[str]:
     dropped = station.loop.parts.publisher.outbox_status().dropped
     station.is_drop_open |= sum(dropped.values()) > sum(station.dropped.values())
     station.dropped = dropped
-    if size > SMALL_MB * 1e6:
-        yield f"{size} bytes wait in an outbox of {SMALL_MB} MB"
+    if size > room_mb * 1e6:
+        yield f"{size} bytes wait in an outbox of {room_mb} MB"
     is_unsaid = station.is_drop_open and "outbox_full" not in station.loop.parts.status.view().alarms
     unsaid_ns = station.so_since("a drop is not said", is_unsaid and not station.is_frozen)
     if unsaid_ns is not None and world.clock.now_ns - unsaid_ns > REPORTED_S * S:

@@ -33,6 +33,8 @@ def audit_retained(world: World, station: Station) -> Iterator[str]:
         ):
             yield f"{broker.name} retains the gel {gel['gel_id']} with {gel['presses']} presses, which is not so"
         info, part = kept.get("info"), station.loop.parts.selection.part.part
+        if session and not info:
+            yield f"{broker.name} retains no info, and {part} inspects"
         if info and info["part"] != part:
             yield f"{broker.name} retains the part {info['part']}, and {part} inspects"
         said = {topic.removeprefix("alarm/") for topic in kept if topic.startswith("alarm/")}

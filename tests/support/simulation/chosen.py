@@ -14,11 +14,18 @@ class Fault:
     seed: int
 
 
-SMALL_MB = 0.06
-"""Less than a person may set: some forty results are more."""
+SMALL_MB = 0.03
+"""Less than a person may set: some twenty results are more."""
+
+
+def is_small(outbox_mb: float) -> bool:
+    """Say whether a run fills such an outbox."""
+    return outbox_mb < 1
+
 
 MEETINGS = (
-    (),
+    ("silence",),
+    ("kill",),
     ("fill disk", "kill"),
     ("fill disk", "lose power"),
     ("select part", "replace gel"),
@@ -33,6 +40,9 @@ MEETINGS = (
     ("plc", "unplug"),
 )
 """Faults that do most harm together."""
+
+MEETING_STEPS = (0, 5, 9)
+"""Which of them a run has, counted from its seed."""
 
 
 @dataclass(frozen=True)
@@ -61,22 +71,23 @@ class Chosen:
     """The order of a plan of places, `fixed` or `free`; empty for none. A PLC begins the pieces, else a person."""
 
     @classmethod
-    def of(cls, rng: random.Random, names: Sequence[str]) -> "Chosen":
-        """Draw. Each kind of fault is left out of half of the runs or more, so that others meet alone; a PLC is always
-        disturbed, and met by a second one."""
-        share = rng.choice((0.15, 0.5))
+    def of(cls, seed: int, names: Sequence[str]) -> "Chosen":
+        """Draw. Most kinds of fault are left out of a run, so that others meet alone; seeds that follow each other have
+        every meeting. A PLC is always disturbed, and met by a second one."""
+        rng = random.Random(f"{seed} chosen")
+        share = rng.choice((0.05, 0.2))
         rates = {name: rng.choice((1.0, 4.0)) for name in names if rng.random() < share}
-        for meeting in rng.sample(MEETINGS, 2):
-            rates |= dict.fromkeys(meeting, 4.0)
+        for step in MEETING_STEPS:
+            rates |= dict.fromkeys(MEETINGS[(seed + step) % len(MEETINGS)], 6.0)
         chosen = cls(
-            rng.choice((1, 1, 2)),
+            rng.choice((1, 2)),
             rng.random() < 0.5,
             rates,
             rng.choice((0.0, 0.01, 0.03)),
             rng.choice((18.75, 9.0, 9.0, 7.0)),
             rng.choice(("5", "5", "5", "3.1.1", "silent at 5")),
             rng.choice(("automatic", "automatic", "automatic", "command")),
-            rng.choice((512, 512, 512, SMALL_MB)),
+            rng.choice((*[512] * 5, SMALL_MB)),
             rng.random() < 0.25,
             rng.random() < 0.25,
             rng.random() < 0.3,
@@ -87,7 +98,7 @@ class Chosen:
         rates["request"] = 4.0
         if chosen.trigger == "command" or not (chosen.plc or chosen.piece):
             rates["select part"] = 4.0
-        if chosen.outbox_mb == SMALL_MB:  # it is filled, and then the station begins anew
+        if is_small(chosen.outbox_mb):  # it is filled, and then the station begins anew
             rates |= dict.fromkeys(("hang up", "stop"), 4.0)
         disturbed = {"second plc": 1.0, **rates, "plc": 4.0}
         return replace(chosen, rates=disturbed) if chosen.plc and "plc" in names else chosen

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from edge.core.errors import StoreError
-from simulation.chosen import SMALL_MB
+from simulation.chosen import is_small
 from simulation.outputs import LAMP
 from simulation.people import PEOPLE
 from simulation.plc import STEPS, Server
@@ -47,9 +47,9 @@ def unplug(run: "Simulation", rng: random.Random) -> float:
 def silence(run: "Simulation", rng: random.Random) -> float:
     """The sensor gives no frame, and stays on the bus; or a part is put down meanwhile, and lies until it is seen."""
     sensor, hand, begun_ns = run.world.sensor, run.world.hand, run.world.clock.now_ns
-    lasts_s, is_held = rng.choice((0.3, 1.5, 6, 12)), rng.choice((False, False, False, True, True))
+    lasts_s, is_held = rng.choice((0.3, 1.5, 6, 12)), rng.random() < 0.6
     if is_held and hand.is_pressing_soon:
-        lasts_s = hand.free_s + 0.4
+        lasts_s, hand.has_dented = hand.free_s + 0.4, True
     sensor.is_silent = True
 
     def speak() -> None:
@@ -143,7 +143,7 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
     broker.go("away" if mood == "restarts without memory" else mood)
     if mood == "restarts without memory":
         broker.retained.clear()
-    lasts_s = rng.choice((1, 5, 15, 40)) * (2 if run.chosen.outbox_mb == SMALL_MB else 1)
+    lasts_s = rng.choice((1, 4, 8, 20)) * (2 if is_small(run.chosen.outbox_mb) else 1)
     return run.for_a_while(f"{broker.name} {broker.mood}", lasts_s, broker.mend)
 
 
@@ -402,8 +402,9 @@ def _is_press_waiting(run: "Simulation") -> bool:
 
 
 def _is_loss_unread(run: "Simulation") -> bool:
-    """A press waits for room, or messages were dropped from a full outbox, and nobody has acknowledged it."""
-    return _is_press_waiting(run) or run.station.is_drop_open
+    """A press waits for room, a result for its broker, or messages were dropped from a full outbox, and nobody has
+    acknowledged it."""
+    return _is_press_waiting(run) or _is_result_waiting(run) or run.station.is_drop_open
 
 
 def _is_press_unrecorded(run: "Simulation") -> bool:

@@ -89,7 +89,7 @@ class Hand:
         self.may_lift: Callable[[], bool] | None = None
         """What a robot looks at; None for a hand."""
         self.lifted_at_word = 0
-        self._was_off = False
+        self._was_off = self.has_dented = False
         self._phase = FREE
         self._phases: deque[Phase] = deque(repeat(FREE, round(2.2 / period_s)))
 
@@ -152,6 +152,7 @@ class Hand:
 
     def _begin(self, now_ns: int) -> None:
         what = self._rng.choices(("sound", "dented", "glaring"), (77, 20, 3))[0]
+        what, self.has_dented = "dented" if self.has_dented else what, False
         way = self._rng.choices(WAYS, (70, 8, 8, 4, 6, 4))[0]
         self._was_off = False
         self.presses.append(MadePress(len(self.presses), now_ns, what, way))

@@ -20,7 +20,7 @@ BUGS = (
         "edge/store/database.py",
         "{'FULL' if is_durable else 'NORMAL'}",
         "{'NORMAL'}",
-        "results lack|are of no row",
+        "results lack|are of no row|is lost",
     ),
     Bug(
         "deleted before it is acknowledged",
@@ -65,7 +65,7 @@ BUGS = (
         "edge/core/contact/press_detector.py",
         "GAP_S: Final = 0.27",
         "GAP_S: Final = 9.0",
-        " an interruption",
+        " an interruption|nothing is seen",
     ),
     Bug(
         "press recorded under the next part",

@@ -19,7 +19,7 @@ from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.auditors_outbox import ARCHIVED
 from simulation.auditors_pieces import audit_pieces
 from simulation.auditors_retained import audit_retained
-from simulation.chosen import SMALL_MB, Chosen, Fault
+from simulation.chosen import Chosen, Fault, is_small
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
 from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK, WAIT_FIRST
@@ -92,10 +92,10 @@ class Simulation:
         chosen: Chosen | None = None,
         schedule: Sequence[Fault] | None = None,
     ) -> None:
-        self.chosen = chosen or Chosen.of(random.Random(f"{seed} chosen"), list(FAULTS))
+        self.chosen = chosen or Chosen.of(seed, list(FAULTS))
         self.rng = random.Random(f"{seed} turns")
-        # Short runs try more options; a small outbox is filled by a long one.
-        presses = presses or (60 if self.chosen.outbox_mb == SMALL_MB else self.rng.choice((20, 20, 60)))
+        # Short runs try more options; a small outbox is filled by a longer one.
+        presses = presses or (30 if is_small(self.chosen.outbox_mb) else 20)
         self.run = Run(seed, presses, self.chosen)
         self.world = World(seed, self.chosen)
         self.world.hand.most_presses = presses
