@@ -137,7 +137,7 @@ MOODS = (
 def hang_up(run: "Simulation", rng: random.Random) -> float:
     """A broker is away, or has another of its moods."""
     broker = rng.choice(list(run.world.brokers.values()))
-    mood = rng.choice(MOODS)
+    mood = rng.choice(MOODS) if rng.random() < 0.6 else "away"
     broker.chosen_kind = rng.choice(("result", "heatmap", "gel", "alarm", "info"))
     run.reach(f"a broker {mood}")
     broker.go("away" if mood == "restarts without memory" else mood)
@@ -204,13 +204,13 @@ def step_clock(run: "Simulation", rng: random.Random) -> float:
     """Somebody, or a time server, sets the wall clock, or it drifts from now on."""
     clock = run.world.clock
     clock.set_ns = clock.now_ns
-    if rng.random() < 0.3:
+    if rng.random() < 0.3 and not run.is_broker_away:
         now_ns, clock.drift = clock.time_ns(), rng.choice((-0.01, 0.0, 0.005))
         clock.wall_ns += now_ns - clock.time_ns()
         run.reach("the wall clock drifts")
         run.note(f"the wall clock drifts by {clock.drift}")
         return 0.0
-    step_s = rng.choice((-86_400, -3600, -1, 1, 3600, *[31 * 86_400] * 4))
+    step_s = rng.choice((-86_400, -3600, -1, 1, 3600, *[31 * 86_400] * 8))
     clock.wall_ns += step_s * S
     run.note(f"the wall clock is set by {step_s} s")
     run.reach("the wall clock went back" if step_s < 0 else "the wall clock went on")

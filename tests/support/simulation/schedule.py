@@ -53,7 +53,7 @@ secret_file = "{secret}"
 """
 RECORDED_S = 3
 """So long after its end the last press is recorded."""
-PATIENCE = 0.99
+PATIENCE = 0.997
 """Of a fault that waits for its moment, each tenth of a second."""
 SINK = '[[sinks]]\nplugin = "simulated"\noptions = {{ host = "{name}", acknowledge_s = {at_once_s} }}\n'
 
