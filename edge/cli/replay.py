@@ -200,9 +200,9 @@ def _places(config: Path, database: Path | None, bundles: list[Path]) -> tuple[P
 
 
 def _configured(config: Config) -> Iterator[Path]:
-    """The station's bundles that are there."""
+    """The station's bundles that are there, also those that may take over."""
     table = config.inspection
-    for path in (table.bundle, table.bundle_folder, *(bundle.path for bundle in table.bundles)):
+    for path in (table.bundle, table.bundle_folder, *(one.path for one in table.bundles), *table.shadows):
         if path is not None and path.exists():
             yield path
 

@@ -205,6 +205,15 @@ def test_a_bundle_that_is_gone_is_named(copy: Played, tmp_path: Path, bundle: Pa
     assert copy.replay(copy.ids[1], "--bundles", str(bundle.parent)).code == 0
 
 
+def test_a_press_that_a_shadow_judged_is_made_again(copy: Played, tmp_path: Path, bundle: Path) -> None:
+    """It had taken over, and is in the configuration as it was."""
+    other = variant(bundle, tmp_path / "other", revision=9)
+    text = copy.config.read_text(encoding="utf-8").replace(str(bundle), str(other))
+    shadows = f'[inspection]\nshadows = ["{bundle}"]'
+    copy.config.write_text(text.replace("[inspection]", shadows, 1), encoding="utf-8")
+    assert copy.replay(copy.ids[1]).code == 0
+
+
 def test_a_score_that_differs_is_said_with_where_and_why(copy: Played) -> None:
     """The record states another score and map than this machine gives, and another program made it."""
     forge(copy, press := copy.record(1))
