@@ -257,16 +257,20 @@ class Broker:
         if self.mood == "ignores" and is_kind:
             self.said["a message ignored"] += 1
             return
-        self.take(Message(topic, sent.message.payload, sent.message.qos, sent.message.retain))
+        number, is_taken = sent.number, True
+        if self.mood == "answers another" and sent.message.qos and self._rng.random() < 0.4:
+            self.said["another message acknowledged"] += 1
+            number, is_taken = (
+                sent.number % 65_000 + 1,
+                self._rng.random() < 0.5,
+            )  # what it says of this one is nothing
+        if is_taken:
+            self.take(Message(topic, sent.message.payload, sent.message.qos, sent.message.retain))
         if not sent.message.qos:
             return
         if self.mood == "forgets answers" and self._rng.random() < 0.4:
             self.said["an answer forgotten"] += 1
             return
-        number = sent.number
-        if self.mood == "answers another" and self._rng.random() < 0.4:
-            self.said["another message acknowledged"] += 1
-            number = sent.number % 65_000 + 1
         late_s = self._rng.choice((0.05, 0.4, 2.0, 11.0)) if self.mood == "answers late" else 0.0
         link.answers.append((self._clock.now_ns + round(late_s * S), puback(link.level, number)))
 

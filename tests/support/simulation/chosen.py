@@ -25,6 +25,8 @@ def is_small(outbox_mb: float) -> bool:
 
 MEETINGS = (
     ("silence",),
+    ("blind",),
+    ("freeze", "hold back"),
     ("kill",),
     ("fill disk", "kill"),
     ("fill disk", "lose power"),
@@ -41,7 +43,7 @@ MEETINGS = (
 )
 """Faults that do most harm together."""
 
-MEETING_STEPS = (0, 5, 9)
+MEETING_STEPS = (0, 5, 9, 12)
 """Which of them a run has, counted from its seed."""
 
 
@@ -87,11 +89,11 @@ class Chosen:
             rng.choice((18.75, 9.0, 9.0, 7.0)),
             rng.choice(("5", "5", "5", "3.1.1", "silent at 5")),
             rng.choice(("automatic", "automatic", "automatic", "command")),
-            rng.choice((*[512] * 5, SMALL_MB)),
+            rng.choice((*[512] * 4, SMALL_MB)),
             rng.random() < 0.25,
             rng.random() < 0.25,
             rng.random() < 0.3,
-            rng.choice(("", "modbus", "modbus", "opcua")),
+            rng.choice(("", "modbus", "opcua")),
             rng.choice(("", "fixed", "free")),
         )
         # People cost little: somebody always asks, and selects where neither a plan nor a PLC does.

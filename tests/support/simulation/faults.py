@@ -137,13 +137,13 @@ MOODS = (
 def hang_up(run: "Simulation", rng: random.Random) -> float:
     """A broker is away, or has another of its moods."""
     broker = rng.choice(list(run.world.brokers.values()))
-    mood = rng.choice(MOODS) if rng.random() < 0.6 else "away"
+    mood = rng.choice(MOODS) if rng.random() < (0.25 if is_small(run.chosen.outbox_mb) else 0.75) else "away"
     broker.chosen_kind = rng.choice(("result", "heatmap", "gel", "alarm", "info"))
     run.reach(f"a broker {mood}")
     broker.go("away" if mood == "restarts without memory" else mood)
     if mood == "restarts without memory":
         broker.retained.clear()
-    lasts_s = rng.choice((1, 4, 8, 20)) * (2 if is_small(run.chosen.outbox_mb) else 1)
+    lasts_s = rng.choice((1, 4, 8, 20)) * (4 if is_small(run.chosen.outbox_mb) else 1)
     return run.for_a_while(f"{broker.name} {broker.mood}", lasts_s, broker.mend)
 
 

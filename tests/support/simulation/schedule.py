@@ -94,8 +94,8 @@ class Simulation:
     ) -> None:
         self.chosen = chosen or Chosen.of(seed, list(FAULTS))
         self.rng = random.Random(f"{seed} turns")
-        # Short runs try more options; a small outbox is filled by a longer one.
-        presses = presses or (30 if is_small(self.chosen.outbox_mb) else 20)
+        # Short runs try more options; a small outbox is filled, and pieces are made, by longer ones.
+        presses = presses or (30 if is_small(self.chosen.outbox_mb) or self.chosen.piece else 20)
         self.run = Run(seed, presses, self.chosen)
         self.world = World(seed, self.chosen)
         self.world.hand.most_presses = presses
