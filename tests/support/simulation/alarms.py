@@ -93,7 +93,7 @@ def audit_alarms(world: World, station: Station) -> Iterator[str]:
         # A sensor that is opened again may be well, until it is found that it is not; a frozen one stays the same.
         # A pause between pictures that show nothing is not their blindness.
         sensor = world.sensor
-        again = sensor.given if sensor.is_frozen else (sensor.openings, sensor.is_silent, sensor.is_holding)
+        again = (sensor.given if sensor.is_frozen else sensor.openings, sensor.is_silent, sensor.is_holding)
         so_since_ns = station.so_since(f"{rule.alarm} is so", is_so and not is_held_up, again)
         well_since_ns = station.so_since(f"{rule.alarm} is well", not (is_so or may or is_held_up))
         is_late = so_since_ns is not None and now_ns - so_since_ns > rule.raised_s * S
