@@ -150,10 +150,10 @@ def _print_differences(
             typer.echo(printable(f"    {sentence}"))
     if is_many and not as_json:
         total = counts["equal"] + counts["differ"] + counts["impossible"]
+        aged = f", {counts['aged']} are kept no longer" if counts["aged"] else ""
         typer.echo(
             f"{write_count(total, 'press')}: {counts['equal']} equal, {counts['differ']} differ, "
-            f"{counts['impossible']} not made again; {counts['never']} others were never archived, "
-            f"{counts['aged']} kept no longer"
+            f"{counts['impossible']} not made again; {counts['never']} others were never archived{aged}"
         )
 
 

@@ -181,7 +181,7 @@ def test_a_press_that_is_kept_no_longer_is_no_fault_and_a_gap_is(copy: Played, t
 
     assert (aged.code, nothing_newer.code, empty.code) == (0, 1, 1)
     assert "2 presses: 2 equal, 0 differ, 0 not made again" in aged.out
-    assert "0 others were never archived, 1 kept no longer" in aged.out
+    assert "0 others were never archived, 1 are kept no longer" in aged.out
     assert "3 presses: 1 equal, 0 differ, 2 not made again" in nothing_newer.out
 
 

@@ -37,20 +37,6 @@ BY_OTHERS = (
         "if self._born.get(message.topic) == message:",
         "retains",
     ),
-    # mqtt.md: 'A result arrives at least once': a PUBACK with another id removes a row that nobody has.
-    Bug(
-        "any acknowledgement is taken for this message",
-        "edge/messaging/mqtt_connection.py",
-        "        self._await(lambda: mid in self._answers or self._is_lost, self.broker.timeout_s)\n"
-        "        with self._changed:\n"
-        "            if mid in self._answers:\n"
-        "                return self._answers.pop(mid)\n",
-        "        self._await(lambda: bool(self._answers) or self._is_lost, self.broker.timeout_s)\n"
-        "        with self._changed:\n"
-        "            if self._answers:\n"
-        "                return self._answers.popitem()[1]\n",
-        "results lack|retains|picture message",
-    ),
     # operations.md: 'If the gateway ends before, they are counted on the gel at the next start, with the
     # alarm counts'.
     Bug(
