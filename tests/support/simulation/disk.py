@@ -92,10 +92,14 @@ class Disk:
         if self.kill_in <= 0:
             self._is_copying = True
             copy = self.folder.with_name(f"{self.folder.name}-after")
-            shutil.copytree(self.folder, copy)
-            if self.lost is not None and self.unsynced is not None:
-                self.lost(self.unsynced, copy)
-            self.copy, self.killed_at, self._is_copying = copy, name, False
+            shutil.rmtree(copy, ignore_errors=True)  # of a try that met a file which was just removed
+            try:
+                shutil.copytree(self.folder, copy)
+                if self.lost is not None and self.unsynced is not None:
+                    self.lost(self.unsynced, copy)
+            finally:
+                self._is_copying = False
+            self.copy, self.killed_at = copy, name
 
 
 _heard: Disk | None = None
