@@ -260,10 +260,8 @@ class Broker:
         number, is_taken = sent.number, True
         if self.mood == "answers another" and sent.message.qos and self._rng.random() < 0.4:
             self.said["another message acknowledged"] += 1
-            number, is_taken = (
-                sent.number % 65_000 + 1,
-                self._rng.random() < 0.5,
-            )  # what it says of this one is nothing
+            # What it says of another one says nothing of this one.
+            number, is_taken = sent.number % 65_000 + 1, self._rng.random() < 0.5
         if is_taken:
             self.take(Message(topic, sent.message.payload, sent.message.qos, sent.message.retain))
         if not sent.message.qos:

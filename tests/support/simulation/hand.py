@@ -89,7 +89,9 @@ class Hand:
         self.may_lift: Callable[[], bool] | None = None
         """What a robot looks at; None for a hand."""
         self.lifted_at_word = 0
-        self._was_off = self.has_dented = False
+        self.has_dented = False
+        """The next part is dented."""
+        self._was_off = False
         self._phase = FREE
         self._phases: deque[Phase] = deque(repeat(FREE, round(2.2 / period_s)))
 
