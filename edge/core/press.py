@@ -118,6 +118,8 @@ class Press:
     """How the press was brought to the bank's pose; None where it was scored without."""
     judged: JudgedFrame | None = None
     """What it was judged by."""
+    is_at_rest: bool | None = None
+    """False where it grew or moved until it was lifted, and is judged at its peak; None without a frame to judge."""
     label: PressLabel | None = None
     """What the press is for; None for a part."""
     imprint: Imprint | None = None

@@ -254,6 +254,7 @@ class InspectionSession:
             # A frame that was made on demand has its recorded time.
             judged_ns=started_ns if frame.is_on_demand else came_ns,
             judged=JudgedFrame(frame, settled.touch, findings.free),
+            is_at_rest=settled.is_held,
         )
 
     def _add(self, presses: list[Press]) -> None:

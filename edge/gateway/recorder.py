@@ -306,6 +306,7 @@ def _judgement(press: Press, bundle: Bundle) -> Mapping[str, Any]:
         "tolerance": press.verdict.tolerance if press.verdict else None,
         # At a threshold of 0 or below there is no such scale.
         "score_ratio": score / threshold if score is not None and threshold > 0 else None,
+        "is_at_rest": press.is_at_rest,
         "latency_ms": press.latency_ms,
         "light_gain": None if press.light is None else press.light.gain,
         "pose": None if placed is None else PosePlace.of(placed, mm_per_pixel),

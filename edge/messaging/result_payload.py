@@ -212,6 +212,11 @@ class ResultPayload(Payload):
         default=None,
         description="the score with the places under scars and beyond the part; null where none was left out",
     )
+    is_at_rest: bool | None = Field(
+        default=None,
+        description="whether the press rested when it was judged; false where it grew or moved until it was lifted: "
+        "its peak was judged; null without a frame to judge",
+    )
     light_gain: tuple[float, float, float] | None = Field(
         default=None,
         description="red, green, blue: by how much the press was made brighter before its score, because the free gel "

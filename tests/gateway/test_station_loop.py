@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from station import Motion, station_config, two_parts
+from station import Motion, press_recording, station_config, two_parts
 from stepped_station import SteppedStation
 
 from edge.core.errors import DeviceNotFound, StoreError
@@ -64,6 +64,18 @@ def test_no_request_acts_on_a_press_that_was_over_before_it(
             station.play_presses(1)
         pressed = station.results[0]
     assert (pressed.verdict, pressed.part, pressed.gel_id) == first
+
+
+@pytest.mark.parametrize(("hold", "is_at_rest"), [(2, None), (3, False), (8, True)])
+def test_a_result_says_whether_its_press_rested(
+    tmp_path: Path, bundle: Path, hold: int, is_at_rest: bool | None
+) -> None:
+    """At 25 frames a second 8 frames are a rest, of 3 the peak is judged after the lift, and of 2 nothing."""
+    film = press_recording(tmp_path / "film", 1, motion=Motion(hold=hold, idle=10), seed=4)
+    with SteppedStation(station_config(tmp_path, film, bundle)) as station:
+        station.play_presses(1)
+        (pressed,) = station.results
+    assert (pressed.is_at_rest, pressed.verdict) == (is_at_rest, "rejected" if hold == 2 else "pass")
 
 
 def test_a_requested_reload_is_served_by_the_bundles_thread(station: SteppedStation) -> None:

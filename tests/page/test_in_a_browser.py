@@ -111,6 +111,7 @@ AGAIN = PressAgainPart(is_asked=True, reason="press the same piece again, a litt
         ({"verdict": Kind.UNSURE, "press_again": AGAIN}, "unsure", AGAIN.reason),
         # It says whether to wipe the gel or to put the part aside.
         ({"verdict": Kind.FAIL, "cause": Cause.GEL, "cause_text": "a mark there"}, "fail", "cause: gel"),
+        ({"verdict": Kind.UNSURE, "is_at_rest": False}, "unsure", "lifted before it rested"),
     ],
 )
 def test_the_reason_of_a_verdict_is_shown(
