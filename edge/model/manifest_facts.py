@@ -138,7 +138,7 @@ def promise(limit: ThresholdEntry) -> str:
     rate = f"at most {_percent(limit.alpha)}"
     if limit.is_floored:
         floor = f"{_percent(limit.alpha_floor)} (1 in {round(1 / limit.alpha_floor)})"
-        rate = f"at best {floor}, not the {_percent(limit.alpha)} asked for,"
+        rate = f"at best {floor}, not {_percent(limit.alpha)},"
     presses, whom = write_count(limit.n, "press"), "sound presses"
     if limit.pieces not in (None, limit.n):
         presses += f" of {write_count(limit.pieces, 'piece')}"

@@ -147,16 +147,16 @@ def _outbox(connection: sqlite3.Connection) -> Iterator[Finding]:
     if orphans := _count(
         connection, "SELECT count(*) FROM settled WHERE row_id NOT IN (SELECT row_id FROM outbox)"
     ):
-        yield Finding("outbox", f"{orphans} acknowledgements are of rows that are not there")
+        yield Finding("outbox", f"acknowledgements of rows that are not there: {orphans}")
     faults: dict[str, list[int]] = defaultdict(list)
     rows = "SELECT row_id, topic, content_type, bytes, payload FROM outbox ORDER BY row_id"
     for row_id, *row in connection.execute(rows):
         for what in _row_faults(connection, *row):
             faults[what].append(row_id)
     for what, ids in faults.items():
-        yield Finding("outbox", f"{len(ids)} rows {what}; the first is row {ids[0]}")
+        yield Finding("outbox", f"rows that {what}: {len(ids)}; the first is row {ids[0]}")
     if refused := _count(connection, "SELECT count(DISTINCT row_id) FROM settled WHERE refusal IS NOT NULL"):
-        yield Finding("outbox", f"{refused} rows were refused by a receiver and wait", is_fault=False)
+        yield Finding("outbox", f"rows that a receiver refused, and that wait: {refused}", is_fault=False)
 
 
 def _row_faults(

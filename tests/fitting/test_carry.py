@@ -147,7 +147,7 @@ def test_it_promises_what_eight_presses_show_and_no_more() -> None:
     assert limit.alpha_floor == pytest.approx(1 / 9)
     assert limit.by_press is not None
     assert limit.by_press.rate == pytest.approx(1 - 0.1 ** (1 / 8))
-    assert promise(limit).startswith("8 presses: at best 11 % (1 in 9), not the 5 % asked for,")
+    assert promise(limit).startswith("8 presses: at best 11 % (1 in 9), not 5 %,")
 
 
 def test_of_one_piece_nothing_is_promised_of_others() -> None:

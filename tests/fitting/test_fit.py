@@ -113,7 +113,7 @@ def test_presses_of_few_pieces_promise_what_pieces_do() -> None:
     assert (limit.n, limit.pieces) == (24, 6)
     assert limit.alpha_floor == pytest.approx(1 / 7)
     assert promise(limit) == (
-        "24 presses of 6 pieces: at best 14 % (1 in 7), not the 5 % asked for, of sound presses of new pieces fail, "
+        "24 presses of 6 pieces: at best 14 % (1 in 7), not 5 %, of sound presses of new pieces fail, "
         "on average over bundles; with this bundle at most 32 % of new pieces and 9.1 % of presses of these pieces, "
         "90 % sure"
     )

@@ -53,7 +53,7 @@ def test_a_quick_check_ends_when_it_must(used: Path) -> None:
 def test_a_sound_database_has_no_fault(used: Path) -> None:
     """Only what waits is noted."""
     assert check_database(used) == [
-        Finding("outbox", "1 rows were refused by a receiver and wait", is_fault=False)
+        Finding("outbox", "rows that a receiver refused, and that wait: 1", is_fault=False)
     ]
 
 
@@ -81,10 +81,16 @@ def test_it_may_be_checked_while_a_gateway_writes(used: Path) -> None:
         ("UPDATE outbox_size SET rows = rows + 1", "its totals say"),
         (
             "INSERT INTO settled VALUES (999, 'mqtt', NULL)",
-            "1 acknowledgements are of rows that are not there",
+            "acknowledgements of rows that are not there: 1",
         ),
-        ("UPDATE outbox SET payload = x'ff7b' WHERE topic = 'last'", "1 rows hold a message that is no JSON"),
-        ("UPDATE outbox SET payload = x'7b7d' WHERE topic = 'gel'", "rows have another size than they say"),
+        (
+            "UPDATE outbox SET payload = x'ff7b' WHERE topic = 'last'",
+            "rows that hold a message that is no JSON: 1",
+        ),
+        (
+            "UPDATE outbox SET payload = x'7b7d' WHERE topic = 'gel'",
+            "rows that have another size than they say",
+        ),
         ("DELETE FROM presses WHERE number = 4", "results of presses that the history does not have"),
         (
             "UPDATE presses SET time_ns = (SELECT max(time_ns) FROM presses), "
