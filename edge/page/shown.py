@@ -136,8 +136,10 @@ class Shown:
             self._pictures[press_id] = picture
             questions = (self._status["questions"] or {}).get("presses", ())[:MOST_ASKED]
             asked = {one["press_id"] for one in questions}
+            # Of the oldest press, not the one that came first: those of before an interruption come late.
+            place = {known: n for n, known in enumerate(self._presses)}
             others = [known for known in self._pictures if known not in asked]
-            for old in others[:-MOST_PICTURES]:
+            for old in sorted(others, key=lambda known: place.get(known, -1))[:-MOST_PICTURES]:
                 del self._pictures[old]
             self._note()
 

@@ -69,6 +69,20 @@ def test_presses_are_newest_first_each_with_its_picture(sink: PageSink) -> None:
     assert ask(sink.port, f"/pictures/{presses[19]['press_id']}")[0] == 404
 
 
+def test_late_pictures_take_no_newer_one_away(sink: PageSink) -> None:
+    """After an interruption the pictures of many older presses come behind the newest one's."""
+    *results, newest = [press(n) for n in range(1, 2 * MOST_PICTURES)]
+    for message in [
+        *(result for result, *_ in results),
+        *newest,
+        *(late for _, *all_late in results for late in all_late),
+    ]:
+        sink.send(message)
+
+    pictured = [one["has_picture"] for one in asked(sink.port, "/presses.json")]
+    assert pictured == [True] * MOST_PICTURES + [False] * (MOST_PICTURES - 1)
+
+
 def test_pictures_that_a_person_is_asked_about_are_kept_longer(sink: PageSink) -> None:
     """Of the first ones of a list; a broker that asks about every press fills no memory."""
     pressed = [press(n) for n in range(1, MOST_ASKED + 2 * MOST_PICTURES)]
