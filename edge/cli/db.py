@@ -9,7 +9,7 @@ from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
 from edge.core.errors import ConfigError, StoreError
 from edge.core.printable import printable, write_count
 from edge.messaging.publisher import PublisherLock
-from edge.store.backup import back_up, backups_in
+from edge.store.backup import back_up, backups_in, left_in
 from edge.store.backup import migrate as migrate_file
 from edge.store.database import CHAINED_SINCE, SCHEMA_VERSION
 from edge.store.integrity import check_database
@@ -54,7 +54,11 @@ def backup(
     database: DatabaseOption = None,
     config: ConfigOption = CONFIG,
     keep: Annotated[
-        int | None, typer.Option(help="Then remove older backups in that folder, but for this number.", min=1)
+        int | None,
+        typer.Option(
+            help="Then remove older backups in that folder, but for this number, and what killed ones left.",
+            min=1,
+        ),
     ] = None,
 ) -> None:
     """Copy the database while the gateway runs.
@@ -65,7 +69,7 @@ def backup(
         raise ConfigError(f"--keep removes older backups in a folder, and {target} is none; name a folder")
     made = back_up(path, target)
     typer.echo(f"{made}: {made.stat().st_size:,} bytes")
-    for old in backups_in(target, path)[:-keep] if keep else ():
+    for old in (*backups_in(target, path)[:-keep], *left_in(target, path)) if keep else ():
         old.unlink(missing_ok=True)  # by another backup just now
         typer.echo(f"{old}: removed")
 

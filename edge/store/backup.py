@@ -15,7 +15,7 @@ from typing import Final
 from edge.core.errors import StoreError
 from edge.store.database import SCHEMA_VERSION, Database, open_read_only, schema_version
 
-__all__ = ["back_up", "backups_in", "migrate"]
+__all__ = ["back_up", "backups_in", "left_in", "migrate"]
 
 # Room that is left on the disk of the copy, so that a backup is not what fills it.
 SPARE_BYTES: Final = 64 << 20
@@ -51,8 +51,17 @@ def back_up(database: Path, target: Path) -> Path:
 
 def backups_in(folder: Path, database: Path) -> list[Path]:
     """The copies that `back_up` made of this database in this folder, oldest first."""
-    digits = "[0-9]"
-    return sorted(folder.glob(f"{database.stem}-{digits * 8}T{digits * 6}Z.db"))
+    return sorted(folder.glob(_named(database)))
+
+
+def left_in(folder: Path, database: Path) -> list[Path]:
+    """What backups that were killed left in this folder: files of copies that no one has written to for a day."""
+    left, since_s = [], time.time() - 86_400
+    for one in folder.glob(f"{_named(database)}.*.part*"):
+        with suppress(FileNotFoundError):  # it has become a copy just now
+            if one.stat().st_mtime < since_s:
+                left.append(one)
+    return left
 
 
 def migrate(database: Path) -> tuple[int, Path | None]:
@@ -68,6 +77,11 @@ def migrate(database: Path) -> tuple[int, Path | None]:
     copy = back_up(database, database.with_name(f"{database.stem}.version{before}-{_utc()}{database.suffix}"))
     Database(database, migrates=True).close()
     return before, copy
+
+
+def _named(database: Path) -> str:
+    digits = "[0-9]"
+    return f"{database.stem}-{digits * 8}T{digits * 6}Z.db"
 
 
 def _utc() -> str:

@@ -1,5 +1,6 @@
 """`gelgate db`: what is printed, and the exit codes."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -47,17 +48,21 @@ def test_a_fault_is_printed_and_ends_with_1(database: Path) -> None:
 
 
 def test_backups_beyond_those_to_keep_are_removed(database: Path, tmp_path: Path) -> None:
-    """The oldest first; files of other names stay."""
+    """The oldest first, then what killed ones left a day ago; other names stay, and a copy that is made just now."""
     folder = tmp_path / "kept"
     folder.mkdir()
     for name in ("gelgate-20200101T000000Z.db", "gelgate-20200102T000000Z.db", "notes.db"):
         (folder / name).touch()
+        (folder / f"{name}.7.part").touch()
+    for left in ("gelgate-20200101T000000Z.db.7.part", "notes.db.7.part"):
+        os.utime(folder / left, (0, 0))
     done = gelgate("db", "backup", folder, "--database", database, "--keep", "2")
 
     assert done.code == 0
-    assert done.out.splitlines()[1:] == [f"{folder}/gelgate-20200101T000000Z.db: removed"]
+    removed = ("gelgate-20200101T000000Z.db", "gelgate-20200101T000000Z.db.7.part")
+    assert done.out.splitlines()[1:] == [f"{folder}/{name}: removed" for name in removed]
     assert sorted(path.name for path in folder.iterdir())[0] == "gelgate-20200102T000000Z.db"
-    assert len(list(folder.iterdir())) == 3
+    assert len(list(folder.iterdir())) == 5
 
 
 def test_keep_needs_a_folder(database: Path, tmp_path: Path) -> None:
