@@ -47,9 +47,15 @@ def even(spread: float) -> np.ndarray:
     return np.asarray(np.random.default_rng(2).normal(3, spread, (PRESSES, 1, 1)))
 
 
+def unlike() -> np.ndarray:
+    """One press is several times as high as another, and uneven in proportion."""
+    rng = np.random.default_rng(2)
+    return rng.lognormal(0, 0.7, (PRESSES, 1, 1)) * rng.uniform(0, 2, (PRESSES, SIDE, SIDE))
+
+
 def test_presses_of_unlike_level_are_compared_with_their_surroundings() -> None:
     """One limit for all places is that of the highest press, under which damage on others hides."""
-    choice = choose_limit(evidence(even(1.0)))
+    choice = choose_limit(evidence(unlike(), 5.0))
     assert choice.kind == SURROUNDINGS
     assert choice.found[choice.kind] > choice.found["plain"] + 0.5
     assert "24 small pieces" in choice.why
@@ -79,7 +85,7 @@ def test_the_surroundings_are_taken_unless_the_plain_limit_finds_more(
 
 def test_the_published_limit_is_one() -> None:
     """As many nominal presses lie above 1 as above the limit that was found, and the promise is the same."""
-    chosen = choose_limit(evidence(even(1.0))).other
+    chosen = choose_limit(evidence(unlike(), 5.0)).other
     assert chosen is not None
     assert chosen.threshold.value == 1
     assert chosen.threshold.n == PRESSES
@@ -105,16 +111,27 @@ def test_new_sound_presses_fail_no_more_than_promised() -> None:
 
 def test_a_black_frame_goes_on_failing() -> None:
     """A limit by which a black frame passes is not chosen, where nothing else refuses the frame."""
-    found = evidence(even(1.0))
+    found = evidence(unlike(), 5.0)
     dark = scored(np.full((1, SIDE, SIDE), 1.05 * found.plain.value))
     bright = scored(np.full((1, SIDE, SIDE), 9e3))
     assert choose_limit(replace(found, black=dark)).kind != SURROUNDINGS
     assert choose_limit(replace(found, black=bright)).kind == SURROUNDINGS
 
 
+def test_maps_below_zero_in_the_mean_keep_the_plain_limit() -> None:
+    """By such a mean nothing can be divided."""
+    found = evidence(unlike(), 5.0)
+    low, damaged, known = (
+        scored(one.maps - 3) for one in (found.held_out.sound, found.held_out.edited, found.known)
+    )
+    choice = choose_limit(replace(found, held_out=HeldOut(low, damaged), known=known))
+    assert low.maps.mean() < 0 < low.scores.max()
+    assert choice.found.keys() == {PLAIN}
+
+
 def test_a_score_that_is_no_maximum_keeps_its_limit() -> None:
     """The map says nothing of such a score."""
-    found = evidence(even(1.0))
+    found = evidence(unlike(), 5.0)
     sound = ScoredPresses(found.held_out.sound.maps, found.held_out.sound.scores + 1)
     choice = choose_limit(replace(found, held_out=HeldOut(sound, found.held_out.edited)))
     assert choice.kind == PLAIN
@@ -149,7 +166,7 @@ def test_places_that_no_press_shows_change_no_limit() -> None:
 
 def test_what_is_found_is_said_by_size() -> None:
     """The largest size of each kind."""
-    found = evidence(even(1.0))
+    found = evidence(unlike(), 5.0)
     names = tuple(
         f"{kind} of {mm} mm" for kind in ("dent", "bump") for mm in (0.1, 0.4) for _ in range(EDITS // 4)
     )

@@ -18,13 +18,19 @@ from edge.model.manifest import REGION_WEIGHTS
 
 __all__ = ["TAUGHT_WEIGHTS", "append", "extend_head", "find_obstacle", "head_inputs"]
 
-# Earlier fits had limits with both; banks of their presses are judged too (`gelgate lab detectability`).
+# Earlier fits subtracted the surroundings, and had limits by place; banks of their presses are judged too (`gelgate lab
+# detectability`).
 _SURROUNDINGS = """
     limit_rows_averaged = MatMul (limit_window_down_rows, limit_raw_score_map)
     limit_averaged = MatMul (limit_rows_averaged, limit_window_down_columns)
     limit_rows_raised = MatMul (limit_window_up_rows, limit_averaged)
     limit_surroundings = MatMul (limit_rows_raised, limit_window_up_columns)
-    limit_contrast = Sub (limit_raw_score_map, limit_surroundings)
+"""
+_SUBTRACTED = "limit_contrast = Sub (limit_raw_score_map, limit_surroundings)"
+_DIVIDED = """
+    limit_around = Relu (limit_surroundings)
+    limit_above_usual = Add (limit_around, limit_usual)
+    limit_contrast = Div (limit_raw_score_map, limit_above_usual)
 """
 _PLACES = """
     limit_of_rows = MatMul (limit_rows, limit_grid)
@@ -120,7 +126,12 @@ def append(head: bytes, bank: Bank, arrays: Mapping[str, NDArray[Any]], tap: str
         contrast = "limit_contrast" if "limit_window_up_rows" in arrays else "limit_raw_score_map"
         limit = "limit_of_places" if "limit_rows" in arrays else "limit_grid"
         text = _LIMIT.format(contrast=contrast, limit=limit)
-        text = _SURROUNDINGS * (contrast == "limit_contrast") + _PLACES * (limit != "limit_grid") + text
+        compared = _DIVIDED if "limit_usual" in arrays else _SUBTRACTED
+        text = (
+            (_SURROUNDINGS + compared) * (contrast == "limit_contrast")
+            + _PLACES * (limit != "limit_grid")
+            + text
+        )
         head, bank = _append(head, bank, arrays, text, _LIMIT_CONSTANTS, "limit_raw_")
     if "relief_free" in arrays:
         text = _RELIEF.format(tap=tap)

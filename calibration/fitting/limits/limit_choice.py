@@ -202,11 +202,11 @@ def choose_limit(evidence: Evidence) -> Choice:
 def _compare_surroundings(evidence: Evidence) -> OtherLimit | None:
     """Make the limit by surroundings; None where it is not positive, or a black frame passes that fails plainly."""
     sound, known, black = evidence.held_out.sound, evidence.known, evidence.black
-    window = make_window(sound.maps.shape[1:], evidence.pixels_per_mm)
+    window = make_window(sound.maps, evidence.pixels_per_mm)
     contrasts = [one.highest(find_contrast(window, one.maps)) for one in (sound, known)]
     threshold = conformal_threshold(np.maximum(*contrasts), evidence.alpha, specimens=evidence.specimens)
     plain = evidence.plain.value
-    if not (threshold.value > 0 and plain > 0):
+    if not (threshold.value > 0 and plain > 0 and window["limit_usual"].item() > 0):
         return None
     limit = make_limit(window, threshold.value, plain)
     if black is not None and black.scores[0] > plain and not black.highest(relate(limit, black.maps))[0] > 1:
