@@ -12,17 +12,16 @@ from edge.core.errors import ArchiveError
 from edge.features.black_box.replay import Bundles, judge_again
 from edge.store.integrity import check_database
 from edge.store.press_archive import ArchiveFolder
-from simulation.alarms import audit_alarms
+from simulation.alarms import audit_alarms, is_sensor_lost
 from simulation.auditors_brokers import audit_availability, audit_levels
 from simulation.auditors_contact import audit_contact, audit_lifts, audit_overloads
 from simulation.auditors_outbox import ARCHIVED, audit_archive, audit_file, audit_full_outbox, audit_memory
 from simulation.auditors_outputs import audit_lamp, audit_outputs
 from simulation.auditors_pieces import audit_piece_lamp, audit_pieces
-from simulation.auditors_plc import audit_answers, audit_plcs
+from simulation.auditors_plc import audit_answers, audit_plcs, may_be_other_part
 from simulation.auditors_retained import audit_late, audit_outbox, audit_retained, audit_serials
 from simulation.brokers import Broker
 from simulation.bundles import PARTS
-from simulation.faults import LONG_UNSEEN_S
 from simulation.lives import Row, Station, find_lasting
 from simulation.sensor import S
 from simulation.surroundings import World
@@ -40,8 +39,8 @@ OLDEST_S = 1.0
 LEARNS_S = (0.3, 0.6)
 """When the picture of a new gel is being learnt, after its replacement."""
 
-NOTED_S = 10
-"""A time without sight is noted so long after its end."""
+LONG_UNSEEN_S, NOTED_S = 4, 2
+"""A time without sight that is an act for certain, which is noted so long after all is well (docs/operations.md)."""
 
 RESTS_S = 0.45
 """After an interruption the exposure settles for 0.3 s, and then a press rests for 0.2 s (docs/contact.md)."""
@@ -78,6 +77,7 @@ def audit_now(world: World, station: Station) -> Iterator[str]:
     yield from audit_availability(world, station)
     yield from _audit_new_gel(world, station)
     yield from audit_alarms(world, station)
+    yield from _audit_sight(world, station)
     is_unsaid = station.is_loss_open and "counts" not in station.loop.parts.status.view().alarms
     lost_ns = station.so_since("a loss is not said", is_unsaid and station.loop.session is not None)
     now_ns = world.clock.now_ns
@@ -123,7 +123,6 @@ def audit_end(world: World, station: Station) -> Iterator[str]:
     yield from audit_archive(station)
     yield from audit_memory(world)
     yield from station.found
-    yield from _audit_sight(station)
     without = [press for press in world.hand.presses if press.number not in found]
     must = sum(press.must_count for press in without)
     most = sum(press.may_count for press in world.hand.presses)
@@ -157,9 +156,9 @@ def audit_replay(world: World, station: Station, bundles: Sequence[Path]) -> Ite
             press = archive.press(press_id, evidence)
             replayed = judge_again(press, archive, again.inspector(press))
         except ArchiveError as error:  # the archive drops, and may be lost with the power
-            noted_ns = next(seen.noted_ns for seen in station.seen if seen.press_id == press_id)
-            is_before_crash = any(0 <= killed_ns - noted_ns < S for killed_ns in station.killed_ns)
-            if newer < ARCHIVED - 1 and not (world.may_lack_files or is_before_crash):
+            own = next(seen for seen in station.seen if seen.press_id == press_id)
+            is_before_crash = any(0 <= killed_ns - own.noted_ns < S for killed_ns in station.killed_ns)
+            if newer < ARCHIVED - 1 and own.judged_ns > world.lacks_files_ns and not is_before_crash:
                 yield f"press {press_id}, the newest but {newer}, is not in the archive: {error}"
             continue
         for difference in replayed.differences:
@@ -214,8 +213,8 @@ def _audit_presses(world: World, station: Station, found: dict[int | None, list[
             if press.is_bad and verdict == "pass":
                 yield f"press {press.number} is {press.what} and passed ({', '.join(press.why) or 'no fault'})"
             allowed = press.words | (
-                {"rejected"} if world.has_pieces else set()
-            )  # a place that is not expected
+                {"rejected"} if world.has_pieces or may_be_other_part(world, press) else set()
+            )  # a place, or a part, that is not expected
             if not press.why and verdict not in allowed:
                 yield f"press {press.number}, {press.what}, has the verdict {verdict}, without any fault"
 
@@ -277,18 +276,30 @@ def _audit_subscriber(broker: Broker, station: Station) -> Iterator[str]:
         yield f"{broker.name}: {len(broker.misnamed)} pictures name another press than their topic"
 
 
-def _audit_sight(station: Station) -> Iterator[str]:
-    """Each time without sight is an act, for presses may have been made in it (docs/operations.md)."""
-    with closing(
-        sqlite3.connect(f"file:{station.disk.folder / 'gelgate.db'}?mode=ro", uri=True)
-    ) as connection:
-        query = "SELECT time_ns FROM acts WHERE verb = 'not_seen' AND arguments ->> '$.seconds' > ?"
-        acts_ns = [time_ns for (time_ns,) in connection.execute(query, (LONG_UNSEEN_S - 1,))]
-    clock = station.world.clock
-    for _, ended_ns in station.unseen_in:
-        noted_s = [(clock.running_ns(time_ns) - ended_ns) / S for time_ns in acts_ns]
-        if clock.set_ns < ended_ns and not any(-1 < after_s < NOTED_S for after_s in noted_s):
-            yield f"nothing was seen for long until {ended_ns / S:.1f} s, and that is not in the acts"
+def _audit_sight(world: World, station: Station) -> Iterator[str]:
+    """Each time without sight is an act when all is well again, for presses may have been made in it
+    (docs/operations.md)."""
+    now_ns, troubles = world.clock.now_ns, sorted(world.sensor.troubles)
+    lost_ns = station.so_since("no sight", is_sensor_lost(world, station), troubles)
+    is_disturbed = troubles or station.is_disk_disturbed or station.is_held_up
+    is_well = not is_disturbed and station.loop.parts.status.view().state == "ready"
+    well_ns = station.so_since("sight", is_well)
+    is_long = lost_ns is not None and now_ns - lost_ns > LONG_UNSEEN_S * S
+    if station.acts_before is None and is_long and any(fed_ns < lost_ns for fed_ns in station.fed_ns[:1]):
+        station.acts_before = _count_unseen(station)
+    if station.acts_before is None or well_ns is None or now_ns - well_ns < NOTED_S * S:
+        return
+    if _count_unseen(station) <= station.acts_before:
+        yield f"nothing was seen for long until {well_ns / S:.1f} s, and that is not in the acts"
+    station.acts_before = None
+
+
+def _count_unseen(station: Station) -> int:
+    """Count the acts of times without sight that were long."""
+    path = station.disk.folder / "gelgate.db"
+    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as connection:
+        query = "SELECT count(*) FROM acts WHERE verb = 'not_seen' AND arguments ->> '$.seconds' > ?"
+        return int(connection.execute(query, (LONG_UNSEEN_S - 1,)).fetchone()[0])
 
 
 def _audit_requests(station: Station) -> Iterator[str]:

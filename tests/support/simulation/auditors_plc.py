@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
+from simulation.hand import MadePress
 from simulation.lives import Row, Seen, Station
 from simulation.plc import TIMEOUT_S, Asked, Plc, Shown
 from simulation.sensor import S
@@ -94,7 +95,8 @@ def audit_answers(world: World, station: Station, rows: Mapping[int | None, Sequ
 def _audit_place(
     world: World, station: Station, own: Asked, rows: Mapping[int | None, Sequence[Row]]
 ) -> Iterator[str]:
-    """The first press after a trigger lies where that says: no bundle of another part or place judges it."""
+    """The first press after a trigger lies where that says: no bundle of another part or place judges it. Where a
+    person has selected another part meanwhile it is rejected, and the result an error."""
     taken_ns = own.taken_ns
     if own.part is None or taken_ns is None:
         return
@@ -110,6 +112,19 @@ def _audit_place(
         )
         if is_open and verdict in ("pass", "fail") and part != own.part:
             yield f"press {press.number} lay at {own.part}, and its {verdict} is of {part}"
+        if not is_open or world.parts.allows(press, own.part):
+            continue
+        if verdict != "rejected":
+            yield f"another part than {own.part} is selected, and press {press.number} is {verdict}"
+        if words := {word for word, _ in own.words} - {"error"}:
+            yield f"another part than {own.part} was selected before its press, and it is shown {', '.join(words)}"
+
+
+def may_be_other_part(world: World, press: MadePress) -> bool:
+    """Tell whether another part was selected than the newest trigger before this press has named."""
+    before = [[one for one in plc.asked.values() if one.sent_ns < press.begin_ns][-1:] for plc in world.plcs]
+    parts = [one.part for asked in before for one in asked if one.part]
+    return any(not world.parts.allows(press, part) for part in parts)
 
 
 def _audit_writers(plc: Plc, other: Plc, ended_ns: Sequence[int]) -> Iterator[str]:

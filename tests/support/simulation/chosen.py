@@ -28,7 +28,7 @@ MEETINGS = (
     ("blind",),
     ("freeze", "hold back"),
     ("kill",),
-    ("fill disk", "kill"),
+    ("fill disk", "kill", "hang up"),
     ("fill disk", "lose power"),
     ("select part", "replace gel"),
     ("hang up", "kill"),
@@ -44,7 +44,25 @@ MEETINGS = (
 """Faults that do most harm together."""
 
 MEETING_STEPS = (0, 5, 9, 12)
-"""Which of them a run has, counted from its seed."""
+"""Which of them a run has, counted from its seed; they take turns."""
+
+TURN_S, MET = 12, 12.0
+"""A turn lasts so long at most; and of each fault of a meeting there are so many in a minute of it."""
+
+WORK = (
+    ("command", "", ""),
+    ("automatic", "modbus", "fixed"),
+    ("automatic", "", "free"),
+    ("automatic", "opcua", ""),
+    ("automatic", "", ""),
+    ("automatic", "opcua", "fixed"),
+    ("automatic", "", "fixed"),
+    ("automatic", "modbus", ""),
+    ("command", "", ""),
+    ("automatic", "opcua", "free"),
+    ("automatic", "modbus", "free"),
+)
+"""Trigger, PLC and order of a piece: each seed has the next."""
 
 
 @dataclass(frozen=True)
@@ -71,34 +89,40 @@ class Chosen:
     """`modbus` or `opcua`: it triggers, and reads what answers; only with `trigger = "automatic"`."""
     piece: str = ""
     """The order of a plan of places, `fixed` or `free`; empty for none. A PLC begins the pieces, else a person."""
+    meetings: tuple[tuple[str, ...], ...] = ()
+    """Faults that come often while it is their turn."""
+
+    @property
+    def faults(self) -> set[str]:
+        """The names of all that are drawn."""
+        return {*self.rates, *(name for meeting in self.meetings for name in meeting)}
 
     @classmethod
     def of(cls, seed: int, names: Sequence[str]) -> "Chosen":
         """Draw. Most kinds of fault are left out of a run, so that others meet alone; seeds that follow each other have
         every meeting. A PLC is always disturbed, and met by a second one."""
         rng = random.Random(f"{seed} chosen")
-        share = rng.choice((0.05, 0.2))
-        rates = {name: rng.choice((1.0, 4.0)) for name in names if rng.random() < share}
-        for step in MEETING_STEPS:
-            rates |= dict.fromkeys(MEETINGS[(seed + step) % len(MEETINGS)], 6.0)
+        rates = {name: rng.choice((1.0, 4.0)) for name in names if rng.random() < 0.1}
+        trigger, plc, piece = WORK[seed % len(WORK)]
         chosen = cls(
             rng.choice((1, 2)),
-            rng.random() < 0.5,
+            rng.random() < 0.8,
             rates,
             rng.choice((0.0, 0.01, 0.03)),
-            rng.choice((18.75, 9.0, 9.0, 7.0)),
+            rng.choice((18.75, 18.75, 9.0, 7.0)),
             rng.choice(("5", "5", "5", "3.1.1", "silent at 5")),
-            rng.choice(("automatic", "automatic", "automatic", "command")),
+            trigger,
             rng.choice((*[512] * 4, SMALL_MB)),
             rng.random() < 0.25,
             rng.random() < 0.25,
             rng.random() < 0.3,
-            rng.choice(("", "modbus", "opcua")),
-            rng.choice(("", "fixed", "free")),
+            plc,
+            piece,
+            tuple(MEETINGS[(seed + step) % len(MEETINGS)] for step in MEETING_STEPS),
         )
         # People cost little: somebody always asks, and selects where neither a plan nor a PLC does.
         rates["request"] = 4.0
-        if chosen.trigger == "command" or not (chosen.plc or chosen.piece):
+        if not chosen.piece:
             rates["select part"] = 4.0
         if is_small(chosen.outbox_mb):  # it is filled, and then the station begins anew
             rates |= dict.fromkeys(("hang up", "stop"), 4.0)

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from simulation.power import Unsynced
     from simulation.schedule import Simulation
 
-LONG_UNSEEN_S = 4
-"""A time without sight that is an act for certain (docs/operations.md)."""
-
 WAITS_S = 4
 """A broker is away for so long, and then a result waits for it."""
 
@@ -47,7 +44,7 @@ def unplug(run: "Simulation", rng: random.Random) -> float:
 def silence(run: "Simulation", rng: random.Random) -> float:
     """The sensor gives no frame, and stays on the bus; or a part is put down meanwhile, and lies until it is seen."""
     sensor, hand, begun_ns = run.world.sensor, run.world.hand, run.world.clock.now_ns
-    lasts_s, is_held = rng.choice((0.3, 1.5, 6, 12)), rng.random() < 0.6
+    lasts_s, is_held = rng.choice((0.3, 1.5, 6, 9)), rng.random() < 0.7
     if is_held and hand.is_pressing_soon:
         lasts_s, hand.has_dented = hand.free_s + 0.4, True
     sensor.is_silent = True
@@ -67,21 +64,10 @@ def blind(run: "Simulation", rng: random.Random) -> float:
     name = rng.choice(("sensor frozen", "sensor covered"))
     sensor.is_frozen, sensor.is_covered = name == "sensor frozen", name == "sensor covered"
 
-    begun_ns, lives = run.world.clock.now_ns, run.station.lives
-
     def see() -> None:
-        lasted_s = (run.world.clock.now_ns - begun_ns) / S
-        others = sensor.troubles - {name}
-        if (
-            lasted_s > LONG_UNSEEN_S
-            and lives == run.station.lives
-            and not others
-            and any(fed_ns < begun_ns for fed_ns in run.station.fed_ns[:1])
-        ):
-            run.station.expect_act()
         sensor.is_frozen = sensor.is_covered = False
 
-    return run.for_a_while(name, rng.choice((0.3, 1.5, 6, 14)), see, is_sensors=True)
+    return run.for_a_while(name, rng.choice((0.3, 1.5, 6, 9)), see, is_sensors=True)
 
 
 def damage(run: "Simulation", rng: random.Random) -> float:
@@ -153,13 +139,17 @@ def hang_up(run: "Simulation", rng: random.Random) -> float:
 def fill_disk(run: "Simulation", rng: random.Random) -> float:
     """No room on the disk, then room again."""
     disk = run.station.disk
-    lasts_s, room = rng.uniform(1, 20), rng.choice((0, 0, 30_000))
+    lasts_s, room = rng.uniform(1, 14), rng.choice((0, 0, 30_000))
     disk.fill(room)
-    run.world.may_lack_files = True
     disk.full_since_ns = run.world.clock.now_ns
     if run.station.loop.parts.selection.is_waiting:
         run.world.parts.forget(run.world.clock.now_ns)
-    return run.for_a_while("disk full", lasts_s, lambda: disk.fill(None))
+
+    def make_room() -> None:
+        disk.fill(None)
+        run.world.may_lack_files(run.world.clock.now_ns)
+
+    return run.for_a_while("disk full", lasts_s, make_room)
 
 
 def slow_disk(run: "Simulation", rng: random.Random) -> float:
@@ -203,7 +193,6 @@ def bad_disk(run: "Simulation", rng: random.Random) -> float:
 def step_clock(run: "Simulation", rng: random.Random) -> float:
     """Somebody, or a time server, sets the wall clock, or it drifts from now on."""
     clock = run.world.clock
-    clock.set_ns = clock.now_ns
     if rng.random() < 0.3 and not run.is_broker_away:
         now_ns, clock.drift = clock.time_ns(), rng.choice((-0.01, 0.0, 0.005))
         clock.wall_ns += now_ns - clock.time_ns()
@@ -263,7 +252,7 @@ def lose_power(run: "Simulation", rng: random.Random) -> float:
         if unsynced.lose(copy, rng):
             run.reach("writes were lost with the power")
 
-    run.world.may_lack_files = True
+    run.world.may_lack_files(1 << 62)
     run.station.disk.kill_in, run.station.disk.lost = _next_writes(run, rng), lose
     return 0.0
 
@@ -293,7 +282,7 @@ def freeze(run: "Simulation", rng: random.Random) -> float:
 def disturb_relay(run: "Simulation", rng: random.Random) -> float:
     """The relay board is unplugged, slow or stuck."""
     relay = run.world.relay
-    relay.mood = rng.choice(("unplugged", "slow", "stuck"))
+    relay.mood = rng.choice(("unplugged", "unplugged", "slow", "stuck"))
     return run.for_a_while(f"relay {relay.mood}", rng.uniform(0.5, 8), relay.mend)
 
 
@@ -314,14 +303,14 @@ def disturb_plc(run: "Simulation", rng: random.Random) -> float:
         plc.mood = "cut"
         run.for_a_while("plc cut", lasts_s, plc.mend)
 
-    kind = rng.choice(("cut", "cut at", "cut at", "mute", "slow", "slow"))
+    kind = rng.choice(("cut", "cut at", "mute", "slow", "slow", "slow"))
     if plc.mood != "up" or kind == "cut":
         pull()
     elif kind == "cut at":
         plc.cut_at, plc.on_cut = rng.choice(STEPS), pull
     else:
         plc.mood = kind
-        if kind == "slow" and rng.random() < 0.7:
+        if kind == "slow":
             lasts_s = max(lasts_s, 8.0)  # until a pass is shown, and after the station has halted
             _unplug_at_pass(run, rng)
         return run.for_a_while(f"plc {kind}", lasts_s, plc.mend)
@@ -390,6 +379,11 @@ def _is_pressed_unjudged(run: "Simulation") -> bool:
     return press is not None and is_noticed and not (seen and seen[-1].noted_ns > press.begin_ns)
 
 
+def _is_part_asked_for(run: "Simulation") -> bool:
+    """A trigger names a part, and its press has not begun."""
+    return run.world.hand.press is None and any(plc.waits_for_part for plc in run.world.plcs)
+
+
 def _is_pass_shown(run: "Simulation") -> bool:
     return run.world.relay.is_on[LAMP] and run.world.hand.press is None
 
@@ -409,7 +403,7 @@ def _is_loss_unread(run: "Simulation") -> bool:
 
 def _is_press_unrecorded(run: "Simulation") -> bool:
     """A press has no row: it waits for room on the disk, or its verdict comes next."""
-    return _is_press_waiting(run) if "fill disk" in run.chosen.rates else _is_pressed_unjudged(run)
+    return _is_press_waiting(run) if run.station.disk.is_full else _is_pressed_unjudged(run)
 
 
 def _is_result_waiting(run: "Simulation") -> bool:
@@ -418,18 +412,26 @@ def _is_result_waiting(run: "Simulation") -> bool:
     return bool(begun_ns) and run.world.clock.now_ns - min(begun_ns) > WAITS_S * S
 
 
+def _is_result_unsent(run: "Simulation") -> bool:
+    """The newest press was recorded after its broker went away."""
+    begun_ns = [broker.away_since_ns for broker in run.world.brokers.values() if broker.away_since_ns]
+    return bool(begun_ns and run.station.seen) and run.station.seen[-1].noted_ns > min(begun_ns)
+
+
 MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
-    "select part": _is_pressed_unjudged,
+    "select part": lambda run: _is_pressed_unjudged(run) or _is_part_asked_for(run),
     "replace gel": _is_pass_shown,
     "kill": _is_press_unrecorded,
     "lose power": _is_press_unrecorded,
     "stop": _is_loss_unread,
     "step clock": _is_result_waiting,
     "silence": lambda run: run.world.hand.is_pressing_soon,
+    "blind": _is_pass_shown,
+    "fill disk": lambda run: "hang up" not in run.chosen.faults or _is_result_unsent(run),
 }
 """When a fault does most harm: every other one waits for it."""
 
-WAIT_FIRST = {"step clock", "silence"}
+WAIT_FIRST = {"step clock", "silence", "blind"}
 """Faults whose first one waits; of others a draw says whether it does."""
 
 NEEDS_ANSWER = {"stop", "lose database", "freeze", *PEOPLE}

@@ -86,8 +86,8 @@ class Station:
         self.fps = S / world.sensor.period_ns
         self.halted_ns: list[int] = []
         """When it was not ready, about each time that the camera makes a frame."""
-        self.unseen_in: list[tuple[int, int]] = []
-        """The life in which a time without sight ended that must be in the acts, and when."""
+        self.acts_before: int | None = None
+        """Of times without sight, when the last one was long; None where that is one of them."""
         self._since: dict[str, tuple[object, int]] = {}
         self.found: list[str] = []
         """What must not be, and was seen on the way."""
@@ -124,6 +124,7 @@ class Station:
         self.lives += 1
         self.fed_ns.clear()
         self._since.clear()
+        self.acts_before = None
         clock = self.world.clock
         self.began_ns = clock.now_ns
         if self.was_waiting or self.world.has_plc:
@@ -174,11 +175,6 @@ class Station:
         """Each flush takes its time. In this world every thread waits for it, and not one alone."""
         return self.disk.unsynced is not None and self.disk.unsynced.at_sync is not None
 
-    def expect_act(self) -> None:
-        """A time without sight ends now: it must be in the acts, unless the process ends before it sees again."""
-        if not self.is_disk_disturbed and not self.is_frozen:
-            self.unseen_in.append((self.lives, self.world.clock.now_ns))
-
     def so_since(self, name: str, is_so: bool, of: object = None) -> int | None:
         """Since when something is so in this life, without a change of what it is so of; None where it is not."""
         if not is_so or self._since.get(name, (of,))[0] != of:
@@ -215,7 +211,6 @@ class Station:
         # A process that is killed while it records a selection that waited does not know any more that it did.
         is_unsure = self.disk.is_dead and self.has_selected_late
         self.was_waiting = self.loop.parts.selection.is_waiting or is_unsure
-        self.unseen_in = [one for one in self.unseen_in if one[0] != self.lives]
 
     def lose_database(self) -> None:
         """Remove the database: what it knows is known to auditors alone. The next life must say that it is lost."""
@@ -224,7 +219,6 @@ class Station:
         self.lost_rows += self.rows()[len(self.lost_rows) :]
         self.filled.clear()
         self.has_lost_pieces = True
-        self.unseen_in.clear()
         self.is_loss_open = bool(self.lost_rows)
         self.dropped_before += Counter(self.dropped)
         self.dropped, self.is_drop_open = {}, False

@@ -61,7 +61,7 @@ class Relay:
 
     def mend(self) -> None:
         """It is plugged in, and switches at once. Some boards begin as they were, others anyhow."""
-        if self.mood == "unplugged" and self._rng.random() < 0.5:
+        if self.mood == "unplugged" and self._rng.random() < 0.8:
             self.is_on = {channel: self._rng.random() < 0.5 for channel in self.is_on}
         self.mood, self.well_since_ns = "up", self._clock.now_ns
 

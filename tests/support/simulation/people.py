@@ -40,6 +40,8 @@ def select_part(run: "Simulation", rng: random.Random) -> float:
     parts = run.world.parts
     if run.world.has_pieces:
         return 60.0
+    if any(plc.has_just_asked for plc in run.world.plcs):
+        return 0.1
     part = PARTS[1 - PARTS.index(parts.wanted)]
     try:
         answer = run.station.ask("select_part", part=part, position="pos1")

@@ -302,4 +302,11 @@ BUGS = (
         "        if is_new:\n            try:\n",
         "lay at .*, and its .* is of",
     ),
+    Bug(
+        "a press of another part answers a trigger",
+        "edge/core/handshake.py",
+        "        if self._part not in (None, part):\n",
+        "        if False:\n",
+        "was selected before its press|judged as another part",
+    ),
 )

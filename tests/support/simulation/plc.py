@@ -26,6 +26,8 @@ WORDS = ("pass", "fail", "unsure", "rejected", "error", "place")
 STEPS = ("ready", "ask", "trigger", "wait", "acknowledge", "release")
 BEATS_S, ASKS_S = 0.3, 0.12
 GIVES_UP_S = 25.0
+HEARD_S = 0.3
+"""The loop has done what a trigger asks for by then."""
 
 Port = ModbusPort | OpcUaPort
 T = TypeVar("T")
@@ -170,6 +172,18 @@ class Plc:
     def step(self) -> str:
         return self._step
 
+    @property
+    def waits_for_part(self) -> bool:
+        """It waits for the press of a part that it has named, and that is selected by now."""
+        is_heard = self._clock.now_ns - self._since_ns > HEARD_S * S
+        return self._step == "wait" and self.asked[self._id].part is not None and is_heard
+
+    @property
+    def has_just_asked(self) -> bool:
+        """The station may not have done yet what its trigger asks for."""
+        sent_ns = self.asked[self._id].sent_ns if self._id in self.asked else 0
+        return 0 <= self._clock.now_ns - sent_ns < HEARD_S * S
+
     def act(self) -> float:
         """Take one turn; returns the seconds until the next one."""
         now_ns = self._clock.now_ns
@@ -204,10 +218,11 @@ class Plc:
 
     def _ask(self) -> None:
         self._id, self._next_id = self._next_id, self._next_id + 1
-        # Of a piece most programs name the place, right or wrong.
-        part = self._rng.choice((None, *PARTS) if self.on_piece else (None, None, None, *PARTS))
-        if self.on_piece is None or not self._piece or self._rng.random() < 0.4:
-            self._piece = f"piece {self._id}"
+        is_new = self.on_piece is None or not self._piece or self._rng.random() < 0.4
+        self._piece = f"piece {self._id}" if is_new else self._piece
+        # Of a piece most programs name the place, right or wrong, that of a new one often wrong.
+        parts = (None, *PARTS, *PARTS[is_new:]) if self.on_piece else (None, None, None, *PARTS)
+        part = self._rng.choice(parts)
         piece = "" if self.on_piece and self._rng.random() < 0.1 else self._piece
         asked = self.asked[self._id] = Asked(1 << 62, part, piece)
         self._request(lambda port, line: port.load(line, self._id, piece, _name(asked.part)))

@@ -19,7 +19,7 @@ from simulation.auditors import CALM_S, audit_end, audit_now, audit_replay
 from simulation.auditors_outbox import ARCHIVED
 from simulation.auditors_pieces import audit_pieces
 from simulation.auditors_retained import audit_retained
-from simulation.chosen import Chosen, Fault, is_small
+from simulation.chosen import MET, TURN_S, Chosen, Fault, is_small
 from simulation.conditions import reached_at_end
 from simulation.connections import AT_ONCE_S, connecting
 from simulation.faults import FAULTS, MOMENTS, NEEDS_ANSWER, NEEDS_DISK, WAIT_FIRST
@@ -94,8 +94,7 @@ class Simulation:
     ) -> None:
         self.chosen = chosen or Chosen.of(seed, list(FAULTS))
         self.rng = random.Random(f"{seed} turns")
-        # Short runs try more options; a small outbox is filled, and pieces are made, by longer ones.
-        presses = presses or (30 if is_small(self.chosen.outbox_mb) or self.chosen.piece else 20)
+        presses = presses or (30 if is_small(self.chosen.outbox_mb) else 20)  # which fill it
         self.run = Run(seed, presses, self.chosen)
         self.world = World(seed, self.chosen)
         self.world.hand.most_presses = presses
@@ -114,7 +113,7 @@ class Simulation:
         self._threads = Threads(self)
         faults = self._drawn_faults(seed) if schedule is None else self._given_faults(schedule)
         self._actors = [*self._threads.all, *faults]
-        names = {fault.name for fault in schedule} if schedule is not None else set(self.chosen.rates)
+        names = {fault.name for fault in schedule} if schedule is not None else self.chosen.faults
         self._needs_disk = bool(names & NEEDS_DISK)
 
     def play(self) -> Run:
@@ -197,12 +196,23 @@ class Simulation:
     # The faults
 
     def _drawn_faults(self, seed: int) -> Iterator[Actor]:
-        for name, rate in self.chosen.rates.items():
-            rng = random.Random(f"{seed} {name}")
+        meetings = self.chosen.meetings
+        drawn = [(name, rate, None) for name, rate in self.chosen.rates.items()]
+        drawn += [(name, MET, number) for number, meeting in enumerate(meetings) for name in meeting]
+        for name, rate, turn in drawn:
+            rng = random.Random(f"{seed} {name} {turn}")
             first_ns = round(rng.expovariate(rate / 60) * S)
-            yield Actor(f"fault {name}", partial(self._drawn, name, rate, rng), S + first_ns)
+            yield Actor(f"fault {name}", partial(self._drawn, name, rate, turn, rng), S + first_ns)
 
-    def _drawn(self, name: str, rate: float, rng: random.Random) -> float:
+    @property
+    def _turn_of_meetings(self) -> int:
+        """Which of them it is: each has its share of the presses, unless they take long."""
+        by_presses = len(self.world.hand.presses) * len(self.chosen.meetings) // (self.run.presses + 1)
+        return max(by_presses, self.world.clock.now_ns // (TURN_S * S))
+
+    def _drawn(self, name: str, rate: float, turn: int | None, rng: random.Random) -> float:
+        if turn not in (None, self._turn_of_meetings):
+            return 0.5
         if "process frozen" in self.ending and name in NEEDS_ANSWER:  # nobody answers
             return 0.1
         if name in self._aimed and rng.random() < PATIENCE and not MOMENTS[name](self):

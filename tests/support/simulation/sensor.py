@@ -50,8 +50,6 @@ class Sensor:
         self.keeps_oldest = rng.random() < 0.5
         """Of frames that nobody reads; otherwise the newest."""
         self.next_ns = clock.now_ns
-        self.sightless_since_ns: int | None = None
-        """Since then no frame shows the gel."""
         self._made = 0
         self._last = self._given = b""
         self.given = 0

@@ -30,8 +30,6 @@ class SimulatedClock:
     def __init__(self) -> None:
         self.now_ns = S
         self.wall_ns = 1_780_000_000 * S
-        self.set_ns = 0
-        """When somebody set it last."""
         self.drift = 0.0
         """Seconds that the wall clock gains in a second."""
 
@@ -40,10 +38,6 @@ class SimulatedClock:
 
     def time_ns(self) -> int:
         return self.wall_ns + self.now_ns + round(self.drift * self.now_ns)
-
-    def running_ns(self, time_ns: int) -> int:
-        """When it was so late by the wall clock, if nobody has set it since."""
-        return round((time_ns - self.wall_ns) / (1 + self.drift))
 
     def sleep(self, seconds: float) -> None:
         self.now_ns += round(seconds * S)
@@ -127,13 +121,17 @@ class World:
         """That of the cell, and others that came."""
         if self.has_plc:
             self.add_plc(random.Random(f"{seed} plc"), "10.0.0.1", 1)
-        self.may_lack_files = False
-        """The power was lost, or the disk was full, so the archive may lack presses."""
+        self.lacks_files_ns = 0
+        """The archive may lack presses of until then: the power was lost, or the disk was full."""
         self.new_gel_ns = -S
         """When the gel was replaced last, as the station has confirmed."""
         self.said: list[str] = []
         """How a stop of the service ended, where it did not end well."""
         self.pedal = Pedal.now = Pedal(self.clock)
+
+    def may_lack_files(self, until_ns: int) -> None:
+        """The archive may lack files of presses until then; of 1 << 62, of shared ones that no later press writes."""
+        self.lacks_files_ns = max(self.lacks_files_ns, until_ns)
 
     def add_plc(self, rng: random.Random, ip: str, first_id: int) -> Plc:
         """Add a PLC, which selects parts and begins pieces."""
