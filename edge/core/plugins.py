@@ -41,6 +41,7 @@ __all__ = [
     "RecordsDialogue",
     "Resettable",
     "SinkPlugin",
+    "TriesLogin",
     "TriggerPlugin",
 ]
 
@@ -103,7 +104,8 @@ class PlaysRecording(Protocol[AnyOptions]):
 
 @runtime_checkable
 class SinkPlugin(Protocol[OptionsT]):
-    """Opens receivers of messages. Optional, for `Options`: `HasAddress`, `HasIdentity`, `HasWarnings`."""
+    """Opens receivers of messages. Optional, for `Options`: `HasAddress`, `TriesLogin`, `HasIdentity`,
+    `HasWarnings`."""
 
     @property
     def Options(self) -> type[OptionsT]: ...
@@ -121,6 +123,14 @@ class HasAddress(Protocol):
 
     def address(self) -> tuple[str, int]:
         """(host, port). Errors: ConfigError for options that can never work."""
+
+
+@runtime_checkable
+class TriesLogin(HasAddress, Protocol):
+    """Options of a sink whose receiver may refuse the station; `gelgate check` asks it."""
+
+    def try_login(self) -> str:
+        """Say, in one sentence, who lets the station in. Errors: SinkUnavailable."""
 
 
 @runtime_checkable

@@ -23,11 +23,12 @@ from edge.core.errors import (
     ConfigError,
     DeviceNotFound,
     GelgateError,
+    SinkUnavailable,
     StoreError,
 )
 from edge.core.gel_life import is_past
 from edge.core.piece import check_places
-from edge.core.plugins import HasAddress, HasWarnings
+from edge.core.plugins import HasAddress, HasWarnings, TriesLogin
 from edge.core.ports import Clock, Device
 from edge.gateway.bundle_set import BundleSet, OpenBundle
 from edge.gateway.command_table import station_commands
@@ -148,7 +149,8 @@ class Preflight:
 def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflight:
     """Try bundles, sensor, database and receivers, in the order in which a start uses them.
 
-    The database is read only. is_start: keep the list of bundles that were tried; otherwise no file is written.
+    The database is read only. is_start: keep the list of bundles that were tried; otherwise no file is written, and
+    receivers are asked whether they let the station in, which a start finds out by itself.
     A receiver that is away is not a fault: results wait for it in the outbox, and its finding says so.
     """
     tried = config.store.path.with_name(config.store.path.name + ".tried")
@@ -172,7 +174,7 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     except ConfigError as error:
         found.findings.append(Finding("ports", str(error), error))
     for index, sink in enumerate(config.sinks):
-        found.try_part(f"sink {sink.plugin}", partial(try_sink, sink, f"sinks.{index}"))
+        found.try_part(f"sink {sink.plugin}", partial(try_sink, sink, f"sinks.{index}", logs_in=not is_start))
     return found
 
 
@@ -288,21 +290,26 @@ def _check_ports(config: Config) -> None:
             raise ConfigError(f"{key}.port and {other}.port are both {port}; give each its own")
 
 
-def try_sink(table: PluginTable, key: str) -> str:
+def try_sink(table: PluginTable, key: str, *, logs_in: bool = True) -> str:
     """Say how a sink answers. Errors: ConfigError for an address that does not exist, or files that cannot be used."""
     options = registry.options("sinks", table.plugin).model_validate(table.options)
     warnings = options.warnings() if isinstance(options, HasWarnings) else ()
-    return "; warning: ".join([_answers(options, key), *warnings])
+    return "; warning: ".join([_answers(options, key, logs_in), *warnings])
 
 
-def _answers(options: object, key: str) -> str:
+def _answers(options: object, key: str, logs_in: bool) -> str:
     if not isinstance(options, HasAddress):
         return "needs no connection"
     host, port = options.address()
     later = "results will wait in the outbox"
     try:
         with socket.create_connection((host, port), timeout=CONNECT_TIMEOUT_S):
-            return f"{host}:{port} accepts connections"
+            pass
+        if logs_in and isinstance(options, TriesLogin):
+            return options.try_login()
+        return f"{host}:{port} accepts connections"
+    except SinkUnavailable as error:
+        return f"warning: {error}; {later}"
     except socket.gaierror as error:
         if error.errno == socket.EAI_AGAIN:  # the name server is away, as at the start of a plant
             return f"{host} cannot be looked up now ({error.strerror}); {later}"

@@ -1,5 +1,6 @@
 """The options of the MQTT sink."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Final, Literal, Self
 
@@ -9,11 +10,15 @@ from edge.core.errors import ConfigError
 from edge.core.sink_context import topic_level
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
 from edge.messaging.mqtt_broker import Broker, tls_context
+from edge.messaging.mqtt_connection import Connection
 
 __all__ = ["LARGEST_PACKET_BYTES", "BrokerOptions", "MqttOptions", "TlsOptions", "TopicLevel"]
 
 # The packet has room for a request that is a little too large, so that it gets an answer and not silence.
 LARGEST_PACKET_BYTES: Final = 2 * LARGEST_REQUEST_BYTES
+
+# How long a check waits for a broker that says nothing.
+TRIAL_S: Final = 2.0
 
 _OWN_MACHINE: Final = ("localhost", "127.0.0.1", "::1")
 
@@ -106,6 +111,17 @@ class BrokerOptions(BaseModel):
         """Give the host and port of the broker. Errors: ConfigError for a password or TLS file that cannot be used."""
         broker = self.broker("check")
         return broker.host, broker.port
+
+    def try_login(self) -> str:
+        """Connect as the sink does, with a client id of its own: that of a station that runs would end its connection.
+        Errors: SinkUnavailable."""
+        broker = self.broker("gelgate")
+        trial = replace(
+            broker, client_id=f"{broker.client_id}-check", timeout_s=min(broker.timeout_s, TRIAL_S)
+        )
+        connection = Connection.open(trial)
+        connection.close()
+        return f"{broker} lets this station in, MQTT {connection.level}"
 
     def broker(self, client_id: str) -> Broker:
         """The broker to connect to. Errors: ConfigError for a password or TLS file that cannot be used."""

@@ -12,9 +12,11 @@ from typing import Any
 import pytest
 from scripted_broker import ScriptedBroker
 
+from edge.config import PluginTable
 from edge.core.errors import ConfigError, SinkRejected, SinkUnavailable
 from edge.core.ports import Message
 from edge.core.sink_context import Station
+from edge.gateway.preflight import try_sink
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker
 from edge.messaging.mqtt_connection import _PACKET_OVERHEAD_BYTES, Connection
@@ -71,6 +73,26 @@ def test_a_topic_forbidden_by_access_rules_is_a_refusal_at_level_5(sink_to: Sink
         sink.send(Message("result", b"{}"))
 
 
+def checks(broker: LocalBroker, **options: Any) -> str:
+    """Return what `gelgate check` says of this broker."""
+    given = {"host": broker.host, "port": broker.port, **options}
+    return try_sink(PluginTable(plugin="mqtt", options=given), "sinks.0")
+
+
+def test_a_check_ends_no_connection_of_the_station(sink_to: SinkTo) -> None:
+    """It logs in beside the station that runs, under a client id of its own."""
+    require("mosquitto")
+    with LocalBroker("mosquitto") as broker:
+        sink = sink_to(broker, client_id="station")
+        sink.send(Message("result", b"{}"))
+        connection = sink._connection
+        said = checks(broker, client_id="station")
+        sink.send(Message("result", b"{}"))
+
+        assert said == f"{broker.host}:{broker.port} lets this station in, MQTT 5"
+        assert sink._connection is connection
+
+
 def test_wrong_credentials_keep_the_message_and_say_so(sink_to: SinkTo, tmp_path: Path) -> None:
     """The message waits until the credentials are right. The password is in no sentence."""
     require("mosquitto")
@@ -81,8 +103,11 @@ def test_wrong_credentials_keep_the_message_and_say_so(sink_to: SinkTo, tmp_path
         with pytest.raises(SinkUnavailable, match=r"refuses the connection: Not authorized") as refusal:
             sink.send(Message("result", b"{}"))
 
+        checked = checks(broker, username="gelgate", password_file=str(secret))
+
     assert "s3cret" not in str(refusal.value)
     assert "s3cret" not in repr(sink._broker)
+    assert checked.startswith(f"warning: {refusal.value}; results will wait in the outbox")
 
 
 @pytest.fixture
@@ -117,7 +142,10 @@ def test_mutual_tls_lets_in_who_has_a_certificate_and_nobody_else(
         ours = {"ca": files["ca.pem"], "cert": files["client.pem"], "key": files["client.key"]}
         sink_to(broker, tls=ours).send(Message("result", b"{}"))
 
+        assert "lets this station in" in checks(broker, tls=ours)
+
         for others in ({"ca": files["ca.pem"]}, {**ours, "ca": files["client.pem"]}):
+            assert checks(broker, tls=others).startswith("warning: broker")
             with pytest.raises(SinkUnavailable):
                 sink_to(broker, tls=others, acknowledge_s=1.0).send(Message("result", b"{}"))
 
