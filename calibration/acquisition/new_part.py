@@ -104,7 +104,7 @@ def new_part(
         typer.echo(f"{config} is the station, with the device plugin {loaded.device.plugin}")
         bundle = _bundle_path(loaded, config, bundle_name)
         for index, sink in enumerate(loaded.sinks):
-            try_sink(sink, f"sinks.{index}")
+            typer.echo(f"sink {sink.plugin}: {try_sink(sink, f'sinks.{index}')}")
     if bundle.exists():
         typer.echo(f"\n{bundle} is there already; remove it to press the part again")
     else:
