@@ -189,9 +189,8 @@ def choose_limit(evidence: Evidence) -> Choice:
     plainly = f"{round(usual * count)} of {count} small pieces of rendered damage"
     other = _compare_surroundings(evidence)
     if other is None:
-        return Choice(
-            PLAIN, f"it finds {plainly}, and another limit would pass a black frame", None, {PLAIN: usual}
-        )
+        why = "by its surroundings a press has no limit above 0, or a black frame would pass"
+        return Choice(PLAIN, f"it finds {plainly}; {why}", None, {PLAIN: usual})
     share = float(other.is_found.mean())
     found, more = {PLAIN: usual, SURROUNDINGS: share}, f"{other.is_found.sum()} of {count}"
     if share == 0 or usual >= share + WORTH:
