@@ -27,7 +27,7 @@ def unplug(run: "Simulation", rng: random.Random) -> float:
     """The sensor's cable is pulled, and comes back; or another sensor is plugged in for a while."""
     sensor = run.world.sensor
     # A station that has not seen its own sensor yet takes any.
-    is_other = rng.random() < 0.25 and run.station.loop.session is not None
+    is_other = rng.random() < 0.4 and run.station.loop.session is not None
     sensor.is_plugged, sensor.serial = is_other, OTHER_SERIAL if is_other else SERIAL
     sensor.forget()
 
@@ -100,7 +100,7 @@ def hold_back(run: "Simulation", rng: random.Random) -> float:
     def burst() -> None:
         sensor.is_holding = False
 
-    return run.for_a_while("frames in a burst", rng.choice((0.15, 0.5, 1.2)), burst, is_sensors=True)
+    return run.for_a_while("frames in a burst", rng.choice((0.15, 0.6, 1.7)), burst, is_sensors=True)
 
 
 # Brokers
@@ -282,8 +282,8 @@ def freeze(run: "Simulation", rng: random.Random) -> float:
 def disturb_relay(run: "Simulation", rng: random.Random) -> float:
     """The relay board is unplugged, slow or stuck."""
     relay = run.world.relay
-    relay.mood = rng.choice(("unplugged", "unplugged", "slow", "stuck"))
-    return run.for_a_while(f"relay {relay.mood}", rng.uniform(0.5, 8), relay.mend)
+    relay.mood = rng.choice((*["unplugged"] * 4, "slow", "stuck"))
+    return run.for_a_while(f"relay {relay.mood}", rng.uniform(0.5, 5), relay.mend)
 
 
 def disturb_pedal(run: "Simulation", rng: random.Random) -> float:
@@ -427,11 +427,12 @@ MOMENTS: "dict[str, Callable[[Simulation], bool]]" = {
     "step clock": _is_result_waiting,
     "silence": lambda run: run.world.hand.is_pressing_soon,
     "blind": _is_pass_shown,
+    "hold back": _is_pressed_unjudged,
     "fill disk": lambda run: "hang up" not in run.chosen.faults or _is_result_unsent(run),
 }
 """When a fault does most harm: every other one waits for it."""
 
-WAIT_FIRST = {"step clock", "silence", "blind"}
+WAIT_FIRST = {"step clock", "silence", "blind", "hold back"}
 """Faults whose first one waits; of others a draw says whether it does."""
 
 NEEDS_ANSWER = {"stop", "lose database", "freeze", *PEOPLE}
