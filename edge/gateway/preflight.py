@@ -5,6 +5,7 @@ once.
 """
 
 import contextlib
+import logging
 import os
 import socket
 import sqlite3
@@ -41,7 +42,12 @@ from edge.store.database import SCHEMA_VERSION, open_read_only, quick_check, sch
 
 __all__ = ["Finding", "Preflight", "preflight", "try_sink"]
 
+log = logging.getLogger(__name__)
+
 CONNECT_TIMEOUT_S = 2.0
+
+READ_WITHIN_S = 2.0
+"""A start reads the database so long: years of presses on a slow disk would take minutes."""
 
 T = TypeVar("T")
 
@@ -165,7 +171,7 @@ def preflight(config: Config, clock: Clock, *, is_start: bool = True) -> Preflig
     if config.piece is not None and found.bundles.bundles:
         found.try_part("places", partial(_check_places, config.piece, found.bundles))
     found.try_part("sensor", lambda: found.open_sensor(config, clock))
-    found.try_part("database", lambda: _database(config))
+    found.try_part("database", partial(_database, config, clock, is_start=is_start))
     found.try_part("commands", lambda: _commands(config))
     found.try_part("pictures", lambda: _pictures(config))
     found.try_features(config)
@@ -217,8 +223,8 @@ def _require_sensor(config: Config) -> None:
         )
 
 
-def _database(config: Config) -> str:
-    path = config.store.path
+def _database(config: Config, clock: Clock, *, is_start: bool) -> str:
+    path, end_ns = config.store.path, clock.monotonic_ns() + round(READ_WITHIN_S * 1e9)
     if not path.parent.is_dir():
         raise ConfigError(f"store.path: the folder {path.parent} does not exist; make it")
     if path.is_dir():
@@ -231,7 +237,14 @@ def _database(config: Config) -> str:
             )
     if not path.exists():
         return "new"
-    if damage := quick_check(path, lambda: False):
+    words = []
+    try:
+        damage = quick_check(path, lambda: is_start and clock.monotonic_ns() > end_ns)
+    except TimeoutError:
+        damage = None
+        words.append(f"it was not read whole within {READ_WITHIN_S:g} s; `gelgate db check` does it")
+        log.warning("database %s: %s", path, words[0])
+    if damage:
         raise StoreError(f"{damage}; move it away to keep it for repair; a new one is made")
     with open_read_only(path, "reading the gel ledger", any_version=True) as connection:
         version = schema_version(connection)
@@ -240,7 +253,7 @@ def _database(config: Config) -> str:
         gels = [
             gel_ledger.find_mounted(connection, serial, 1.0) for serial in sorted({g.serial for g in known})
         ]
-    words = [
+    words += [
         f"gel {g.gel_id}: {g.presses} of {g.limit_presses} presses"
         + (f", past its use-by date {g.use_by}" if is_past(g.use_by, date.today()) else "")
         for g in gels

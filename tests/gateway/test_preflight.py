@@ -12,6 +12,7 @@ from unittest.mock import Mock
 
 import pytest
 from ports import free_port
+from sql import execute
 from station import MQTT, Configure, station_config, two_parts, variant
 from stepped_station import SteppedStation
 
@@ -21,6 +22,7 @@ from edge.config import PluginTable, load_config
 from edge.core.errors import ConfigError, DeviceLost, StoreError
 from edge.core.part_position import PartPosition
 from edge.core.ports import Sink
+from edge.gateway import preflight as module
 from edge.gateway.build import open_station
 from edge.gateway.preflight import Finding, preflight, try_sink
 from edge.messaging.publisher import Publisher, PublisherLock
@@ -129,6 +131,32 @@ def test_a_part_without_a_bundle_is_found_by_the_check(tmp_path: Path, recording
     with Store(tmp_path / "gelgate.db") as store:
         store.use_bundle(PartPosition("PZ1", "pos1"), None, "digest", 0)
     assert [finding.text for finding in find(config, "part")] == ["PZ1/pos1"]
+
+
+def test_a_start_waits_for_no_large_database(
+    config: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What it did not read is said, and read by a check."""
+    monkeypatch.setattr(module, "READ_WITHIN_S", 0.0)
+    loaded = load_config(config)
+    Store(loaded.store.path).close()
+    numbers = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 60000) "
+    execute(
+        loaded.store.path,
+        f"CREATE TABLE filler AS {numbers} SELECT i, hex(i) AS text FROM n",
+        "CREATE INDEX by_text ON filler (text)",
+    )
+
+    def found(is_start: bool) -> str:
+        with preflight(loaded, SystemClock(), is_start=is_start) as checked:
+            (finding,) = (finding for finding in checked.findings if finding.part == "database")
+        assert finding.error is None
+        return finding.text
+
+    said = "it was not read whole within 0 s; `gelgate db check` does it"
+    assert found(is_start=True) == said
+    assert said in caplog.text
+    assert found(is_start=False) == "new"
 
 
 def test_metrics_are_tried_where_they_are_wanted(configure: Configure) -> None:
