@@ -9,7 +9,7 @@ from edge.cli.options import CONFIG, ConfigOption, DatabaseOption, database_path
 from edge.core.errors import ConfigError, StoreError
 from edge.core.printable import printable, write_count
 from edge.messaging.publisher import PublisherLock
-from edge.store.backup import back_up, backups_in, left_in
+from edge.store.backup import back_up, backups_in, find_leftovers
 from edge.store.backup import migrate as migrate_file
 from edge.store.database import CHAINED_SINCE, SCHEMA_VERSION
 from edge.store.integrity import check_database
@@ -56,7 +56,7 @@ def backup(
     keep: Annotated[
         int | None,
         typer.Option(
-            help="Then remove older backups in that folder, but for this number, and what killed ones left.",
+            help="Then keep this many backups in that folder: remove older ones, and what is left of killed ones.",
             min=1,
         ),
     ] = None,
@@ -69,7 +69,7 @@ def backup(
         raise ConfigError(f"--keep removes older backups in a folder, and {target} is none; name a folder")
     made = back_up(path, target)
     typer.echo(f"{made}: {made.stat().st_size:,} bytes")
-    for old in (*backups_in(target, path)[:-keep], *left_in(target, path)) if keep else ():
+    for old in (*backups_in(target, path)[:-keep], *find_leftovers(target, path)) if keep else ():
         old.unlink(missing_ok=True)  # by another backup just now
         typer.echo(f"{old}: removed")
 

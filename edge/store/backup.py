@@ -15,7 +15,7 @@ from typing import Final
 from edge.core.errors import StoreError
 from edge.store.database import SCHEMA_VERSION, Database, open_read_only, schema_version
 
-__all__ = ["back_up", "backups_in", "left_in", "migrate"]
+__all__ = ["back_up", "backups_in", "find_leftovers", "migrate"]
 
 # Room that is left on the disk of the copy, so that a backup is not what fills it.
 SPARE_BYTES: Final = 64 << 20
@@ -51,17 +51,17 @@ def back_up(database: Path, target: Path) -> Path:
 
 def backups_in(folder: Path, database: Path) -> list[Path]:
     """The copies that `back_up` made of this database in this folder, oldest first."""
-    return sorted(folder.glob(_named(database)))
+    return sorted(folder.glob(_name_pattern(database)))
 
 
-def left_in(folder: Path, database: Path) -> list[Path]:
-    """What backups that were killed left in this folder: files of copies that no one has written to for a day."""
-    left, since_s = [], time.time() - 86_400
-    for one in folder.glob(f"{_named(database)}.*.part*"):
+def find_leftovers(folder: Path, database: Path) -> list[Path]:
+    """Find what killed backups left in this folder: unfinished copies that nobody has written to for a day."""
+    leftovers, since_s = [], time.time() - 86_400
+    for one in folder.glob(f"{_name_pattern(database)}.*.part*"):
         with suppress(FileNotFoundError):  # it has become a copy just now
             if one.stat().st_mtime < since_s:
-                left.append(one)
-    return left
+                leftovers.append(one)
+    return leftovers
 
 
 def migrate(database: Path) -> tuple[int, Path | None]:
@@ -79,7 +79,7 @@ def migrate(database: Path) -> tuple[int, Path | None]:
     return before, copy
 
 
-def _named(database: Path) -> str:
+def _name_pattern(database: Path) -> str:
     digits = "[0-9]"
     return f"{database.stem}-{digits * 8}T{digits * 6}Z.db"
 

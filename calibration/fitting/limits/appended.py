@@ -126,12 +126,10 @@ def append(head: bytes, bank: Bank, arrays: Mapping[str, NDArray[Any]], tap: str
         contrast = "limit_contrast" if "limit_window_up_rows" in arrays else "limit_raw_score_map"
         limit = "limit_of_places" if "limit_rows" in arrays else "limit_grid"
         text = _LIMIT.format(contrast=contrast, limit=limit)
-        compared = _DIVIDED if "limit_usual" in arrays else _SUBTRACTED
-        text = (
-            (_SURROUNDINGS + compared) * (contrast == "limit_contrast")
-            + _PLACES * (limit != "limit_grid")
-            + text
-        )
+        if limit == "limit_of_places":
+            text = _PLACES + text
+        if contrast == "limit_contrast":
+            text = _SURROUNDINGS + (_DIVIDED if "limit_usual" in arrays else _SUBTRACTED) + text
         head, bank = _append(head, bank, arrays, text, _LIMIT_CONSTANTS, "limit_raw_")
     if "relief_free" in arrays:
         text = _RELIEF.format(tap=tap)
