@@ -53,7 +53,10 @@ def run(
         typer.Option("--wait-for-device", help="Start without a sensor and wait for it, as a service does."),
     ] = False,
     state_dir: StateOption = None,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every contact event.")] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option("--verbose", "-v", help="Log each contact event and each message that a sink takes."),
+    ] = False,
     log_json: Annotated[
         bool, typer.Option("--log-json", help="Log JSON lines, presses too, instead of text.")
     ] = False,

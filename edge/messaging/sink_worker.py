@@ -309,6 +309,7 @@ class SinkWorker:
     def _deliver(self, message: Message) -> None:
         began_ns = self._clock.monotonic_ns()
         self._sink.send(message)
+        log.debug("sink %s has taken %s", self.name, message.topic)
         self._was_slow |= self._clock.monotonic_ns() - began_ns > LATE_S * 1e9
         self._backoff.succeeded()
         if not self.counters.is_up:

@@ -5,11 +5,14 @@ presses notes the times, and runs the bare trunk between them, so that a busy ma
 of its own looks at the free gel of the recording, and another one at its presses: processor time, memory, and start.
 """
 
+import json
+import logging
 import os
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -38,9 +41,11 @@ from edge.core.errors import ConfigError, RecordingError
 from edge.core.imaging.frames import CameraFrame
 from edge.core.press import Press
 from edge.gateway.build import open_station
+from edge.logs import Json
 from edge.messaging.local_broker import LocalBroker
 from edge.messaging.mqtt_broker import Broker, Level, Received
 from edge.messaging.mqtt_connection import Connection
+from edge.messaging.sink_worker import SinkWorker
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
 from edge.model.session import open_session
@@ -58,6 +63,7 @@ STAGES: Final[Mapping[str, str]] = {
     "verdict": "**settled frame to verdict**",
     "transaction": "verdict to outbox: press, count and messages, flushed",
     "outbox": "**settled frame to outbox**",
+    "acknowledged": "settled frame to the broker's PUBACK of the result",
     "subscriber": "settled frame to a subscriber of the broker",
     "picture": "settled frame to its picture at the subscriber",
     "bare trunk": "the trunk alone, between the presses",
@@ -171,7 +177,7 @@ def bench(settings: BenchSettings, folder: Path) -> Measured:
 
 
 class _Watch(PressStage):
-    """Notes when a press passes. `arrived` may be called by another thread."""
+    """Notes when a press passes. `acknowledged` and `arrived` may be called by another thread."""
 
     def __init__(self, run_trunk: Callable[[], object]) -> None:
         self.ms: defaultdict[str, list[float]] = defaultdict(list)
@@ -179,7 +185,11 @@ class _Watch(PressStage):
         self._taken = self._judged = self._began = 0.0
         self._taken_of: dict[str, float] = {}
         self._turns = 0
-        self._arrived: dict[str, dict[str, float]] = {"result": {}, "heatmap": {}}
+        self._arrived: dict[str, dict[str, float]] = {
+            "acknowledged": {},
+            "result": {},
+            "heatmap": {},
+        }
 
     def take(self, frame: CameraFrame) -> None:
         """A frame arrives."""
@@ -215,6 +225,13 @@ class _Watch(PressStage):
             self._run_trunk()
             self.ms["bare trunk"].append(_since(start))
 
+    def acknowledged(self, line: logging.LogRecord) -> bool:
+        """The broker has taken a message of the station, as the log of its sink says. Returns whether to write it."""
+        if line.levelno == logging.DEBUG and line.getMessage().endswith(" result"):
+            press = json.loads(Json().format(line))["press_id"]
+            self._arrived["acknowledged"].setdefault(press, time.perf_counter())
+        return line.levelno > logging.DEBUG
+
     def arrived(self, message: Received) -> None:
         """A subscriber has a message: a result, or a picture by the id of its press."""
         kind, _, press = message.topic.partition("/gel/v1/")[2].partition("/")
@@ -230,7 +247,8 @@ class _Watch(PressStage):
             if time.monotonic() > end:
                 break
             time.sleep(0.05)
-        for name, kind in (("subscriber", "result"), ("picture", "heatmap")):
+        kinds = {"acknowledged": "acknowledged", "subscriber": "result", "picture": "heatmap"}
+        for name, kind in kinds.items():
             seen = self._arrived[kind]
             self.ms[name] = [
                 1e3 * (seen[press] - at) for press, at in self._taken_of.items() if press in seen
@@ -239,6 +257,20 @@ class _Watch(PressStage):
 
 def _since(start: float) -> float:
     return 1e3 * (time.perf_counter() - start)
+
+
+@contextmanager
+def _hear(module: str, heard: Callable[[logging.LogRecord], bool]) -> Iterator[None]:
+    """Give each line that a module logs to a function, which says whether it is written."""
+    log = logging.getLogger(module)
+    level = log.level
+    log.addFilter(heard)
+    log.setLevel(logging.DEBUG)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+        log.removeFilter(heard)
 
 
 def _seen(bundle: Bundle) -> tuple[int, int]:
@@ -269,7 +301,10 @@ def _play(
     )
     try:
         connection.subscribe("gelgate/#")
-        with open_station(config, SystemClock(), stages={"bench": watch}) as station:
+        with (
+            _hear(SinkWorker.__module__, watch.acknowledged),
+            open_station(config, SystemClock(), stages={"bench": watch}) as station,
+        ):
             station.run(threading.Event(), settings.presses)
             watch.finish()
     finally:

@@ -1,4 +1,4 @@
-"""A small bench: the whole path of a press, from a frame to a subscriber."""
+"""A small bench: the whole path of a press, from a frame to the broker and a subscriber."""
 
 import json
 from dataclasses import replace
@@ -31,8 +31,9 @@ def test_every_stage_of_every_press_has_its_time(station: tuple[Path, Path], tmp
     found = json.loads(ended.out)
     stages = found["stages"]
     assert set(stages) == set(STAGES)
-    assert [stages[name]["count"] for name in ("verdict", "outbox", "subscriber", "picture")] == [3] * 4
-    order = [stages[name]["median"] for name in ("verdict", "outbox", "picture")]
+    path = ("verdict", "outbox", "acknowledged", "subscriber", "picture")
+    assert [stages[name]["count"] for name in path] == [3] * 5
+    order = [stages[name]["median"] for name in path if name != "subscriber"]
     assert order == sorted(order)
     assert min(found["floors"].values()) > 0
     assert found["idle"]["core_share"] > found["sensor_share"] > 0
