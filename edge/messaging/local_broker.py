@@ -24,7 +24,9 @@ BrokerKind = Literal["mosquitto", "amqtt"]
 START_TIMEOUT_S: Final = 60.0
 STOP_TIMEOUT_S: Final = 5.0
 
-_MOSQUITTO: Final = "listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n{extra}\n"
+_MOSQUITTO: Final = (
+    "listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\nset_tcp_nodelay true\n{extra}\n"
+)
 
 # Without its plugins amqtt 0.12 refuses every client; these two allow anonymous clients.
 _AMQTT: Final = """\

@@ -10,6 +10,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
+from contextlib import closing
 
 import pytest
 
@@ -46,6 +47,15 @@ def test_a_station_is_heard_and_asked(
     assert late.heard[0].retain
     assert sink.level == ("5" if protocol == "5" else "3.1.1")
     assert isinstance(sink, Sink)
+
+
+def test_no_small_message_waits_for_the_acknowledgement_of_the_one_before(mosquitto: LocalBroker) -> None:
+    """The connection's socket sends at once."""
+    broker = Broker("127.0.0.1", mosquitto.port, "hasty", level="5")
+    with closing(Connection.open(broker)) as connection:
+        opened = connection._client.socket()
+        assert isinstance(opened, socket.socket)
+        assert opened.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
 def test_the_will_is_published_when_the_process_dies(mosquitto: LocalBroker, listen: Listen) -> None:
