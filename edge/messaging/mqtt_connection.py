@@ -258,7 +258,8 @@ class Connection:
                 f"no broker answers at {self.broker} ({error}); start it, or correct host and port"
             ) from error
         # Else a small message waits until the broker's system acknowledges the one before: up to 40 ms.
-        if isinstance(opened := self._client.socket(), socket.socket):
+        opened = self._client.socket()
+        if isinstance(opened, socket.socket) and opened.family != socket.AF_UNIX:
             opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._client.loop_start()
         self._await(lambda: self._consent is not None or self._is_lost, self.broker.timeout_s)
