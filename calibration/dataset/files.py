@@ -104,9 +104,11 @@ def _as_it_is(
 
 
 def _other_size(size: tuple[int, int], profile: SensorProfile) -> str:
+    is_turned = size[::-1] in (profile.native, profile.size)
+    what_to_do = "turn it by a quarter" if is_turned else "choose another profile, or allow resizing"
     return (
         f"is {size[0]}x{size[1]}, profile '{profile.name}' takes {profile.native[0]}x{profile.native[1]} (camera) "
-        f"or {profile.size[0]}x{profile.size[1]}; choose another profile, or allow resizing"
+        f"or {profile.size[0]}x{profile.size[1]}; {what_to_do}"
     )
 
 
