@@ -32,8 +32,7 @@ def press_event(log: logging.Logger, press_id: str, sentence: str, fields: Mappi
 
 
 def start(log_format: LogFormat, *, is_verbose: bool) -> None:
-    """Log to the standard error output from now on. is_verbose: each contact event, and each message
-    that a sink has taken, too."""
+    """Log to the standard error output from now on. is_verbose: contact events and sent messages too."""
     handler = logging.StreamHandler()
     handler.setFormatter(Json() if log_format == "json" else Text())
     logging.basicConfig(level=logging.DEBUG if is_verbose else logging.INFO, handlers=[handler])

@@ -348,9 +348,8 @@ class Connection:
         """End the circle of client and connection. The library closes two sockets of its own with the client, and in a
         circle that would wait for the garbage collector."""
         client = self._client
-        client.on_connect = client.on_disconnect = client.on_publish = client.on_subscribe = (
-            client.on_message
-        ) = None
+        client.on_connect = client.on_disconnect = client.on_publish = None
+        client.on_subscribe = client.on_message = None
 
     # Called by the library's thread, which never waits here.
 

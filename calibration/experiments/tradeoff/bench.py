@@ -185,11 +185,7 @@ class _Watch(PressStage):
         self._taken = self._judged = self._began = 0.0
         self._taken_of: dict[str, float] = {}
         self._turns = 0
-        self._arrived: dict[str, dict[str, float]] = {
-            "acknowledged": {},
-            "result": {},
-            "heatmap": {},
-        }
+        self._arrived: dict[str, dict[str, float]] = {"acknowledged": {}, "result": {}, "heatmap": {}}
 
     def take(self, frame: CameraFrame) -> None:
         """A frame arrives."""
