@@ -132,7 +132,9 @@ def test_other_sizes_are_scaled_only_when_asked(tmp_path: Path) -> None:
     tall[35:125] = 77
     folder = write(tmp_path / "good", "big.png", png(np.full((240, 320, 3), 77, np.uint8)))
     write(folder, "tall.png", png(tall))
-    with pytest.raises(DatasetError, match=r"big\.png: .*allow resizing\n.*tall\.png: .*turn it by a quarter"):
+    with pytest.raises(
+        DatasetError, match=r"big\.png: .*allow resizing\n.*tall\.png: .*turn it by a quarter"
+    ):
         read_presses([folder], PROFILE, REGION)
     assert (read_presses([folder], PROFILE, REGION, resize=True).frames == 77).all()
 
