@@ -91,6 +91,8 @@ class Chosen:
     """The order of a plan of places, `fixed` or `free`; empty for none. A PLC begins the pieces, else a person."""
     meetings: tuple[tuple[str, ...], ...] = ()
     """Faults that come often while it is their turn."""
+    forgets: bool = False
+    """Each broker restarts without its memory when all faults have ended."""
 
     @property
     def faults(self) -> set[str]:
@@ -119,6 +121,7 @@ class Chosen:
             plc,
             piece,
             tuple(MEETINGS[(seed + step) % len(MEETINGS)] for step in MEETING_STEPS),
+            seed % 2 == 0,
         )
         # People cost little: somebody always asks, and selects where neither a plan nor a PLC does.
         rates["request"] = 4.0

@@ -183,6 +183,10 @@ class Simulation:
             self.ending.clear()
             self._actors = [actor for actor in self._actors if not actor.name.startswith("fault ")]
             self.station.disk.kill_in = None
+            for broker in self.world.brokers.values() if self.chosen.forgets else ():
+                broker.go("away")
+                broker.retained.clear()
+                broker.mend()
             self._calm_ns = self.world.clock.now_ns
         if self._calm_ns is None or self.world.clock.now_ns < self._asked_ns + S:
             return False
