@@ -138,8 +138,11 @@ class Shown:
             asked = {one["press_id"] for one in questions}
             # Of the oldest press, not the one that came first: those of before an interruption come late.
             place = {known: n for n, known in enumerate(self._presses)}
+            newest = max(place, default="")
             others = [known for known in self._pictures if known not in asked]
-            for old in sorted(others, key=lambda known: place.get(known, -1))[:-MOST_PICTURES]:
+            # The result of a newer one may come after its picture.
+            others.sort(key=lambda known: place.get(known, len(place) if known > newest else -1))
+            for old in others[:-MOST_PICTURES]:
                 del self._pictures[old]
             self._note()
 

@@ -83,6 +83,14 @@ def test_late_pictures_take_no_newer_one_away(sink: PageSink) -> None:
     assert pictured == [True] * MOST_PICTURES + [False] * (MOST_PICTURES - 1)
 
 
+def test_a_picture_may_come_before_its_result(sink: PageSink) -> None:
+    """As from a broker after an interruption, when as many pictures as are kept are there already."""
+    earlier = [message for n in range(1, MOST_PICTURES + 1) for message in press(n)]
+    for message in [*earlier, *reversed(press(MOST_PICTURES + 1))]:
+        sink.send(message)
+    assert asked(sink.port, "/presses.json")[0]["has_picture"]
+
+
 def test_pictures_that_a_person_is_asked_about_are_kept_longer(sink: PageSink) -> None:
     """Of the first ones of a list; a broker that asks about every press fills no memory."""
     pressed = [press(n) for n in range(1, MOST_ASKED + 2 * MOST_PICTURES)]
