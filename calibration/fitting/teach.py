@@ -110,9 +110,15 @@ class Lesson:
 
 def hold_out(old: Bundle, nominal: NominalPresses, config: FitConfig, created: str) -> F32 | None:
     """Score each nominal press by a fit without it, which has neither taught places nor regions: float32 (n, h, w), in
-    units of the limit, in the pose of the old bundle. None of too few. Errors: as `fit_files`."""
+    units of the limit, in the pose of the old bundle. None of too few. Errors: as `fit_files`; FitError for a limit as
+    earlier versions made it, for these fits have another one."""
     if len(nominal) < FEWEST_HELD_OUT:
         return None
+    if "limit_grid" in old.bank and "limit_usual" not in old.bank:
+        raise FitError(
+            f"bundle {old.where} has a limit of an earlier version, so what its nominal presses would score without "
+            "them is not known; fit it again"
+        )
     maps = np.zeros(nominal.frames.shape[:3], np.float32)
     for first in range(_FOLDS):
         held = list(range(first, len(nominal), _FOLDS))

@@ -20,6 +20,7 @@ from station import gel, jpeg
 from calibration.fitting.presses.nominal_presses import read_presses
 from calibration.fitting.regions.drawing import draw_again, draw_regions
 from calibration.fitting.regions.texts import parse_region, read_regions
+from calibration.fitting.teach import hold_out
 from edge.clock import SystemClock
 from edge.core.contact.mask import Touch
 from edge.core.drawn_regions import DrawnRegion, DrawnRegions
@@ -151,6 +152,15 @@ def test_a_stricter_region_finds_a_fainter_dent_and_promises_anew(inspected: Jud
     kinds = [made.decide(score(one, mixed, tmp_path).anomaly_score).kind for one in (inspected.old, new)]
     assert kinds == ["pass", "fail"]
     assert gelgate("bundle", "verify", new).code == 0
+
+
+def test_a_limit_of_an_earlier_version_gets_no_promise_of_another_limit(inspected: Judged) -> None:
+    """Fits of today divide a map by its surroundings; those before 99cf57fa subtracted them."""
+    old = Bundle.load(inspected.old)
+    limits = {name: array for name, array in old.bank.items() if name != "limit_usual"}
+    old = replace(old, bank=limits | {"limit_grid": np.ones((1, 1), np.float32)})
+    with pytest.raises(FitError, match=r"has a limit of an earlier version.*fit it again"):
+        hold_out(old, range(99), None, "2026-01-01")  # type: ignore[arg-type]
 
 
 OVER_ALL = "ignore all 0,0 14.2,0 14.2,14.2 0,14.2"
