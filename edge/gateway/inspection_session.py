@@ -46,7 +46,7 @@ __all__ = ["InspectionSession"]
 log = logging.getLogger(__name__)
 
 # The station waits for this before it inspects.
-FREE_GEL: Final = Sentence("the free gel, to learn its picture")
+FREE_GEL: Final = Sentence("two seconds of the free gel, to learn its picture")
 # Presses that wait while the database refuses writes, each with a picture of some 60 kB; more are only counted.
 MOST_WAITING: Final = 256
 # The alarm while the picture of the free gel may be wrong.

@@ -145,12 +145,18 @@ class Recording:
             if held is None
             else f"it holds {held} presses and the run saw {seen}"
         )
-        why = (
-            f"{dropped} of its {frames} frames were dropped because they were not processed in time; play it with "
-            "pace = 0"
-            if dropped
-            else "no frame was dropped; play it with pace 0 or 1, and `gelgate run -v` shows contact in each frame"
-        )
+        if dropped:
+            why = (
+                f"{dropped} of its {frames} frames were dropped because they were not processed in time; play it with "
+                "pace = 0"
+            )
+        elif seen:
+            why = "no frame was dropped; play it with pace 0 or 1, and `gelgate run -v` shows contact in each frame"
+        else:
+            why = (
+                "no frame was dropped; a press counts after two seconds of the free gel, and `gelgate run -v` shows "
+                "contact in each frame"
+            )
         cut = "; its index ends in the middle of a line, so the end of it is lost" if self.is_cut else ""
         raise PressesMissed(f"recording {self.folder}: {counts}; {why}{cut}")
 

@@ -95,7 +95,10 @@ def test_a_new_gel_starts_from_nothing(station: SteppedStation) -> None:
     state = station.said("state")
 
     assert answer == {"gel_id": "next", "presses": 0, "limit_presses": 7, "remarks": []}
-    assert (state["state"], state["reason"]) == ("starting", "waiting for the free gel, to learn its picture")
+    assert (state["state"], state["reason"]) == (
+        "starting",
+        "waiting for two seconds of the free gel, to learn its picture",
+    )
     with pytest.raises(StoreError, match="'next' was already used"):
         station.ask("replace_gel", gel_id="next")
 
