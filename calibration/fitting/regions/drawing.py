@@ -5,6 +5,7 @@ other. Relief that is missing is a property of the whole press, so it counts
 in ignored places too.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -153,11 +154,17 @@ def find_promise(
             "give those of the fit"
         )
     weights = weigh_places(regions, old.manifest.frame, old.profile.mm_per_pixel)
-    scores = (maps * old.bank.get(TAUGHT_WEIGHTS, np.float32(1)) * weights).max(axis=(1, 2)) * limit.value
+    maps = maps * old.bank.get(TAUGHT_WEIGHTS, np.float32(1))
+    scores = (maps * weights).max(axis=(1, 2)) * limit.value
     found = promise_at(scores, limit.value, limit.alpha, nominal.specimens)
     if found is None:
+        highest = maps[:, weights > 1].max(axis=1)
+        usual, most = float(np.median(highest)), float(highest.max())
+        harmless = math.floor(100 / most) / 100
         raise FitError(
-            "with these factors every sound press would fail; choose smaller ones, or draw other regions"
+            f"with these factors every sound press would fail: nominal ones reach {most:.2f} of the limit there, half "
+            f"of them {usual:.2f}, so a factor of {harmless:.2f} fails none of them and {1 / usual:.2f} half; choose "
+            "smaller ones, or draw other regions"
         )
     return found.model_copy(update={"method": f"{limit.method}; the promise with the drawn regions"})
 

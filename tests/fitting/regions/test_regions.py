@@ -154,6 +154,15 @@ def test_a_stricter_region_finds_a_fainter_dent_and_promises_anew(inspected: Jud
     assert gelgate("bundle", "verify", new).code == 0
 
 
+def test_a_factor_that_fails_every_sound_press_is_refused_with_one_that_fails_none(
+    inspected: Judged, tmp_path: Path
+) -> None:
+    strict = DENT.replace("ignore dent", "stricter seam {}")
+    refused = draw(inspected, tmp_path / "new", inspected.nominal, "--add", strict.format(10)).sentence()
+    factor = refused.split("every sound press would fail")[1].split("a factor of ")[1].split()[0]
+    assert draw(inspected, tmp_path / "new", inspected.nominal, "--add", strict.format(factor)).code == 0
+
+
 def test_a_limit_of_an_earlier_version_gets_no_promise_of_another_limit(inspected: Judged) -> None:
     """Fits of today divide a map by its surroundings; those before 99cf57fa subtracted them."""
     old = Bundle.load(inspected.old)
