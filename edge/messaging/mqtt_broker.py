@@ -17,14 +17,17 @@ def tls_context(ca: Path | None, cert: Path | None = None, key: Path | None = No
 
     Errors: ConfigError for a file that is missing or not a certificate.
     """
+    files = [path for path in (ca, cert, key) if path is not None]
     try:
+        if any(path.is_fifo() for path in files):  # it would be waited for
+            raise OSError("one of them is a pipe")
         context = ssl.create_default_context(cafile=ca)
         context.sslsocket_class = _HandshakeSocket
         if cert is not None:
             context.load_cert_chain(cert, key)
     except (OSError, ssl.SSLError) as error:
-        files = ", ".join(str(path) for path in (ca, cert, key) if path is not None)
-        raise ConfigError(f"TLS files {files} cannot be used: {error}; PEM files are expected") from error
+        names = ", ".join(map(str, files))
+        raise ConfigError(f"TLS files {names} cannot be used: {error}; PEM files are expected") from error
     return context
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
+from edge.config.secret_file import read_regular_file
 from edge.core.errors import ConfigError
 from edge.core.sink_context import topic_level
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
@@ -159,6 +160,9 @@ class MqttOptions(BrokerOptions):
 
 def _password(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8").rstrip("\r\n")
+        password = read_regular_file(path).decode().rstrip("\r\n")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"password file {path} cannot be read: {error}") from error
+    if not password:
+        raise ConfigError(f"password file {path} is empty; write the password into it")
+    return password

@@ -1,6 +1,7 @@
 """What the MQTT sink says when a broker refuses: sizes, rules, credentials, certificates, and what is no broker."""
 
 import contextlib
+import os
 import shutil
 import socket
 import subprocess
@@ -200,6 +201,21 @@ def test_options_refuse_nonsense(options: dict[str, Any]) -> None:
     """Unknown keys, impossible ports, a password without a name, a key without its certificate."""
     with pytest.raises(ValueError, match="validation error"):
         MqttOptions.model_validate(options)
+
+
+def test_a_file_that_is_empty_or_a_pipe_is_a_configuration_fault(tmp_path: Path) -> None:
+    """Without a password the broker would refuse the station, and a pipe would be waited for at every start."""
+    empty, pipe = tmp_path / "empty", tmp_path / "pipe"
+    empty.write_text("\n")
+    os.mkfifo(pipe)
+    for path, words in (
+        (empty, f"password file {empty} is empty; write the password into it"),
+        (pipe, f"password file {pipe} cannot be read: .*it is a pipe, expected a file"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            plugin.open(MqttOptions(username="u", password_file=path), Station(ROOT, "x"))
+    with pytest.raises(ConfigError, match="cannot be used: one of them is a pipe"):
+        plugin.open(MqttOptions.model_validate({"tls": {"ca": pipe}}), Station(ROOT, "x"))
 
 
 def test_a_file_that_is_not_there_is_a_configuration_fault(sink_to: SinkTo) -> None:

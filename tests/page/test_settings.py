@@ -1,5 +1,6 @@
 """Where the page is served: options that cannot work, and the token."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -83,3 +84,11 @@ def test_a_check_says_that_nothing_is_encrypted(monkeypatch: pytest.MonkeyPatch)
     assert (
         "its token can be read on the way" in PageOptions(**plant, token_variable="PAGE_TOKEN").warnings()[0]
     )
+
+
+def test_a_pipe_is_no_token_file(tmp_path: Path) -> None:
+    """A start would wait for what comes out of it."""
+    os.mkfifo(tmp_path / "token", 0o640)
+
+    with pytest.raises(ConfigError, match="it is a pipe, expected a file"):
+        PageOptions(token_file=tmp_path / "token", port=1024).warnings()
