@@ -66,7 +66,7 @@ class SparkplugSink:
         return connection.level if connection is not None and connection.is_up else None
 
     def send(self, message: Message) -> None:
-        """Publish the metrics that the message changes; one without metrics is done at once.
+        """Publish the metrics that the message changes; one without metrics is done once there is a broker.
 
         Errors: SinkUnavailable while there is no broker; SinkRejected for what is not the station's.
         """
@@ -74,10 +74,10 @@ class SparkplugSink:
             changed = list(metrics_of(message, _now_ms()))
         except (ValueError, TypeError) as error:
             raise SinkRejected(f"the message on {message.topic} has no metrics: {error}") from error
-        if not changed:
-            return
         with self._lock:
             connection = self._connected()
+            if not changed:
+                return
             self._values.update({metric.name: replace(metric, is_historical=False) for metric in changed})
             connection.publish(self._outgoing("NDATA", changed))
 

@@ -202,15 +202,14 @@ def test_a_lost_connection_is_a_death_and_the_next_birth_is_another(
     assert second["Press/Verdict"] == "fail"  # known from before
 
 
-def test_without_a_broker_messages_wait_and_pictures_do_not() -> None:
-    """What has no metric is done at once; what is no message of a station is refused."""
+def test_without_a_broker_every_message_waits() -> None:
+    """Also what has no metric: were it done, the sink would count as one that works. What is no message of a station is
+    refused."""
     sink = plugin.open(SparkplugOptions(host="127.0.0.1", port=1), Station(ROOT, "press2"))
 
     for message in FAILED:
-        if message.content_type == "image/png" or message.topic.startswith("last"):
+        with pytest.raises(SinkUnavailable, match="no broker answers"):
             sink.send(message)
-    with pytest.raises(SinkUnavailable, match="no broker answers"):
-        sink.send(FAILED[0])
     with pytest.raises(SinkRejected, match="has no metrics"):
         sink.send(Message("result", b"["))
     sink.close()
