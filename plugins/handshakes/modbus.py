@@ -25,6 +25,7 @@ from edge.core.errors import ConfigError
 from edge.core.handshake import Code, Handshake
 from edge.core.plugins import HandshakePlugin
 from edge.core.ports import Clock
+from edge.core.rate import Rate
 from plugins.handshakes.registers import COILS, HOLDING, input_registers, read_trigger, status_bits
 
 __all__ = ["Modbus", "ModbusOptions", "ModbusServer", "plugin"]
@@ -39,6 +40,8 @@ REQUEST_S: Final = 5.0
 # between still answers for the PLC: one more takes the place of the one that is silent longest.
 MOST_CONNECTIONS: Final = 32
 LOOK_S: Final = 0.1
+# Whoever connects again and again, such as a scanner or a health check, does not fill the log.
+LINES_PER_MINUTE: Final = 6
 
 _ILLEGAL_FUNCTION, _ILLEGAL_ADDRESS, _ILLEGAL_VALUE, _DEVICE_FAILURE, _BUSY = 1, 2, 3, 4, 6
 
@@ -264,7 +267,7 @@ class _Connection(BaseRequestHandler):
             while registers is not None and (header := self._receive(7, is_first=True)):
                 transaction, protocol, length, unit = struct.unpack(">HHHB", header)
                 if protocol != 0 or not 2 <= length <= 254:
-                    log.warning("what %s sends is no Modbus TCP; its connection is ended", ip)
+                    self.server.warn(f"what {ip} sends is no Modbus TCP; its connection is ended")
                     return
                 answer = registers.answer(self._receive(length - 1), self, ip)
                 self.server.hear(self.request)
@@ -313,6 +316,7 @@ class ModbusServer(ThreadingTCPServer):
         self._clock = clock
         self._open: dict[socket.socket, None] = {}  # the one that is silent longest first
         self._open_lock = threading.Lock()
+        self._lines = Rate(LINES_PER_MINUTE, clock)
         self._thread = threading.Thread(target=self.serve_forever, args=(LOOK_S,), name="modbus", daemon=True)
         super().__init__((host, port), _Connection)
 
@@ -339,6 +343,11 @@ class ModbusServer(ThreadingTCPServer):
                 with suppress(OSError):
                     connection.shutdown(socket.SHUT_RDWR)
 
+    def warn(self, sentence: str) -> None:
+        """Have it in the log, unless that has enough of this minute."""
+        if self._lines.take():
+            log.warning("%s", sentence)
+
     def hear(self, request: socket.socket) -> None:
         """A connection has asked something."""
         with self._open_lock:
@@ -350,10 +359,9 @@ class ModbusServer(ThreadingTCPServer):
             if len(self._open) >= MOST_CONNECTIONS:
                 silent = next(iter(self._open))
                 del self._open[silent]
-                log.warning(
-                    "%d connections are open; the one that is silent longest is ended for %s",
-                    MOST_CONNECTIONS,
-                    client_address[0],
+                self.warn(
+                    f"{MOST_CONNECTIONS} connections are open; the one that is silent longest is ended for "
+                    f"{client_address[0]}"
                 )
                 with suppress(OSError):  # its thread ends it
                     silent.shutdown(socket.SHUT_RDWR)

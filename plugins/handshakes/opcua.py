@@ -25,6 +25,7 @@ from edge.core.errors import ConfigError
 from edge.core.handshake import Code, Handshake, HandshakeView, Refusal, Trigger
 from edge.core.plugins import HandshakePlugin
 from edge.core.ports import Clock
+from edge.core.rate import Rate
 from edge.extras import needs
 from plugins.handshakes.nodes import METHODS, NAMESPACE, STATUS, VARIABLES
 
@@ -42,6 +43,8 @@ WRITER_S: Final = 3.0
 PUSH_S: Final = 0.02
 # One more takes the place of the one that is silent longest: that of a pulled cable is never ended otherwise.
 MOST_CONNECTIONS: Final = 32
+# Whoever connects again and again, such as a scanner, does not fill the log.
+LINES_PER_MINUTE: Final = 6
 
 _caller: ContextVar[Any] = ContextVar("session")
 
@@ -63,6 +66,7 @@ class OpcUaServer:
 
     def __init__(self, host: str, port: int, clock: Clock) -> None:
         self._clock = clock
+        self._lines = Rate(LINES_PER_MINUTE, clock)
         self._held = _listen(host, port)  # until it serves
         self._address: tuple[str, int] = self._held.getsockname()[:2]
         self.name = "OPC UA at opc.tcp://{}:{}".format(*self._address)
@@ -112,7 +116,7 @@ class OpcUaServer:
         try:
             while not self._closing.is_set():
                 await self._push(server)
-                _make_place(server)
+                _make_place(server, self._lines)
                 with suppress(TimeoutError):
                     await asyncio.wait_for(self._closing.wait(), PUSH_S)
         finally:
@@ -288,16 +292,17 @@ def _note_callers(server: "Server", clock: Clock) -> None:
     server.iserver.create_session = create_session
 
 
-def _make_place(server: "Server") -> None:
+def _make_place(server: "Server", lines: Rate) -> None:
     """End what is silent longest, where more than so many connections are open."""
     clients = server.bserver.clients
     silent = sorted(clients, key=lambda client: client.processor.session_last_activity or inf)
     for client in silent[: max(0, len(clients) - MOST_CONNECTIONS)]:
-        log.warning(
-            "more than %d connections are open; %s, silent longest, is ended",
-            MOST_CONNECTIONS,
-            client.peer_name,
-        )
+        if lines.take():
+            log.warning(
+                "more than %d connections are open; %s, silent longest, is ended",
+                MOST_CONNECTIONS,
+                client.peer_name,
+            )
         client.transport.abort()  # what it has not taken it never will
 
 

@@ -16,7 +16,14 @@ from edge.clock import ManualClock
 from edge.core.errors import ConfigError
 from edge.core.handshake import Code, Trigger
 from edge.messaging.alarm_payload import ALARMS
-from plugins.handshakes.modbus import MOST_CONNECTIONS, WRITER_S, ModbusOptions, ModbusServer, plugin
+from plugins.handshakes.modbus import (
+    LINES_PER_MINUTE,
+    MOST_CONNECTIONS,
+    WRITER_S,
+    ModbusOptions,
+    ModbusServer,
+    plugin,
+)
 from plugins.handshakes.registers import ALARM_BITS, COILS, HOLDING, INPUTS, STATUS_BITS
 
 STATUS, ID, ERROR, REFUSAL, RATIO, GEL, ALARM_WORD = 0, 1, 3, 4, 5, 6, 7
@@ -303,6 +310,19 @@ def test_cables_that_fell_silent_keep_no_plc_out(served: Served) -> None:
         assert first.bits == {"ready", "not passed"}
     assert served.client().trigger(1) == 0
     assert silent[0].client.socket.recv(1) == b"", "the one that was silent longest"
+
+
+def test_whoever_connects_again_and_again_does_not_fill_the_log(
+    served: Served, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A health check that speaks HTTP, every second of the year."""
+    for _ in range(LINES_PER_MINUTE + 4):
+        with socket.create_connection(("127.0.0.1", served.port), 5) as stranger:
+            stranger.sendall(b"GET / HTTP/1.1\r\n\r\n")
+            while stranger.recv(100):
+                pass
+    said = [one.getMessage() for one in caplog.records if "is no Modbus TCP" in one.getMessage()]
+    assert len(said) == LINES_PER_MINUTE
 
 
 class CutPlc:
