@@ -5,14 +5,16 @@ from pathlib import Path
 
 from edge.core.errors import ConfigError
 
-__all__ = ["read_regular_file", "read_secret"]
+__all__ = ["read_secret"]
 
 
 def read_secret(path: Path, key: str, shortest: int) -> bytes:
     """The secret without blanks around it, at least `shortest` bytes. key: of the configuration, such as
     `commands.secret_file`. Errors: ConfigError; none holds the secret."""
     try:
-        secret = read_regular_file(path).strip()
+        if path.is_fifo():  # reading would wait for its writer
+            raise OSError(errno.EINVAL, "it is a pipe, expected a file")
+        secret = path.read_bytes().strip()
         rights = path.stat().st_mode
     except OSError as error:
         raise ConfigError(
@@ -23,10 +25,3 @@ def read_secret(path: Path, key: str, shortest: int) -> bytes:
     if len(secret) < shortest:
         raise ConfigError(f"{key}: {path} holds {len(secret)} bytes, at least {shortest} are needed")
     return secret
-
-
-def read_regular_file(path: Path) -> bytes:
-    """The bytes of a file. A pipe is refused: reading it would wait for its writer. Errors: OSError."""
-    if path.is_fifo():
-        raise OSError(errno.EINVAL, "it is a pipe, expected a file", str(path))
-    return path.read_bytes()

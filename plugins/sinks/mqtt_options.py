@@ -6,7 +6,6 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-from edge.config.secret_file import read_regular_file
 from edge.core.errors import ConfigError
 from edge.core.sink_context import topic_level
 from edge.messaging.command_payloads import LARGEST_REQUEST_BYTES
@@ -160,7 +159,9 @@ class MqttOptions(BrokerOptions):
 
 def _password(path: Path) -> str:
     try:
-        password = read_regular_file(path).decode().rstrip("\r\n")
+        if path.is_fifo():  # reading would wait for its writer
+            raise OSError("it is a pipe, expected a file")
+        password = path.read_text(encoding="utf-8").rstrip("\r\n")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"password file {path} cannot be read: {error}") from error
     if not password:
