@@ -89,6 +89,10 @@ class StudyLabels(PressStage):
         if press.word not in SCORED:
             self.say(f"no score: {press.error or press.reason}; press {label.piece} again")
             return
+        if press.is_at_rest is False:
+            self.say(
+                "it was lifted before it rested, and its deepest frame was judged: r and Enter repeats it"
+            )
         self._last = (label.step, press.press_id)
         for steps in (self._open, self._skipped):
             if label.step in steps:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from command_line import gelgate
-from station import press_recording, small_bundle, station_config
+from station import Motion, press_recording, small_bundle, station_config
 from stepped_station import SteppedStation
 
 from calibration.experiments.gauge.live import StudyLabels, prepare_labels
@@ -217,3 +217,14 @@ def test_what_cannot_be_done_is_one_sentence(
     done = gelgate("lab", "msa", *words)
 
     assert (done.code, sentence in done.sentence()) == (3, True)
+
+
+def test_a_press_that_was_lifted_before_it_rested_is_said(tmp_path: Path, small: StudyPlan) -> None:
+    """It counts as it would in operation, and the person may repeat it."""
+    bundle = small_bundle(tmp_path / "pz0", press_recording(tmp_path / "nominal", 8, seed=1))
+    said: list[str] = []
+    film = press_recording(tmp_path / "film", 1, motion=Motion(hold=3, idle=10), seed=4)
+    with running(station_config(tmp_path, film, bundle), small, said) as (station, labels, _):
+        station.play_presses(1)
+    assert labels.left == 7
+    assert any("lifted before it rested" in line and "repeats it" in line for line in said)
