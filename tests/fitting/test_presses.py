@@ -126,6 +126,16 @@ def test_every_picture_at_fault_is_named_at_once(tmp_path: Path) -> None:
     assert all(words in str(caught.value) for words in said)
 
 
+def test_what_all_pictures_have_in_common_is_one_sentence(tmp_path: Path) -> None:
+    """Pictures of another camera: a line for each would hide what to do."""
+    for name in ("a.png", "b.png", "c.png"):
+        folder = write(tmp_path / "good", name, png(np.full((10, 20, 3), 77, np.uint8)))
+    with pytest.raises(
+        DatasetError, match=r"^none of the 3 pictures can be used; each is 20x10, [^\n]*resizing$"
+    ):
+        read_presses([folder], PROFILE, REGION)
+
+
 def test_other_sizes_are_scaled_only_when_asked(tmp_path: Path) -> None:
     """A picture of another tool can be used with an option; a portrait loses its upper and lower quarter."""
     tall = np.zeros((160, 120, 3), np.uint8)

@@ -359,6 +359,9 @@ def _pictures(
             found.append((path, require_light(path, read_rgb(path, profile, resize=resize))))
         except DatasetError as error:
             faults.append(str(error))
+    whys = {fault.partition(": ")[2] for fault in faults}
+    if len(faults) == len(files) > 1 and len(whys) == 1:
+        raise DatasetError(f"none of the {len(files)} pictures can be used; each {whys.pop()}")
     if faults:
         raise DatasetError(
             f"{len(faults)} of {len(files)} pictures cannot be used; repair or remove:\n  "
