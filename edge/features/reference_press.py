@@ -17,6 +17,7 @@ from edge.core.reference_press.charts import ReferencePress, judge, why_due
 from edge.core.reference_press.outcome import Imprint, Outcome
 from edge.core.sentence import Sentence
 from edge.core.suggest import suggestion
+from edge.core.verdict import Verdict
 from edge.messaging.command_payloads import CommandArguments, PlainText
 from edge.messaging.reference_message import describe_reference_press
 from edge.messaging.result_payload import ResultPayload
@@ -142,6 +143,9 @@ class ReferenceGuard(PressStage):
     def judge(self, press: Press, settled: PressSettled | None, inspector: Inspector) -> Press:
         if settled is None or not isinstance(press.label, ReferenceLabel):
             return press
+        if press.is_at_rest is False:  # less deep than the others, perhaps: no measure of gel and fixture
+            why = Sentence("the master piece was lifted before it rested; press it longer")
+            return replace(press, verdict=Verdict.rejected(Rejection(Reason.NOT_SETTLED, why)))
         turn_rad = None if press.registered is None else press.registered.turn_rad
         return replace(press, imprint=Imprint.of(settled, inspector.bundle.profile, turn_rad))
 

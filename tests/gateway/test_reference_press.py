@@ -75,6 +75,19 @@ def published(config: Path, topic: str) -> list[dict[str, Any]]:
         ]
 
 
+def test_a_master_piece_that_is_lifted_before_it_rests_is_not_measured(tmp_path: Path, bundle: Path) -> None:
+    """A part is judged at its peak then; the charts would learn a press that may be less deep."""
+    film = press_recording(tmp_path / "film", 1, motion=Motion(hold=3), seed=5)
+    path = station_config(tmp_path / "station", film, bundle, tables=TABLE.format(enforce="warn"))
+    with SteppedStation(path) as station:
+        start(station)
+        reference(station)
+    (sent,) = published(path, "reference")
+
+    assert (sent["outcome"], sent["score"]) == ("not_measured", None)
+    assert "lifted before it rested" in str(sent)
+
+
 def test_a_reference_press_is_no_result_and_counts_on_the_gel(config: Callable[..., Path]) -> None:
     """A missing one is said, and with warn parts pass. It has its own topic with its charts, whose measures are those
     of the press; the part presses before and after have numbers without a gap."""
