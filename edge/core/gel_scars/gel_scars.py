@@ -132,7 +132,7 @@ class GelScars:
         if not excess.any():
             self._in_a_row[shown] = 0
             return None
-        near = _within(excess > 0, _HALO_PX)
+        near = _within(excess > 0, _HALO_PX) & shown  # what no press shows would count for ever
         self._in_a_row = np.where(near, self._in_a_row + 1, np.where(shown, 0, self._in_a_row))
         most = int(self._in_a_row.max())
         here = near & (self._in_a_row == most)

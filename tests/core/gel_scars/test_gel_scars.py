@@ -221,6 +221,17 @@ def test_a_place_that_exceeds_in_five_presses_in_a_row_is_repeated() -> None:
     assert (places[4].x_mm, places[4].y_mm) == pytest.approx((176 * 0.0634, 37 * 0.0634), abs=0.13)
 
 
+def test_presses_between_which_others_pass_are_no_repeats_at_the_edge_of_the_region_either() -> None:
+    """What lies beyond the region is never shown: counts there would stay for ever."""
+    picture = FREE.copy()
+    picture[4:12, 76:84] += np.float32(12)  # the region begins in row 4
+    gel = GelScars()
+
+    found = [gel.judge(each, None).repeated for _ in range(8) for each in (scored(picture), press())]
+
+    assert found == [None] * 16
+
+
 def test_damage_that_moves_with_the_part_is_not_repeated_and_of_a_fixture_it_is_said_to_be_reached() -> None:
     """Five bad parts: the gel or the parts, which cannot be told, so the place is not called the gel's."""
     moving, held = GelScars(first=FREE), GelScars(first=FREE)
