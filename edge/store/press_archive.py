@@ -391,7 +391,7 @@ def _read(path: Path, what: str) -> bytes:
     except FileNotFoundError:
         raise ArchiveError(
             f"{what} is gone: {path} is not there; only the newest presses are kept ([archive]), without one just "
-            "before a crash; older ones are in backups of the folder, which --archive names"
+            "before a crash; older ones are in backups of the folder, which `gelgate station replay --archive` reads"
         ) from None
     except OSError as error:
         raise ArchiveError(f"{what} cannot be read: {path}: {error.strerror}; check its rights") from error
