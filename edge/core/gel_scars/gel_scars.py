@@ -132,13 +132,13 @@ class GelScars:
         if not excess.any():
             self._in_a_row[shown] = 0
             return None
-        near = _within(excess > 0, _HALO_PX) & shown  # what no press shows would count for ever
-        self._in_a_row = np.where(near, self._in_a_row + 1, np.where(shown, 0, self._in_a_row))
+        near = _within(excess > 0, _HALO_PX)
+        self._in_a_row = np.where(shown, np.where(near, self._in_a_row + 1, 0), self._in_a_row)
         most = int(self._in_a_row.max())
         here = near & (self._in_a_row == most)
         if most < _REPEATED or not here.any():
             return None
-        inside = cv2.distanceTransform(here.astype(np.uint8), cv2.DIST_L2, 5)
+        inside = np.where(here, cv2.distanceTransform(near.astype(np.uint8), cv2.DIST_L2, 5), 0)
         row, column = np.unravel_index(int(inside.argmax()), here.shape)
         x_px, y_px = (column + 0.5) * press.size[0] / VIEW_SIZE[0], (row + 0.5) * press.size[1] / VIEW_SIZE[1]
         return Repeated(
