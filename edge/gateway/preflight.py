@@ -131,7 +131,7 @@ class Preflight:
             for one in opened.bundles.shadows.values()
         ]
         self.findings += [
-            Finding("shadow", f"{fault}; presses are inspected without it")
+            Finding("shadow", f"warning: {fault}; presses are inspected without it")
             for fault in opened.bundles.shadow_faults
         ]
         self.findings += [Finding("bundle", str(error), error) for error in opened.faults.values()]
