@@ -32,7 +32,7 @@ Each part is random, fitted with 24 pieces (8 of them pressed twice) of one batc
 
 - **Gel.** A grain or a hair settles every 60 presses, and stays until it is wiped: each morning, and where the station
   says so. A scratch, a dent or a rubbed place comes every 400 presses and stays. The coat wears. In the middle of the
-  month another gel is mounted, and on the morning after a station still asked for one in the evening.
+  month another gel is mounted, and where the alarm for scars comes back at the press after the gel was wiped.
 - **Lamps** lose a fifth of their light. **Operator:** place (sd 0.15 mm), turn (1 degree) and depth (4 %) wander; the
   gel is free for 0.3 to 1.6 s between presses. **Batches:** every three days, relief up to 4 % and size up
   to 0.3 % different, tool marks of 1 to 3 um.
@@ -102,7 +102,9 @@ _LINES: Final[Mapping[str, Callable[[list[Row]], object]]] = {
     "pieces without a verdict": lambda own: _total(own, "no_verdict"),
     "presses asked for again": lambda own: _total(own, "pressed_again"),
     "gel wiped because the station said so": lambda own: _total(own, "wiped"),
-    "gels used": lambda own: len({(row["part"], row["gel"]) for row in own}),
+    "gels used": lambda own: sum(
+        1 + max(row["gel"] for row in own if row["part"] == part) for part in {row["part"] for row in own}
+    ),
     "presses that the person was asked about": lambda own: _total(own, "asked"),
     "answers that were wrong": lambda own: _total(own, "answered_wrongly"),
     f"days after the third with more than {_MOST_FALSE:.0%} false alarms": lambda own: _count_bad_days(own),

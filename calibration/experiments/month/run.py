@@ -76,7 +76,7 @@ def _run_day(month: Month, arm: str, day: int, here: Path, trunks: TrunkSessions
     """
     began_s = time.process_time()
     presses, fit = month.day(day), here / "fit"
-    is_new_gel = day > 0 and (month.is_gel_changed(day) or yesterday["needs_gel"])
+    is_new_gel = month.is_gel_changed(day)
     known = (yesterday.get("gel", 0), yesterday.get("gel_since", 0))
     gel = MountedGel(month, *((known[0] + 1, presses[0].number) if is_new_gel else known))
     first = fit_first(MountedGel(month), fit)
@@ -113,8 +113,8 @@ def _run_day(month: Month, arm: str, day: int, here: Path, trunks: TrunkSessions
         "day": day + 1,
         "days": month.days,
         "month_presses": month.presses,
-        "gel": gel.number,
-        "gel_since": gel.since,
+        "gel": opened.gel.number,
+        "gel_since": opened.gel.since,
         **counts,
         "alarms": dict(counts["alarms"]),
         "escaped": {name: number for name, number in counts["escaped"].items() if number},

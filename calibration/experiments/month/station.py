@@ -41,6 +41,7 @@ _MOST_PRESSES: Final = 3
 # Free gel before the first press: the station learns its picture.
 _LEARN_S: Final = 2.0
 _WIPE_S: Final = 3.5
+_GEL_ALARMS: Final = frozenset({"gel_mark", "gel_scar"})
 
 CONFIGURATION: Final = """version = 1
 [device]
@@ -108,8 +109,6 @@ class DayCounts:
     """What passed: a kind of damage, or `wrong`."""
     causes: Counter[str] = field(default_factory=Counter)
     """What the station blames for its false alarms."""
-    needs_gel: bool = False
-    """Whether the station still asks for another gel at the end of the day: it was wiped, and scars hide too much."""
     must_learn: bool = False
     """Whether the station says at the end of the day that it is time to learn."""
     unproven: str | None = None
@@ -145,6 +144,7 @@ class DayStation:
         self._truths: dict[str, str] = json.loads(self._known.read_text()) if self._known.exists() else {}
         self._sensor, self._sequence = _Sensor(), 0
         self._raised: frozenset[str] = frozenset()
+        self._scarred = 0
         self._rng = gel.month.streams("person", day)
 
     @contextmanager
@@ -173,8 +173,7 @@ class DayStation:
         """Show the free gel, wiped; a new one is recorded as such. first: the press that comes first."""
         self._show(self.gel.free(first, _LEARN_S))
         if is_new_gel:
-            self._ask("replace_gel")
-            self._show(self.gel.free(first, _LEARN_S))
+            self._record_gel(first)
 
     def press(self, press: PlannedPress) -> None:
         """Press a piece, again where the station says so, and count what became of it."""
@@ -208,7 +207,6 @@ class DayStation:
         questions = self._said("questions")
         for question in [] if questions is None else questions["presses"]:
             self._answer(str(question["press_id"]))
-        self.counts.needs_gel = "gel_scar" in self._raised
         state = self._said("state")
         self.counts.unproven = None if state is None else state.get("unproven")
         self._turn(1.5)
@@ -235,14 +233,17 @@ class DayStation:
             self._truths[report.press.press_id] = (
                 "gel" if is_gel else "good" if press.truth == "sound" else "damaged"
             )
+        self._scarred = self._scarred + 1 if "gel_scar" in self._raised else 0
         return reports[-1] if reports else None
 
     def _is_asked(self, report: PressReport | None, press: PlannedPress) -> bool:
-        """Do what docs/gel.md says of the cause: wipe the gel, and press again. Returns whether the piece is pressed
-        again."""
+        """Do what the station says: wipe the gel, mount another one where the alarm for scars comes back at the next
+        press, and press again. Returns whether the piece is pressed again."""
         blame = None if report is None else report.press.blame
-        is_doubted = (blame is not None and blame.cause is not Cause.PART) or "gel_mark" in self._raised
-        if is_doubted:
+        is_doubted = (blame is not None and blame.cause is not Cause.PART) or bool(_GEL_ALARMS & self._raised)
+        if self._scarred > 1:
+            self._mount(press)
+        elif is_doubted:
             self.wipe(press)
         word = "lost" if report is None else report.word
         return is_doubted or word not in ("pass", "fail")
@@ -252,6 +253,16 @@ class DayStation:
         self.counts.wiped += 1
         self.gel.specks.clear()
         self._show(self.gel.free(press, _WIPE_S))
+
+    def _mount(self, press: PlannedPress) -> None:
+        """Mount another gel before a press is made again."""
+        self.gel, self._scarred = MountedGel(self.gel.month, self.gel.number + 1, press.number), 0
+        self._show(self.gel.free(press, _LEARN_S))
+        self._record_gel(press)
+
+    def _record_gel(self, press: PlannedPress) -> None:
+        self._ask("replace_gel")
+        self._show(self.gel.free(press, _LEARN_S))
 
     def _show(self, frames: Iterable[bytes]) -> None:
         for payload in frames:

@@ -25,7 +25,6 @@ def row(arm: str, day: int, **changes: Any) -> dict[str, Any]:
         "month_presses": 100,
         "gel": 0,
         "gel_since": 0,
-        "needs_gel": False,
         "pieces": 20,
         "sound": 19,
         "not_sound": 1,

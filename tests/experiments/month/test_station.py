@@ -93,6 +93,31 @@ def test_another_gel_is_recorded_and_not_proven(bundle: Path, tmp_path: Path) ->
     assert day.counts.alarms["gel_proof"] == 1
 
 
+def test_a_gel_whose_scars_are_named_again_after_it_was_wiped_is_changed(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The piece is pressed again on the other gel, which has no scars; every press fails."""
+    strict = variant(bundle, tmp_path / "strict", threshold=FIVE | {"value": 1e-9})
+    config, press = write_config(tmp_path, strict, 100), MONTH.day(0)[0]
+    scarred = MountedGel(MONTH)
+
+    def raise_on_it(day: DayStation) -> None:
+        day._raised = frozenset({"gel_scar"} if day.gel is scarred else ())
+
+    monkeypatch.setattr(DayStation, "_note_alarms", raise_on_it)
+    with DayStation(config, 0, scarred, TrunkSessions(1)).open() as opened:
+        opened.begin(press, is_new_gel=False)
+        opened.press(press)
+        opened.end()
+
+    assert (opened.counts.wiped, opened.counts.pressed_again) == (1, 2)
+    assert (opened.gel.number, opened.gel.since) == (1, press.number)
+    with open_read_only(tmp_path / "gelgate.db", "reading it") as connection:
+        assert connection.execute("SELECT gel_id, count(*) FROM presses GROUP BY gel_id").fetchall() == [
+            ("SIM00001-1", 2), ("SIM00001-2", 1)
+        ]  # fmt: skip
+
+
 def test_a_shadow_of_too_few_presses_stays_a_shadow(bundle: Path, tmp_path: Path) -> None:
     """The station says how many are needed; a shadow that is worse is not kept."""
     other = variant(bundle, tmp_path / "other", revision=7)
