@@ -144,7 +144,7 @@ class DayStation:
         self._truths: dict[str, str] = json.loads(self._known.read_text()) if self._known.exists() else {}
         self._sensor, self._sequence = _Sensor(), 0
         self._raised: frozenset[str] = frozenset()
-        self._scarred = 0
+        self._gel_doubts, self._morning = 0, gel
         self._rng = gel.month.streams("person", day)
 
     @contextmanager
@@ -233,15 +233,15 @@ class DayStation:
             self._truths[report.press.press_id] = (
                 "gel" if is_gel else "good" if press.truth == "sound" else "damaged"
             )
-        self._scarred = self._scarred + 1 if "gel_scar" in self._raised else 0
+        self._gel_doubts = self._gel_doubts + 1 if _GEL_ALARMS & self._raised else 0
         return reports[-1] if reports else None
 
     def _is_asked(self, report: PressReport | None, press: PlannedPress) -> bool:
-        """Do what the station says: wipe the gel, mount another one where the alarm for scars comes back at the next
-        press, and press again. Returns whether the piece is pressed again."""
+        """Do what the station says: wipe the gel, mount another one, once a day at most, where its alarm for the gel is
+        there again at the next press, and press again. Returns whether the piece is pressed again."""
         blame = None if report is None else report.press.blame
         is_doubted = (blame is not None and blame.cause is not Cause.PART) or bool(_GEL_ALARMS & self._raised)
-        if self._scarred > 1:
+        if self._gel_doubts > 1 and self.gel is self._morning:
             self._mount(press)
         elif is_doubted:
             self.wipe(press)
@@ -256,7 +256,7 @@ class DayStation:
 
     def _mount(self, press: PlannedPress) -> None:
         """Mount another gel before a press is made again."""
-        self.gel, self._scarred = MountedGel(self.gel.month, self.gel.number + 1, press.number), 0
+        self.gel, self._gel_doubts = MountedGel(self.gel.month, self.gel.number + 1, press.number), 0
         self._show(self.gel.free(press, _LEARN_S))
         self._record_gel(press)
 

@@ -93,28 +93,26 @@ def test_another_gel_is_recorded_and_not_proven(bundle: Path, tmp_path: Path) ->
     assert day.counts.alarms["gel_proof"] == 1
 
 
-def test_a_gel_whose_scars_are_named_again_after_it_was_wiped_is_changed(
+def test_a_gel_that_is_blamed_again_after_it_was_wiped_is_changed_once_a_day(
     bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The piece is pressed again on the other gel, which has no scars; every press fails."""
+    """Pieces are pressed again on the other gel, which is blamed as well; every press fails."""
     strict = variant(bundle, tmp_path / "strict", threshold=FIVE | {"value": 1e-9})
-    config, press = write_config(tmp_path, strict, 100), MONTH.day(0)[0]
-    scarred = MountedGel(MONTH)
-
-    def raise_on_it(day: DayStation) -> None:
-        day._raised = frozenset({"gel_scar"} if day.gel is scarred else ())
-
-    monkeypatch.setattr(DayStation, "_note_alarms", raise_on_it)
-    with DayStation(config, 0, scarred, TrunkSessions(1)).open() as opened:
-        opened.begin(press, is_new_gel=False)
-        opened.press(press)
+    config, presses = write_config(tmp_path, strict, 100), MONTH.day(0)[:2]
+    monkeypatch.setattr(
+        DayStation, "_note_alarms", lambda day: setattr(day, "_raised", frozenset({"gel_scar"}))
+    )
+    with DayStation(config, 0, MountedGel(MONTH), TrunkSessions(1)).open() as opened:
+        opened.begin(presses[0], is_new_gel=False)
+        for press in presses:
+            opened.press(press)
         opened.end()
 
-    assert (opened.counts.wiped, opened.counts.pressed_again) == (1, 2)
-    assert (opened.gel.number, opened.gel.since) == (1, press.number)
+    assert (opened.counts.wiped, opened.counts.pressed_again) == (3, 4)
+    assert (opened.gel.number, opened.gel.since) == (1, presses[0].number)
     with open_read_only(tmp_path / "gelgate.db", "reading it") as connection:
         assert connection.execute("SELECT gel_id, count(*) FROM presses GROUP BY gel_id").fetchall() == [
-            ("SIM00001-1", 2), ("SIM00001-2", 1)
+            ("SIM00001-1", 2), ("SIM00001-2", 4)
         ]  # fmt: skip
 
 
