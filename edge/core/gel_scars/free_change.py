@@ -43,11 +43,10 @@ _FADES_SIGMA = 1.0
 @dataclass(frozen=True, eq=False)
 class Marks:
     """Where the free gel is marked, bool (h, w), and how it has changed there, signed levels, float32 (h, w, 3): 0 away
-    from the marks. faint: with all that has changed by half as much, doubtful or not, bool (h, w)."""
+    from the marks."""
 
     places: Mask
     change: View
-    faint: Mask
 
 
 def marks(first: View, now: View, left: View | None = None) -> Marks | None:
@@ -67,15 +66,15 @@ def marks(first: View, now: View, left: View | None = None) -> Marks | None:
         detail = detail - rest
         doubtful = doubtful + np.float32(_LEFT_DOUBT) * _widest(rest, 1)
     seen = np.abs(cv2.GaussianBlur(detail, (0, 0), _NOISE_SIGMA * _scale(first))).max(axis=2)
-    levels = np.maximum(seen - doubtful, 0)
-    if (typical := float(np.median(levels))) > _MARK_LEVELS:
+    places = _clear(np.maximum(seen - doubtful, 0))
+    return None if places is None else Marks(places, _at(places, detail))
+
+
+def _clear(levels: F32) -> Mask | None:
+    """Find where a change is a mark, bool (h, w); single pixels are noise. None where all of it has changed."""
+    typical = float(np.median(levels))
+    if typical > _MARK_LEVELS:
         return None
-    places = _clear(levels, typical)
-    return Marks(places, _at(places, detail), _clear(2 * seen, typical))
-
-
-def _clear(levels: F32, typical: float) -> Mask:
-    """Find where a change is a mark, bool (h, w); single pixels are noise. typical: the median change."""
     far = (levels > max(_MARK_LEVELS, _MARK_TIMES * typical)).astype(np.uint8)
     neighbours = cv2.boxFilter(far, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
     return np.asarray((far > 0) & (neighbours >= 2))

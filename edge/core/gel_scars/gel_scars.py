@@ -93,7 +93,6 @@ class GelScars:
         self.record = record or ScarRecord.empty((VIEW_SIZE[1], VIEW_SIZE[0]))
         self.first = first
         self._in_a_row = np.zeros((VIEW_SIZE[1], VIEW_SIZE[0]), np.int64)
-        self._of_marks = np.zeros((VIEW_SIZE[1], VIEW_SIZE[0]), np.bool_)  # masked since the start for a mark
         self._found: tuple[tuple[View | None, View | None, View | None], Marks | None] = (
             (None, None, None),
             None,
@@ -106,8 +105,6 @@ class GelScars:
 
         is_masking: False judges known scars too.
         """
-        if self._of_marks.any():
-            self._see_wiped(self.find_marks(free, left))
         before = self.record.masked
         excess = press.excess()
         scarred = press.in_map(before) & is_masking
@@ -164,16 +161,6 @@ class GelScars:
             self._found = (first, free, left), marks(first, free, left)
         return self._found[1]
 
-    def _see_wiped(self, known: Marks | None) -> None:
-        """Judge again what was masked for a mark that the free gel shows no more, as of a hair that was wiped off."""
-        if known is None:
-            return
-        count, labels = cv2.connectedComponents(self._of_marks.astype(np.uint8))
-        stays = np.isin(np.arange(count), labels[_within(known.faint, _HALO_PX)])
-        wiped = self._of_marks & ~stays[labels]
-        self.record = self.record.without(wiped)
-        self._of_marks &= ~wiped & self.record.masked
-
     def _blame_places(
         self, press: ScoredPress, excess: F32, found: _Places, known: Marks | None
     ) -> tuple[list[Blame], Mask]:
@@ -187,8 +174,7 @@ class GelScars:
             place = found.labels == n
             blames.append(blame(left, self.record.repeats(place), _wide_mm(found.boxes[n], press)))
             if blames[-1].cause is Cause.GEL:
-                scars |= (scar := self._scar(place, known))
-                self._of_marks |= scar & is_explained(left)
+                scars |= self._scar(place, known)
         return blames, scars
 
     def _scar(self, place: Mask, known: Marks | None) -> Mask:

@@ -85,12 +85,6 @@ class ScarRecord:
         """Find where at least this number of presses, decayed, exceeded: bool (h, w)."""
         return np.asarray(self.planes[_HITS] >= least)
 
-    def without(self, wiped: Mask) -> "ScarRecord":
-        """Make the record with these places judged again, bool (h, w)."""
-        planes = self.planes.copy()
-        planes[_MASK, wiped] = 0
-        return ScarRecord(planes)
-
     def after(
         self,
         exceeds: Mask,

@@ -70,18 +70,6 @@ def test_a_mark_is_named_once_and_then_masked_with_its_area() -> None:
     assert after.blind_share == pytest.approx(after.blind_mm2 / (224 * 0.0634) ** 2, rel=0.01)
 
 
-def test_what_was_wiped_off_the_gel_is_judged_in_the_next_press() -> None:
-    """What still shows a little of the mark stays masked."""
-    gel, shown = GelScars(first=FREE), (20, 20, 0.9)
-    masked = [gel.judge(press(free=marked(levels)), marked(levels)).masked.any() for levels in shown]
-    damaged = gel.judge(press(8), FREE)
-
-    assert masked == [False, True, True]
-    assert not damaged.masked.any()
-    assert damaged.blame is not None
-    assert damaged.blame.cause is Cause.PART
-
-
 BLAMED = {
     "damage that is there without the mark": (press(8, free=marked(20)), Cause.PART),
     **{f"a mark that contact flattens to {n}": (press(free=marked(n)), Cause.GEL) for n in (9, 14, 20)},
