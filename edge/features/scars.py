@@ -159,13 +159,10 @@ class ScarWatch(PressStage):
 
     def _findings(self, inspection: Press, judged: Judged) -> ScarFindings:
         """Say what the scars hide, and why the press is not passed where it is not."""
-        if not self._scars.record.masked.any():
-            self._blind = None
+        is_too_blind = judged.blind_share > self._most_blind_share
+        self._blind = _too_blind(self._gel_id, judged, self._most_blind_share) if is_too_blind else None
         if not judged.masked.any() or inspection.verdict is None:
             return ScarFindings(judged.blame or _NOWHERE)
-        is_too_blind = judged.blind_share > self._most_blind_share
-        if is_too_blind:
-            self._blind = _too_blind(self._gel_id, judged, self._most_blind_share)
         return ScarFindings(
             judged.blame or (Blame(Cause.GEL, self._blind) if is_too_blind and self._blind else _NOWHERE),
             judged.masked,

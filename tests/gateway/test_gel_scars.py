@@ -69,6 +69,17 @@ def test_with_too_much_under_scars_no_press_passes(played: SteppedStation) -> No
     assert "at most 5% are accepted" in str(played.alarm("gel_scar"))
 
 
+def test_a_gel_that_was_wiped_is_judged_whole_in_the_next_press(tmp_path: Path, bundle: Path) -> None:
+    """A place that stays below the limit hides nothing, and the alarm is gone."""
+    recording = scarred_recording(tmp_path / "presses", 4, marks={1: MORE}, wiped=3)
+    with SteppedStation(station_config(tmp_path, recording, bundle)) as station:
+        station.play_until(lambda: len(station.reports) == 3)
+        assert (station.verdicts[1:], station.results[2].cause) == ([Kind.FAIL, Kind.UNSURE], Cause.GEL)
+        station.play_until(lambda: len(station.reports) == 4)
+        assert (station.verdicts[3], station.results[3].blind_share) == (Kind.PASS, 0)
+        assert station.alarm("gel_scar") is None
+
+
 def test_a_verdict_with_masked_scars_is_made_again(played: SteppedStation) -> None:
     """The places that were not judged are archived with the press: all seven verdicts are equal bit for bit."""
     done = gelgate("station", "replay", "--all", "-c", played.parts.store.path.with_name("gelgate.toml"))

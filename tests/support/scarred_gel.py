@@ -23,10 +23,11 @@ def scarred_recording(
     dented: Sequence[int] = (),
     motion: Motion | None = None,
     levels: float = _LEVELS,
+    wiped: int | None = None,
     on_part: Callable[[NDArray[np.uint8], int], NDArray[np.uint8]] = lambda frame, press: frame,
 ) -> Path:
     """Presses as of `press_recording`. marks: left, top and side of the marks that appear before press n, and how
-    strong. on_part: changes the frames of press n while it is pressed."""
+    strong. wiped: the press before which all are gone. on_part: changes the frames of press n while it is pressed."""
     motion = motion or Motion(idle=20)
     rng = np.random.default_rng(5)
     shown: list[tuple[int, int, int]] = []
@@ -37,6 +38,8 @@ def scarred_recording(
             after = 0 if press < 0 else motion.idle
             for step, depth in enumerate([*depths, *[0.0] * after]):
                 if step == len(depths):
+                    if press + 1 == wiped:
+                        shown.clear()
                     shown += marks.get(press + 1, ())
                 frame = gel(rng, depth, press in dented)
                 frame = _marked(on_part(frame, press) if depth else frame, shown, levels)

@@ -60,16 +60,17 @@ class Judged:
 
 
 class _Places(NamedTuple):
-    """The connected places above the limit, numbered from 1."""
+    """Connected places of the view, numbered from 1."""
 
     labels: NDArray[np.int32]
-    """The place of each pixel of the view; 0 where the limit is not exceeded."""
+    """The place of each pixel; 0 outside of all."""
     boxes: NDArray[np.int32]
     """A row for each number: (left, top, width, height, area)."""
 
     @classmethod
-    def of(cls, excess: F32) -> "_Places":
-        above = (excess > 0).astype(np.uint8)
+    def of(cls, levels: F32) -> "_Places":
+        """Find where the levels are above 0."""
+        above = (levels > 0).astype(np.uint8)
         if not above.any():
             return cls(np.zeros(above.shape, np.int32), np.zeros((1, 5), np.int32))
         return cls(*cv2.connectedComponentsWithStats(above, connectivity=8)[1:3])  # type: ignore[arg-type]
@@ -107,7 +108,7 @@ class GelScars:
         """
         before = self.record.masked
         excess = press.excess()
-        scarred = press.in_map(before) & is_masking
+        scarred = press.in_map(_exceeding(before, excess)) & is_masking
         found = _Places.of(excess)
         outside, left_out = _outside(press, found)
         masked = scarred | press.in_map(left_out)
@@ -184,6 +185,12 @@ class GelScars:
             near = near | _within(known.places, _HALO_PX)
         wide = cv2.dilate((place & near).astype(np.uint8), _WIDER)
         return np.asarray(wide > 0)
+
+
+def _exceeding(scars: Mask, excess: F32) -> Mask:
+    """The scars under which this press exceeds the limit. A quiet one hides nothing: it may have been wiped off."""
+    places = _Places.of(scars.astype(np.float32))
+    return places.touch(excess > 0)[places.labels]
 
 
 def _outside(press: ScoredPress, found: _Places) -> tuple[Mask, Mask]:

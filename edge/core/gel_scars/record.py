@@ -23,8 +23,8 @@ _HITS, _QUIET, _MASK, _PLACED, _X, _Y, _SQUARES = range(PLANES)
 
 # Older presses count less: half after 44 presses.
 _KEPT = 1 - 1 / 64
-# A masked place that is pressed and quiet loses this share of its weight: after 18 such presses in a row it is judged
-# again, as when a hair was wiped off.
+# A masked place that is pressed and quiet keeps this share of its weight: after 18 such presses in a row it is
+# forgotten.
 _QUIET_KEEPS = 7 / 8
 _FORGOTTEN = 0.1
 
@@ -68,7 +68,7 @@ class ScarRecord:
 
     @property
     def masked(self) -> Mask:
-        """The places that are not judged, bool (h, w)."""
+        """The places of known scars, bool (h, w)."""
         return np.asarray(self.planes[_MASK] > 0)
 
     def repeats(self, places: Mask) -> Repeats:
