@@ -89,7 +89,9 @@ def read_rgb(path: Path, profile: SensorProfile | None = None, *, resize: bool =
             if size != profile.size and not resize:
                 raise ValueError(_other_size(size, profile))
             profile = _as_it_is(size, profile.size, cut_to_aspect(size, profile.size))
-        return decode(CameraFrame(payload, 0, 0), profile)
+        if (frame := CameraFrame(payload, 0, 0)).damage is not None:
+            raise ValueError("ends early, or goes on after its end; copy it again, or save it anew")
+        return decode(frame, profile)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be opened: {error.strerror}") from error
     except (FrameCorrupt, ValueError) as error:

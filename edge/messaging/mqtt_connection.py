@@ -265,7 +265,7 @@ class Connection:
         self._await(lambda: self._consent is not None or self._is_lost, self.broker.timeout_s)
         consent = self._consent
         if consent is None or consent.is_failure:
-            why = self.why_lost
+            why = self.why_lost or ("it closed the connection" if self._is_lost else "it is silent")
             self.abandon("no consent")
             raise self._refusal(consent, why)
         with self._changed:
@@ -275,9 +275,8 @@ class Connection:
 
     def _refusal(self, consent: ReasonCode | None, why: str) -> SinkError:
         if consent is None:
-            what = why or ("it closed the connection" if self._is_lost else "it is silent")
             hint = "; with TLS, it may want this gateway's certificate (tls.cert)" if self.broker.tls else ""
-            return NoAnswer(f"broker {self.broker} does not answer at MQTT {self.level} ({what}){hint}")
+            return NoAnswer(f"broker {self.broker} does not answer at MQTT {self.level} ({why}){hint}")
         if self.level == "5" and consent.value in (0x01, 0x84):
             return LevelRefused(f"broker {self.broker} does not speak MQTT 5 ({consent})")
         return LoginRefused(

@@ -119,7 +119,7 @@ def test_every_picture_at_fault_is_named_at_once(tmp_path: Path) -> None:
         read_presses([folder], PROFILE, REGION)
     said = (
         "small.png: is 20x10",
-        "cut.png",
+        "cut.png: ends early",
         "text.png: is not a picture",
         "black.png: is black: its mean level is 0",
     )

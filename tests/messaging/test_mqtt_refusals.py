@@ -177,7 +177,7 @@ def false_broker(answer: bytes | None) -> Iterator[int]:
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
-        (None, "does not answer at MQTT 5"),
+        (None, r"does not answer at MQTT 5 \(it is silent\)"),
         (b"HTTP/1.1 400 Bad Request\r\n\r\n", "does not answer at MQTT 5"),
         (b"\x20\x02\x00\x01", "refuses the connection|does not answer"),
         (b"\x20\x02\x00\x05", "refuses the connection"),
