@@ -204,7 +204,7 @@ def _too_blind(gel_id: str, judged: Judged, most_blind_share: float) -> Sentence
 
 
 def _repeated(place: Repeated) -> Sentence:
-    at = Sentence(f"at ({place.x_mm:.1f}, {place.y_mm:.1f}) mm")
+    at = Sentence(f"{place.x_mm:.1f} mm from the left and {place.y_mm:.1f} mm from the top of the picture")
     if place.is_outside:
         return Sentence(
             f"the gel shows the same mark {at} in five presses in a row, where the part does not reach, so nothing "
