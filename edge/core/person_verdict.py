@@ -16,6 +16,7 @@ __all__ = [
     "PersonVerdict",
     "Saying",
     "choose_questions",
+    "describe_escapes",
     "find_broken_promise",
     "settle",
 ]
@@ -139,6 +140,16 @@ def choose_questions(
     drawn = sorted(is_drawn, key=lambda one: one.press_id[::-1])[:share]
     close = sorted((one for one in open_ if one not in drawn), key=lambda one: (-one.doubt, one.press_id))
     return sorted([*drawn, *close[: max(0, most - len(drawn))]], key=lambda one: one.press_id)
+
+
+def describe_escapes(passed: Sequence[str]) -> Sentence | None:
+    """Say which presses passed and are damaged, by their ids, the newest last; None for none."""
+    if not passed:
+        return None
+    number, newest = len(passed), passed[-1]
+    return Sentence(
+        f"by what people said in the last day, {number} of the presses that passed are damaged, the newest {newest}"
+    )
 
 
 def find_broken_promise(

@@ -9,7 +9,15 @@ from pydantic import Field, model_validator
 
 from edge.clock import local_day
 from edge.core.imaging.quality import Reason
-from edge.core.person_verdict import Asked, PersonVerdict, Saying, choose_questions, find_broken_promise
+from edge.core.person_verdict import (
+    Asked,
+    PersonVerdict,
+    Saying,
+    choose_questions,
+    describe_escapes,
+    find_broken_promise,
+    settle,
+)
 from edge.core.ports import Clock, Message
 from edge.core.press import Press
 from edge.core.sentence import Sentence
@@ -25,6 +33,7 @@ from edge.store.person_verdicts import (
     newest_acts,
     read_askable,
     read_asked_again,
+    read_passed,
     read_verdicts,
 )
 from edge.store.press_store import Store
@@ -76,6 +85,7 @@ class PersonVerdicts(PressStage):
         self._of_other_colours: set[str] = set()
         self._shown: tuple[object, ...] | None = None
         self._broken: str | None = None
+        self._escapes: str | None = None
         self._day: date | None = None
         self._next_look_ns = 0
 
@@ -92,13 +102,18 @@ class PersonVerdicts(PressStage):
     def turn(self, mounted: Mounted | None) -> None:
         """Ask anew when presses or answers have come, and on a new day. Errors: StoreError."""
         now_ns = self._clock.monotonic_ns()
-        if not self._per_day or now_ns < self._next_look_ns:
+        if now_ns < self._next_look_ns:
             return
         self._next_look_ns = now_ns + round(LOOK_S * 1e9)
+        acts = self._store.read("reading the newest acts", newest_acts)  # a pedal's word too is one
+        is_new_word = acts != self._acts
+        if is_new_word or self._escapes:
+            self._say_escapes()
         today = local_day(self._clock.time_ns())
-        if self._read() or today != self._day:
+        if self._per_day and (self._read() or is_new_word or today != self._day):
             self._day = today
             self._ask(today, mounted)
+        self._acts = acts
 
     def record(self, press: Press, gel: GelRecord) -> None:
         """Remember what was refused for its colours: on a new gel it is asked about."""
@@ -106,8 +121,7 @@ class PersonVerdicts(PressStage):
             self._of_other_colours.add(press.press_id)
 
     def _ask(self, today: date, mounted: Mounted | None) -> None:
-        since_ns = self._clock.time_ns() - DAY_NS
-        said = self._store.read("reading what people said", partial(read_verdicts, since_ns=since_ns))
+        said = self._read_said()
         answered = sum(any(local_day(one.time_ns) == today for one in verdicts) for verdicts in said.values())
         again = self._store.read("reading what is asked again", read_asked_again)
         most = max(0, self._per_day - answered)
@@ -122,6 +136,18 @@ class PersonVerdicts(PressStage):
             if broken != self._broken:
                 self._broken = broken
                 self._alarms.say("false_alarms", broken, "warning")
+
+    def _say_escapes(self) -> None:
+        """Say which presses that passed are damaged, by what people said in the last day."""
+        damaged = [press_id for press_id, words in self._read_said().items() if _is_damaged(words)]
+        passed = self._store.read("looking for what passed", partial(read_passed, press_ids=damaged))
+        if (escapes := describe_escapes(passed)) != self._escapes:
+            self._escapes = escapes
+            self._alarms.say("escape", escapes, "warning")
+
+    def _read_said(self) -> dict[str, list[PersonVerdict]]:
+        since_ns = self._clock.time_ns() - DAY_NS
+        return self._store.read("reading what people said", partial(read_verdicts, since_ns=since_ns))
 
     def _find_broken_promise(
         self, mounted: Mounted, said: Mapping[str, Sequence[PersonVerdict]]
@@ -155,8 +181,7 @@ class PersonVerdicts(PressStage):
         self._announce(payload.message())
 
     def _read(self) -> bool:
-        """Read the presses since the last look, and forget those of yesterday. Return whether there are others, or a
-        new act: a pedal's word too is one."""
+        """Read the presses since the last look, and forget those of yesterday. Return whether there are others."""
         query = partial(read_askable, after=self._after, most=MOST_REMEMBERED)
         newest = self._store.read("reading the newest presses", query)
         self._after = max([self._after, *(number for number, _ in newest)])
@@ -169,8 +194,7 @@ class PersonVerdicts(PressStage):
         now_ns, before = self._clock.time_ns(), self._presses
         recent = [one for one in (*before, *new) if 0 <= now_ns - one.time_ns < DAY_NS]
         self._presses = sorted(recent, key=lambda one: one.time_ns)[-MOST_REMEMBERED:]
-        acts, self._acts = self._acts, self._store.read("reading the newest acts", newest_acts)
-        return self._presses != before or self._acts != acts
+        return self._presses != before
 
     def _confirm(self, arguments: ConfirmPressArguments) -> Data:
         """Say what is known of the press; the request itself is the record. Errors: ValueError, StoreError."""
@@ -204,3 +228,8 @@ class PersonVerdicts(PressStage):
             "what the bundle in use is trusted with on a new gel",
         ),
     )
+
+
+def _is_damaged(words: Sequence[PersonVerdict]) -> bool:
+    settled = settle(words)
+    return settled is not None and settled.saying == "damaged"

@@ -155,6 +155,11 @@ ALARMS: Final[Mapping[str, Alarm]] = {
         stays=True,
         title="Presses are no longer as before",
     ),
+    "escape": Alarm(
+        "find the pieces; `gelgate bundle teach` shows what would have found the damage, and what that costs; where a "
+        "word was wrong, say what the press was",
+        title="A damaged part has passed",
+    ),
     "false_alarms": Alarm(
         "learn from them: `gelgate bundle learn`, and name the new bundle as the shadow; where a word was wrong, say "
         "what the press was",

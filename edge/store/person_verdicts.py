@@ -20,6 +20,7 @@ __all__ = [
     "newest_acts",
     "read_askable",
     "read_asked_again",
+    "read_passed",
     "read_spoken_of",
     "read_verdicts",
 ]
@@ -85,6 +86,15 @@ def find_table(connection: sqlite3.Connection, press_id: str) -> Found | None:
         if (row := connection.execute(query, (press_id,)).fetchone()) is not None:
             return Found(table, row[0], bool(row[1]))
     return None
+
+
+def read_passed(connection: sqlite3.Connection, press_ids: Iterable[str]) -> list[str]:
+    """Read which of these presses of parts passed, oldest first."""
+    query = (
+        "SELECT press_id FROM presses WHERE verdict = 'pass' AND press_id IN (SELECT value FROM json_each(?)) "
+        "ORDER BY number"
+    )
+    return [press_id for (press_id,) in connection.execute(query, (json.dumps(list(press_ids)),))]
 
 
 def read_askable(connection: sqlite3.Connection, after: int, most: int) -> list[tuple[int, Asked]]:

@@ -70,7 +70,7 @@ ALARM_BITS: Final[Sequence[tuple[str, ...]]] = (
     ("press_again", "piece"),
     ("trigger_device", "actuator", "pulse"),
     ("plc",),
-    ("drift", "false_alarms"),
+    ("drift", "false_alarms", "escape"),
 )
 """By bit of the alarm word: the alarms that set it. The last bit, 15, is set by every other one."""
 

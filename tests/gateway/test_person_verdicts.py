@@ -311,6 +311,38 @@ def test_more_false_alarms_than_promised_are_an_alarm_until_another_bundle_inspe
     assert again == texts[2]
 
 
+@pytest.mark.parametrize("tables", ["", "[confirm]\nquestions_per_day = 0"])
+def test_damage_that_passed_is_an_alarm_until_the_word_is_taken_back_or_a_day_old(
+    tmp_path: Path, recording: Path, bundle: Path, tables: str
+) -> None:
+    """Its piece is with the good ones. Of the dented press, which failed, nothing is said; a restart says it again."""
+    config = station_config(tmp_path, recording, bundle, tables=tables)
+    texts: list[str | None] = []
+
+    def look(station: SteppedStation) -> None:
+        settle(station)
+        texts.append(station.alarm("escape"))
+
+    with SteppedStation(config) as station:
+        station.play_presses(4)
+        ids, answer = [one.press_id for one in station.results], say(station)
+        for press_id, word in (
+            (ids[2], "damaged"),
+            (ids[0], "damaged"),
+            (ids[0], "good"),
+            (ids[1], "damaged"),
+        ):
+            answer(press_id=press_id, verdict=word)
+            look(station)
+    with SteppedStation(config) as station:
+        look(station)
+        station.clock.sleep(90_000)
+        look(station)
+
+    said = "by what people said in the last day, 1 of the presses that passed are damaged, the newest "
+    assert texts == [None, said + ids[0], None, said + ids[1], said + ids[1], None]
+
+
 def test_a_word_that_stands_in_the_way_is_asked_for_once_more(played: SteppedStation) -> None:
     """First of all, until somebody speaks; and never a third time."""
     store, ids = played.parts.store, [one.press_id for one in played.results]
