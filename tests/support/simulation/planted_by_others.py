@@ -172,7 +172,7 @@ BY_OTHERS = (
         "edge/store/outbox.py",
         "        if message.retain:\n            forget(",
         "        if False:\n            forget(",
-        "of the retained topic",
+        "of the retained topic|retained on gel went back",
     ),
     Bug(
         "an act that failed is not chained",
