@@ -326,21 +326,17 @@ def test_damage_that_passed_is_an_alarm_until_the_word_is_taken_back_or_a_day_ol
     with SteppedStation(config) as station:
         station.play_presses(4)
         ids, answer = [one.press_id for one in station.results], say(station)
-        for press_id, word in (
-            (ids[2], "damaged"),
-            (ids[0], "damaged"),
-            (ids[0], "good"),
-            (ids[1], "damaged"),
-        ):
-            answer(press_id=press_id, verdict=word)
+        for number, word in ((2, "damaged"), (3, "damaged"), (0, "damaged"), (3, "good")):
+            answer(press_id=ids[number], verdict=word)
             look(station)
     with SteppedStation(config) as station:
         look(station)
         station.clock.sleep(90_000)
         look(station)
 
-    said = "by what people said in the last day, 1 of the presses that passed are damaged, the newest "
-    assert texts == [None, said + ids[0], None, said + ids[1], said + ids[1], None]
+    said = "by what people said in the last day, {} of the presses that passed are damaged, the newest {}"
+    first = said.format(1, ids[0])
+    assert texts == [None, said.format(1, ids[3]), said.format(2, ids[3]), first, first, None]
 
 
 def test_a_word_that_stands_in_the_way_is_asked_for_once_more(played: SteppedStation) -> None:
