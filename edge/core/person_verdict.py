@@ -148,7 +148,7 @@ def describe_escapes(passed: Sequence[str]) -> Sentence | None:
         return None
     number, newest = len(passed), passed[-1]
     return Sentence(
-        f"by what people said in the last day, {number} of the presses that passed are damaged, the newest {newest}"
+        f"presses that passed and that people called damaged in the last day: {number}, the newest {newest}"
     )
 
 

@@ -334,7 +334,7 @@ def test_damage_that_passed_is_an_alarm_until_the_word_is_taken_back_or_a_day_ol
         station.clock.sleep(90_000)
         look(station)
 
-    said = "by what people said in the last day, {} of the presses that passed are damaged, the newest {}"
+    said = "presses that passed and that people called damaged in the last day: {}, the newest {}"
     first = said.format(1, ids[0])
     assert texts == [None, said.format(1, ids[3]), said.format(2, ids[3]), first, first, None]
 
