@@ -113,7 +113,7 @@ REFUSED: dict[str, tuple[Callable[[Bench], list[object]], int, tuple[str, ...]]]
         fit_mixed, 3, ("1 of 2 pictures", "b.png: is 100x90", "takes 3280x2464 (camera) or 320x240"),
     ),
     "fit from unreadable pictures": (
-        fit_unreadable, 3, ("2 of 3 pictures", "b.png", "IEND", "c.jpg: is not a picture"),
+        fit_unreadable, 3, ("2 of 3 pictures", "b.png: ends early", "c.jpg: is not a picture"),
     ),
     "fit over a bundle": (
         lambda _: ["fit", "presses", "-o", "bundle", "--part", "x"], 3, ("bundle exists already", "--overwrite"),

@@ -73,7 +73,7 @@ def test_a_mark_in_five_presses_in_a_row_is_an_alarm_that_says_where(played: Pla
     alarms, fifth = played[1], SPECK_FROM + 4
 
     assert alarms[:fifth] == [None] * fifth
-    assert all("(13.4, 3.2) mm" in str(alarm) for alarm in alarms[fifth:-1])
+    assert all("13.4 mm from the left and 3.2 mm from the top" in str(alarm) for alarm in alarms[fifth:-1])
     assert "where the part does not reach" in str(alarms[fifth])
     assert alarms[-1] is None
 
