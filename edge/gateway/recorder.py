@@ -202,12 +202,12 @@ def press_drawing(
         time=iso_time(press.time_ns),
         drawn=manifest.regions.describe() if manifest.regions else "",
     )
-    pose = None if press.registered is None else press.registered.pose
-    dimmed = _dim_unjudged(rgb, press, bundle)
-    sheet = partial(encode_press, dimmed, score_map, form=heatmap, outlines=outline_regions(bundle, pose))
     measure = press.measure
 
     def draw() -> PressFiles:
+        pose = None if press.registered is None else press.registered.pose
+        dimmed = _dim_unjudged(rgb, press, bundle)
+        sheet = partial(encode_press, dimmed, score_map, form=heatmap, outlines=outline_regions(bundle, pose))
         is_asked = press.word != Kind.PASS.value  # why a press passes nobody asks
         lit = rgb if press.light is None else press.light.restore(rgb, bundle.region, bundle.profile.size)
         compared = compare_press(bundle, lit, score_map, press.registered) if is_asked else None
