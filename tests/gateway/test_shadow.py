@@ -329,6 +329,7 @@ def test_known_damage_of_before_the_shadow_is_judged_from_the_archive(
     [
         ({"part": "PZ1"}, "is for PZ1/pos1, of which this station has no bundle"),
         ({"region": {"x": 40, "y": 8, "width": 224, "height": 224}}, "has another region than"),
+        ({"profile": {"pixels_per_mm": 20.0}}, "has another profile than"),
         ({}, "is the bundle of PZ0/pos1 itself"),
         ({"golden": None}, "has a score that is not the highest value of its map"),
         (None, "neither a folder nor a zip file"),
