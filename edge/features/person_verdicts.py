@@ -66,7 +66,8 @@ class ConfirmPressArguments(CommandArguments):
 
 
 class PersonVerdicts(PressStage):
-    """Takes what people say, and asks for it. per_day: questions of a day at most; 0: none is asked."""
+    """Takes what people say, asks for it, and says which damage has passed. per_day: questions of a day at most; 0: none
+    is asked."""
 
     def __init__(
         self,
@@ -100,7 +101,7 @@ class PersonVerdicts(PressStage):
         return stage
 
     def turn(self, mounted: Mounted | None) -> None:
-        """Ask anew when presses or answers have come, and on a new day. Errors: StoreError."""
+        """Say which damage has passed, and ask anew, when presses or answers have come. Errors: StoreError."""
         now_ns = self._clock.monotonic_ns()
         if now_ns < self._next_look_ns:
             return
