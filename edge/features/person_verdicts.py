@@ -66,8 +66,8 @@ class ConfirmPressArguments(CommandArguments):
 
 
 class PersonVerdicts(PressStage):
-    """Takes what people say, asks for it, and says which damage has passed. per_day: questions of a day at most; 0: none
-    is asked."""
+    """Takes what people say, asks for it, and says which damage has passed. per_day: questions of a day at most; 0:
+    none is asked."""
 
     def __init__(
         self,
