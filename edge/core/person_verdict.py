@@ -1,5 +1,6 @@
 """What a person says of a press, beside the machine's verdict: what it shows, and which presses to ask about."""
 
+import hashlib
 import math
 from collections import Counter
 from collections.abc import Container, Iterable, Mapping, Sequence
@@ -126,7 +127,7 @@ def choose_questions(
     """Choose the presses that would teach most: closest to the threshold, and of five one pass whatever its score.
 
     Without the latter nobody would ever look at a damage that the machine does not see at all. Which pass it is, is
-    drawn by its id, so the choice stays the same until something changes. new_gel_ns: since then another gel is
+    drawn by its time, so the choice stays the same until something changes. new_gel_ns: since then another gel is
     mounted, on which the bundle is not proven. Then its presses alone are asked for, drawn whatever their score: those
     close to a threshold of another gel would be the lowest, and its colours may be refused. Oldest first.
     """
@@ -137,9 +138,14 @@ def choose_questions(
         open_ = [press for press in open_ if press.time_ns >= new_gel_ns]
     is_drawn = [one for one in open_ if new_gel_ns is not None or one.verdict == "pass"]
     share = most // 5 if new_gel_ns is None else most
-    drawn = sorted(is_drawn, key=lambda one: one.press_id[::-1])[:share]
+    drawn = sorted(is_drawn, key=_draw)[:share]
     close = sorted((one for one in open_ if one not in drawn), key=lambda one: (-one.doubt, one.press_id))
     return sorted([*drawn, *close[: max(0, most - len(drawn))]], key=lambda one: one.press_id)
+
+
+def _draw(one: Asked) -> bytes:
+    """Draw a press's place in a random order that is the same at each look."""
+    return hashlib.sha256(b"%d" % one.time_ns).digest()
 
 
 def describe_escapes(passed: Sequence[str]) -> Sentence | None:

@@ -120,6 +120,16 @@ def test_on_a_gel_on_which_nothing_is_proven_its_presses_are_drawn_whatever_thei
     assert sum(one.score_ratio for one in chosen) / 10 > 1.15  # the lowest ten give 1.15
 
 
+def test_what_is_drawn_does_not_hang_on_the_random_part_of_an_id() -> None:
+    """A month that is simulated again asks about the same presses."""
+
+    def draw(factor: int) -> list[int]:
+        presses = [Asked(f"{n:04d}{n * factor % 11:02d}", n, "pass", 0.5, "bolt") for n in range(40)]
+        return [one.time_ns for one in choose_questions(presses, set(), 10, new_gel_ns=0)]
+
+    assert draw(3) == draw(7)
+
+
 def test_a_score_without_a_ratio_is_asked_for_last() -> None:
     assert asked(1, "fail", math.inf).doubt == asked(1, "pass", 0.0).doubt == -math.inf
 
