@@ -60,7 +60,7 @@ def merged_graph(bundle: Bundle) -> bytes:
     if bundle.registration is not None:
         raise BundleMismatch(
             f"bundle {bundle.where} brings each press to one pose before its graphs, which a graph alone does not do; "
-            "fit it again with --register never"
+            "fit it again with --set register=never"
         )
     if bundle.manifest.dots is not None:
         raise BundleMismatch(

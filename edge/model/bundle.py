@@ -364,6 +364,7 @@ def _read_registration(
             symmetry=entry.symmetry if entry.is_turning else 0,
             least_match=entry.least_match,
             least_seen=entry.least_seen,
+            is_held=entry.is_held,
             scores_relief_to_end=entry.scores_relief_to_end,
             gel_limits=None if limits is None else limits.astype(np.float32) / np.float32(GEL_LIMIT_STEPS),
         )

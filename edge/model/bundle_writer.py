@@ -186,6 +186,7 @@ def _registration_entry(part: PartInPose, keep: Callable[[str, bytes], FileEntry
         symmetry=max(1, part.symmetry),
         least_match=part.least_match,
         least_seen=part.least_seen,
+        is_held=part.is_held,
         scores_relief_to_end=part.scores_relief_to_end,
         gel_limits=None
         if limits is None

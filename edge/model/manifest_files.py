@@ -99,7 +99,8 @@ class RegistrationEntry(Entry):
 
     colours: for red, green and blue the levels of the two slopes. is_turning: false where the part has no turn, as a
     ball. symmetry: how often it looks the same in a full turn; 1 in bundles that do not state it. least_match,
-    least_seen: a press below either is rejected. scores_relief_to_end: false in bundles that do not state it; they were
+    least_seen: a press below either is rejected. is_held: the part lies near the bank's pose; false in bundles that do
+    not state it. scores_relief_to_end: false in bundles that do not state it; they were
     fitted with a seam around what a press shows that is not scored. gel_limits: a grey picture of the sixteenths by
     which the limit is higher at a place of the gel; none where it is one limit.
     """
@@ -112,6 +113,7 @@ class RegistrationEntry(Entry):
     symmetry: int = Field(default=1, ge=1)
     least_match: float = Field(gt=0, lt=1)
     least_seen: float = Field(ge=0, le=1)
+    is_held: bool = False
     scores_relief_to_end: bool = False
     gel_limits: FileEntry | None = None
 

@@ -94,7 +94,7 @@ def test_what_cannot_be_merged_is_refused(bundle: Bundle, tmp_path: Path) -> Non
     merge_bundle(bundle, tmp_path / "single", as_bundle=True)
     with pytest.raises(BundleMismatch, match=r"copy its detector\.onnx"):
         merged_graph(Bundle.load(tmp_path / "single"))
-    with pytest.raises(BundleMismatch, match="fit it again with --register never"):
+    with pytest.raises(BundleMismatch, match="fit it again with --set register=never"):
         merged_graph(dataclasses.replace(bundle, registration=Mock()))
 
 

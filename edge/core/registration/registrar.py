@@ -69,6 +69,12 @@ class PoseSearch:
         best = max(tried, key=lambda pose: self._worth(small, pose))
         return self._fine.align(slopes, best.scale(self._factor), _FINE_ROUNDS)
 
+    def find_near(self, slopes: F32) -> Alignment:
+        """Find the pose that is nearest to the part's own; slopes and pose as for `find`."""
+        small = shrunk(slopes, SIDE_PX // 2)
+        (near,) = self._middle.refine(small, [Pose()], _FIRST_ROUNDS + _FINE_ROUNDS)
+        return self._fine.align(slopes, near.scale(self._factor), _FINE_ROUNDS)
+
     def _worth(self, slopes: F32, pose: Pose) -> float:
         """Weigh a pose: a regular part agrees with itself a pitch further on, where less of it lies in the field.
 
@@ -106,6 +112,9 @@ class PartInPose:
     """Below it a press shows no such part."""
     least_seen: float = 0.5
     """The share of the part that must lie in the field."""
+    is_held: bool = False
+    """A fixture or a hand holds it: where it looks nearly the same a pitch or half a turn away, the pose next to the
+    bank's is meant. Only where it is not recognised there it is looked for anywhere."""
     scores_relief_to_end: bool = True
     """Score relief up to the end of what a press shows; bundles of earlier fits leave the seam unscored."""
     gel_limits: F32 | None = None
@@ -163,7 +172,7 @@ class Registrar:
                 f"a press to register is uint8 {self.part.free.shape}, found {rgb.dtype} {rgb.shape}"
             )
         added = self.light.find_change(rgb)
-        alignment = self._search.find(self.part.colours.slopes(shrunk(added)))
+        alignment = self._find(self.part.colours.slopes(shrunk(added)))
         pose = alignment.pose.scale(self._factor)
         moved = turn_colours(added, pose, self.part.colours)
         away = field_depth(pose, self.part.learnt.shape)
@@ -182,6 +191,11 @@ class Registrar:
             self._refusal(alignment.match, seen_share),
             None if (limits := self.part.gel_limits) is None else gel_limits_in_pose(limits, pose),
         )
+
+    def _find(self, slopes: F32) -> Alignment:
+        if self.part.is_held and (near := self._search.find_near(slopes)).match >= self.part.least_match:
+            return near
+        return self._search.find(slopes)
 
     def _refusal(self, match: float, seen_share: float) -> str | None:
         if not match >= self.part.least_match:

@@ -144,6 +144,32 @@ def test_a_part_at_the_rim_is_found_and_the_rest_is_unseen() -> None:
     assert away[depth_inside(found.pose, (parts.SIDE, parts.SIDE)) < 0].max() <= 1
 
 
+@pytest.mark.parametrize("part", ["BLOCK", "TEETH"])
+def test_a_part_that_is_held_is_found_near_the_pose_of_the_bank(part: str) -> None:
+    """There as exactly as anywhere; one that lies elsewhere all the same is looked for anywhere."""
+    anywhere = registrar(part)
+    held = Registrar(replace(anywhere.part, is_held=True))
+    lies = _bank_pose(part).inverse()
+
+    for moved in (Pose(3.0, -2.0, 0.03), Pose(-4.0, 3.0, -0.05), Pose(0.0, 0.0, 2.0)):
+        press = parts.press(getattr(parts, part), moved.after(lies), seed=5)
+        found, other = held.register(press), anywhere.register(press)
+        assert _apart(found.pose, other.pose, Pose())[0] < 0.1
+        assert found.match == pytest.approx(other.match, abs=0.005)
+
+
+def test_the_turn_of_a_held_part_is_the_nearest_of_those_that_look_the_same() -> None:
+    """So what breaks the symmetry lies at its own place."""
+    held = Registrar(replace(registrar("CROSS").part, is_held=True))
+    lies = _bank_pose("CROSS").inverse()
+
+    found = [
+        held.register(parts.press(parts.CROSS, pose.after(lies), seed=9))
+        for pose in parts.poses(6, shift_px=4.0, turn_rad=0.1)
+    ]
+    assert max(abs(one.pose.turn_rad) for one in found) < 0.15
+
+
 def test_the_relief_of_a_bump_is_a_disc() -> None:
     """Up to a tenth of its steepest slope, which the formula has at 2.79 radii; its flat top is enclosed."""
     relief = find_relief(parts.slopes(((10.0, -6.0, 12.0, 8.0),), Pose()).astype(np.float32))
