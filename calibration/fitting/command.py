@@ -98,7 +98,7 @@ class FitArguments:
     )
     register: str = add_option(
         "auto",
-        "Bring presses to one pose: 'auto' where parts lie apart and it finds more damage, 'never', 'always'.",
+        "Bring presses to one pose: 'auto' where parts are held or it finds more damage, 'never', 'always'.",
         hidden=True,
     )
     augment: str = add_option(

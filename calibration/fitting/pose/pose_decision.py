@@ -1,8 +1,9 @@
-"""Whether presses are registered: only where they lie apart, and where it finds more of the damage find_relief in them.
+"""Whether presses are registered: where a fixture or a hand holds the part, and where it finds more damage.
 
-The proof is made on the part's own presses: a third is held out, small damage is rendered into those, and banks of the
-others judge them, registered and as they lie. Where presses lie so far apart that they are not compared as they lie,
-what the fit sees of its damage anyway decides: as by chance is too little.
+A part that is held lies further away one day than in all presses of its fit, and then looks damaged to a method that
+compares places. For others the proof is made on the part's own presses: a third is held out, small damage is rendered
+into those, and banks of the others judge them, registered and as they lie. Where presses lie so far apart that they are
+not compared as they lie, what the fit sees of its damage anyway decides: as by chance is too little.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from calibration.fitting.damage.damaged_presses import SIZE_SHARES, DamagedPress
 from calibration.fitting.limits.held_out import HeldOut, Learner, ShownPresses
 from calibration.fitting.pose.registration import LearntPose, completed, keep_pose, learn_pose
 from calibration.fitting.pose.two_parts import find_two_parts
-from calibration.fitting.presses.augmentation import Take
+from calibration.fitting.presses.augmentation import FEW, Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.presses.scatter import may_compare
 from calibration.fitting.presses.strangers import list_names
@@ -38,9 +39,13 @@ U8 = NDArray[np.uint8]
 Register = Literal["auto", "never", "always"]
 
 SPREAD_MM = 0.25
-"""Up to this median distance from their common pose presses are compared as they lie: a fixture has less. A hand has
-more: at 0.4 mm PaDiM on `tactile_lite0` had an AU-PRO of 0.28 and 0.73 on two simulated parts as they lay, 0.79 and
-0.90 registered."""
+"""Up to this median distance from their common pose a few presses, and those of a method that compares no places, are
+compared as they lie: a fixture has less. A hand has more: at 0.4 mm PaDiM on `tactile_lite0` had an AU-PRO of 0.28 and
+0.73 on two simulated parts as they lay, 0.79 and 0.90 registered."""
+
+HELD_MM = 0.5
+"""Up to this distance a fixture or a hand holds the part, and its presses are registered without a proof: the proof
+knows no press that lies further away. The turn is the nearest, also where the part looks the same in several."""
 
 LEAST_PRESSES = 6
 """With fewer presses nothing can be held out to prove that registration pays."""
@@ -166,9 +171,17 @@ def choose_pose(
         return PoseChoice(None, f"presses are compared as they lie: {error}")
     spread = pose_spread_mm(learnt, view[0].pixels_per_mm)
     faults = tuple(find_two_parts(learnt, presses.names))
-    apart = f"in the median presses lie {spread:.2f} mm from their common pose{_doubt(learnt.part.symmetry)}"
+    lie = f"in the median presses lie {spread:.2f} mm from their common pose"
+    apart = f"{lie}{_doubt(learnt.part.symmetry)}"
     if register == "always":
         return PoseChoice(learnt, f"presses are registered, as asked for; {apart}", faults=faults)
+    is_moved = (
+        learner.detector.compares_places and len(presses) > FEW
+    )  # of fewer, copies are learnt that are moved
+    if spread <= HELD_MM and is_moved:
+        held = replace(learnt.part, is_held=True, symmetry=min(1, learnt.part.symmetry))
+        why = f"presses are registered: {lie}, and the next may lie further away"
+        return PoseChoice(keep_pose(held, presses.frames), why, faults=faults)
     if spread <= SPREAD_MM:
         why = f"presses are compared as they lie: {apart}, {SPREAD_MM} mm are tolerated"
         return PoseChoice(None, why, faults=faults)

@@ -1,5 +1,6 @@
 """Whether a fit registers presses, what the bundle keeps of it, and how the bundle then scores."""
 
+import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -85,23 +86,49 @@ def test_many_presses_are_found_by_the_mean_of_some() -> None:
     assert np.abs(np.angle(np.exp(1j * (turns - turns[0])))).max() < np.radians(2)
 
 
-def test_parts_in_a_fixture_are_compared_as_they_lie() -> None:
-    """Where presses lie within the tolerated spread nothing is registered, and the manifest says so; nor is a ball by
-    a method that compares no places."""
+def test_a_few_parts_in_a_fixture_are_compared_as_they_lie() -> None:
+    """Their copies are moved; the manifest says so."""
     still = parts.anywhere(parts.BLOCK, 8, shift_px=2.0, turn_rad=0.01)[1]
     manifest = fitted(nominal(still), "auto").manifest
     assert manifest.registration is None
     assert "compared as they lie" in manifest.facts["registration"]
 
+
+def test_a_ball_is_compared_as_it_lies_by_a_method_that_compares_no_places() -> None:
     manifest = fitted(nominal(parts.anywhere(parts.BALL, 8)[1]), "auto", detector=tiny.TINY).manifest
     assert manifest.registration is None
     assert "without a turn" in manifest.facts["registration"]
 
 
-def test_parts_that_a_hand_holds_are_registered_where_that_finds_more() -> None:
-    """A third of a millimetre apart is more than a fixture leaves, and hides damage from fine features."""
-    held = parts.anywhere(parts.BLOCK, 12, shift_px=8.0, turn_rad=0.05)[1]
-    assert fitted(nominal(held), "auto").manifest.registration is not None
+def test_parts_that_are_held_are_registered_for_the_next_may_lie_further_away() -> None:
+    """A press that lies a third of a millimetre beyond those of the fit passes; compared as it lies it fails."""
+    held = nominal(parts.anywhere(parts.BLOCK, 12, shift_px=2.0, turn_rad=0.01)[1])
+    moved = parts.press(parts.BLOCK, Pose(8.0, -6.0, 0.05), seed=99)
+
+    def judge(bundle: Bundle) -> str:
+        return bundle.manifest.decide(Scorer(bundle).score(moved).anomaly_score).kind
+
+    fixture = fitted(held, "auto").bundle()
+    assert "the next may lie further away" in fixture.manifest.facts["registration"]
+    assert judge(fixture) == "pass"
+    assert judge(fitted(held).bundle()) == "fail"
+
+
+def test_a_held_part_that_looks_nearly_the_same_in_several_turns_keeps_its_own() -> None:
+    """A cross with one higher arm passes as it lies in the fixture, and fails turned by a quarter."""
+    (x, y, radius, height), *others = parts.CROSS
+    keyed = ((x, y, radius, 1.04 * height), *others)
+    held = nominal(parts.anywhere(keyed, 12, shift_px=2.0, turn_rad=0.01)[1])
+    bundle = fitted(held, "auto").bundle()
+    scorer = Scorer(bundle)
+
+    still, turned = (
+        bundle.manifest.decide(scorer.score(parts.press(keyed, Pose(5.0, -4.0, turn), seed=99)).anomaly_score)
+        for turn in (0.03, math.pi / 2)
+    )
+    assert bundle.registration is not None
+    assert bundle.registration.is_held
+    assert (still.kind, turned.kind) == ("pass", "fail")
 
 
 def test_damage_is_found_where_it_lies_in_the_press() -> None:
