@@ -112,6 +112,7 @@ def test_parts_that_are_held_are_registered_for_the_next_may_lie_further_away() 
     assert "the next may lie further away" in fixture.manifest.facts["registration"]
     assert judge(fixture) == "pass"
     assert judge(fitted(held).bundle()) == "fail"
+    assert fitted(held, "auto", mode="paper").manifest.registration is None  # it registers nothing
 
 
 def test_a_held_part_that_looks_nearly_the_same_in_several_turns_keeps_its_own() -> None:
