@@ -175,7 +175,7 @@ def _check_head(old: Bundle) -> None:
     if manifest.head is None or old.graphs.trunk is None:
         why = "it is a single graph of another tool" if manifest.head is None else "its trunk is not here"
         raise FitError(f"bundle {old.where} cannot have regions: {why}; fit a bundle with `gelgate fit`")
-    if (part := old.registration) is not None and part.symmetry != 1:
+    if (part := old.registration) is not None and part.symmetry != 1 and not part.is_held:
         often = f"{part.symmetry} times in a full turn" if part.symmetry else "in every turn"
         raise FitError(
             f"bundle {old.where} cannot have regions: its part looks the same {often}, so nobody knows where on it one "

@@ -358,13 +358,18 @@ def test_missing_relief_counts_in_ignored_places(tmp_path: Path, other_package: 
 
 
 def test_a_part_that_looks_the_same_in_several_turns_is_refused(tmp_path: Path) -> None:
-    """A region would lie at one of them, and nobody knows at which."""
+    """A region would lie at one of them, and nobody knows at which; but the turn of a part that is held is known."""
     path = write_bundle(tmp_path / "registered", registered().files)
-    content = json.loads((path / "manifest.json").read_text())
-    content["registration"]["symmetry"] = 4
-    (path / "manifest.json").write_text(json.dumps(content))
+
+    def draw(**facts: object) -> object:
+        content = json.loads((path / "manifest.json").read_text())
+        content["registration"] |= facts
+        (path / "manifest.json").write_text(json.dumps(content))
+        return draw_regions(path, [DrawnRegion("logo", "ignore", ((1, 1), (2, 1), (2, 2)))], None, 1)
+
     with pytest.raises(FitError, match="its part looks the same 4 times in a full turn"):
-        draw_regions(path, [DrawnRegion("logo", "ignore", ((1, 1), (2, 1), (2, 2)))], None, 1)
+        draw(symmetry=4)
+    assert draw(is_held=True)
 
 
 def in_bank(bundle: Bundle, pose: Pose, points: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
