@@ -175,10 +175,8 @@ def choose_pose(
     apart = f"{lie}{_doubt(learnt.part.symmetry)}"
     if register == "always":
         return PoseChoice(learnt, f"presses are registered, as asked for; {apart}", faults=faults)
-    is_moved = (
-        learner.detector.compares_places and len(presses) > FEW
-    )  # of fewer, copies are learnt that are moved
-    if spread <= HELD_MM and is_moved:
+    has_copies = len(presses) <= FEW  # they are moved, so the bank knows what lies further away
+    if spread <= HELD_MM and learner.detector.compares_places and not has_copies:
         held = replace(learnt.part, is_held=True, symmetry=min(1, learnt.part.symmetry))
         why = f"presses are registered: {lie}, and the next may lie further away"
         return PoseChoice(keep_pose(held, presses.frames), why, faults=faults)
