@@ -230,9 +230,7 @@ def _take_features(plan: _Plan, progress: Progress) -> _Features:
     reader = TapReader(config.trunk.graph, taps, frame, config.profile.pixels_per_mm, config.threads, name)
     learner, take = reader.learner(config.detector, plan.parameters, config.seed), reader.take
     is_held_out = not (plan.folds is None or plan.why_unrendered or config.is_scattered)
-    # The published methods register nothing.
-    register = "never" if (config.mode, config.register) == ("paper", "auto") else config.register
-    pose = choose_pose(register, presses, learner, take, config.view, is_held_out, config.pose)
+    pose = choose_pose(config.how_registered, presses, learner, take, config.view, is_held_out, config.pose)
     said: list[str] = []
     if pose.learnt is None:  # a method that compares places needs the presses at one place
         said = scatter_warnings(presses, config.profile, config.detector, config.is_scattered, pose.why)

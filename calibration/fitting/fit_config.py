@@ -72,6 +72,11 @@ class FitConfig:
             raise FitError(f"a threshold needs at least 2 folds, found {self.folds}")
 
     @property
+    def how_registered(self) -> Register:
+        """`register`; the published methods register nothing by themselves."""
+        return "never" if (self.mode, self.register) == ("paper", "auto") else self.register
+
+    @property
     def view(self) -> tuple[SensorProfile, Region]:
         """The sensor of the pictures, and the part of them that is inspected."""
         return self.profile, self.region
