@@ -36,6 +36,8 @@ _DAY_NS: Final = 86_400 * 10**9
 
 # The share of answers that are wrong.
 _WRONG_ANSWERS: Final = 0.03
+# A gel that was mounted today is changed again after so many presses at the earliest.
+_LEAST_PRESSES: Final = 100
 # How often a piece is pressed at most.
 _MOST_PRESSES: Final = 3
 # Free gel before the first press: the station learns its picture.
@@ -237,11 +239,12 @@ class DayStation:
         return reports[-1] if reports else None
 
     def _is_asked(self, report: PressReport | None, press: PlannedPress) -> bool:
-        """Do what the station says: wipe the gel, mount another one, once a day at most, where its alarm for the gel is
-        there again at the next press, and press again. Returns whether the piece is pressed again."""
+        """Do what the station says: wipe the gel, mount another one, where its alarm for the gel is there again at the
+        next press and the gel is not too new, and press again. Returns whether the piece is pressed again."""
         blame = None if report is None else report.press.blame
         is_doubted = (blame is not None and blame.cause is not Cause.PART) or bool(_GEL_ALARMS & self._raised)
-        if self._gel_doubts > 1 and self.gel is self._morning:
+        is_new = self.gel is not self._morning and press.number - self.gel.since < _LEAST_PRESSES
+        if self._gel_doubts > 1 and not is_new:
             self._mount(press)
         elif is_doubted:
             self.wipe(press)

@@ -93,10 +93,13 @@ def test_another_gel_is_recorded_and_not_proven(bundle: Path, tmp_path: Path) ->
     assert day.counts.alarms["gel_proof"] == 1
 
 
-def test_a_gel_that_is_blamed_again_after_it_was_wiped_is_changed_once_a_day(
-    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("least", "gels"), [(100, [2, 4]), (1, [2, 2, 2])], ids=["once a day", "worn"])
+def test_a_gel_that_is_blamed_again_after_it_was_wiped_is_changed(
+    least: int, gels: list[int], bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Pieces are pressed again on the other gel, which is blamed as well; every press fails."""
+    """Pieces are pressed again on the other gel, which is blamed as well; every press fails. least: presses before a
+    gel of today is changed again."""
+    monkeypatch.setattr("calibration.experiments.month.station._LEAST_PRESSES", least)
     strict = variant(bundle, tmp_path / "strict", threshold=FIVE | {"value": 1e-9})
     config, presses = write_config(tmp_path, strict, 100), MONTH.day(0)[:2]
     monkeypatch.setattr(
@@ -108,12 +111,12 @@ def test_a_gel_that_is_blamed_again_after_it_was_wiped_is_changed_once_a_day(
             opened.press(press)
         opened.end()
 
-    assert (opened.counts.wiped, opened.counts.pressed_again) == (3, 4)
-    assert (opened.gel.number, opened.gel.since) == (1, presses[0].number)
+    assert (opened.counts.wiped, opened.counts.pressed_again) == (5 - len(gels), 4)
+    assert (opened.gel.number, opened.gel.since) == (len(gels) - 1, presses[len(gels) - 2].number)
     with open_read_only(tmp_path / "gelgate.db", "reading it") as connection:
         assert connection.execute("SELECT gel_id, count(*) FROM presses GROUP BY gel_id").fetchall() == [
-            ("SIM00001-1", 2), ("SIM00001-2", 4)
-        ]  # fmt: skip
+            (f"SIM00001-{number + 1}", count) for number, count in enumerate(gels)
+        ]
 
 
 def test_a_shadow_of_too_few_presses_stays_a_shadow(bundle: Path, tmp_path: Path) -> None:
