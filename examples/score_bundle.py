@@ -66,6 +66,11 @@ class Detector:
             raise SystemExit(
                 f"{path}: the dots of a marker gel are filled before the graphs; this program cannot"
             )
+        if manifest.get("registration"):
+            raise SystemExit(
+                f"{path}: each press is brought to one pose before the graphs; this program cannot, "
+                "fit the bundle again with --set register=never"
+            )
         region = manifest["region"]
         self.frame = (region["height"], region["width"])
         self.threshold, self.tolerance = manifest["threshold"]["value"], manifest["tolerance"]

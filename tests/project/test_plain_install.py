@@ -82,7 +82,7 @@ VERBS: list[tuple[str, int, str]] = [
     ("watch --port 1 --timeout 1 --count 1", 4, "no broker answers"),
     ("watch --port 1 --validate", 3, "gelgate[validate]"),
     ("export tiles pz0/trunk.onnx -o tiles.onnx", 0, "tiles.onnx"),
-    ("export merge pz0 -o merged.onnx", 0, "merged.onnx"),
+    ("export merge pz0 -o merged.onnx", 3, "fit it again with --set register=never"),
     ("export backbone weights.pth --licence MIT", 3, "weights.pth"),
     ("export openvino pz0", 3, "gelgate[openvino]"),
     ("export import theirs.onnx nominal -o x --licence MIT --part PZ0", 3, ""),

@@ -1,6 +1,8 @@
 """Whether a fit registers presses, what the bundle keeps of it, and how the bundle then scores."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -317,6 +319,15 @@ def test_a_bundle_that_states_no_seam_keeps_that_of_its_fit() -> None:
     wrong = entry.model_copy(update={"colours": ((1.0, 2.0), (1.0, 2.0), (1.0, 2.0))})
     with pytest.raises(BundleCorrupt, match="registration: the colours of the two slopes are the same"):
         Bundle.in_memory(manifest.model_copy(update={"registration": wrong}), files)
+
+
+def test_the_example_refuses_a_registered_bundle(tmp_path: Path) -> None:
+    """It would score presses as they lie."""
+    bundle = registered().write(tmp_path / "block")
+    example = Path(__file__).resolve().parents[3] / "examples" / "score_bundle.py"
+    done = subprocess.run([sys.executable, "-I", str(example), str(bundle)], capture_output=True, text=True)
+    assert done.returncode != 0
+    assert "this program cannot, fit the bundle again with --set register=never" in done.stderr
 
 
 def test_presses_without_relief_cannot_be_registered() -> None:
