@@ -4,11 +4,15 @@ import contextlib
 import io
 import logging
 import signal
+import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from unittest import mock
 
 from edge.cli import main
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "score_bundle.py"
 
 
 @dataclass(frozen=True)
@@ -54,3 +58,11 @@ def ran(*arguments: object) -> str:
     done = gelgate(*arguments)
     assert done.code == 0, done.err
     return done.out + done.err
+
+
+def refuse_by_example(bundle: Path) -> str:
+    """Return what examples/score_bundle.py, which has nothing of gelgate, says of a bundle that it refuses."""
+    done = subprocess.run([sys.executable, "-I", str(EXAMPLE), str(bundle)], capture_output=True, text=True)
+    assert done.returncode != 0
+    assert "Traceback" not in done.stderr
+    return done.stderr

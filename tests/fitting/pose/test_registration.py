@@ -1,8 +1,6 @@
 """Whether a fit registers presses, what the bundle keeps of it, and how the bundle then scores."""
 
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,6 +10,7 @@ import numpy as np
 import pytest
 import tiny
 import turned_parts as parts
+from command_line import refuse_by_example
 from registered_bundle import fitted, nominal, registered
 
 from calibration.fitting.damage.damaged_presses import DamagedPresses
@@ -324,10 +323,7 @@ def test_a_bundle_that_states_no_seam_keeps_that_of_its_fit() -> None:
 def test_the_example_refuses_a_registered_bundle(tmp_path: Path) -> None:
     """It would score presses as they lie."""
     bundle = registered().write(tmp_path / "block")
-    example = Path(__file__).resolve().parents[3] / "examples" / "score_bundle.py"
-    done = subprocess.run([sys.executable, "-I", str(example), str(bundle)], capture_output=True, text=True)
-    assert done.returncode != 0
-    assert "this program cannot, fit the bundle again with --set register=never" in done.stderr
+    assert "this program cannot, fit the bundle again with --set register=never" in refuse_by_example(bundle)
 
 
 def test_presses_without_relief_cannot_be_registered() -> None:
