@@ -24,7 +24,9 @@ ROOT = "gelgate/site/line/station/gel/v1"
 def test_the_robot_lifts_each_part_once_when_its_verdict_is_recorded(
     tmp_path: Path, strength: float | None
 ) -> None:
-    """In real time: once for each press, with its id. Where presses are too deep it is told to go back instead."""
+    """In real time: once for each press, with its id. Where presses are too deep it is told to go back instead.
+
+    The film is shown again until three presses were seen: a machine that is busy elsewhere may miss some."""
     if "mosquitto" not in available_brokers():
         pytest.skip("SKIPPED, NOT TESTED: mosquitto is not installed")
     bundle = small_bundle(tmp_path / "bundle", press_recording(tmp_path / "nominal", 12, seed=1))
@@ -32,22 +34,39 @@ def test_the_robot_lifts_each_part_once_when_its_verdict_is_recorded(
         known = {"lowest": strength, "middle": strength, "highest": strength}
         bundle = variant(bundle, tmp_path / "weak", strength=known)
     recording = press_recording(tmp_path / "presses", 3, dented=[1], seed=2)
+    enough = threading.Event()
+    ids: list[str] = []
+    said: list[str] = []
     with LocalBroker("mosquitto") as broker:
         words = [sys.executable, str(ROBOT), "127.0.0.1", str(broker.port), ROOT]
-        robot = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
-        ids: list[str] = []
-        try:
-            config = station_config(tmp_path, recording, bundle, sinks=MQTT % broker.port, pace=1)
-            with open_station(
-                load_config(config), SystemClock(), lambda report: ids.append(report.result.press_id)
-            ) as gateway:
-                gateway.run(threading.Event())
-        finally:
-            robot.terminate()
-            said = robot.communicate(timeout=20)[0].splitlines()
-    assert len(ids) == 3
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as robot:
+
+            def listen() -> None:
+                for line in robot.stdout or ():
+                    said.append(line.strip())
+                    if len(said) >= 3 and len(ids) >= 3:
+                        enough.set()
+
+            listener = threading.Thread(target=listen)
+            listener.start()
+            late = threading.Timer(120, enough.set)
+            late.start()
+            try:
+                config = station_config(
+                    tmp_path, recording, bundle, sinks=MQTT % broker.port, pace=1, loop=True
+                )
+                with open_station(
+                    load_config(config), SystemClock(), lambda report: ids.append(report.result.press_id)
+                ) as gateway:
+                    gateway.run(enough)
+            finally:
+                late.cancel()
+                robot.terminate()
+                listener.join(20)
+    assert len(said) >= 3
     if strength is None:
-        assert said == [f"lift {press_id}" for press_id in ids]
+        assert len(set(said)) == len(said)
+        assert set(said) <= {f"lift {press_id}" for press_id in ids}
     else:
         assert set(said) == {"retreat"}
 
