@@ -91,10 +91,18 @@ class FineSearch:
         inside = energy / max(float(np.vdot(slopes, slopes)), _TINY)
         return _correlation(part, moved), min(inside, 1.0)
 
-    def align(self, slopes: F32, pose: Pose, rounds: int) -> Alignment:
-        """Align a pose in that many rounds; give its match over all places and the covariance of the last round."""
-        before = self.refine(slopes, [pose], rounds - 1)
-        (pose,), (covariance,) = self._round(slopes, before)
+    def settle(self, slopes: F32, pose: Pose, rounds: int, still_px: float) -> tuple[Pose, F64]:
+        """Refine a pose in that many rounds, or until one moves no place by more; give its covariance too."""
+        for _ in range(rounds):
+            (step,), (covariance,) = self._steps(*self._read(slopes, [pose]))
+            pose = pose.after(step)
+            if math.hypot(step.x_px, step.y_px) + abs(step.turn_rad) * max(self._h, self._w) / 2 <= still_px:
+                break
+        return pose, covariance
+
+    def align(self, slopes: F32, pose: Pose, rounds: int, still_px: float = 0) -> Alignment:
+        """Align a pose as `settle` does; give its match over all places and the covariance of the last round."""
+        pose, covariance = self.settle(slopes, pose, rounds, still_px)
         turn = np.eye(3)  # a round moves the part before its turn, and the pose is a shift after it
         turn[:2, :2] = pose.matrix((self._w, self._h))[:, :2]
         return Alignment(pose, self.agreement(slopes, pose)[0], turn @ covariance @ turn.T)
