@@ -42,10 +42,9 @@ class MountedGel:
     def __init__(self, month: Month, number: int = 0, since: int = 0) -> None:
         """number: 0 is the first of the month. since: the press before which it was mounted."""
         self.month, self.number, self.since = month, number, since
-        rng = np.random.default_rng([month.seed, 3])
         sensor = SENSORS["unit_b"]
-        for _ in range(number):
-            sensor = another_gel(sensor, rng)
+        if number:
+            sensor = another_gel(sensor, np.random.default_rng([month.seed, 3, number]))
         # Dust is the month's, and the camera's bytes are JPEG in every case.
         effects = [name for name in (*DEFAULT_EFFECTS, "residual_imprint") if name not in ("dust", "jpeg")]
         jitter = PARTS["PZ3" if month.part % 2 else "PZ5"].jitter

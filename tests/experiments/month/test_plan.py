@@ -69,3 +69,13 @@ def test_dust_shows_on_the_free_gel_until_it_is_wiped() -> None:
     change = np.abs(look(is_dusty=True) - look(is_dusty=False)).max(axis=2)
     assert change.max() > 6
     assert np.median(change) < 1
+
+
+@pytest.mark.parametrize("part", [0, 1])
+def test_each_gel_of_a_month_varies_about_the_sensor_and_not_about_the_one_before(part: int) -> None:
+    """The thirtieth gel shows a press about as strongly as the first, and not half or twice as strongly."""
+    gels = [MountedGel(Month("development", part, 900), number) for number in (0, 28, 29, 30)]
+    first, *others = (float((gel.nominal(0, 0) - gel.nominal_free(0).astype(float)).std()) for gel in gels)
+
+    assert all(0.7 < strength / first < 1.4 for strength in others)
+    assert len({round(strength, 3) for strength in others}) == 3
