@@ -31,8 +31,14 @@ from numpy.typing import NDArray
 from real_touch import OBJECTS, SENSORS, Object, Presses, ball, touch_trial
 
 from calibration.experiments.backbones.evaluation import is_on_damage
-from calibration.experiments.backbones.presses import Sizes, part_trial, random_part_trial
-from calibration.experiments.backbones.trial import PROFILE, REGION, Trial
+from calibration.experiments.backbones.presses import (
+    PROFILE,
+    REGION,
+    Sizes,
+    Trial,
+    part_trial,
+    random_part_trial,
+)
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.rows import Rows
 from calibration.fitting.damage.conditions import relight

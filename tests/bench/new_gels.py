@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.experiments.harness.markdown import markdown_table
-from calibration.experiments.month.bundles import fit_first
 from calibration.experiments.month.gel import MountedGel
 from calibration.experiments.month.plan import Month, PlannedPress
+from calibration.experiments.month.run import fit_first
 from calibration.simulator.reproducible_math import reproducible_opencv
 from edge.clock import SystemClock
 from edge.core.imaging.decode import decode_view

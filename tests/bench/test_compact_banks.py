@@ -18,8 +18,7 @@ from heads import stored as stored_bank
 from heads import stored_bytes
 
 from calibration.experiments.backbones.evaluation import random_trunk
-from calibration.experiments.backbones.presses import random_part_trial
-from calibration.experiments.backbones.trial import Trial
+from calibration.experiments.backbones.presses import Trial, random_part_trial
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.trunks import open_trunk
 from calibration.metrics import aupro

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.experiments.backbones.presses import FORMAT, PROFILE, Trial
 from calibration.experiments.backbones.sets import EvaluationSet
-from calibration.experiments.backbones.trial import FORMAT, PROFILE, Trial
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.fitting.damage.damaged_presses import render_damage
 from calibration.fitting.fit_config import FitConfig

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 
-from calibration.experiments.backbones.presses import PARTS, part_trial, random_part_trial
-from calibration.experiments.backbones.trial import Trial
+from calibration.experiments.backbones.presses import PARTS, Trial, part_trial, random_part_trial
 
 __all__ = ["SETS", "EvaluationSet", "evaluation_sets"]
 

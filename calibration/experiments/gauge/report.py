@@ -10,12 +10,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from calibration.experiments.gauge.agreement import Kappa, Share, cohen_kappa, count_shares, fleiss_kappa
 from calibration.experiments.gauge.gauge import (
     CONFIDENCE,
     POOLED_ABOVE,
     Gauge,
+    Kappa,
+    Share,
+    cohen_kappa,
+    count_shares,
     drift,
+    fleiss_kappa,
     gauge_by_anova,
 )
 from calibration.experiments.gauge.plan import Material

@@ -1,26 +1,36 @@
 """Validation 3: what high resolution gives, and which of the differences between the two pictures gives it.
 
-The same presses are seen in the views of `views.py`. 1280x720 pictures cost much memory and time, so
-the pool of nominal presses is capped; every view has the same capped pool.
+| view | picture | size | trunk |
+|---|---|---|---|
+| lr | 320x240, its central 224x224 | as it is | in one piece; the paper's low resolution |
+| hr_tiled | 1280x720 | as it is | in tiles; the paper's high resolution |
+| lr_tiled | 320x240 | scaled to 1280x720 | in tiles: as dense as hr_tiled, without its detail |
+| hr_full | 1280x720 | as it is | in one piece: the detail of hr_tiled, without tiles |
+| lr_full | 320x240 | as it is | in one piece: the field of view of hr_tiled, at low resolution |
+
+Every view has the same normalisation of pixels, because it is part of the trunk. The common measures are computed in
+the field of view of `lr`, on the pixels and masks of 1280x720. These cost much memory and time, so the pool of nominal
+presses is capped; every view has the same capped pool.
 """
 
 import math
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset import LabelledPress, resolution_of
+from calibration.dataset import SIZES, LabelledPress, resolution_of
 from calibration.experiments.harness.cells import Cell, Split
 from calibration.experiments.harness.evidence import effects
 from calibration.experiments.harness.figures import draw_conditions
 from calibration.experiments.harness.material import Drawn, Material, Place, fit_cell
 from calibration.experiments.harness.page import Figures, Page, figure_file, make_page, tabulate_medians
-from calibration.experiments.harness.pictures import PressPictures, tile
+from calibration.experiments.harness.pictures import LR_VIEW, PressPictures, View, tile
 from calibration.experiments.harness.presses import (
     TEST_SEED,
     HeldOut,
@@ -40,11 +50,12 @@ from calibration.experiments.harness.study import (
     require_known,
     run_study,
 )
-from calibration.experiments.studies.views import COMMON, VIEWS, common_map
 from calibration.fitting.features import trunk_grid
 from calibration.fitting.trunks import Trunk, open_trunk
 from edge.core.detector import Progress
 from edge.core.errors import DatasetError, StoreError
+from edge.core.imaging.known_profiles import LR_PIXELS_PER_MM
+from edge.core.imaging.region import Region
 from edge.core.imaging.tiles import tiling
 from edge.model.session import open_session
 
@@ -52,13 +63,49 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
+    "COMMON",
     "STUDY",
+    "VIEWS",
     "ResolutionStudy",
     "ViewPlace",
     "cap_presses",
+    "common_map",
     "page",
     "study_resolution",
 ]
+
+_LR, _HR = SIZES["lr"], SIZES["hr"]
+_ACROSS, _DOWN = _HR[0] // _LR[0], _HR[1] // _LR[1]
+# Across, as in the sensor profile of 1280x720; down it is three quarters of this.
+_HR_PIXELS_PER_MM = LR_PIXELS_PER_MM * _ACROSS
+
+
+_HR_FULL, _HR_TILED = (
+    View(_HR, Region.full(_HR), _HR_PIXELS_PER_MM, is_tiled=tiled) for tiled in (False, True)
+)
+
+VIEWS: Mapping[str, View] = {
+    "lr": LR_VIEW,
+    "hr_tiled": _HR_TILED,
+    "lr_tiled": replace(_HR_TILED, size=_LR, scaled_to=_HR),
+    "hr_full": _HR_FULL,
+    "lr_full": View(_LR, Region.full(_LR), LR_PIXELS_PER_MM),
+}
+
+_CENTRE = LR_VIEW.region
+COMMON = Region(_CENTRE.x * _ACROSS, _CENTRE.y * _DOWN, _CENTRE.width * _ACROSS, _CENTRE.height * _DOWN)
+"""The field of view of `lr` in pixels of 1280x720."""
+
+
+def common_map(pixels: NDArray[Any], view: View) -> NDArray[np.float32]:
+    """A score map (h, w) of a view in the common field of view: float32 (COMMON.height, COMMON.width)."""
+    found = np.asarray(pixels, np.float32)
+    if view.region == _CENTRE:
+        return np.asarray(cv2.resize(found, (COMMON.width, COMMON.height)), np.float32)
+    if found.shape != (_HR[1], _HR[0]):
+        found = np.asarray(cv2.resize(found, _HR), np.float32)
+    return np.ascontiguousarray(COMMON.crop(found))
+
 
 STUDY = "resolution"
 

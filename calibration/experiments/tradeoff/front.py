@@ -1,12 +1,16 @@
-"""The Pareto front of accuracy and of the time that the line waits for, from rows alone."""
+"""The Pareto front of accuracy and of the time that the line waits for, and the best point within limits, from rows."""
 
-from collections.abc import Sequence
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.tradeoff.rows import Row
+from edge.core.errors import ConfigError
 
-__all__ = ["FIRST", "WAITED", "list_front", "table", "verdict_ms"]
+__all__ = ["FIRST", "WAITED", "Limits", "Pick", "list_front", "pick", "read_limits", "table", "verdict_ms"]
 
 FIRST: Final = "aupro_fpr01"
 """The measure by which the front is decided."""
@@ -59,3 +63,131 @@ def _list_costs(row: Row) -> list[str]:
     stages = (row["stages"][name]["median"] for name in WAITED)
     times = [f"{ms:.1f}" for ms in (verdict_ms(row), *stages, row["floor"]["ms"])]
     return [row["key"], f"{accuracy['value']:.3f}", interval, *times, f"{row['bank_bytes'] / 1e6:.2f}"]
+
+
+_UNITS_MS: Final = {"us": 1e-3, "ms": 1.0, "s": 1e3}
+_UNITS_MB: Final = {"b": 1e-6, "kb": 1e-3, "mb": 1.0, "gb": 1e3}
+_QUANTITY = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([a-zA-Z]+)\s*")
+
+
+def _quantity(option: str, text: str, units: dict[str, float], example: str) -> float:
+    match = _QUANTITY.fullmatch(text)
+    factor = units.get(match[2].lower()) if match else None
+    if match is None or factor is None or float(match[1]) <= 0:
+        raise ConfigError(
+            f"{option} {text} is not understood; write a number above 0 and a unit ({', '.join(units)}), such as "
+            f"{option} {example}"
+        )
+    return float(match[1]) * factor
+
+
+Limits = Mapping[str, float]
+"""What a point may cost at most, by the name of a cost."""
+
+_COSTS: Final[Mapping[str, tuple[Callable[[Row], float], str]]] = {
+    "time": (verdict_ms, "{:.3g} ms"),
+    "bank": (lambda row: row["bank_bytes"] / 1e6, "{:.3g} MB"),
+    "presses": (lambda row: float(row["presses"]), "{:.0f} presses"),
+}
+"""What a point costs: the median time to its verdict, the bank as stored, and presses of the fit."""
+
+
+def read_limits(within: str | None, under: str | None, presses: int | None) -> Limits:
+    """Return the limits of texts such as `20ms` and `8MB`. Errors: ConfigError."""
+    given = {
+        "time": within and _quantity("--within", within, _UNITS_MS, "20ms"),
+        "bank": under and _quantity("--under", under, _UNITS_MB, "8MB"),
+        "presses": presses,
+    }
+    return {name: float(most) for name, most in given.items() if most}
+
+
+def _excess(row: Row, limits: Limits) -> dict[str, float]:
+    """Return how many times over each limit the point is; only those that it exceeds."""
+    found = {name: _COSTS[name][0](row) / most for name, most in limits.items()}
+    return {name: times for name, times in found.items() if times > 1}
+
+
+@dataclass(frozen=True)
+class Pick:
+    """row: the chosen point, None where nothing fits. reasons: sentences that explain it."""
+
+    row: Row | None
+    reasons: tuple[str, ...]
+
+
+def pick(rows: Sequence[Row], limits: Limits) -> Pick:
+    """The most accurate point within the limits (AU-PRO), the faster one among equals, and why.
+
+    Peers have no bundle and are not chosen.
+    """
+    own = [row for row in rows if not row.get("peer") and _value(row) > -math.inf]
+    fitting = [row for row in own if not _excess(row, limits)]
+    if not fitting:
+        return Pick(None, tuple(_nothing(own, limits)))
+    best = _best(fitting)
+    return Pick(best, tuple(_why(own, fitting, best, limits)))
+
+
+def _value(row: Row) -> float:
+    value = row["accuracy"]["aupro_fpr01"]["value"]
+    return -math.inf if value is None else float(value)
+
+
+def _best(rows: Sequence[Row]) -> Row:
+    return max(rows, key=lambda row: (_value(row), -verdict_ms(row)))
+
+
+def _why(own: Sequence[Row], fitting: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
+    accuracy = best["accuracy"]["aupro_fpr01"]
+    interval = "" if accuracy["low"] is None else f" ({accuracy['low']:.3f} to {accuracy['high']:.3f})"
+    yield (
+        f"{best['key']}: AU-PRO {accuracy['value']:.3f}{interval}, {verdict_ms(best):.3g} ms to the verdict, bank "
+        f"{best['bank_bytes'] / 1e6:.3g} MB, {best['presses']} presses"
+    )
+    yield f"{len(fitting)} of {len(own)} points fit; this one is the most accurate of them"
+    yield from _explain_refused(own, best, limits)
+    binding = list(_binding(own, best, limits))
+    yield from binding or ["no limit binds: without any of them the choice is the same"]
+    others = [row for row in fitting if row is not best]
+    if others:
+        second = _best(others)
+        yield f"the next that fits: {second['key']}, AU-PRO {_value(second):.3f}, {verdict_ms(second):.3g} ms"
+
+
+def _explain_refused(own: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
+    """The more accurate points that are nearest to fitting."""
+    better = [row for row in own if _excess(row, limits) and _value(row) > _value(best)]
+    for row in sorted(better, key=lambda row: max(_excess(row, limits).values()))[:2]:
+        yield f"nearer to perfect, but not within: {row['key']}, AU-PRO {_value(row):.3f}, {_too_much(row, limits)}"
+
+
+def _binding(own: Sequence[Row], best: Row, limits: Limits) -> Iterator[str]:
+    """The limits without which another point would be chosen."""
+    for name in limits:
+        others = {other: most for other, most in limits.items() if other != name}
+        freed = _best([row for row in own if not _excess(row, others)])
+        if freed is not best:
+            yield (
+                f"the limit on {name} binds: without it {freed['key']} with AU-PRO {_value(freed):.3f} would be chosen "
+                f"({_too_much(freed, limits)})"
+            )
+
+
+def _nothing(own: Sequence[Row], limits: Limits) -> Iterator[str]:
+    if not own:
+        yield "no point has a defined AU-PRO: there is nothing to choose from"
+        return
+    nearest = min(own, key=lambda row: (max(_excess(row, limits).values()), -_value(row)))
+    yield (
+        f"none of {len(own)} points is within these limits; the nearest is {nearest['key']} with AU-PRO "
+        f"{_value(nearest):.3f}: {_too_much(nearest, limits)}; widen a limit"
+    )
+
+
+def _too_much(row: Row, limits: Limits) -> str:
+    return ", ".join(
+        f"{text.format(cost(row))} where {text.format(limits[name])} is allowed"
+        for name, (cost, text) in _COSTS.items()
+        if name in _excess(row, limits)
+    )

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calibration.experiments.gauge.agreement import Share, cohen_kappa, fleiss_kappa
-from calibration.experiments.gauge.gauge import gauge_by_anova
+from calibration.experiments.gauge.gauge import Share, cohen_kappa, fleiss_kappa, gauge_by_anova
 
 A = (
     (0.29, -0.56, 1.34, 0.47, -0.80, 0.02, 0.59, -0.31, 2.26, -1.36),

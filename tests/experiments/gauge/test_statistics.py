@@ -9,8 +9,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from calibration.experiments.gauge.agreement import Share, cohen_kappa, count_shares, fleiss_kappa
-from calibration.experiments.gauge.gauge import drift, gauge_by_anova
+from calibration.experiments.gauge.gauge import (
+    Share,
+    cohen_kappa,
+    count_shares,
+    drift,
+    fleiss_kappa,
+    gauge_by_anova,
+)
 
 
 def simulated(

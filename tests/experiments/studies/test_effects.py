@@ -9,7 +9,7 @@ pd = pytest.importorskip("pandas", reason="SKIPPED, NOT TESTED: the extra `studi
 
 from calibration.experiments.harness.evidence import Sample, compare_directions, direction, effects  # noqa: E402
 from calibration.experiments.studies import resolution_study  # noqa: E402
-from calibration.experiments.studies.views import VIEWS  # noqa: E402
+from calibration.experiments.studies.resolution_study import VIEWS  # noqa: E402
 
 
 def changes(values: list[float], *, are_drawn: bool = True) -> Sample:

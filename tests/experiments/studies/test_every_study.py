@@ -10,7 +10,7 @@ from study_dataset import study_dataset
 
 from calibration.experiments.harness.rows import read_rows
 from calibration.experiments.harness.study import Options
-from calibration.experiments.studies.every_study import study_all
+from calibration.experiments.studies.command import study_all
 
 
 def test_all_studies_continue_and_write_their_pages(tmp_path: Path) -> None:

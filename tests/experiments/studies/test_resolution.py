@@ -12,8 +12,14 @@ from study_cells import quiet
 from study_dataset import study_dataset
 
 from calibration.experiments.harness.study import Options
-from calibration.experiments.studies.resolution_study import ViewPlace, cap_presses, study_resolution
-from calibration.experiments.studies.views import COMMON, VIEWS, common_map
+from calibration.experiments.studies.resolution_study import (
+    COMMON,
+    VIEWS,
+    ViewPlace,
+    cap_presses,
+    common_map,
+    study_resolution,
+)
 from edge.core.errors import DatasetError
 
 

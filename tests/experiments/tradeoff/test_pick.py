@@ -3,7 +3,7 @@
 import pytest
 from tradeoff_rows import row
 
-from calibration.experiments.tradeoff.pick import Limits, pick, read_limits
+from calibration.experiments.tradeoff.front import Limits, pick, read_limits
 from edge.core.errors import ConfigError
 
 ROWS = [

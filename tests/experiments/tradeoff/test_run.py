@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tradeoff_dataset import make_dataset
 
-from calibration.experiments.tradeoff.chosen_bundle import bundle_of
+from calibration.experiments.tradeoff.command import bundle_of
 from calibration.experiments.tradeoff.front import WAITED
 from calibration.experiments.tradeoff.plan import Run, RunSettings, choose_points, usual_points
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
