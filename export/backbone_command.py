@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from export.backbone import BackboneOptions
     from plugins.backbones.input_steps import InputSteps
 
-__all__ = ["BackboneArguments", "backbone", "three_numbers"]
+__all__ = ["backbone", "three_numbers"]
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from edge.model.scorer import Scorer
 from export.onnx_values import first_conv_input, run_values
 from export.parity import Kind, ParityReport, Stage, compare, order_stage, score_frames, show_frames
 
-__all__ = ["bundle_stages", "compare_bundle", "read_stages"]
+__all__ = ["compare_bundle"]
 
 MOST_BYTES = 1 << 30
 KINDS: tuple[Kind, ...] = ("input", "descriptor", "distance", "map", "score")
@@ -72,6 +72,8 @@ def bundle_stages(
 
 
 def _inside(bundle: Bundle, frames: NDArray[np.uint8], names: list[str]) -> dict[str, NDArray[Any]]:
+    import onnx
+
     network = bundle.graphs.trunk or bundle.graphs.detector or b""
     head = bundle.graphs.head
     if bundle.grid is not None and bundle.grid.tiles is not None:
@@ -85,7 +87,7 @@ def _inside(bundle: Bundle, frames: NDArray[np.uint8], names: list[str]) -> dict
             f"bundle {bundle.where} has no stage '{unknown[0]}'; known are input, map, score, its taps "
             f"({', '.join(bundle.grid.taps) if bundle.grid else 'none'}) and the names of values in its graphs"
         )
-    asked = _inputs(head) if head and in_head else []
+    asked = [str(value.name) for value in onnx.load_from_string(head).graph.input] if head and in_head else []
     taps = [name for name in asked if bundle.grid and name in bundle.grid.taps]
     values |= {name: name for name in (*in_network, *taps)}
     arrays = run_values(network, list(values.values()), {FRAMES: frames}, "the trunk")
@@ -95,12 +97,6 @@ def _inside(bundle: Bundle, frames: NDArray[np.uint8], names: list[str]) -> dict
         feeds = {name: sources[name] for name in asked}
         computed |= dict(zip(in_head, run_values(head, in_head, feeds, "the head"), strict=True))
     return {name: array for name, array in computed.items() if name in names}
-
-
-def _inputs(graph: bytes) -> list[str]:
-    import onnx
-
-    return [str(value.name) for value in onnx.load_from_string(graph).graph.input]
 
 
 def _select_known(graph: bytes | None, names: list[str]) -> list[str]:

@@ -40,15 +40,7 @@ from edge.model.bundle_writer import bundle_files
 from edge.model.manifest import Facts, GridEntry, ThresholdEntry, ToleranceEntry
 from edge.model.scorer import Scorer
 
-__all__ = [
-    "Measure",
-    "Parts",
-    "WrapConfig",
-    "direction_warnings",
-    "finish_bundle",
-    "paint_square",
-    "wrap_files",
-]
+__all__ = ["Measure", "Parts", "WrapConfig", "finish_bundle", "paint_square", "wrap_files"]
 
 Measure = Callable[[Scorer, NDArray[np.float64]], tuple[list[str], Mapping[str, Any]]]
 """Gives warnings and facts for the manifest, from the bundle without threshold and the scores of the presses."""

@@ -11,7 +11,7 @@ from typing import Any
 from edge.core.errors import ConfigError
 from plugins.reading.files import OPENVINO, OTHERS, form_of
 
-__all__ = ["MOST_BYTES", "read_graph"]
+__all__ = ["read_graph"]
 
 MOST_BYTES = 1 << 30
 """Of the graph with its weights; a bundle's file has at most this size, and protobuf ends at twice it."""

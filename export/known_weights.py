@@ -10,16 +10,7 @@ from dataclasses import dataclass
 from edge.core.errors import ConfigError
 from plugins.backbones.input_steps import InputSteps
 
-__all__ = [
-    "ENCODERS",
-    "RELEASES",
-    "Encoder",
-    "Release",
-    "check_release",
-    "encoder",
-    "release_of",
-    "stated_licence",
-]
+__all__ = ["ENCODERS", "RELEASES", "Encoder", "Release", "check_release", "encoder", "stated_licence"]
 
 
 MOST_CHARACTERS = 200
@@ -47,17 +38,12 @@ RELEASES: Mapping[str, Release] = {
 """By the first eight digits of the file's SHA-256."""
 
 
-def release_of(sha256: str) -> Release | None:
-    """The release with this file, None for any other file."""
-    return RELEASES.get(sha256[:8])
-
-
 def check_release(sha256: str, declared: str | None, topology: str, file: str) -> str:
     """The name of the release, or `unknown`. declared: V1 or V2 where the caller states it.
 
     Errors: ConfigError where the file is another version or another network than stated.
     """
-    release = release_of(sha256)
+    release = RELEASES.get(sha256[:8])
     if release is None:
         return "unknown" if declared is None else f"{declared} (stated; the file's hash is not a known one)"
     if declared not in (None, release.version):

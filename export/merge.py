@@ -21,7 +21,7 @@ from export.onnx_values import join, rename
 from plugins.backbones.tiled import plain_trunk, read_model, tap_shapes
 from plugins.onnx_builder import Graph
 
-__all__ = ["merge_bundle", "merged_graph", "mosaic_trunk", "single_graph_bundle"]
+__all__ = ["merge_bundle", "merged_graph", "mosaic_trunk"]
 
 MERGED_RELATIVE = 1e-4
 """How far the merged graph may differ from the pair, relative to the largest map value: with a constant bank the

@@ -16,10 +16,10 @@ from edge.core.suggest import suggestion
 from edge.model.graph_cut import prune
 from export.onnx_values import PIXELS, append, load_model, picture_input, read_frames, run_each
 from export.parity import Stage
-from plugins.backbones.input_steps import InputSteps, apply_steps
+from plugins.backbones.input_steps import InputSteps
 from plugins.onnx_builder import Graph
 
-__all__ = ["GraphTrunk", "graph_trunk", "name_taps"]
+__all__ = ["graph_trunk", "name_taps"]
 
 MOST_PREFIXES = 8
 """Class, distillation and register tokens together: DINOv2 with registers has five."""
@@ -73,9 +73,7 @@ def graph_trunk(
     if picture.size is not None and picture.size != (steps.size or frame):
         steps = replace(steps, size=picture.size)
     facts = {**(facts or {}), "preprocessing": steps.words}
-    pixels = apply_steps(steps, frames) * high
-    pixels = pixels if picture.layout == "nchw" else pixels.transpose(0, 2, 3, 1)
-    pixels = np.rint(pixels).clip(0, 255).astype(np.uint8) if picture.is_bytes else pixels.astype(np.float32)
+    pixels = picture.prepare(frames, steps, high)
     expected = run_each(data, list(taps.values()), picture.name, pixels, picture.batch, where)
     grids = {tap: _grid(array, tap, prefixes) for tap, array in zip(taps, expected, strict=True)}
     body = read_frames(model, picture, steps, frame, high)
@@ -85,8 +83,10 @@ def graph_trunk(
     trunk = bytes(merged.SerializeToString())
     front = f"front/{PIXELS}"
     arrays = run_each(trunk, [front, *taps], "frames", frames, picture.batch, where)
-    shown = [_as_maps(array, *grids[tap]) for tap, array in zip(taps, expected, strict=True)]
-    stages = [Stage(tap, e, f) for tap, e, f in zip(taps, shown, arrays[1:], strict=True)]
+    stages = [
+        Stage(tap, _as_maps(array, *grids[tap]), found)
+        for tap, array, found in zip(taps, expected, arrays[1:], strict=True)
+    ]
     return GraphTrunk(trunk, tuple(taps), facts, (Stage("input", pixels, arrays[0], "input"), *stages))
 
 

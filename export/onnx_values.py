@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from edge.core.errors import ConfigError
 from edge.model.onnx_validation import GraphRefused, check_graph
 from edge.model.session import RUNTIME_ERRORS, open_session
-from plugins.backbones.input_steps import InputSteps, input_planes
+from plugins.backbones.input_steps import InputSteps, apply_steps, input_planes
 from plugins.onnx_builder import Graph
 
 __all__ = [
     "PIXELS",
     "PictureInput",
-    "add_outputs",
     "append",
     "drop_traces",
     "first_conv_input",
@@ -30,7 +29,6 @@ __all__ = [
     "rename",
     "run_each",
     "run_values",
-    "same_versions",
 ]
 
 Layout = Literal["nchw", "nhwc"]
@@ -49,6 +47,14 @@ class PictureInput:
     """(h, w)."""
     batch: int | None
     """Frames at a time; None where they are free."""
+
+    def prepare(self, frames: NDArray[np.uint8], steps: InputSteps, high: float) -> NDArray[Any]:
+        """Prepare frames, uint8 (n, h, w, 3), for the graph. high: what the brightest level is after the steps."""
+        planes = apply_steps(steps, frames) * high
+        planes = planes if self.layout == "nchw" else planes.transpose(0, 2, 3, 1)
+        if self.is_bytes:
+            return np.rint(planes).clip(0, 255).astype(np.uint8)
+        return planes.astype(np.float32)
 
 
 def load_model(data: bytes, where: str) -> Any:

@@ -3,6 +3,7 @@
 Its scores on the golden frames must be those of the bundle; otherwise nothing is written.
 """
 
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,11 @@ def write_openvino(bundle: Bundle, output: Path) -> ParityReport:
         raise ConfigError(f"an OpenVINO model is a file .xml with a file .bin next to it; found {output}")
     graph = bundle.graphs.detector or merged_graph(bundle)
     try:
-        model = _convert(openvino, graph, output)
+        with tempfile.TemporaryDirectory() as folder:  # the converter reads a file
+            file = Path(folder) / "detector.onnx"
+            file.write_bytes(graph)
+            model = openvino.convert_model(file)
+        model.set_rt_info(output.stem, "gelgate_model")
     except (RuntimeError, ValueError) as error:
         words = str(error).strip().splitlines() or [type(error).__name__]
         raise ConfigError(
@@ -39,18 +44,6 @@ def write_openvino(bundle: Bundle, output: Path) -> ParityReport:
     report.raise_if_different()
     _save(openvino, model, output)
     return report
-
-
-def _convert(openvino: Any, graph: bytes, output: Path) -> Any:
-    """Convert the model for a frame at a time. The converter reads a file."""
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "detector.onnx"
-        file.write_bytes(graph)
-        model = openvino.convert_model(file)
-    model.set_rt_info(output.stem, "gelgate_model")
-    return model
 
 
 def _compare(openvino: Any, model: Any, bundle: Bundle) -> ParityReport:
@@ -66,8 +59,6 @@ def _compare(openvino: Any, model: Any, bundle: Bundle) -> ParityReport:
 
 
 def _save(openvino: Any, model: Any, output: Path) -> None:
-    import tempfile
-
     output.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=output.parent, prefix=".openvino-") as folder:
         openvino.save_model(model, Path(folder) / output.name, compress_to_fp16=False)

@@ -199,9 +199,8 @@ def compare(
 def score_frames(scorer: Scorer, frames: Iterable[NDArray[np.uint8]]) -> Maps:
     """Score frames (h, w, 3): maps (n, h, w) and scores (n,)."""
     scored = [scorer.score(frame) for frame in frames]
-    return np.stack([press.score_map for press in scored]), np.array(
-        [press.anomaly_score for press in scored]
-    )
+    maps = np.stack([press.score_map for press in scored])
+    return maps, np.array([press.anomaly_score for press in scored])
 
 
 def show_frames(scorer: Scorer, frames: Iterable[NDArray[np.uint8]]) -> NDArray[np.uint8]:

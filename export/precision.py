@@ -7,7 +7,7 @@ float32 otherwise.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from calibration.fitting.bundle_measurements import cost_card, measure_tolerance, score_again
 from calibration.metrics import aupro
+from calibration.progress import Report
 from calibration.quantise import halved, layers, quantise_graph
 from edge.core.errors import BundleMismatch, FitError
 from edge.model.bundle import Bundle
@@ -26,15 +27,7 @@ from edge.model.session import saturates
 from export.finish import paint_square
 from export.parity import score_frames, show_frames
 
-__all__ = [
-    "LIMIT",
-    "Measured",
-    "Precision",
-    "Precisions",
-    "choose_precision",
-    "in_precision",
-    "measure_precisions",
-]
+__all__ = ["Measured", "Precision", "Precisions", "choose_precision", "in_precision", "measure_precisions"]
 
 Precision = Literal["float32", "float16", "int8"]
 
@@ -51,7 +44,6 @@ CALIBRATION_FRAMES = 32
 ALONE_FRAMES = 4
 TIMED_RUNS = 15
 
-Report = Callable[[str, float], None]
 Masked = tuple[Sequence[NDArray[np.uint8]], Sequence[NDArray[np.bool_]]]
 """Frames with the masks of their defects, for AU-PRO."""
 

@@ -19,7 +19,7 @@ from edge.model.pipe import FRAMES, SCORE, SCORE_MAP
 from export.normalised_scores import SUFFIX, Normalisation, constants, raw_scores
 from export.onnx_values import PIXELS, PictureInput, append, load_model, picture_input, read_frames, run_each
 from export.parity import ParityReport, Stage, compare, order_stage
-from plugins.backbones.input_steps import IMAGENET, InputSteps, apply_steps, linear_matrix
+from plugins.backbones.input_steps import IMAGENET, InputSteps, linear_matrix
 from plugins.onnx_builder import Graph
 
 __all__ = ["Adapted", "GraphInput", "adapt"]
@@ -69,7 +69,8 @@ def adapt(
     """
     given = given or GraphInput()
     model = load_model(data, where)
-    if _meets_contract(model) and given == GraphInput():
+    inputs, given_outputs = ([one.name for one in side] for side in (model.graph.input, model.graph.output))
+    if inputs == [FRAMES] and {SCORE_MAP, SCORE} <= set(given_outputs) and given == GraphInput():
         return Adapted(data, {"input": "frames, as the gateway gives them"}, None)
     picture = picture_input(model, where)
     frame = (frames.shape[1], frames.shape[2])
@@ -77,7 +78,7 @@ def adapt(
     if picture.size is not None and picture.size != frame:
         steps = replace(steps, size=picture.size)
     shown = frames[:: max(1, len(frames) // MOST_COMPARED)][:MOST_COMPARED]
-    pixels = _pixels(shown, steps, high, picture)
+    pixels = picture.prepare(shown, steps, high)
     model, normalised = raw_scores(model, LABELS)
     data = bytes(model.SerializeToString()) if normalised else data
     names = [output.name for output in model.graph.output]
@@ -96,7 +97,10 @@ def adapt(
         **_describe_normalisation(normalised, sign),
     }
     expected = sign * chosen.maps(outputs, frame), sign * chosen.scores(outputs, sign)
-    before = [_undone(normalisation, outputs) for normalisation in normalised.values()]
+    before = [  # each original output against the raw one, normalised by the stated formula
+        Stage(f"normalised {name}", outputs[name + SUFFIX], how.apply(outputs[name]), "score")
+        for name, how in normalised.items()
+    ]
     return Adapted(graph, found, _compare(graph, shown, pixels, expected, found, picture, where, before))
 
 
@@ -110,18 +114,6 @@ def _describe_normalisation(normalised: Mapping[str, Normalisation], sign: float
         value = f"{sign * own:.7g}"
         said["threshold of the model"] = f"{value} of raw scores; --threshold {value} takes it"
     return said
-
-
-def _undone(one: Normalisation, outputs: Mapping[str, NDArray[Any]]) -> Stage:
-    """The original output against the raw one, normalised by the stated formula."""
-    original = outputs[one.output + SUFFIX]
-    return Stage(f"normalised {one.output}", original, one.apply(outputs[one.output]), "score")
-
-
-def _meets_contract(model: Any) -> bool:
-    return [value.name for value in model.graph.input] == [FRAMES] and {SCORE_MAP, SCORE} <= {
-        value.name for value in model.graph.output
-    }
 
 
 def _scaling(
@@ -177,15 +169,6 @@ def _normalisation(model: Any, start: str) -> float | None:
     return None
 
 
-def _pixels(frames: NDArray[np.uint8], steps: InputSteps, high: float, picture: PictureInput) -> NDArray[Any]:
-    """Prepare these frames for the original graph."""
-    planes = apply_steps(steps, frames) * high
-    planes = planes if picture.layout == "nchw" else planes.transpose(0, 2, 3, 1)
-    if picture.is_bytes:
-        return np.rint(planes).clip(0, 255).astype(np.uint8)
-    return planes.astype(np.float32)
-
-
 @dataclass(frozen=True)
 class _Outputs:
     """The chosen outputs."""
@@ -236,10 +219,8 @@ def _one(names: Sequence[str], usual: Sequence[str]) -> str | None:
 
 
 def _is_map(array: NDArray[Any]) -> bool:
-    return array.dtype.kind == "f" and array.ndim in (3, 4) and min(_map_size(array)) > 1 and _is_flat(array)
-
-
-def _is_flat(array: NDArray[Any]) -> bool:
+    if array.dtype.kind != "f" or array.ndim not in (3, 4) or min(_map_size(array)) <= 1:
+        return False
     return array.ndim == 3 or 1 in (array.shape[1], array.shape[3])
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["WrapArguments", "wrap"]
+__all__ = ["wrap"]
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,7 @@ def wrap(given: WrapArguments) -> None:
     """Make a bundle of another tool's detector graph.
 
     The graph is adapted and compared with itself. The threshold comes from nominal presses."""
-    from calibration.fitting.command import (
-        choose_profile,
-        make,
-        refuse_existing,
-        resolve_sources,
-    )
+    from calibration.fitting.command import choose_profile, make, refuse_existing, resolve_sources
     from calibration.fitting.presses.nominal_presses import read_presses
     from edge.core.imaging.region import Region
     from export.finish import WrapConfig, wrap_files

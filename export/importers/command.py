@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from edge.core.imaging.region import Region
     from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["ImportArguments", "detect", "import_"]
+__all__ = ["detect", "import_"]
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="A file that a research program wrote.")]
 

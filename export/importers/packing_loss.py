@@ -103,7 +103,9 @@ def _measure_losses(
     reduction = _measure_reduction(model, frames, threads, source)
     if not packing:
         return Losses(reduction, 0.0, 0.0, 1.0, stored, used)
-    full = score_frames(Scorer(_unpack_bank(model, scorer.bundle), threads), frames)
+    facts, graphs = facts_of(scorer.bundle.manifest), scorer.bundle.graphs
+    files = bundle_files(facts, graphs, Bank(arrays), backbone=model.trunk.id)
+    full = score_frames(Scorer(Bundle.in_memory(*files), threads), frames)
     packed = score_frames(scorer, frames)
     report = compare(score_stages(full, packed, PACKED_MOST))
     if report.first_different is not None:
@@ -114,14 +116,6 @@ def _measure_losses(
     of_map, of_score = (result.difference for result in report.results)
     order = rank_correlation(full[1], packed[1])
     return Losses(reduction, of_score, of_map, order, stored, used)
-
-
-def _unpack_bank(model: Imported, bundle: Bundle) -> Bundle:
-    """Return the bundle with the bank as the importer gave it."""
-    files = bundle_files(
-        facts_of(bundle.manifest), bundle.graphs, Bank(model.bank.arrays), backbone=model.trunk.id
-    )
-    return Bundle.in_memory(*files)
 
 
 def _measure_reduction(

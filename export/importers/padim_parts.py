@@ -21,7 +21,7 @@ from plugins.detectors.common.embedding import Embedding, split_channels
 from plugins.detectors.common.parameters import EmbeddingParameters
 from plugins.reading.foreign import float32
 
-__all__ = ["Gaussians", "PadimParts", "Reduced", "padim_parts", "reduce_matrices"]
+__all__ = ["Gaussians", "Reduced", "padim_parts", "reduce_matrices"]
 
 # A direction whose squared distance would change by less than this part counts as ridge: far below what a score shows.
 CUT = 1e-3

@@ -8,7 +8,7 @@ import tiny
 from edge.core.errors import ConfigError
 from edge.model.manifest import Manifest
 from edge.model.manifest_facts import is_non_commercial, licence_of, licence_sentence
-from export.known_weights import ENCODERS, RELEASES, check_release, encoder, release_of, stated_licence
+from export.known_weights import ENCODERS, RELEASES, check_release, encoder, stated_licence
 from plugins.backbones.input_steps import apply_steps
 
 V1, V2 = "95faca4d" + 56 * "0", "9ba9bcbe" + 56 * "0"
@@ -40,8 +40,9 @@ def test_releases_are_those_that_torchvision_publishes() -> None:
     for digits, release in RELEASES.items():
         found[release.topology][digits] = release.version
     assert found == PUBLISHED
-    assert all(release_of(digits + "0" * 56) == one for digits, one in RELEASES.items())
-    assert release_of("32ee1156" + 56 * "0") is None
+    for digits, one in RELEASES.items():
+        assert check_release(digits + "0" * 56, None, one.topology, "file") == one.name
+    assert check_release("32ee1156" + 56 * "0", None, "wide_resnet101_2", "file") == "unknown"
 
 
 def test_units_preprocessing_is_opencvs_resize() -> None:
