@@ -1,11 +1,11 @@
-"""Progress of long work: a bar on a terminal, else a plain line at every tenth, always on stderr."""
+"""Progress of long work: a bar on a terminal, else a plain line at every tenth, always on stderr; and what it takes."""
 
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 
-__all__ = ["Advance", "Report", "Stages", "lines", "progress"]
+__all__ = ["Advance", "Report", "Show", "StageTimes", "Stages", "lines", "progress"]
 
 Advance = Callable[[int], None]
 """Called with the number of steps done."""
@@ -13,6 +13,8 @@ Advance = Callable[[int], None]
 Report = Callable[[str, float], None]
 """Called with a stage's name and the fraction that is done."""
 
+Show = Callable[[str, int], AbstractContextManager[Advance]]
+"""Opens a progress display: what is done, and how many steps."""
 
 # A shorter time left is not worth a number.
 _LEAST_LEFT_S = 60.0
@@ -90,3 +92,18 @@ class Stages:
             self._stage = stage
             self._advance = self._shown.enter_context(progress(stage, 100, "%"))
         self._advance(int(100 * fraction + 1e-9))
+
+
+class StageTimes:
+    """Reports how far a fit is, and measures the processor time of its stages."""
+
+    def __init__(self, report: Report) -> None:
+        self.report = report
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def time(self, stage: str) -> Iterator[None]:
+        """Add what is done within it to the stage."""
+        start = time.process_time()
+        yield
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.process_time() - start

@@ -12,8 +12,8 @@ from calibration.acquisition.folder import AcquisitionFolder, KeptPress, Keys, P
 from calibration.acquisition.report import coverage_png
 from calibration.acquisition.sources import Found
 from calibration.dataset.files import read_rgb
+from calibration.fitting.limits.held_out import TapReader
 from calibration.fitting.presses.nominal_presses import gather_presses, require_light, touched_union
-from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import open_trunk
 from edge import registry
 from edge.core.errors import FitError
@@ -41,13 +41,8 @@ class Acquiring:
             (self._region.height, self._region.width),
         )
         self._reader = TapReader(graph, (self._tap,), frame, profile.pixels_per_mm, plan.threads)
-        about = {
-            "part": plan.part,
-            "position": plan.position,
-            "profile": plan.profile,
-            "region": str(self._region),
-        }
-        self.folder = AcquisitionFolder(plan.output, {key: str(value) for key, value in about.items()})
+        about = {name: str(getattr(plan, name)) for name in ("part", "position", "profile")}
+        self.folder = AcquisitionFolder(plan.output, {**about, "region": str(self._region)})
         self.pieces = Pieces(self.folder.presses, plan.per_piece, Keys(sys.stdin) if plan.enter else None)
         self._distances = PlaceDistances()
         self._shown: NDArray[np.uint8] | None = None

@@ -12,8 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from calibration.dataset.files import Faults, pictures_in, size_of
-from calibration.dataset.press import LabelledPress, parse_name
-from calibration.dataset.shapes import Polygon, Runs, Shape
+from calibration.dataset.press import LabelledPress, Polygon, Runs, Shape, parse_name
 from edge.core.errors import DatasetError
 
 __all__ = ["read_cvat_masks", "read_cvat_xml"]

@@ -1,4 +1,8 @@
-"""One press of a dataset, and how presses are divided so that no specimen is on both sides."""
+"""One press of a dataset, its mask, how presses are divided by specimen, and what is said of likely mistakes.
+
+Annotated shapes have continuous coordinates; the top left corner of the top left pixel is (0, 0), as in CVAT. A pixel
+belongs to a shape when its centre is inside.
+"""
 
 import re
 from collections.abc import Sequence
@@ -10,10 +14,93 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset.files import read_mask, read_rgb
-from calibration.dataset.shapes import Shape, rasterise
 from edge.core.errors import DatasetError
 
-__all__ = ["LabelledPress", "Split", "numbered", "parse_name", "split_by_specimen"]
+__all__ = [
+    "LabelledPress",
+    "Polygon",
+    "Runs",
+    "Shape",
+    "Split",
+    "empty_masks",
+    "numbered",
+    "parse_name",
+    "rasterise",
+    "repeated_pictures",
+    "split_by_specimen",
+]
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """A closed outline; points are (x, y) in pixels. Boxes are polygons of four points."""
+
+    points: tuple[tuple[float, float], ...]
+
+    def __post_init__(self) -> None:
+        if len(self.points) < 3:
+            raise ValueError(f"a polygon needs three points, found {len(self.points)}")
+        if not np.isfinite(self.points).all():
+            raise ValueError("a polygon's points are finite numbers")
+
+
+@dataclass(frozen=True)
+class Runs:
+    """A run-length mask in a rectangle: counts alternate good, defect, ... in row order, starting with good."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+    counts: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.height) < 1 or min(self.counts, default=-1) < 0:
+            raise ValueError("a run-length mask has a positive size and no negative run")
+        if sum(self.counts) != self.width * self.height:
+            raise ValueError(f"runs sum to {sum(self.counts)}, expected {self.width}x{self.height} pixels")
+
+
+Shape = Polygon | Runs
+
+
+def rasterise(shapes: Sequence[Shape], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """The union of the shapes, bool (h, w), for a picture of (width, height); what is outside is cut off."""
+    mask = np.zeros((size[1], size[0]), np.bool_)
+    for shape in shapes:
+        if isinstance(shape, Polygon):
+            _fill(mask, np.asarray(shape.points, np.float64))
+        else:
+            _paste(mask, shape)
+    return mask
+
+
+def _fill(mask: NDArray[np.bool_], points: NDArray[np.float64]) -> None:
+    """Even-odd filling, row by row: between the first and second edge crossed, the third and fourth, and so on."""
+    x0, y0 = points.T
+    x1, y1 = np.roll(points, -1, axis=0).T
+    first = max(0, int(np.floor(y0.min())))
+    last = min(mask.shape[0], int(np.ceil(y0.max())))
+    inside = np.zeros(mask.shape[1], np.bool_)
+    for row in range(first, last):
+        centre = row + 0.5
+        crosses = (y0 <= centre) != (y1 <= centre)
+        along = (centre - y0[crosses]) / (y1[crosses] - y0[crosses])
+        at = np.sort(x0[crosses] + along * (x1[crosses] - x0[crosses]))
+        columns = np.clip(np.ceil(at - 0.5), 0, mask.shape[1]).astype(np.intp)
+        inside[:] = False
+        for start, stop in zip(columns[::2], columns[1::2], strict=True):
+            inside[start:stop] = True
+        mask[row] |= inside
+
+
+def _paste(mask: NDArray[np.bool_], runs: Runs) -> None:
+    is_defect = np.arange(len(runs.counts)) % 2 == 1
+    patch = np.repeat(is_defect, runs.counts).reshape(runs.height, runs.width)
+    top, left = max(runs.top, 0), max(runs.left, 0)
+    patch = patch[top - runs.top : mask.shape[0] - runs.top, left - runs.left : mask.shape[1] - runs.left]
+    mask[top : top + patch.shape[0], left : left + patch.shape[1]] |= patch
+
 
 # <part>_<position>_s<specimen>_p<press>, as `gelgate lab simulate` writes it: at least three digits and two.
 _NAME = re.compile(r"(?P<where>.+)_s(?P<specimen>\d{3,})_p(?P<press>\d{2,})")
@@ -115,3 +202,33 @@ def split_by_specimen(presses: Sequence[LabelledPress], held_out: float, seed: i
         kept=tuple(p for p in presses if p.specimen not in apart),
         held_out=tuple(p for p in presses if p.specimen in apart),
     )
+
+
+def empty_masks(where: str, defective: Sequence[LabelledPress], masks: NDArray[np.bool_]) -> list[str]:
+    """A sentence if some defective presses show no damage. masks: of the inspected region, bool (n, h, w)."""
+    empty = [press.path.name for press, mask in zip(defective, masks, strict=True) if not mask.any()]
+    if not empty:
+        return []
+    return [
+        f"{len(empty)} of the {len(defective)} defective presses of {where} "
+        f"{'has an empty mask' if len(empty) == 1 else 'have empty masks'} in the inspected region, such as "
+        f"'{empty[0]}': as presses they count as damaged, all their pixels as sound; check their masks"
+    ]
+
+
+def repeated_pictures(where: str, presses: Sequence[LabelledPress], digests: Sequence[bytes]) -> list[str]:
+    """A sentence if some pictures are the same. digests: of the bytes of each press's picture."""
+    first: dict[bytes, LabelledPress] = {}
+    copies = [
+        (first[digest], press)
+        for press, digest in zip(presses, digests, strict=True)
+        if first.setdefault(digest, press) is not press
+    ]
+    if not copies:
+        return []
+    original, copy = copies[0]
+    return [
+        f"{where} has {len(copies)} {'copy' if len(copies) == 1 else 'copies'} of other pictures, such as "
+        f"'{copy.path.name}' of '{original.path.name}': what is learnt and tested too is found too easily; remove "
+        "the copies"
+    ]

@@ -30,9 +30,8 @@ def evaluate(
     """Score a bundle on a dataset: metrics and report.
 
     Image and pixel AUROC, AUPRC, AU-PRO and AUPIMO with intervals."""
-    from calibration.evaluate.report import as_json, as_table
+    from calibration.evaluate.report import as_json, as_table, draw_sheet
     from calibration.evaluate.scoring import evaluate_bundle
-    from calibration.evaluate.sheet import draw_sheet
     from calibration.folders import require_folder, write_atomically
     from calibration.progress import progress
     from edge.core.errors import ConfigError

@@ -1,23 +1,36 @@
-"""An evaluation as a table for people and as JSON for programs."""
+"""An evaluation as a table for people, as JSON for programs, and as a sheet of its worst and best score maps."""
 
 import json
 import statistics
+from collections.abc import Sequence
 
-from calibration.evaluate.scoring import Evaluation
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.evaluate.scoring import Evaluation, ScoredPress
 from calibration.metrics import Measure
+from edge.model.comparison import outline_regions
+from edge.pictures.press_picture import PressCaption, draw_press
 
-__all__ = ["as_json", "as_table"]
+__all__ = ["as_json", "as_table", "draw_sheet"]
 
 _SCHEMA_VERSION = 1
+_COLUMNS, _HEADING, _PANEL = 4, 36, 384
+_MASK_COLOUR, _PAPER, _INK = (255, 255, 255), 250, (25, 25, 25)
+
+U8 = NDArray[np.uint8]
 
 
 def as_table(evaluation: Evaluation) -> str:
     """The report as lines of text."""
     e, manifest = evaluation, evaluation.bundle.manifest
     good, bad = (sum(s.press.is_defective is kind for s in e.scored) for kind in (False, True))
+    names = {s.press.specimen for s in e.scored}
+    unsure = "; {} good and {} defective ones are unsure".format(*e.unsure) if any(e.unsure) else ""
     lines = [
         f"{manifest.part}/{manifest.position} by {manifest.method} ({manifest.mode or 'mode unknown'})",
-        f"{good} good and {bad} defective presses, {_specimens(e)} specimens",
+        f"{good} good and {bad} defective presses, {'unknown' if None in names else len(names)} specimens",
     ]
     if e.left_out:
         lines.append(f"{e.left_out} presses left out, because the bundle was fitted on them")
@@ -30,16 +43,11 @@ def as_table(evaluation: Evaluation) -> str:
     lines += [
         "",
         f"at threshold {e.threshold:.6g}: {e.false_alarms} of {good} good presses fail, "
-        f"{e.misses} of {bad} defective ones pass" + _unsure(e),
+        f"{e.misses} of {bad} defective ones pass{unsure}",
         f"time per frame, median: trunk {_median(e, 'trunk_ms'):.1f} ms, head {_median(e, 'head_ms'):.1f} ms",
     ]
     lines += [f"no score: {press.path}: {reason}" for press, reason in e.unscorable]
     return "\n".join(lines)
-
-
-def _unsure(evaluation: Evaluation) -> str:
-    good, bad = evaluation.unsure
-    return f"; {good} good and {bad} defective ones are unsure" if good or bad else ""
 
 
 def _row(one: Measure) -> str:
@@ -54,11 +62,6 @@ def _span(interval: tuple[float, float] | None) -> str:
 
 def _median(evaluation: Evaluation, name: str) -> float:
     return float(statistics.median(getattr(s, name) for s in evaluation.scored))
-
-
-def _specimens(evaluation: Evaluation) -> str:
-    names = {s.press.specimen for s in evaluation.scored}
-    return "unknown" if None in names else str(len(names))
 
 
 def as_json(evaluation: Evaluation) -> str:
@@ -106,3 +109,47 @@ def _measure(one: Measure) -> dict[str, object]:
     if one.value is None:
         return {"value": None, "reason": one.reason}
     return {"value": one.value, "over_images": one.over_images, "over_specimens": one.over_specimens}
+
+
+def draw_sheet(evaluation: Evaluation) -> bytes:
+    """PNG bytes: four rows of up to four presses, each as a station shows it, with the mask's outline, and
+    those of drawn regions."""
+    good = sorted((s for s in evaluation.scored if not s.press.is_defective), key=lambda s: -s.anomaly_score)
+    bad = sorted((s for s in evaluation.scored if s.press.is_defective), key=lambda s: s.anomaly_score)
+    rows = (
+        ("worst: good presses with the highest scores", good[:_COLUMNS]),
+        ("worst: defective presses with the lowest scores", bad[:_COLUMNS]),
+        ("best: defective presses with the highest scores", bad[::-1][:_COLUMNS]),
+        ("best: good presses with the lowest scores", good[::-1][:_COLUMNS]),
+    )
+    sheet = np.concatenate([_draw_row(title, presses, evaluation) for title, presses in rows if presses])
+    return bytes(cv2.imencode(".png", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR))[1])
+
+
+def _draw_row(title: str, presses: Sequence[ScoredPress], evaluation: Evaluation) -> U8:
+    drawn = [_draw(one, evaluation) for one in presses]
+    drawn += [np.full_like(drawn[0], _PAPER)] * (_COLUMNS - len(drawn))
+    row = np.concatenate(drawn, axis=1)
+    heading = np.full((_HEADING, row.shape[1], 3), _PAPER, np.uint8)
+    cv2.putText(heading, title, (8, 26), cv2.FONT_HERSHEY_SIMPLEX, 0.8, _INK, 1, cv2.LINE_AA)
+    return np.concatenate([heading, row])
+
+
+def _draw(one: ScoredPress, evaluation: Evaluation) -> U8:
+    manifest, rgb = evaluation.bundle.manifest, one.press.rgb()
+    frame = np.ascontiguousarray(evaluation.bundle.region.crop(rgb))
+    outlines, _ = cv2.findContours(one.mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(frame, outlines, -1, _MASK_COLOUR, 1)
+    caption = PressCaption(
+        press_id=one.press.path.stem,
+        verdict=manifest.decide(one.anomaly_score).kind,
+        score=one.anomaly_score,
+        threshold=evaluation.threshold,
+        mm_per_pixel=evaluation.bundle.profile.mm_per_pixel,
+        station=one.press.defect or "good",
+        part=f"{one.press.part}/{one.press.position}",
+        time="",
+        drawn=manifest.regions.describe() if manifest.regions else "",
+    )
+    regions = outline_regions(evaluation.bundle, one.pose)
+    return draw_press(frame, one.score_map, caption, _PANEL, outlines=regions)

@@ -12,28 +12,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting import bundle_measurements as measuring
 from calibration.fitting import self_check
-from calibration.fitting.bundle_measurements import (
-    contact_range,
-    cost_card,
-    golden_frames,
-    measure_tolerance,
-    picture_presses,
-    placeholders,
-    provenance,
-    rate_warnings,
-    state_threshold,
-    strength_range,
-    warnings,
-)
 from calibration.fitting.damage.damaged_presses import DamagedPresses, render_damage
 from calibration.fitting.features import feature_warnings
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.appended import append
-from calibration.fitting.limits.covering import Covered, covering_bank
 from calibration.fitting.limits.folds import Folds, divide_presses
 from calibration.fitting.limits.gel_limits import choose_limits
-from calibration.fitting.limits.held_out import HeldOut, Learner, ShownPresses, score_held_out
+from calibration.fitting.limits.held_out import (
+    Covered,
+    HeldOut,
+    Learner,
+    ShownPresses,
+    TapReader,
+    covering_bank,
+    score_held_out,
+)
 from calibration.fitting.limits.limit_choice import Choice, Evidence
 from calibration.fitting.limits.map_limit import PLAIN
 from calibration.fitting.limits.relief_step import ReliefChoice, try_relief
@@ -50,10 +45,7 @@ from calibration.fitting.presses.augmentation import (
 from calibration.fitting.presses.colours import colour_warnings, nominal_colours, refuses
 from calibration.fitting.presses.dots import take_out_dots
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
-from calibration.fitting.presses.scatter import scatter_warnings
-from calibration.fitting.stage_times import StageTimes
-from calibration.fitting.tap_reader import TapReader
-from calibration.progress import Report
+from calibration.progress import Report, StageTimes
 from calibration.threads import one_blas_thread
 from edge.core.detector import Bank, Nominal, Progress
 from edge.core.registration.registrar import PartInPose
@@ -149,7 +141,7 @@ class _Plan:
 def _plan_fit(presses: NominalPresses, config: FitConfig) -> _Plan:
     """Check the presses and divide them into folds. Errors: FitError."""
     promised = config.alpha if config.threshold is None else None
-    said = warnings(presses, (config.region.height, config.region.width), promised)
+    said = measuring.warnings(presses, (config.region.height, config.region.width), promised)
     colours = nominal_colours(presses.frames)
     parameters = config.detector.parameters(config.mode, **config.overrides)
     plan = _Plan(presses, config, parameters, None, MIN_PRESSES, colours, ())
@@ -159,7 +151,7 @@ def _plan_fit(presses: NominalPresses, config: FitConfig) -> _Plan:
         require_enough(len(presses), config.alpha, fewest, augmentation.why)
         rng = np.random.default_rng(config.seed)
         folds, few_pieces = divide_presses(presses.specimens, config.folds, rng, fewest, presses.film)
-    said += [*(few_pieces or rate_warnings(presses.specimens, promised)), *colour_warnings(colours)]
+    said += [*(few_pieces or measuring.rate_warnings(presses.specimens, promised)), *colour_warnings(colours)]
     return replace(plan, folds=folds, fewest=fewest, warnings=said)
 
 
@@ -193,7 +185,7 @@ class _Features:
         presses, config = self.plan.presses, self.plan.config
         pose = self.pose.prove(held_out, damage)
         if pose.learnt is None:
-            scatter_warnings(presses, config.profile, config.detector, why_unregistered=pose.why)
+            self_check.scatter_warnings(presses, config.profile, config.detector, why_unregistered=pose.why)
         return replace(self, pose=pose)
 
     def gather_evidence(self, covered: Covered, damage: DamagedPresses) -> Evidence:
@@ -233,7 +225,9 @@ def _take_features(plan: _Plan, progress: Progress) -> _Features:
     pose = choose_pose(config.how_registered, presses, learner, take, config.view, is_held_out, config.pose)
     said: list[str] = []
     if pose.learnt is None:  # a method that compares places needs the presses at one place
-        said = scatter_warnings(presses, config.profile, config.detector, config.is_scattered, pose.why)
+        said = self_check.scatter_warnings(
+            presses, config.profile, config.detector, config.is_scattered, pose.why
+        )
     posed = pose.apply(presses)
     augmentation = plan.augment(pose.learnt is not None)
     copies = Copies.of(presses, augmentation.each, config.profile.pixels_per_mm, config.seed, take)
@@ -264,7 +258,7 @@ class _Learnt:
     def find_threshold(self, tolerance: ToleranceEntry, scorer: Scorer) -> ThresholdEntry:
         plan, config = self.features.plan, self.features.plan.config
         if config.threshold is not None:
-            return state_threshold(config.threshold, config.alpha)
+            return measuring.state_threshold(config.threshold, config.alpha)
         if self.scores is None:  # one press: copies that the bank has not learnt
             rng = np.random.default_rng(config.seed + 1)
             fresh, _ = render_copies(plan.presses, EACH, config.profile.pixels_per_mm, rng)
@@ -289,8 +283,7 @@ def _learn_bank(features: _Features, watch: StageTimes) -> _Learnt:
             return bank, None
         with watch.time("threshold"):
             report = partial(watch.report, "threshold")
-            held_out = score_held_out(learner, roomy, plan.folds, edited, report, shown)
-        return bank, held_out
+            return bank, score_held_out(learner, roomy, plan.folds, edited, report, shown)
 
     covered = covering_bank(learner, nominal, learn, lambda found: plan.find_threshold(found).value, shown)
     with watch.time("features"):
@@ -336,9 +329,9 @@ def _measure(learnt: _Learnt, created: str, watch: StageTimes) -> Fitted:
     features, plan, threads = learnt.features, learnt.features.plan, learnt.features.plan.config.threads
     trunks, facts = TrunkSessions(threads), _facts(learnt, created)
     scorer = Scorer(_pack(learnt, facts, ()).bundle(), threads, trunks)
-    golden = golden_frames(scorer, features.presses.frames, learnt.scores)
-    tolerance = measure_tolerance(scorer, golden, threads)
-    cost = cost_card(scorer, features.presses.frames, threads, watch.seconds)
+    golden = measuring.golden_frames(scorer, features.presses.frames, learnt.scores)
+    tolerance = measuring.measure_tolerance(scorer, golden, threads)
+    cost = measuring.cost_card(scorer, features.presses.frames, threads, watch.seconds)
     threshold = learnt.find_threshold(tolerance, scorer)
     black = np.zeros_like(plan.presses.frames[0])
     black_score, is_refused = scorer.score_in_pose(black).anomaly_score, refuses(plan.colours, black)
@@ -363,7 +356,7 @@ def _pack(learnt: _Learnt, facts: Facts, golden: Sequence[GoldenFrame]) -> Fitte
         free_gel=most_typical(free) if free is not None and features.skipped_tiles else None,
         free_view=presses.free_view,
         registration=learnt.part,
-        nominal_pictures=picture_presses(features.presses, config.detector),
+        nominal_pictures=measuring.picture_presses(features.presses, config.detector),
     )
     return Fitted(*files)
 
@@ -372,7 +365,7 @@ def _facts(learnt: _Learnt, created: str) -> Facts:
     """Return the facts of a bundle that is only measured: with this threshold every press fails."""
     features, plan = learnt.features, learnt.features.plan
     config, facts = plan.config, learnt.bank.facts
-    threshold, tolerance = placeholders()
+    threshold, tolerance = measuring.placeholders()
     return Facts(
         part=config.part,
         position=config.position,
@@ -392,9 +385,9 @@ def _facts(learnt: _Learnt, created: str) -> Facts:
         grid=GridEntry.of(features.learner.grid, features.skipped_tiles),
         threshold=threshold,
         tolerance=tolerance,
-        contact=contact_range(plan.presses),
-        strength=strength_range(plan.presses),
+        contact=measuring.contact_range(plan.presses),
+        strength=measuring.strength_range(plan.presses),
         colours=plan.colours,
         dots=None if plan.presses.dots is None else DotsEntry.of(plan.presses.dots),
-        provenance=provenance(created, plan.presses, config.seed, learnt.warnings),
+        provenance=measuring.provenance(created, plan.presses, config.seed, learnt.warnings),
     )

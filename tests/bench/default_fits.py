@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from real_touch import OBJECTS, SENSORS, Object, Presses, ball, touch_trial
 
 from calibration.experiments.backbones.evaluation import is_on_damage
-from calibration.experiments.backbones.presses import (
+from calibration.experiments.backbones.sets import (
     PROFILE,
     REGION,
     Sizes,

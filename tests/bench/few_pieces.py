@@ -14,7 +14,7 @@ import numpy as np
 from default_fits import score_presses
 from mechanisms import COMPLETE, fit_with, name_parts
 
-from calibration.experiments.backbones.presses import Sizes, random_part_trial
+from calibration.experiments.backbones.sets import Sizes, random_part_trial
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.harness.rows import Rows
 from calibration.fitting.options import DEFAULT_METHOD

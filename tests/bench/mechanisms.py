@@ -8,7 +8,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from calibration.experiments.backbones.presses import PROFILE, REGION
+from calibration.experiments.backbones.sets import PROFILE, REGION
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.fitting import fit
 from calibration.fitting.fit import FitConfig, Fitted, fit_files

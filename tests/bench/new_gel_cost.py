@@ -16,23 +16,21 @@ from numpy.typing import NDArray
 
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.limits.held_out import Learner, score_held_out
+from calibration.fitting.limits.held_out import Learner, TapReader, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
-from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import open_trunk
 from calibration.metrics import aupro, auroc
 from calibration.simulator.defects import DEFECTS
 from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.field_of_view import LR
-from calibration.simulator.gel_variation import another_gel
 from calibration.simulator.parts import PARTS, specimen
 from calibration.simulator.plan import PRESS_CYCLE_S, place_damage
 from calibration.simulator.pose import HeightField
 from calibration.simulator.random_parts import random_part
 from calibration.simulator.renderer import MASK_DEPTH_MM, Exposure, Renderer
 from calibration.simulator.reproducible_math import reproducible_opencv
-from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance
+from calibration.simulator.sensor_appearance import SENSORS, SensorAppearance, another_gel
 from calibration.simulator.streams import Streams
 from edge import registry
 from edge.core.detector import Bank, Features, Nominal

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from calibration.experiments.harness.rows import ROW_FORMAT
 from calibration.experiments.tradeoff.accuracy import measure_accuracy
+from calibration.experiments.tradeoff.front import Row
 from calibration.experiments.tradeoff.plan import Run, RunSettings
 from calibration.experiments.tradeoff.point import VIEWS
 from calibration.experiments.tradeoff.presses import Seen, see
-from calibration.experiments.tradeoff.rows import Row
 from calibration.experiments.tradeoff.run import read_or_measure
 from calibration.experiments.tradeoff.timing import Lane
 from calibration.fitting.trunks import open_trunk

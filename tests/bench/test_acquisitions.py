@@ -22,9 +22,8 @@ from random_part_presses import RandomPartPresses
 
 from calibration.acquisition.coverage import ROUND, PlaceDistances, Standing
 from calibration.fitting.features import extract, trunk_grid
-from calibration.fitting.limits.covering import covering_bank
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.limits.held_out import Learner, score_held_out
+from calibration.fitting.limits.held_out import Learner, covering_bank, score_held_out
 from calibration.fitting.limits.threshold import conformal_threshold
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk

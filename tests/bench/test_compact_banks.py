@@ -18,7 +18,7 @@ from heads import stored as stored_bank
 from heads import stored_bytes
 
 from calibration.experiments.backbones.evaluation import random_trunk
-from calibration.experiments.backbones.presses import Trial, random_part_trial
+from calibration.experiments.backbones.sets import Trial, random_part_trial
 from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.trunks import open_trunk
 from calibration.metrics import aupro

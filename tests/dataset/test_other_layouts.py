@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.dataset import open_dataset
-from calibration.dataset.shapes import Polygon, Runs, rasterise
+from calibration.dataset.press import Polygon, Runs, rasterise
 from edge.core.errors import DatasetError
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.dataset import LabelledPress
-from calibration.dataset.remarks import empty_masks, repeated_pictures
+from calibration.dataset.press import empty_masks, repeated_pictures
 
 
 def presses(*names: str) -> list[LabelledPress]:

@@ -11,9 +11,8 @@ import pytest
 import tiny
 from command_line import gelgate
 
-from calibration.evaluate.report import as_json, as_table
+from calibration.evaluate.report import as_json, as_table, draw_sheet
 from calibration.evaluate.scoring import Evaluation, evaluate_bundle
-from calibration.evaluate.sheet import draw_sheet
 from calibration.folders import write_atomically
 from calibration.progress import progress
 from edge.core.drawn_regions import DrawnRegion, DrawnRegions

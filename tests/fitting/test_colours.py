@@ -8,7 +8,7 @@ import pytest
 import tiny
 from tiny_fit import config
 
-from calibration.experiments.backbones.presses import Sizes, part_trial
+from calibration.experiments.backbones.sets import Sizes, part_trial
 from calibration.fitting.fit import fit_files
 from calibration.fitting.presses.colours import LEAST_LIMIT, LIMIT_FACTOR, colour_warnings, nominal_colours
 from calibration.fitting.presses.nominal_presses import NominalPresses

@@ -13,7 +13,7 @@ from tiny_fit import config, presses
 
 from calibration.fitting.fit import fit_files
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.presses.scatter import scatter_warnings
+from calibration.fitting.self_check import scatter_warnings
 from calibration.fitting.trunks import Trunk
 from edge import registry
 from edge.core.contact.mask import Touch

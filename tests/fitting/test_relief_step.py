@@ -13,8 +13,13 @@ from calibration.fitting.features import extract, trunk_grid
 from calibration.fitting.fit import FitConfig, Fitted, fit_files
 from calibration.fitting.limits.folds import divide_presses
 from calibration.fitting.limits.gel_limits import choose_limits
-from calibration.fitting.limits.missing_relief import find_missing
-from calibration.fitting.limits.relief_step import USEFUL, ReliefChoice, choose_relief, finest_tap
+from calibration.fitting.limits.relief_step import (
+    USEFUL,
+    ReliefChoice,
+    choose_relief,
+    find_missing,
+    finest_tap,
+)
 from calibration.fitting.presses.nominal_presses import NominalPresses, gather_presses
 from calibration.fitting.trunks import open_trunk
 from calibration.simulator.field_of_view import F32, LR

@@ -15,7 +15,7 @@ from station import JSONL, station_config
 
 from calibration.fitting.fit import FitConfig, fit_files
 from calibration.fitting.presses.nominal_presses import read_presses
-from calibration.fitting.presses.scatter import scatter_warnings
+from calibration.fitting.self_check import scatter_warnings
 from calibration.fitting.trunks import DEFAULT_BACKBONE, open_trunk
 from edge import registry
 from edge.clock import SystemClock

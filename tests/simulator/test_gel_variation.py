@@ -3,8 +3,7 @@
 import numpy as np
 
 from calibration.simulator.field_of_view import LR
-from calibration.simulator.gel_variation import another_gel
-from calibration.simulator.sensor_appearance import SENSORS, background
+from calibration.simulator.sensor_appearance import SENSORS, another_gel, background
 
 UNIT = SENSORS["unit_b"]
 GELS = [another_gel(UNIT, np.random.default_rng(seed)) for seed in range(20)]

@@ -16,8 +16,7 @@ import touch_edits
 from numpy.typing import NDArray
 from touch_edits import Edited
 
-from calibration.experiments.backbones.presses import PROFILE, REGION, Trial
-from calibration.experiments.backbones.sets import EvaluationSet
+from calibration.experiments.backbones.sets import PROFILE, REGION, EvaluationSet, Trial
 from calibration.fitting.damage.conditions import relight
 from calibration.fitting.presses.nominal_presses import MAX_NO_CONTACT, NominalPresses, gather_presses
 from calibration.simulator.field_of_view import F32

@@ -9,17 +9,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.experiments.backbones.presses import FORMAT, PROFILE, Trial
-from calibration.experiments.backbones.sets import EvaluationSet
+from calibration.experiments.backbones.sets import FORMAT, PROFILE, EvaluationSet, Trial
 from calibration.experiments.harness.markdown import markdown_table
 from calibration.fitting.damage.damaged_presses import render_damage
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.limits.held_out import Learner, ShownPresses, score_held_out
+from calibration.fitting.limits.held_out import Learner, ShownPresses, TapReader, score_held_out
 from calibration.fitting.limits.limit_choice import Evidence, choose_limit
 from calibration.fitting.limits.map_limit import relate
 from calibration.fitting.limits.threshold import conformal_threshold
-from calibration.fitting.tap_reader import TapReader
 from calibration.metrics import image_weights, interval, pixel_measures
 from calibration.metrics.summary import image_auroc_of
 from calibration.simulator.workers import in_order
@@ -33,9 +31,7 @@ from plugins.backbones.random import random_state
 from plugins.backbones.resnet import build_trunk
 
 __all__ = [
-    "PEAK_PX",
     "RANDOM",
-    "Column",
     "evaluate",
     "evaluation_tables",
     "is_on_damage",
@@ -282,7 +278,7 @@ def limit_columns(limit: float, trial: Trial, maps: Maps, scores: Float, weights
 
 
 # The parameters for what a method reads and how much it keeps; the evaluation file has all of them.
-_SHOWN = (
+_SHOWN = [
     "taps",
     "layers",
     "grid_tap",
@@ -293,7 +289,7 @@ _SHOWN = (
     "block",
     "window_mm",
     "sigma",
-)
+]
 
 
 def evaluation_tables(evaluation: Mapping[str, Any]) -> str:
@@ -301,8 +297,10 @@ def evaluation_tables(evaluation: Mapping[str, Any]) -> str:
     text = [
         f"In brackets: 95 % intervals from {evaluation['replicates']} bootstrap replicates over presses, within each "
         "part. AU-PRO is integrated up to 1 % false positives.\n\nThe detectors' settings:\n",
-        *(f"- {method}: {_list_shown(chosen)}" for method, chosen in evaluation["settings"].items()),
     ]
+    for method, chosen in evaluation["settings"].items():
+        shown = (f"{name} {_short(chosen[name])}" for name in _SHOWN if chosen.get(name) is not None)
+        text.append(f"- {method}: {', '.join(shown)}")
     for found in evaluation["sets"].values():
         text.append(f"\n### {found['title']}\n\n{found['text']}\n")
         names = list(dict.fromkeys(name for row in found["rows"] for name in row["measures"]))
@@ -313,10 +311,6 @@ def evaluation_tables(evaluation: Mapping[str, Any]) -> str:
         text.append(f"Trials: {', '.join(found['trials'])}.\n")
         text.append(markdown_table(["backbone", "detector", *names], lines).rstrip())
     return "\n".join(text) + "\n"
-
-
-def _list_shown(settings: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} {_short(settings[name])}" for name in _SHOWN if settings.get(name) is not None)
 
 
 def _short(value: Any) -> str:

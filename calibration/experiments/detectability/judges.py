@@ -11,12 +11,11 @@ from calibration.fitting.damage.damage import KINDS, Damage, Spot, surroundings
 from calibration.fitting.damage.rendering import EditedPress
 from calibration.fitting.limits.appended import append
 from calibration.fitting.limits.folds import divide_presses
-from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.limits.held_out import Learner, TapReader
 from calibration.fitting.pose.registration import in_pose_of
 from calibration.fitting.presses.augmentation import Copies
 from calibration.fitting.presses.dots import fill_dots
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.tap_reader import TapReader
 from edge import registry
 from edge.core.detector import Nominal
 from edge.core.errors import DatasetError, PoseNotFound

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset.remarks import empty_masks, repeated_pictures
+from calibration.dataset.press import empty_masks, repeated_pictures
 from calibration.experiments.harness.cells import Cell
 from calibration.experiments.harness.feature_cache import Taken, take_features
 from calibration.experiments.harness.presses import StudyPresses, open_presses, presses_of

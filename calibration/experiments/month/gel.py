@@ -12,12 +12,11 @@ from calibration.simulator.camera import CAMERA_QUALITY, encode_jpeg
 from calibration.simulator.defects import Damaged
 from calibration.simulator.effects import DEFAULT_EFFECTS
 from calibration.simulator.field_of_view import F32, LR
-from calibration.simulator.gel_variation import another_gel
 from calibration.simulator.parts import PARTS
 from calibration.simulator.pose import HeightField, Pose, sample
 from calibration.simulator.renderer import U8, Exposure, Renderer
 from calibration.simulator.scars import Scar, mark_gel
-from calibration.simulator.sensor_appearance import SENSORS
+from calibration.simulator.sensor_appearance import SENSORS, another_gel
 
 __all__ = ["FRAME_S", "MountedGel"]
 

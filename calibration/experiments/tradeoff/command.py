@@ -11,11 +11,10 @@ import typer
 from calibration.experiments.tradeoff.accuracy import measure_accuracy
 from calibration.experiments.tradeoff.figure import say_cost, svg
 from calibration.experiments.tradeoff.fitting import content_sha256, detector_of, trunk_of
-from calibration.experiments.tradeoff.front import pick, read_limits, table
+from calibration.experiments.tradeoff.front import Row, pick, read_limits, table
 from calibration.experiments.tradeoff.plan import Run, RunSettings
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
 from calibration.experiments.tradeoff.presses import on_common_grid, see
-from calibration.experiments.tradeoff.rows import Row
 from calibration.experiments.tradeoff.run import read_or_measure
 from calibration.fitting.command import refuse_existing, summarise, write
 from calibration.fitting.fit import FitConfig, Fitted, fit_files

@@ -11,9 +11,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from calibration.experiments.tradeoff.front import FIRST, list_front, verdict_ms
+from calibration.experiments.tradeoff.front import FIRST, Row, list_front, read_rows, verdict_ms
 from calibration.experiments.tradeoff.machine import busy
-from calibration.experiments.tradeoff.rows import Row, read_rows
 from calibration.fitting.trunks import DEFAULT_BACKBONE
 
 if TYPE_CHECKING:
@@ -205,7 +204,8 @@ def _floor(axes: "Axes", rows: Sequence[Row]) -> None:
     ours = sorted((row for row in rows if not row.get("peer")), key=_value)
     bottom, top = axes.get_ylim()
     levels = [bottom, *map(_value, ours)]
-    trunks = [min(_trunk_ms(row) for row in ours[k:]) for k in range(len(ours))]
+    own = [float(row["stages"]["trunk"]["median"]) for row in ours]
+    trunks = [min(own[k:]) for k in range(len(own))]
     axes.fill_betweenx(levels, [*trunks, trunks[-1]], color=FLOOR, step="post", zorder=0, linewidth=0)
     if axes.get_xlim()[0] == 0:
         axes.text(
@@ -217,10 +217,6 @@ def _floor(axes: "Axes", rows: Sequence[Row]) -> None:
             va="center",
             color=SOFT,
         )
-
-
-def _trunk_ms(row: Row) -> float:
-    return float(row["stages"]["trunk"]["median"])
 
 
 def _mark(axes: "Axes", row: Row, is_on_front: bool) -> None:

@@ -16,9 +16,8 @@ from calibration.experiments.tradeoff.floor import Work, work_of
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint, View
 from calibration.experiments.tradeoff.presses import Chosen, Seen
 from calibration.fitting.bundle_measurements import placeholders, provenance
-from calibration.fitting.limits.held_out import Learner
+from calibration.fitting.limits.held_out import Learner, TapReader
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.tap_reader import TapReader
 from calibration.fitting.trunks import Trunk, open_trunk
 from edge import registry
 from edge.core.detector import Bank, Detector, Features, Nominal

@@ -1,16 +1,57 @@
 """The Pareto front of accuracy and of the time that the line waits for, and the best point within limits, from rows."""
 
+import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 from calibration.experiments.harness.markdown import markdown_table
-from calibration.experiments.tradeoff.rows import Row
+from calibration.experiments.harness.rows import read_rows as read_lines
+from calibration.folders import write_atomically
 from edge.core.errors import ConfigError
 
-__all__ = ["FIRST", "WAITED", "Limits", "Pick", "list_front", "pick", "read_limits", "table", "verdict_ms"]
+__all__ = [
+    "FIRST",
+    "WAITED",
+    "Limits",
+    "Pick",
+    "Row",
+    "list_front",
+    "pick",
+    "read_limits",
+    "read_rows",
+    "table",
+    "verdict_ms",
+    "write_rows",
+]
+
+Row = dict[str, Any]
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write all rows or none; numbers with six digits. Errors: GelgateError."""
+    write_atomically(path, "".join(json.dumps(_round(row), allow_nan=False) + "\n" for row in rows).encode())
+
+
+def _round(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _round(one) for name, one in value.items()}
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Return the rows of a finished run. Errors: ConfigError for a file without them."""
+    rows = read_lines(path)
+    # A study's rows have the same format number, and not these columns.
+    if not rows or any("dataset_sha256" not in row for row in rows):
+        raise ConfigError(
+            f"'{path}' does not hold the rows of a trade-off; give the rows.jsonl of a finished run"
+        )
+    return rows
+
 
 FIRST: Final = "aupro_fpr01"
 """The measure by which the front is decided."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.dataset import LabelledPress, open_dataset, resolution_of, split_by_specimen
-from calibration.dataset.remarks import empty_masks, repeated_pictures
+from calibration.dataset.press import empty_masks, repeated_pictures
 from calibration.experiments.harness.pictures import LR_VIEW, PressPictures
 from calibration.experiments.harness.presses import presses_of
 from calibration.experiments.tradeoff.point import VIEWS, View

@@ -13,18 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.experiments.harness.rows import ROW_FORMAT, ROWS_FILE, Rows
-from calibration.experiments.harness.runner import Show
 from calibration.experiments.tradeoff.accuracy import Truth, measure_accuracy
 from calibration.experiments.tradeoff.fitting import FittedPoint, content_sha256, fit_points
 from calibration.experiments.tradeoff.floor import Work, floor_ms
-from calibration.experiments.tradeoff.front import WAITED
+from calibration.experiments.tradeoff.front import WAITED, Row, read_rows, write_rows
 from calibration.experiments.tradeoff.machine import best, fingerprint, probe
 from calibration.experiments.tradeoff.memory import peak_bytes
 from calibration.experiments.tradeoff.plan import LEAST_ROUNDS, Run, RunSettings
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
 from calibration.experiments.tradeoff.presses import Chosen, on_common_grid, see
-from calibration.experiments.tradeoff.rows import Row, read_rows, write_rows
 from calibration.experiments.tradeoff.timing import Lane, Samples, bundle_lanes, camera_frames, measure_rounds
+from calibration.progress import Show
 from calibration.threads import one_blas_thread
 from edge.core.errors import ConfigError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
@@ -130,12 +129,8 @@ def require_same_run(rows: Sequence[Row], run: Run, file: Path) -> None:
 
 def _claim(folder: Path, settings: RunSettings, dataset: str) -> None:
     """Mark a folder as this run's. Errors: ConfigError where it holds another one."""
-    wanted = {
-        "format": ROW_FORMAT,
-        "dataset": dataset,
-        "seed": settings.seed,
-        "replicates": settings.replicates,
-    }
+    own = {"seed": settings.seed, "replicates": settings.replicates}
+    wanted = {"format": ROW_FORMAT, "dataset": dataset, **own}
     path = folder / "run.json"
     folder.mkdir(parents=True, exist_ok=True)
     if path.is_file() and json.loads(path.read_text()) != wanted:
@@ -181,7 +176,6 @@ def _accuracy_row(fitted: FittedPoint, truth: Truth) -> Row:
     """Return what does not depend on the machine's speed, and the seconds of the fit."""
     point, manifest = fitted.point, fitted.manifest
     assert manifest.backbone is not None
-    stored = sum(entry.bytes_stored for entry in manifest.bank.values())
     return {
         "format": ROW_FORMAT,
         "key": point.key,
@@ -193,7 +187,7 @@ def _accuracy_row(fitted: FittedPoint, truth: Truth) -> Row:
         "presses": point.presses,
         "gel_share": point.presses / DEFAULT_LIMIT_PRESSES,
         "accuracy": measure_accuracy([on_common_grid(m) for m in fitted.maps], fitted.scores, truth),
-        "bank_bytes": stored,
+        "bank_bytes": sum(entry.bytes_stored for entry in manifest.bank.values()),
         "bank_bytes_unpacked": sum(entry.bytes_unpacked for entry in manifest.bank.values()),
         "trunk_bytes": manifest.backbone.trunk.size_bytes,
         "trunk_sha256": manifest.backbone.trunk.sha256,

@@ -19,9 +19,8 @@ from calibration.fitting.pose.registration import LearntPose, completed, keep_po
 from calibration.fitting.pose.two_parts import find_two_parts
 from calibration.fitting.presses.augmentation import FEW, Take
 from calibration.fitting.presses.nominal_presses import NominalPresses
-from calibration.fitting.presses.scatter import may_compare
 from calibration.fitting.presses.strangers import list_names
-from calibration.fitting.self_check import AT_CHANCE
+from calibration.fitting.self_check import AT_CHANCE, may_compare
 from calibration.metrics import auroc
 from edge.core.detector import Nominal
 from edge.core.errors import FitError
@@ -32,7 +31,7 @@ from edge.core.registration.pose import warp
 from edge.core.registration.registrar import PartInPose, Registrar, find_relief
 from edge.model.tile_runner import most_typical
 
-__all__ = ["PoseChoice", "Register", "choose_pose", "pose_spread_mm"]
+__all__ = ["PoseChoice", "Register", "choose_pose"]
 
 U8 = NDArray[np.uint8]
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.fitting.presses.free_gel import find_common_dots
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES, NominalPresses
-from calibration.fitting.presses.sheared_dots import find_common_dots
 from calibration.fitting.presses.strangers import list_names
 from edge.core.detector import Mode
 from edge.core.imaging.marker_dots import MarkerDots, find_marker_dots, shows_marker_dots

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from edge.model.bundle import Bundle
     from edge.model.manifest import ThresholdEntry
 
-__all__ = ["RegionsArguments", "regions"]
+__all__ = ["regions"]
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,7 @@ def regions(given: RegionsArguments) -> None:
     is not signed.
     """
     from calibration.fitting.command import refuse_existing, write
-    from calibration.fitting.regions.drawing import draw_regions
-    from calibration.fitting.regions.texts import write_regions
+    from calibration.fitting.regions.drawing import draw_regions, write_regions
     from edge.core.errors import ConfigError
     from edge.model.bundle import Bundle
     from edge.model.manifest_facts import promise
@@ -78,7 +77,7 @@ def regions(given: RegionsArguments) -> None:
 
 def _change(given: RegionsArguments, old: "Bundle") -> list["DrawnRegion"]:
     """Return the regions that the bundle is to have. Errors: ConfigError."""
-    from calibration.fitting.regions.texts import parse_region, read_regions
+    from calibration.fitting.regions.drawing import parse_region, read_regions
     from edge.core.errors import ConfigError
     from edge.core.suggest import suggestion
 

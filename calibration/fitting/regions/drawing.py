@@ -1,11 +1,19 @@
-"""A bundle with other drawn regions: its head weighs the score map, its golden frames and its promise are new.
+"""Drawn regions: as people write them, and a bundle with others, whose head weighs the score map by them.
 
 The weights are one more array of the bank, so the gateway, the exports and other programs score such a bundle as any
-other. Relief that is missing is a property of the whole press, so it counts
-in ignored places too.
+other. Relief that is missing is a property of the whole press, so it counts in ignored places too. People write
+
+    [[regions]]
+    name = "logo"
+    kind = "ignore"
+    points_mm = [[3.1, 4.0], [6.2, 4.0], [6.2, 7.5]]
+
+in a TOML file, and on the command line `ignore logo 3.1,4 6.2,4 6.2,7.5`. `stricter` has a `factor` too: `stricter seam
+1.5 2,2 8,2 8,4`.
 """
 
 import math
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -25,7 +33,7 @@ from calibration.fitting.teach import FEWEST_HELD_OUT, hold_out
 from edge.core.contact.relief import find_contact
 from edge.core.detector import Bank
 from edge.core.drawn_regions import LEAST_JUDGED_MM2, DrawnRegion, DrawnRegions, find_blind, weigh_places
-from edge.core.errors import FitError
+from edge.core.errors import ConfigError, FitError
 from edge.model.archive import MANIFEST, open_archive
 from edge.model.bundle import HEAD, Bundle, parse_manifest
 from edge.model.bundle_writer import array_entry, keep_file, manifest_bytes
@@ -34,7 +42,15 @@ from edge.model.manifest import REGION_WEIGHTS, Manifest, ThresholdEntry
 from edge.model.manifest_facts import DAMAGE_FOUND
 from edge.model.scorer import Scorer
 
-__all__ = ["draw_again", "draw_regions", "find_promise", "is_stricter"]
+__all__ = [
+    "draw_again",
+    "draw_regions",
+    "find_promise",
+    "is_stricter",
+    "parse_region",
+    "read_regions",
+    "write_regions",
+]
 
 F32 = NDArray[np.float32]
 
@@ -224,3 +240,76 @@ def _measure_contact(old: Bundle, weights: F32) -> dict[str, Any]:
             f"least {LEAST_JUDGED_MM2:g} mm2: nothing would be judged; make what is ignored smaller"
         )
     return {"ignored_mm2": round(whole - judged, 2), "contact_mm2": round(whole, 2)}
+
+
+_KEYS: Final = ("name", "kind", "points_mm", "factor")
+
+
+def read_regions(path: Path) -> list[DrawnRegion]:
+    """Read a file of regions. Errors: ConfigError."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be read: {error.strerror}; name a TOML file of regions") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path} is no TOML file: {error}; `gelgate bundle regions` prints one") from error
+    tables = content.get("regions")
+    if set(content) != {"regions"} or not isinstance(tables, list):
+        raise ConfigError(f"{path} has {sorted(content) or 'nothing'}, expected tables [[regions]] alone")
+    return [_region(path, table) for table in tables]
+
+
+def _region(where: object, table: Any) -> DrawnRegion:
+    if not isinstance(table, Mapping) or (unknown := sorted(table.keys() - {*_KEYS})):
+        found = table if not isinstance(table, Mapping) else unknown[0]
+        raise ConfigError(f"{where}: a region has {', '.join(_KEYS)}, found '{found!s:.60}'")
+    if missing := [key for key in _KEYS[:3] if key not in table]:
+        raise ConfigError(f"{where}: a region lacks {missing[0]}; it has {', '.join(_KEYS)}")
+    try:
+        points = tuple((float(x), float(y)) for x, y in table["points_mm"])
+        return DrawnRegion(str(table["name"]), table["kind"], points, float(table.get("factor", 1.0)))
+    except (TypeError, ValueError) as error:
+        why = (
+            str(error)
+            if str(error).startswith(("region", "a region"))
+            else f"points_mm are [x, y] in mm ({error})"
+        )
+        raise ConfigError(f"{where}: {why}") from error
+
+
+def parse_region(text: str) -> DrawnRegion:
+    """Read the region of a text. Errors: ConfigError."""
+    kind, _, rest = text.strip().partition(" ")
+    name, _, rest = rest.strip().partition(" ")
+    words, factor = rest.split(), dict[str, float]()
+    if kind == "stricter" and words and "," not in words[0]:
+        factor["factor"] = _number(text, words.pop(0))
+    if not words:
+        raise ConfigError(f"'{text}' has no place; write 'ignore NAME x,y x,y x,y' in mm")
+    points = [_point(text, word) for word in words]
+    return _region(f"'{text}'", {"name": name, "kind": kind, "points_mm": points, **factor})
+
+
+def _point(text: str, word: str) -> tuple[float, float]:
+    x, comma, y = word.partition(",")
+    if not comma:
+        raise ConfigError(f"'{text}': found '{word}', expected a point as x,y in mm")
+    return _number(text, x), _number(text, y)
+
+
+def _number(text: str, word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise ConfigError(f"'{text}': found '{word}', expected a number; points are x,y in mm") from None
+
+
+def write_regions(regions: Sequence[DrawnRegion]) -> str:
+    """Write them as a file that `read_regions` reads."""
+    texts = []
+    for one in regions:
+        points = ", ".join(f"[{x:g}, {y:g}]" for x, y in one.points_mm)
+        factor = f"factor = {one.factor:g}\n" if one.kind == "stricter" else ""
+        name = one.name.replace("\\", "\\\\").replace('"', '\\"')
+        texts.append(f'[[regions]]\nname = "{name}"\nkind = "{one.kind}"\n{factor}points_mm = [{points}]\n')
+    return "\n".join(texts)

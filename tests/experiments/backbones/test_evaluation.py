@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 
 from calibration.experiments.backbones import command as evaluate_command
 from calibration.experiments.backbones.evaluation import evaluate, random_trunk
-from calibration.experiments.backbones.presses import Sizes, Trial, part_trial
-from calibration.experiments.backbones.sets import EvaluationSet
+from calibration.experiments.backbones.sets import EvaluationSet, Sizes, Trial, part_trial
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from calibration.fitting.trunks import open_trunk
 from edge.cli import build

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.experiments.backbones.evaluation import evaluate, is_on_damage, limit_columns, random_trunk
-from calibration.experiments.backbones.presses import Trial
-from calibration.experiments.backbones.sets import EvaluationSet
+from calibration.experiments.backbones.sets import EvaluationSet, Trial
 from calibration.fitting.presses.nominal_presses import NominalPresses
 
 

@@ -13,8 +13,8 @@ from tradeoff_rows import row
 
 from calibration.experiments.tradeoff.bench_command import read_medians
 from calibration.experiments.tradeoff.figure import say_cost, svg
+from calibration.experiments.tradeoff.front import read_rows, write_rows
 from calibration.experiments.tradeoff.plan import Run, RunSettings
-from calibration.experiments.tradeoff.rows import read_rows, write_rows
 from edge.core.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[3]

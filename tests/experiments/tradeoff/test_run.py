@@ -10,11 +10,10 @@ import pytest
 from tradeoff_dataset import make_dataset
 
 from calibration.experiments.tradeoff.command import bundle_of
-from calibration.experiments.tradeoff.front import WAITED
+from calibration.experiments.tradeoff.front import WAITED, read_rows, write_rows
 from calibration.experiments.tradeoff.plan import Run, RunSettings, choose_points, usual_points
 from calibration.experiments.tradeoff.point import VIEWS, OperatingPoint
 from calibration.experiments.tradeoff.presses import choose_presses, on_common_grid
-from calibration.experiments.tradeoff.rows import read_rows, write_rows
 from calibration.experiments.tradeoff.run import measure, require_same_run
 from calibration.progress import progress
 from edge.core.errors import ConfigError, DatasetError, GelgateError

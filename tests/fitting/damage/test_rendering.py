@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from pressed_dome import DEPTH_MM, REGION, Bench
 
-from calibration.fitting.damage.compression import is_compressed
 from calibration.fitting.damage.damage import KINDS, Damage, Spot
 from calibration.fitting.damage.imprint import Station
-from calibration.fitting.damage.rendering import EditedPress
+from calibration.fitting.damage.rendering import EditedPress, is_compressed
 from calibration.simulator.field_of_view import grids
 from edge.core.imaging.region import Region
 

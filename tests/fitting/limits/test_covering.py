@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import tiny
 
-from calibration.fitting.limits.covering import covering_bank, is_covered
-from calibration.fitting.limits.held_out import HeldOut, Learner, ScoredPresses
+from calibration.fitting.limits.held_out import HeldOut, Learner, ScoredPresses, covering_bank, is_covered
 from calibration.fitting.limits.threshold import conformal_threshold
 from edge.core.detector import Bank, Nominal
 

@@ -5,7 +5,7 @@ import onnxruntime as ort
 import pytest
 
 from calibration.fitting.limits.appended import append
-from calibration.fitting.limits.missing_relief import contact_of, find_missing, map_missing, pool
+from calibration.fitting.limits.relief_step import contact_of, find_missing, map_missing, pool
 from edge.core.detector import Bank
 from edge.core.errors import FitError
 from plugins.detectors.common.smoothing import upsampling_matrix

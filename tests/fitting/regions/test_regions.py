@@ -18,8 +18,7 @@ from registered_bundle import registered
 from station import gel, jpeg
 
 from calibration.fitting.presses.nominal_presses import read_presses
-from calibration.fitting.regions.drawing import draw_again, draw_regions
-from calibration.fitting.regions.texts import parse_region, read_regions
+from calibration.fitting.regions.drawing import draw_again, draw_regions, parse_region, read_regions
 from calibration.fitting.teach import hold_out
 from edge.clock import SystemClock
 from edge.core.contact.mask import Touch
