@@ -1,7 +1,6 @@
 """Scoring a bundle on a dataset. Presses that the bundle was fitted on are left out; their specimens are counted."""
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from calibration.dataset import Dataset, LabelledPress, open_dataset, resolution_of
 from calibration.metrics import Measure, measure
-from calibration.progress import Advance
+from calibration.progress import Show
 from calibration.threads import one_blas_thread
 from edge.core.errors import DatasetError, NotScorable
 from edge.core.registration.pose import Pose
@@ -18,11 +17,7 @@ from edge.core.verdict import Kind
 from edge.model.bundle import Bundle
 from edge.model.scorer import Scorer
 
-__all__ = ["Evaluation", "Show", "evaluate_bundle", "score_presses"]
-
-Show = Callable[[str, int], AbstractContextManager[Advance]]
-"""Opens a progress display: what is done, and how many steps."""
-
+__all__ = ["Evaluation", "evaluate_bundle"]
 
 EVERY = "*"
 """The name for every part or position of a dataset."""
@@ -82,10 +77,8 @@ class Evaluation:
     def _count(self, kind: Kind, *, is_defective: bool) -> int:
         """Count how many presses of this truth get this verdict."""
         decided = self.bundle.manifest.decide
-        return sum(
-            s.press.is_defective is is_defective and decided(s.anomaly_score).kind is kind
-            for s in self.scored
-        )
+        asked = (s for s in self.scored if s.press.is_defective is is_defective)
+        return sum(decided(s.anomaly_score).kind is kind for s in asked)
 
 
 @one_blas_thread()
@@ -184,11 +177,9 @@ def score_presses(
                 unscorable.append((press, str(error)))
             else:
                 mask = np.ascontiguousarray(region.crop(press.mask()))
-                times, pose = (
-                    (one.trunk_ms, one.head_ms),
-                    None if one.registered is None else one.registered.pose,
-                )
-                scored.append(ScoredPress(press, one.score_map, mask, one.anomaly_score, *times, pose))
+                pose = None if one.registered is None else one.registered.pose
+                found = one.score_map, mask, one.anomaly_score, one.trunk_ms, one.head_ms, pose
+                scored.append(ScoredPress(press, *found))
             advance(done)
     return tuple(scored), tuple(unscorable)
 

@@ -58,14 +58,7 @@ def evaluate_backbone(
         registry.detector(method)  # one that is not known is refused before the folder is made
     make_folder(out)
     with progress("trials", sum(len(chosen.trials) for chosen in sets.values())) as advance:
-        found = evaluate(
-            graphs,
-            sets,
-            detectors,
-            replicates=replicates,
-            workers=workers,
-            advance=advance,
-        )
+        found = evaluate(graphs, sets, detectors, replicates=replicates, workers=workers, advance=advance)
     found["trunks"] = {
         name: {"sha256": sha256(graph).hexdigest(), "bytes": len(graph)} for name, graph in graphs.items()
     }

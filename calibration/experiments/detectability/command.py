@@ -62,10 +62,12 @@ def detectability(
     require_known("damage", kind or (), KINDS)
     settings = Settings(tuple(dict.fromkeys(kind or KINDS)), presses, spacing, seed, threads)
     loaded = Bundle.load(bundle)
-    how = {"no_contact": no_contact or (), "resize": resize, "pattern": pattern}
-    found = _presses(loaded, sources, part, position, **how)
+    own, sensor = loaded.manifest, loaded.profile
+    found = find_sources(sources, part or own.part, position or own.position, sensor.size)
+    how: dict[str, Any] = {"no_contact": no_contact or (), "resize": resize, "pattern": pattern}
+    shown = read_presses(found.paths, sensor, loaded.region, specimens=found.specimens, **how)
     make_folder(output)
-    planned, rows = _measure(loaded, found, settings, Rows(output / TRIALS, _warn))
+    planned, rows = _measure(loaded, shown, settings, Rows(output / TRIALS, _warn))
     curves = results(planned, rows)
     made = card(planned, curves, date.today().isoformat())
     write_atomically(output / TABLE, (table(made) + "\n").encode())
@@ -79,15 +81,6 @@ def detectability(
         typer.echo(f"the card is in {bundle}, whose id has changed; `gelgate bundle inspect` prints it")
         if was_signed:
             _warn(f"the signature of {bundle} was of the bundle without a card and is removed: sign it again")
-
-
-def _presses(
-    bundle: Bundle, sources: list[Path], part: str | None, position: str | None, **how: Any
-) -> NominalPresses:
-    """Read presses as the bundle's profile says. how: as `read_presses`. Errors: of it and of `find_sources`."""
-    own = bundle.manifest
-    found = find_sources(sources, part or own.part, position or own.position, bundle.profile.size)
-    return read_presses(found.paths, bundle.profile, bundle.region, specimens=found.specimens, **how)
 
 
 def _measure(

@@ -169,7 +169,11 @@ def plan(
         for k, judge in chosen.items()
         if presses.names[k] not in refused
     }
-    _require_contact(bundle, [press for press, _ in edited.values()])
+    if not any(press.contact.any() for press, _ in edited.values()):
+        raise DatasetError(
+            f"none of the {len(edited)} presses touches the region {bundle.region}: no contact is seen against the "
+            "picture of the free gel; give presses of this station, and its free gel with --no-contact"
+        )
     kept, failing = _passing(bundle, edited, settings.presses)
     grid = PlaceGrid(station.field, settings.spacing_mm)
     places = touched_places(grid, [one.contact for one in kept.values()])
@@ -238,15 +242,6 @@ def _require_station(bundle: Bundle, presses: NominalPresses, refused: Sequence[
         raise DatasetError(
             f"{len(refused)} of {len(presses)} presses are of another sensor by their colours, the first "
             f"{refused[0]}; give presses of the station that bundle {bundle.where} was fitted on"
-        )
-
-
-def _require_contact(bundle: Bundle, presses: Sequence[EditedPress]) -> None:
-    """Refuse presses without contact. Errors: DatasetError where no press touches."""
-    if not any(press.contact.any() for press in presses):
-        raise DatasetError(
-            f"none of the {len(presses)} presses touches the region {bundle.region}: no contact is seen against the "
-            "picture of the free gel; give presses of this station, and its free gel with --no-contact"
         )
 
 

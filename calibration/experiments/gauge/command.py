@@ -45,7 +45,7 @@ def plan(
     if output.exists():
         raise ConfigError(f"{output} exists, and may be in use; name another file")
     names = piece or [f"P{number}" for number in range(1, pieces + 1)]
-    who = operator or [_letters(number) for number in range(operators)]
+    who = operator or [chr(ord("A") + n % 26) + (str(n // 26) if n >= 26 else "") for n in range(operators)]
     for name in bad or ():
         if name not in names:
             raise ConfigError(f"--bad: no piece is named '{name}'; {suggestion(name, names)}")
@@ -57,11 +57,6 @@ def plan(
     typer.echo(
         f"{len(made.order)} presses in {output}, seed {made.seed}; run them with `gelgate lab msa run {output}`"
     )
-
-
-def _letters(number: int) -> str:
-    """A to Z, then A1 to Z1 and so on."""
-    return chr(ord("A") + number % 26) + (str(number // 26) if number >= 26 else "")
 
 
 @msa.command()

@@ -27,12 +27,10 @@ from edge.core.binomial import rate_limits
 
 __all__ = [
     "Drift",
-    "Estimate",
     "Gauge",
     "Kappa",
     "Share",
     "Shares",
-    "Source",
     "Words",
     "cohen_kappa",
     "count_shares",

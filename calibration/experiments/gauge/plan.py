@@ -18,17 +18,7 @@ from edge.core.errors import ConfigError, DatasetError
 from edge.store.study_presses import StudyPress
 from edge.store.ulid import new_ulid
 
-__all__ = [
-    "ORIGIN",
-    "SCORED",
-    "Material",
-    "Piece",
-    "Step",
-    "StudyPlan",
-    "make_plan",
-    "material",
-    "read_plan",
-]
+__all__ = ["ORIGIN", "SCORED", "Material", "Piece", "StudyPlan", "make_plan", "material", "read_plan"]
 
 Name = Annotated[str, StringConstraints(pattern=r"^[^\x00-\x1f\x7f]{1,64}$")]
 

@@ -4,7 +4,6 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import tzinfo
 from itertools import combinations
 from typing import Final, NamedTuple
 
@@ -27,7 +26,7 @@ from calibration.experiments.harness.markdown import markdown_table
 from edge.clock import local_time
 from edge.core.printable import write_count
 
-__all__ = ["FORMATS", "Section", "csv_tables", "markdown", "report_sections"]
+__all__ = ["FORMATS", "markdown", "report_sections"]
 
 
 class Section(NamedTuple):
@@ -41,15 +40,12 @@ class Section(NamedTuple):
     """Rows of as many cells each, as printed."""
 
 
-def report_sections(study: Material, zone: tzinfo | None = None) -> list[Section]:
-    """Every section, in order. A score without any variation has no gauge R&R, and its section says so.
-
-    zone: of the times; None for that of this machine.
-    """
-    return [_about(study, zone), *_gauge(study), _agreement(study), _kappas(study), _drift(study)]
+def report_sections(study: Material) -> list[Section]:
+    """Every section, in order. A score without any variation has no gauge R&R, and its section says so."""
+    return [_about(study), *_gauge(study), _agreement(study), _kappas(study), _drift(study)]
 
 
-def _about(study: Material, zone: tzinfo | None) -> Section:
+def _about(study: Material) -> Section:
     plan, first, last = study.plan, study.presses[0], study.presses[-1]
     facts = {
         "study": plan.study_id,
@@ -57,7 +53,7 @@ def _about(study: Material, zone: tzinfo | None) -> Section:
         "sensor, gel": f"{first.serial}, {first.gel_id}",
         "bundle": first.bundle_id[:16],
         "threshold": _number(first.threshold),
-        "pressed": f"{local_time(first.time_ns, zone)} to {local_time(last.time_ns, zone)}",
+        "pressed": f"{local_time(first.time_ns)} to {local_time(last.time_ns)}",
         "order": f"random, seed {plan.seed}",
         "planned": f"{len(plan.pieces)} pieces x {len(plan.operators)} operators x {plan.repeats} repeats",
         "analysed": f"{' x '.join(map(str, study.scores.shape))}",

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 from edge.core.detector import Mode
 
-__all__ = ["CELL_FORMAT", "Cell", "Setting", "Split"]
+__all__ = ["Cell", "Setting", "Split"]
 
 # Of the key: a change in what a cell means gives it another key, so that old rows are not taken for new ones.
 CELL_FORMAT = 1

@@ -9,7 +9,7 @@ from typing import Any
 from calibration.experiments.harness.cells import Cell
 from edge.core.errors import ConfigError, StoreError
 
-__all__ = ["ANSWER_WITHIN_S", "check_address", "on_cluster"]
+__all__ = ["check_address", "on_cluster"]
 
 ANSWER_WITHIN_S = 10.0
 """How long a scheduler may take to answer, and to show its first worker."""

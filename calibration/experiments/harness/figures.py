@@ -7,22 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.experiments.harness.evidence import are_drawn, mean_interval
-from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "draw_conditions",
-    "draw_curves",
-    "draw_overview",
-    "draw_shots",
-    "find_curves",
-    "gel_share",
-    "svg",
-]
+__all__ = ["draw_conditions", "draw_curves", "draw_overview", "draw_shots", "find_curves", "svg"]
 
 _MEASURE_NAMES = {
     "aupro_001": "AU-PRO@0.01",
@@ -57,11 +48,6 @@ def find_curves(rows: "pd.DataFrame", x: str, measure: str) -> "pd.DataFrame":
             found[key] = (values.mean(), *interval, cell["presses"].max())
     index = pd.MultiIndex.from_tuples(list(found), names=["part", "method", x]) if found else None
     return pd.DataFrame(list(found.values()), index, columns=["mean", "low", "high", "presses"])
-
-
-def gel_share(presses: float) -> float:
-    """Return the part of a gel's rated life that this number of presses uses, 1 is all of it."""
-    return presses / DEFAULT_LIMIT_PRESSES
 
 
 def draw_overview(rows: "pd.DataFrame", measure: str = "aupro_001") -> "Figure":

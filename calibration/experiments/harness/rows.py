@@ -15,15 +15,7 @@ from edge.core.errors import ConfigError, StoreError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "ROWS_FILE",
-    "ROW_FORMAT",
-    "TIMES",
-    "Rows",
-    "frame",
-    "read_rows",
-    "rows_of_studies",
-]
+__all__ = ["ROWS_FILE", "ROW_FORMAT", "TIMES", "Rows", "frame", "read_rows", "rows_of_studies"]
 
 ROWS_FILE = "rows.jsonl"
 

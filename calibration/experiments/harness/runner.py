@@ -1,22 +1,18 @@
 """Runs the cells of a study that have no row yet: here, in processes, or on a Dask cluster."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from typing import Any
 
 from calibration.experiments.harness.cells import Cell
 from calibration.experiments.harness.rows import Rows
-from calibration.progress import Advance
+from calibration.progress import Show
 from edge.core.errors import DatasetError, FitError, NotScorable, StoreError
 
-__all__ = ["Evaluate", "Result", "Show", "run"]
+__all__ = ["Result", "run"]
 
 Evaluate = Callable[[Cell], Mapping[str, Any]]
 """What a cell measures: the columns of its row without those that name the cell. It must be picklable: a function of a
 module, or a frozen value with `__call__`."""
-
-Show = Callable[[str, int], AbstractContextManager[Advance]]
-"""Opens a progress display: what is done, and how many steps."""
 
 Result = tuple[Cell, Mapping[str, Any]]
 
@@ -42,7 +38,8 @@ def run(
     raises.
     """
     with rows.hold():
-        left = _find_left(cells, rows)
+        known = rows.done()
+        left = [cell for cell in dict.fromkeys(cells) if cell.key not in known]
         done = len(cells) - len(left)
         with progress("cells", len(cells)) as advance:
             advance(done)
@@ -50,11 +47,6 @@ def run(
                 rows.append({**cell.columns(), **result})
                 done += 1
                 advance(done)
-
-
-def _find_left(cells: Sequence[Cell], rows: Rows) -> list[Cell]:
-    done = rows.done()
-    return [cell for cell in dict.fromkeys(cells) if cell.key not in done]
 
 
 def _results(cells: list[Cell], evaluate: Evaluate, jobs: int, dask: str | None) -> Iterator[Result]:

@@ -107,7 +107,9 @@ def fit_and_score(
         "presses": nominal.presses,
         "test_nominal": int((~test.is_defective).sum()),
         "test_defective": int(test.is_defective.sum()),
-        "bank_bytes": sum(_bytes(array) for array in packed.values()),
+        "bank_bytes": sum(
+            one.data.nbytes + (0 if one.scale is None else one.scale.nbytes) for one in packed.values()
+        ),
         "score_ms": round(median(result.milliseconds), 4),
         **seconds,
         "scores_sha256": result.digest,
@@ -165,10 +167,6 @@ def _pack_arrays(bank: Bank) -> dict[str, Packed]:
         return {key: pack(array, bank.packing.get(key, "none")) for key, array in bank.arrays.items()}
     except ValueError as error:
         raise FitError(f"the bank cannot be stored: {error}") from error
-
-
-def _bytes(array: Packed) -> int:
-    return array.data.nbytes + (0 if array.scale is None else array.scale.nbytes)
 
 
 def measures(result: Scored, test: TestPresses) -> dict[str, float | None]:

@@ -19,9 +19,9 @@ from calibration.experiments.harness.material import Material, Place, material, 
 from calibration.experiments.harness.presses import hold_out
 from calibration.experiments.harness.published import stable_fraction
 from calibration.experiments.harness.rows import ROWS_FILE, Rows, frame
-from calibration.experiments.harness.runner import Show, run
+from calibration.experiments.harness.runner import run
 from calibration.fitting.trunks import every_cut
-from calibration.progress import progress
+from calibration.progress import Show, progress
 from edge import registry
 from edge.core.detector import Mode
 from edge.core.errors import ConfigError, DatasetError, FitError

@@ -65,13 +65,14 @@ def page(rows: Sequence[Row], link: str, command: str) -> str:
     days, presses = rows[0]["days"], rows[0]["month_presses"]
     parts = sorted({row["part"] for row in rows})
     which = f"{rows[0]['set']} parts {', '.join(map(str, parts))}: {presses} presses in {days} days each"
-    hours = sum(row["cpu_s"] for row in rows) / 60
+    minutes = sum(row["cpu_s"] for row in rows) / 60
+    totals = [[name, *(count(_of(rows, arm)) for arm in ARMS)] for name, count in _LINES.items()]
     return "\n".join(
         [
             _INTRO,
-            f"`{command}`: {which}; {hours:.0f} minutes of one core.\n",
+            f"`{command}`: {which}; {minutes:.0f} minutes of one core.\n",
             f"![False alarms and escapes by day]({link})\n",
-            markdown_table(["", *ARMS], _totals(rows)),
+            markdown_table(["", *ARMS], totals),
             *(f"- `{arm}`: {what}." for arm, what in ARMS.items()),
             "\n## What escaped, what was blamed, what was said\n",
             markdown_table(["", *ARMS], _details(rows)),
@@ -120,10 +121,6 @@ _LINES: Final[Mapping[str, Callable[[list[Row]], object]]] = {
 }
 
 
-def _totals(rows: Sequence[Row]) -> list[list[object]]:
-    return [[name, *(count(_of(rows, arm)) for arm in ARMS)] for name, count in _LINES.items()]
-
-
 def _count_bad_days(own: list[Row]) -> str:
     days = sorted({row["day"] for row in own if row["day"] >= _FROM_DAY})
     later = [[row for row in own if row["day"] == day] for day in days]
@@ -133,11 +130,8 @@ def _count_bad_days(own: list[Row]) -> str:
 
 def _details(rows: Sequence[Row]) -> list[list[str]]:
     lines = []
-    for name, what in (
-        ("escaped", "escaped"),
-        ("causes", "cause of false alarms"),
-        ("alarms", "alarms raised"),
-    ):
+    shown = {"escaped": "escaped", "causes": "cause of false alarms", "alarms": "alarms raised"}
+    for name, what in shown.items():
         cells = []
         for arm in ARMS:
             counts: Counter[str] = sum((Counter(row[name]) for row in _of(rows, arm)), Counter())

@@ -26,7 +26,7 @@ from calibration.simulator.shapes import f32
 from calibration.simulator.streams import Streams
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
-__all__ = ["DAYS", "DEPTH_MM", "FULL", "NOMINAL", "SETS", "Month", "PlannedPress", "Truth"]
+__all__ = ["DAYS", "DEPTH_MM", "FULL", "NOMINAL", "SETS", "Month", "PlannedPress"]
 
 DAYS: Final = 30
 FULL: Final = 10_000

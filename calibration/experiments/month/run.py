@@ -34,17 +34,7 @@ from edge.model.bundle import Bundle
 from edge.model.manifest_facts import promise
 from edge.model.session import TrunkSessions
 
-__all__ = [
-    "ARMS",
-    "NOT_ASKED",
-    "PASSES_DAMAGE",
-    "Row",
-    "find_key",
-    "fit_first",
-    "is_early",
-    "learn_from_day",
-    "run_month",
-]
+__all__ = ["ARMS", "NOT_ASKED", "PASSES_DAMAGE", "Row", "find_key", "fit_first", "is_early", "run_month"]
 
 log = logging.getLogger(__name__)
 

@@ -27,7 +27,7 @@ from edge.model.session import TrunkSessions
 from edge.store.acts import CONFIRM, Act
 from edge.store.ulid import new_ulid
 
-__all__ = ["CONFIGURATION", "DayCounts", "DayStation", "write_config"]
+__all__ = ["DayStation", "write_config"]
 
 SERIAL: Final = "SIM00001"
 # 5 January 2026, noon UTC: the first shift begins.

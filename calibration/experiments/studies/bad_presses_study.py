@@ -15,20 +15,14 @@ from calibration.experiments.harness.material import Drawn, Material, fit_cell
 from calibration.experiments.harness.page import Page, make_page, percent, share_of, tabulate_medians
 from calibration.experiments.harness.presses import TEST_SEED, hold_out, open_presses, subset
 from calibration.experiments.harness.rows import Rows
-from calibration.experiments.harness.study import (
-    Evaluation,
-    Options,
-    choose_places,
-    make_cells,
-    run_study,
-)
+from calibration.experiments.harness.study import Evaluation, Options, choose_places, make_cells, run_study
 from calibration.experiments.studies.good_fraction_study import count_presses
 from edge.core.errors import DatasetError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["BAD_SHARES", "STUDY", "BadPresses", "halve", "mix_presses", "page", "study_bad_presses"]
+__all__ = ["BAD_SHARES", "STUDY", "halve", "mix_presses", "page", "study_bad_presses"]
 
 STUDY = "bad-presses"
 

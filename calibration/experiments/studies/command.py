@@ -19,7 +19,7 @@ from calibration.experiments.studies.resolution_study import fine_places, study_
 from edge.cli.arguments import add_argument, add_option, flatten
 from edge.core.errors import ConfigError, DatasetError
 
-__all__ = ["STUDIES", "study", "study_all"]
+__all__ = ["study", "study_all"]
 
 STUDIES: Mapping[str, Callable[[Options], Rows]] = {
     "good-fraction": study_good_fraction,

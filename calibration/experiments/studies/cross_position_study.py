@@ -40,13 +40,7 @@ from edge.core.errors import DatasetError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "STUDY",
-    "TARGET_FRACTIONS",
-    "CrossPosition",
-    "page",
-    "study_cross_position",
-]
+__all__ = ["STUDY", "CrossPosition", "page", "study_cross_position"]
 
 STUDY = "cross-position"
 

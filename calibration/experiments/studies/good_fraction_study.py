@@ -13,41 +13,20 @@ import numpy as np
 
 from calibration.experiments.harness.cells import Cell, Setting
 from calibration.experiments.harness.evidence import MIN_DRAWS, STABLE_WITHIN, stable_from
-from calibration.experiments.harness.figures import (
-    draw_overview,
-    draw_shots,
-    find_curves,
-    gel_share,
-)
+from calibration.experiments.harness.figures import draw_overview, draw_shots, find_curves
 from calibration.experiments.harness.material import Drawn, Material, fit_cell
-from calibration.experiments.harness.page import (
-    Figures,
-    Page,
-    make_page,
-    percent,
-)
+from calibration.experiments.harness.page import Figures, Page, make_page, percent
 from calibration.experiments.harness.presses import hold_out, open_presses, subset
 from calibration.experiments.harness.published import stable_fraction
 from calibration.experiments.harness.rows import Rows
-from calibration.experiments.harness.study import (
-    Evaluation,
-    Options,
-    choose_places,
-    make_cells,
-    run_study,
-)
+from calibration.experiments.harness.study import Evaluation, Options, choose_places, make_cells, run_study
 from edge.core.errors import ConfigError, DatasetError
 from edge.core.gel_life import DEFAULT_LIMIT_PRESSES
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "STUDY",
-    "GoodFraction",
-    "page",
-    "study_good_fraction",
-]
+__all__ = ["STUDY", "page", "study_good_fraction"]
 
 STUDY = "good-fraction"
 
@@ -134,7 +113,7 @@ def _tabulate_plateaus(rows: "pd.DataFrame") -> "pd.DataFrame | None":
                 "plateau from": percent(found) + (" (the largest: no plateau)" if is_last else ""),
                 "the paper's": "-" if paper is None else percent(paper),
                 "presses": ", ".join(f"{part} {count}" for part, count in at.items()),
-                "of a gel's life, at most": f"{100 * gel_share(at.max()):.0f} %",
+                "of a gel's life, at most": f"{100 * (at.max() / DEFAULT_LIMIT_PRESSES):.0f} %",
             }
         )
     return pd.DataFrame(lines) if lines else None

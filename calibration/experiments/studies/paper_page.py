@@ -158,21 +158,13 @@ def _list_orders(rows: "pd.DataFrame", study: _Study) -> tuple["pd.DataFrame", l
         ]
         ours = {method: float(by_method[method][_MEASURE].median()) for method in theirs}
         orders = [_write_order(one) for one in (ours, theirs)]
-        lines.append([part, f"`{write_condition(condition)}`", *orders, _count_shortly(pairs)])
+        counts = "/".join(str(pairs.count(word)) for word in ("agree", "differ", "undecided"))
+        lines.append([part, f"`{write_condition(condition)}`", *orders, counts])
         every += pairs
-    return pd.DataFrame(
-        lines, columns=["part", _heading(study), "here", "paper", "agree/differ/undecided"]
-    ), every
-
-
-def _count_shortly(pairs: list[str]) -> str:
-    return "/".join(str(pairs.count(word)) for word in ("agree", "differ", "undecided"))
+    varied = study.column.replace("_", " ")
+    return pd.DataFrame(lines, columns=["part", varied, "here", "paper", "agree/differ/undecided"]), every
 
 
 def _write_order(values: Mapping[str, float]) -> str:
     ranked = sorted(values, key=lambda method: -values[method])
     return ", ".join(f"{method} {values[method]:.3f}" for method in ranked)
-
-
-def _heading(study: _Study) -> str:
-    return study.column.replace("_", " ")

@@ -26,7 +26,7 @@ from edge.extras import needs
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["NEEDS", "Answer", "Question", "page", "recommend", "recommend_method", "write_answers"]
+__all__ = ["NEEDS", "Answer", "Question", "page", "recommend", "recommend_method"]
 
 Samples = Mapping[str, Sample]
 
@@ -69,11 +69,9 @@ class Question:
     @property
     def command(self) -> str:
         """The command that gives the rows."""
-        words = [
-            f"gelgate lab study {self.study} DATASET -o FOLDER",
-            *(f"--part {part}" for part in self.parts),
-        ]
-        return " ".join(words)
+        return " ".join(
+            [f"gelgate lab study {self.study} DATASET -o FOLDER", *(f"--part {part}" for part in self.parts)]
+        )
 
 
 @dataclass(frozen=True)
@@ -269,11 +267,6 @@ def _answer(question: Question, rows: "pd.DataFrame") -> Answer:
     return Answer(question, rank(samples, higher_is_better=question.higher_is_better, span=question.span))
 
 
-def write_answers(answers: Sequence[Answer]) -> str:
-    """Return answers as text."""
-    return render("answers", answers=answers)
-
-
 def page(rows: "pd.DataFrame") -> Page:
     """Make the page. rows: of all studies."""
     setups = {
@@ -316,7 +309,8 @@ def recommend_method(
         chosen = _choose(chosen, column, wanted)
     first = chosen.iloc[0]
     typer.echo(f"rows of {first['backbone']}, {first['mode']} mode, split by {first['split']}")
-    typer.echo(f"\n{write_answers(recommend(chosen, need or ()))}", nl=False)
+    answers = recommend(chosen, need or ())
+    typer.echo(f"\n{render('answers', answers=answers)}", nl=False)
 
 
 def _choose(rows: "pd.DataFrame", column: str, wanted: str | None) -> "pd.DataFrame":

@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.dataset import SIZES, LabelledPress, resolution_of
+from calibration.dataset import SIZES, resolution_of
 from calibration.experiments.harness.cells import Cell, Split
 from calibration.experiments.harness.evidence import effects
 from calibration.experiments.harness.figures import draw_conditions
@@ -62,17 +62,7 @@ from edge.model.session import open_session
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "COMMON",
-    "STUDY",
-    "VIEWS",
-    "ResolutionStudy",
-    "ViewPlace",
-    "cap_presses",
-    "common_map",
-    "page",
-    "study_resolution",
-]
+__all__ = ["COMMON", "STUDY", "VIEWS", "ViewPlace", "cap_presses", "common_map", "page", "study_resolution"]
 
 _LR, _HR = SIZES["lr"], SIZES["hr"]
 _ACROSS, _DOWN = _HR[0] // _LR[0], _HR[1] // _LR[1]
@@ -174,7 +164,8 @@ class Seen(Material):
 
         Errors: DatasetError for a press without 1280x720 pictures, and where all masks are empty there.
         """
-        fine = {press.path.name: press for press in _fine_presses(self.place)}
+        every = open_presses(self.place.dataset, "hr").select(self.place.part, self.place.position).presses
+        fine = {press.path.name: press for press in every}
         for press in self.presses.pictures.presses:
             if press.path.name not in fine:
                 raise DatasetError(
@@ -238,10 +229,6 @@ def cap_presses(place: ViewPlace) -> tuple[StudyPresses, HeldOut, int]:
     presses = StudyPresses(place.part, place.position, PressPictures(tuple(chosen), view), len(rows))
     kept = HeldOut(np.searchsorted(rows, held.test), np.searchsorted(rows, pool))
     return presses, kept, len(held.pool)
-
-
-def _fine_presses(place: Place) -> tuple[LabelledPress, ...]:
-    return open_presses(place.dataset, "hr").select(place.part, place.position).presses
 
 
 def study_resolution(options: Options) -> Rows:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from calibration.metrics import interval, pixel_measures
 from calibration.metrics.summary import image_auroc_of, recall_at
 
-__all__ = ["FALSE_ALARMS", "MEASURES", "Truth", "measure_accuracy"]
+__all__ = ["MEASURES", "Truth", "measure_accuracy"]
 
 FALSE_ALARMS: Final = 0.01
 """The false-positive rate of AU-PRO (pixels) and of the recall (presses)."""

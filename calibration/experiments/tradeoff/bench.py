@@ -26,6 +26,7 @@ from calibration.experiments.tradeoff.gateway_process import (
     Bare,
     Package,
     Taken,
+    listen,
     measure_bare,
     measure_packages,
     measure_sensor,
@@ -43,8 +44,7 @@ from edge.core.press import Press
 from edge.gateway.build import open_station
 from edge.logs import Json
 from edge.messaging.local_broker import LocalBroker
-from edge.messaging.mqtt_broker import Broker, Level, Received
-from edge.messaging.mqtt_connection import Connection
+from edge.messaging.mqtt_broker import Received
 from edge.messaging.sink_worker import SinkWorker
 from edge.model.bundle import Bundle
 from edge.model.inspector import Inspector
@@ -160,6 +160,8 @@ def bench(settings: BenchSettings, folder: Path) -> Measured:
     width, height = recording.header.mode
     frame = {"width": width, "height": height, "bytes": float(np.mean([len(one) for one in payloads]))}
     assert bundle.manifest.backbone is not None
+    trunk = folder / "trunk.onnx"
+    trunk.write_bytes(bundle.graphs.trunk)
     return Measured(
         f"{bundle.manifest.method} on {bundle.manifest.backbone.id}",
         machine,
@@ -169,7 +171,7 @@ def bench(settings: BenchSettings, folder: Path) -> Measured:
         {**frame, "fps": fps},
         idle,
         pressing,
-        _measure_bare(bundle, folder, settings.threads),
+        measure_bare(trunk, _seen(bundle), settings.threads),
         measure_sensor(settings.recording, settings.idle_s),
         time_help(),
         measure_packages(pressing.mapped_bytes if pressing else {}),
@@ -276,13 +278,6 @@ def _seen(bundle: Bundle) -> tuple[int, int]:
     return bundle.grid.frame if tiles is None else (tiles.size, tiles.size)
 
 
-def _measure_bare(bundle: Bundle, folder: Path, threads: int) -> Bare | None:
-    assert bundle.graphs.trunk is not None
-    trunk = folder / "trunk.onnx"
-    trunk.write_bytes(bundle.graphs.trunk)
-    return measure_bare(trunk, _seen(bundle), threads)
-
-
 def _play(
     config: Config, bundle: Bundle, settings: BenchSettings, broker: LocalBroker
 ) -> dict[str, list[float]]:
@@ -291,20 +286,13 @@ def _play(
     picture = np.random.default_rng(0).integers(0, 256, (1, *_seen(bundle), 3), np.uint8)
     session.run(None, {"frames": picture})
     watch = _Watch(lambda: session.run(None, {"frames": picture}))
-    level: Level = "5" if broker.speaks_mqtt5 else "3.1.1"
-    connection = Connection.open(
-        Broker(broker.host, broker.port, "gelgate-bench", level=level), on_received=watch.arrived
-    )
-    try:
-        connection.subscribe("gelgate/#")
-        with (
-            _hear(SinkWorker.__module__, watch.acknowledged),
-            open_station(config, SystemClock(), stages={"bench": watch}) as station,
-        ):
-            station.run(threading.Event(), settings.presses)
-            watch.finish()
-    finally:
-        connection.close()
+    with (
+        listen(broker, watch.arrived),
+        _hear(SinkWorker.__module__, watch.acknowledged),
+        open_station(config, SystemClock(), stages={"bench": watch}) as station,
+    ):
+        station.run(threading.Event(), settings.presses)
+        watch.finish()
     return dict(watch.ms)
 
 

@@ -14,7 +14,7 @@ from calibration.experiments.harness.markdown import markdown_table
 from calibration.experiments.tradeoff.bench import STAGES, BenchSettings, Measured, bench
 from calibration.experiments.tradeoff.machine import busy
 
-__all__ = ["bench_station", "page", "read_medians", "summary"]
+__all__ = ["bench_station", "page", "read_medians"]
 
 SHOWN_PACKAGES: Final = 4
 

@@ -8,7 +8,8 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
@@ -104,6 +105,19 @@ def measure_bare(trunk: Path, shape: tuple[int, int], threads: int) -> Bare | No
     return Bare(float(int(kilobytes) << 10), float(imports_s))
 
 
+@contextmanager
+def listen(broker: LocalBroker, hear: Callable[[Received], None]) -> Iterator[None]:
+    """Give each message of a station at this broker to a function, which another thread calls."""
+    level: Level = "5" if broker.speaks_mqtt5 else "3.1.1"
+    address = Broker(broker.host, broker.port, "gelgate-bench", level=level)
+    connection = Connection.open(address, on_received=hear)
+    try:
+        connection.subscribe("gelgate/#")
+        yield
+    finally:
+        connection.close()
+
+
 def watch_gateway(config: Path, seconds: float, broker: LocalBroker, fps: float) -> Taken | None:
     """Run a gateway until it is ready, and then for some time; None without /proc, and where it ends by itself."""
     if not Path("/proc/self/smaps").is_file():
@@ -117,13 +131,8 @@ def watch_gateway(config: Path, seconds: float, broker: LocalBroker, fps: float)
         elif kind == "result":
             results.append(time.perf_counter())
 
-    level: Level = "5" if broker.speaks_mqtt5 else "3.1.1"
-    connection = Connection.open(
-        Broker(broker.host, broker.port, "gelgate-bench-process", level=level), on_received=note
-    )
     words = [sys.executable, "-m", "gelgate", "run", "-c", str(config)]
-    try:
-        connection.subscribe("gelgate/#")
+    with listen(broker, note):
         ready.clear()
         start = time.perf_counter()
         with subprocess.Popen(
@@ -152,8 +161,6 @@ def watch_gateway(config: Path, seconds: float, broker: LocalBroker, fps: float)
                 )
             finally:
                 running.terminate()
-    finally:
-        connection.close()
 
 
 def measure_sensor(recording: Path, seconds: float) -> float:

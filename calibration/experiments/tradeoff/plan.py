@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from calibration.experiments.harness.pictures import LR_VIEW
+from calibration.experiments.harness.study import require_known
 from calibration.experiments.tradeoff.accuracy import Truth
 from calibration.experiments.tradeoff.point import OperatingPoint, Setting
 from calibration.experiments.tradeoff.presses import Chosen, choose_presses
@@ -79,10 +80,7 @@ def choose_points(
     backbones: Sequence[str], methods: Sequence[str], *, has_high_resolution: bool, most_presses: int
 ) -> tuple[OperatingPoint, ...]:
     """The usual points that this dataset allows. Errors: ConfigError for an unknown method, or for no point."""
-    known = registry.names("detectors")
-    for name in methods:
-        if name not in known:
-            raise ConfigError(f"no detector is named '{name}'; {suggestion(name, known)}")
+    require_known("detector", methods, registry.names("detectors"))
     points = tuple(
         point
         for point in usual_points(backbones, methods)
