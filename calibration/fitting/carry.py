@@ -28,7 +28,7 @@ from edge.model.manifest_facts import gel_facts
 from edge.model.scorer import Scorer
 from edge.model.tile_runner import most_typical
 
-__all__ = ["FEWEST", "MOST", "MOST_CHANGE", "CarryConfig", "carry_bundle"]
+__all__ = ["MOST_CHANGE", "CarryConfig", "carry_bundle"]
 
 FEWEST, MOST = 4, 8
 """Presses. With fewer their median is no measure; with more a fit is the better use of them."""
@@ -97,14 +97,8 @@ def _check_presses(bundle: Bundle, presses: NominalPresses) -> None:
             f"found {len(presses)} presses on the new gel, expected {FEWEST} to {MOST}; with more, fit a bundle on it"
         )
     if presses.free_view is None:
-        raise FitError(
-            "; ".join(
-                [
-                    "the free new gel is not known; give a picture of it with --no-contact, or a recording",
-                    *presses.faults,
-                ]
-            )
-        )
+        way_on = "the free new gel is not known; give a picture of it with --no-contact, or a recording"
+        raise FitError("; ".join([way_on, *presses.faults]))
     _check_gel(bundle, presses)
     if why := list(_misplaced(bundle, presses)):
         raise FitError(

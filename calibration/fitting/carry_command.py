@@ -16,7 +16,7 @@ from calibration.fitting.options import (
 )
 from edge.cli.arguments import add_argument, flatten
 
-__all__ = ["CarryArguments", "carry"]
+__all__ = ["carry"]
 
 
 @dataclass(frozen=True)

@@ -42,18 +42,7 @@ if TYPE_CHECKING:
     from calibration.fitting.presses.sources import Sources
     from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = [
-    "FitArguments",
-    "choose_profile",
-    "fit",
-    "make",
-    "next_revision",
-    "plan_fit",
-    "refuse_existing",
-    "resolve_sources",
-    "summarise",
-    "write",
-]
+__all__ = ["choose_profile", "fit", "make", "refuse_existing", "resolve_sources", "summarise", "write"]
 
 
 @dataclass(frozen=True)
@@ -172,7 +161,7 @@ def plan_fit(given: FitArguments) -> "tuple[NominalPresses, FitConfig]":
 
 
 # They change what a later fit of the same presses gives; the others are in fields of the manifest, or of one machine.
-_KEPT_SETTINGS = (
+_KEPT_SETTINGS = [
     "resize",
     "pattern",
     "holdout",
@@ -182,7 +171,7 @@ _KEPT_SETTINGS = (
     "limit",
     "register",
     "augment",
-)
+]
 
 
 def _asked_for(given: FitArguments) -> dict[str, object]:

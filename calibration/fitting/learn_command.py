@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from edge.core.part_position import PartPosition
     from edge.model.bundle import Bundle
 
-__all__ = ["LearnArguments", "learn", "warn_of_lost"]
+__all__ = ["learn", "warn_of_lost"]
 
 
 @dataclass(frozen=True)

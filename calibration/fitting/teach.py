@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +16,7 @@ from calibration.fitting.bundle_measurements import measure_tolerance, score_aga
 from calibration.fitting.fit import Fitted, fit_files
 from calibration.fitting.fit_config import FitConfig
 from calibration.fitting.limits.appended import TAUGHT_WEIGHTS, append
+from calibration.fitting.limits.gel_limits import find_near
 from calibration.fitting.limits.threshold import pieces_of, promise_at, promise_known_pieces
 from calibration.fitting.presses.nominal_presses import NominalPresses
 from edge.core.detector import Bank
@@ -30,7 +30,6 @@ from edge.model.scorer import Scorer
 __all__ = [
     "BEARABLE",
     "FEWEST_HELD_OUT",
-    "MOST_DAMAGED",
     "Lesson",
     "Remedy",
     "change_method",
@@ -174,10 +173,7 @@ def lower_limit(lesson: Lesson) -> Remedy | str:
     limit = promise_at(old.threshold.nominal_scores, value, old.threshold.alpha) if value > 0 else None
     if limit is None:
         return "limit: every sound press would fail"
-    if old.threshold.pieces not in (
-        None,
-        old.threshold.n,
-    ):  # of which piece a score is, is not known any more
+    if old.threshold.pieces not in (None, old.threshold.n):  # which piece a score is of is not known any more
         limit = promise_known_pieces(limit)
     what = f"the limit {value:.4g} instead of {old.threshold.value:.4g}"
     fitted = _rewrite(lesson, what, limit)
@@ -250,9 +246,7 @@ def why_not(lesson: Lesson) -> list[str]:
 
 def _spread(lesson: Lesson, maps: F32) -> F32:
     """Give each place the highest value of what is watched with it, for each map."""
-    reach = 2 * round((_PLACE_MM + _FADE_MM / 2) * lesson.old.profile.pixels_per_mm) + 1
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
-    return np.stack([cv2.dilate(one, kernel) for one in maps])
+    return find_near(maps, lesson.old.profile.pixels_per_mm, _PLACE_MM + _FADE_MM / 2)
 
 
 def _find_place(lesson: Lesson, number: int, usual: F32) -> tuple[int, int]:
@@ -321,14 +315,11 @@ def _rewrite(lesson: Lesson, what: str, limit: ThresholdEntry, weights: F32 | No
     }
 
     def pack(golden: Sequence[GoldenFrame], tolerance: ToleranceEntry) -> Fitted:
-        measured = {"graphs": graphs, "bank": Bank(arrays, packing)} | (
-            {} if golden else {"with_trunk": True}
-        )
+        more = {} if golden else {"with_trunk": True}
         said = facts_of(manifest).model_copy(update=changes | {"tolerance": tolerance})
-        return Fitted(*rewrite_files(old, said, golden, **measured))
+        return Fitted(*rewrite_files(old, said, golden, graphs=graphs, bank=Bank(arrays, packing), **more))
 
     scorer = Scorer(pack((), manifest.tolerance).bundle(), lesson.config.threads)
     golden = [score_again(one, scorer) for one in old.golden]
-    return pack(
-        golden, measure_tolerance(scorer, golden, lesson.config.threads) if golden else manifest.tolerance
-    )
+    tolerance = measure_tolerance(scorer, golden, lesson.config.threads) if golden else manifest.tolerance
+    return pack(golden, tolerance)

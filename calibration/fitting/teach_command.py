@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from edge.core.press import Press
     from edge.model.bundle import Bundle
 
-__all__ = ["TeachArguments", "teach"]
+__all__ = ["teach"]
 
 # Those that are tried where none is named: with the usual one the best on real touch (docs/detectors.md).
 _METHODS: Final = ("padim", "patchcore")

@@ -15,7 +15,7 @@ from calibration.simulator.field_of_view import F32
 from edge.core.imaging.region import Region
 from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["SMOOTHED_MM", "ChangedPresses", "change_presses", "dim", "relight", "weaken"]
+__all__ = ["ChangedPresses", "change_presses", "dim", "relight", "weaken"]
 
 U8 = NDArray[np.uint8]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from calibration.simulator.defects import DENT_DEPTH_MM, SCRATCH_DEPTH_MM, Damaged, Defect
 from calibration.simulator.field_of_view import F32, Field, grids
 
-__all__ = ["KINDS", "Damage", "Kind", "Spot", "surroundings"]
+__all__ = ["KINDS", "Damage", "Spot", "surroundings"]
 
 # A score map's peak may lie this far outside the damage: a cell of the deepest tap is 16 pixels, 1.0 mm at 320x240.
 _OUTSIDE_MM = 1.0

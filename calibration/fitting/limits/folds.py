@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from calibration.fitting.limits.threshold import pieces_of
 from calibration.fitting.presses.nominal_presses import MIN_PRESSES
 
-__all__ = ["LEAVE_ONE_OUT_BELOW", "Folds", "divide_presses", "folds"]
+__all__ = ["Folds", "divide_presses", "folds"]
 
 _STRETCHES = 3
 """Of a film a third is held out, all of it together: frames beside those that are learnt show nothing of other presses.

@@ -41,9 +41,9 @@ _RIM_MM, _SHOWN_AT_RIM, _AT_RIM = 1.0, 0.85, 1.4
 _PRESSES_EACH = 40
 
 
-def find_near(maps: F32, pixels_per_mm: float) -> F32:
+def find_near(maps: F32, pixels_per_mm: float, reach_mm: float = _NEAR_MM) -> F32:
     """Find the highest value near each place, of each of these maps."""
-    reach = 2 * round(_NEAR_MM * pixels_per_mm) + 1
+    reach = 2 * round(reach_mm * pixels_per_mm) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
     return np.stack([cv2.dilate(one, kernel) for one in maps])
 

@@ -31,7 +31,7 @@ from edge.core.press_again import KnownScores
 from edge.model.again_facts import PRESS_AGAIN, score_facts
 from edge.model.manifest import ThresholdEntry
 
-__all__ = ["WORTH", "Choice", "DamageFound", "Evidence", "OtherLimit", "choose_limit"]
+__all__ = ["WORTH", "Choice", "DamageFound", "Evidence", "choose_limit"]
 
 Float = NDArray[np.float64]
 

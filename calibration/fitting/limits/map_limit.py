@@ -29,7 +29,6 @@ __all__ = [
     "GUARD",
     "PLAIN",
     "SURROUNDINGS",
-    "USUAL_SHARE",
     "WINDOW_MM",
     "Limit",
     "find_contrast",
@@ -78,7 +77,10 @@ def make_limit(window: Limit, limit: float, plain: float) -> Limit:
 
 def relate(limit: Limit, maps: Maps) -> Float:
     """Return raw maps (n, h, w) in units of the limit, float64."""
-    relative = find_contrast(limit, maps) / _interpolate(limit, limit["limit_grid"])
+    grid = limit["limit_grid"]
+    if "limit_rows" in limit:  # cells of places, interpolated to pixels
+        grid = limit["limit_rows"] @ grid @ limit["limit_columns"]
+    relative = find_contrast(limit, maps) / grid
     return np.asarray(np.maximum(relative, maps / limit["limit_guard"]), np.float64)
 
 
@@ -92,11 +94,6 @@ def find_contrast(limit: Limit, maps: Maps) -> Float:
     if "limit_usual" not in limit:
         return np.asarray(raw - around)
     return np.asarray(raw / (np.maximum(around, 0) + limit["limit_usual"]))
-
-
-def _interpolate(limit: Limit, grid: Float) -> Float:
-    """Interpolate the cells of the places to pixels; one cell stands for all of them."""
-    return limit["limit_rows"] @ grid @ limit["limit_columns"] if "limit_rows" in limit else grid
 
 
 def _window(sigma: float, frame: tuple[int, ...]) -> list[tuple[Float, Float]]:

@@ -193,7 +193,11 @@ class _Alignment:
         self._rounds += 1
 
     def _poses(self) -> list[Pose]:
-        return _in_the_middle([one.pose for one in self._found])
+        """Move the poses to another pose of the bank, in which the presses' fields lie about its middle."""
+        poses = [one.pose for one in self._found]
+        middles = np.array([(back.x_px, back.y_px) for back in (pose.inverse() for pose in poses)])
+        x, y = np.median(middles, axis=0).tolist()
+        return [pose.after(Pose(x, y)) for pose in poses]
 
     def _find(self, mean: F32, learnt: Mask, presses: Iterable[int]) -> list[Alignment]:
         search = PoseSearch(self._colours.slopes(mean * learnt[..., None]), self._is_turning)
@@ -323,13 +327,6 @@ def _average(light: FreeLight, added: Sequence[F32], aligned: _Aligned) -> PartI
     return PartInPose(
         free, template, learnt, aligned.colours, aligned.symmetry, scores_relief_to_end=aligned.symmetry > 0
     )
-
-
-def _in_the_middle(poses: Sequence[Pose]) -> list[Pose]:
-    """Move the poses to another pose of the bank, in which the presses' fields lie about its middle."""
-    middles = np.array([(back.x_px, back.y_px) for back in (pose.inverse() for pose in poses)])
-    x, y = np.median(middles, axis=0).tolist()
-    return [pose.after(Pose(x, y)) for pose in poses]
 
 
 def _mean(added: Sequence[F32], poses: Sequence[Pose], colours: SlopeColours) -> tuple[F32, Mask]:

@@ -21,15 +21,7 @@ from edge.core.contact.wear import foreign_free_gel
 from edge.core.imaging.sensor_check import colour_cells, colour_distance
 from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = [
-    "MIN_PRESSES",
-    "SCATTERED_MM",
-    "ChosenGel",
-    "away_mm",
-    "choose_free_gel",
-    "contact_finder",
-    "spread_mm",
-]
+__all__ = ["MIN_PRESSES", "SCATTERED_MM", "away_mm", "choose_free_gel", "contact_finder", "spread_mm"]
 
 U8 = NDArray[np.uint8]
 

@@ -14,7 +14,6 @@ from edge.core.contact.settings import ContactSettings
 from edge.core.imaging.quality import check_light
 
 __all__ = [
-    "find_blurred",
     "find_copies",
     "find_misexposed",
     "find_odd",
