@@ -14,7 +14,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -71,8 +71,8 @@ def demo(
     shutil.rmtree(heatmaps, ignore_errors=True)
     heatmaps.mkdir(parents=True)
     # The broker first: if none is installed, the error comes before a minute of work, not after it.
-    with LocalBroker() as broker, _open_folder(output if keep else None) as folder:
-        nominal, test = _simulate(Path(folder), seed)
+    with LocalBroker() as broker, tempfile.TemporaryDirectory(prefix="gelgate-demo-") as removed:
+        nominal, test = _simulate(output / "recordings" if keep else Path(removed), seed)
         _fit(nominal, output / "bundle")
         tally = _inspect(output, output / "bundle", test, heatmaps, broker)
         tally.show(heatmaps)
@@ -80,13 +80,6 @@ def demo(
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s; try it again with --seed {seed + 1}")
     if not keep:
         typer.echo(f"with --keep its recordings stay, for `gelgate run -c {output / 'gelgate.toml'}`")
-
-
-def _open_folder(kept: Path | None) -> AbstractContextManager[str]:
-    """Open the folder of the recordings; it is removed at the end where they are not kept."""
-    return (
-        nullcontext(str(kept / "recordings")) if kept else tempfile.TemporaryDirectory(prefix="gelgate-demo-")
-    )
 
 
 def _simulate(folder: Path, seed: int) -> tuple[Path, Path]:
@@ -102,16 +95,8 @@ def _simulate(folder: Path, seed: int) -> tuple[Path, Path]:
 def _fit(nominal: Path, bundle: Path) -> None:
     from calibration.fitting.command import fit
 
-    fit(
-        sources=[nominal],
-        output=bundle,
-        part=PART,
-        position=POSITION,
-        alpha=ALPHA,
-        register="never",
-        augment="never",
-        overwrite=True,
-    )
+    given = {"sources": [nominal], "output": bundle, "part": PART, "position": POSITION, "alpha": ALPHA}
+    fit(**given, register="never", augment="never", overwrite=True)
 
 
 @dataclass

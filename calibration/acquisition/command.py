@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from calibration.acquisition.sources import Found
     from edge.core.imaging.sensor_profile import SensorProfile
 
-__all__ = ["acquire", "alpha", "check_promise", "fit_command", "fit_now", "summarise", "take_presses"]
+__all__ = ["acquire", "alpha", "check_promise", "fit_now", "summarise", "take_presses"]
 
 
 @flatten

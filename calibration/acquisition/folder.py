@@ -24,7 +24,7 @@ from calibration.folders import claim, write_whole
 from edge.core.errors import ConfigError, StoreError
 from edge.core.imaging.image_bytes import kind
 
-__all__ = ["MOST_FREE", "AcquisitionFolder", "KeptPress", "Keys", "Pieces"]
+__all__ = ["AcquisitionFolder", "KeptPress", "Keys", "Pieces"]
 
 MOST_FREE = 16
 """Pictures of the free gel that are kept: the detectors need only its mean and its noise."""

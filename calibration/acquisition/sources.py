@@ -30,7 +30,7 @@ from edge.core.ports import Clock, Device
 from edge.gateway.opening import device_opener
 from edge.recording.format import Recording
 
-__all__ = ["Found", "Sensor", "Shown", "find_sensor", "frames_of", "from_frames", "from_sources"]
+__all__ = ["Found", "Sensor", "find_sensor", "frames_of", "from_frames", "from_sources"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,7 +71,8 @@ def _frames(
         for name in sorted(pictures_in(twin, Faults(folder)).keys() ^ frames.keys()):
             lacking = frames_folder if name not in frames else twin
             faults.add(lacking / name, "is missing; the other resolution has it")
-    masks = _masks(folder, resolution, faults) if defect else {}
+    own = folder / f"mask{_SUFFIX[resolution]}"
+    masks = pictures_in(own if own.is_dir() else folder / "mask", faults) if defect else {}
     presses = []
     for name, path in frames.items():
         specimen, number, is_misnamed = parse_name(path.stem, part, position)
@@ -87,11 +88,6 @@ def _frames(
     for mask_file in masks.values():
         faults.add(mask_file, f"is a mask without a frame in {frames_folder.name}")
     return presses
-
-
-def _masks(folder: Path, resolution: Resolution, faults: Faults) -> dict[str, Path]:
-    own = folder / f"mask{_SUFFIX[resolution]}"
-    return pictures_in(own if own.is_dir() else folder / "mask", faults)
 
 
 def _is_sound(path: Path, expected: tuple[int, int], faults: Faults) -> bool:

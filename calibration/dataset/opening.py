@@ -13,15 +13,7 @@ from calibration.dataset.press import LabelledPress
 from edge.core.errors import DatasetError
 from edge.recording.format import HEADER
 
-__all__ = [
-    "DATASET_VERSION",
-    "SPECIMENS_FILE",
-    "SUMMARY_FILE",
-    "Dataset",
-    "Layout",
-    "layout_of",
-    "open_dataset",
-]
+__all__ = ["DATASET_VERSION", "SUMMARY_FILE", "Dataset", "layout_of", "open_dataset"]
 
 Layout = Literal["paper", "mvtec", "cvat_xml", "cvat_masks"]
 

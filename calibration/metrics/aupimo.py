@@ -8,7 +8,6 @@ value is never too high.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,14 +67,9 @@ def _recall_table(
     for column, (index, top) in enumerate(zip(good, tops, strict=True)):
         places = thresholds.size - 1 - np.searchsorted(rising, top)
         np.add.at(shares[:, column], places, 1.0 / maps[index].size)
-    recalls = np.stack([_recall_above(maps[i][masks[i]], thresholds) for i in defective])
+    rising_defects = [np.sort(maps[i][masks[i]]) for i in defective]
+    recalls = np.stack([1.0 - np.searchsorted(d, thresholds, side="right") / d.size for d in rising_defects])
     return recalls, shares, good, defective
-
-
-def _recall_above(defect_scores: NDArray[np.floating[Any]], thresholds: Float) -> Float:
-    rising = np.sort(defect_scores)
-    recall: Float = 1.0 - np.searchsorted(rising, thresholds, side="right") / rising.size
-    return recall
 
 
 def _log_spans(shares: Float, weights: Float, bounds: tuple[float, float]) -> Float:

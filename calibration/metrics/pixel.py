@@ -24,7 +24,6 @@ __all__ = [
     "Maps",
     "Masks",
     "PixelMeasures",
-    "PooledMeasures",
     "aupro",
     "check_pairs",
     "pixel_measures",

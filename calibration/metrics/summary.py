@@ -11,7 +11,6 @@ from calibration.metrics.aupimo import AUPIMO_BOUNDS, aupimo_means
 from calibration.metrics.pixel import AUPRO_LIMIT, Maps, Masks, pixel_measures
 
 __all__ = [
-    "CONFIDENCE",
     "REPLICATES",
     "Measure",
     "auroc",

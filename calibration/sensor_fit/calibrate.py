@@ -16,7 +16,7 @@ from calibration.simulator.sensor_appearance import SensorAppearance
 from calibration.simulator.sensor_file import Fitted, SensorFile
 from edge.core.detector import Progress
 
-__all__ = ["MOST_PRESSES", "Calibrated", "calibrate_sensor", "divide"]
+__all__ = ["Calibrated", "calibrate_sensor", "divide"]
 
 Press = TypeVar("Press")
 

@@ -121,12 +121,18 @@ def _simulator(
     mm_per_px: float | None,
     say: "Progress",
 ) -> None:
+    import cv2
+
+    from calibration.folders import write_atomically
     from calibration.sensor_fit.calibrate import calibrate_sensor
+    from calibration.sensor_fit.result import calibration_sheet
     from calibration.simulator.field_of_view import LR
 
     made = calibrate_sensor(presses, output.stem, ball_radius_mm, mm_per_px or LR.mm_per_px[0], say)
     _say(made)
-    _write(made, output, sheet)
+    _, data = cv2.imencode(".png", cv2.cvtColor(calibration_sheet(made.judged), cv2.COLOR_RGB2BGR))
+    write_atomically(sheet, data.tobytes())
+    write_atomically(output, made.sensor.to_toml().encode())
     typer.echo(f"written: {output}, {sheet}")
 
 
@@ -155,14 +161,3 @@ def _say(made: "Calibrated") -> None:
     )
     for warning in made.warnings:
         typer.echo(f"warning: {warning}")
-
-
-def _write(made: "Calibrated", output: Path, sheet: Path) -> None:
-    import cv2
-
-    from calibration.folders import write_atomically
-    from calibration.sensor_fit.result import calibration_sheet
-
-    _, data = cv2.imencode(".png", cv2.cvtColor(calibration_sheet(made.judged), cv2.COLOR_RGB2BGR))
-    write_atomically(sheet, data.tobytes())
-    write_atomically(output, made.sensor.to_toml().encode())

@@ -14,7 +14,7 @@ from calibration.simulator.field_of_view import F32, LR
 from calibration.simulator.gel import GEL
 from edge.core.errors import FitError
 
-__all__ = ["LEAST_PRESSES", "ball_presses", "check_ball", "untouched_gel"]
+__all__ = ["ball_presses", "check_ball", "untouched_gel"]
 
 Mask = NDArray[np.bool_]
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["Moment", "Motion", "Phase"]
+__all__ = ["Moment", "Motion"]
 
 Seconds = Annotated[float, Field(ge=0, le=60)]
 MovingSeconds = Annotated[float, Field(gt=0, le=60)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.simulator.field_of_view import F32, Field
 
-__all__ = ["LIGHTS", "headlight", "illumination", "normals", "raise_planes", "shadows", "specular"]
+__all__ = ["headlight", "illumination", "normals", "raise_planes", "shadows", "specular"]
 
 # Where each light shines from, as a step in (x, y): red from the top of the picture, green from the right, blue from
 # below (measured on three units: a ball is red on top, green right, blue below).

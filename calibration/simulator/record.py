@@ -26,7 +26,7 @@ from edge.core.errors import ConfigError, RecordingError
 from edge.core.imaging.known_profiles import MINI_NATIVE
 from edge.recording.format import DELIVERED_SHARE, Recording, RecordingHeader, RecordingWriter
 
-__all__ = ["FrameOut", "press_frames", "simulate_recording"]
+__all__ = ["press_frames", "simulate_recording"]
 
 # Names of a sensor that does not exist, in the maker's pattern.
 _PRODUCT, _SERIAL = "GelSight Mini R0B SIM0-0001", "SIM00001"

@@ -6,6 +6,7 @@ Sizes are assumed, from what shows on public pictures of used gels; heights are 
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -66,16 +67,6 @@ def _line(along: F32, across: F32, scar: Scar, half_width_mm: float, bend: float
     return np.asarray(ends * reproducible_math.exp(-((away / np.float32(half_width_mm)) ** 2)), np.float32)
 
 
-def _scratch(along: F32, across: F32, scar: Scar) -> F32:
-    """A furrow about 0.15 mm wide."""
-    return _line(along, across, scar, 0.08, 0.03)
-
-
-def _hair(along: F32, across: F32, scar: Scar) -> F32:
-    """A bent fibre 0.08 mm across, between coat and part."""
-    return _line(along, across, scar, 0.05, 0.12)
-
-
 def _dent(along: F32, across: F32, scar: Scar) -> F32:
     """A round hollow that the gel does not fill again."""
     r2 = (along * along + across * across) / np.float32(scar.size * scar.size)
@@ -105,9 +96,10 @@ class ScarKind(NamedTuple):
 
 
 SCARS: Mapping[str, ScarKind] = {
-    "scratch": ScarKind(_scratch, -1.0, (1.0, 5.0), (0.012, 0.06)),
+    # A furrow about 0.15 mm wide; a hair is a bent fibre 0.08 mm across, between coat and part.
+    "scratch": ScarKind(partial(_line, half_width_mm=0.08, bend=0.03), -1.0, (1.0, 5.0), (0.012, 0.06)),
     "dent": ScarKind(_dent, -1.0, (0.3, 0.9), (0.02, 0.1)),
-    "hair": ScarKind(_hair, 1.0, (2.0, 7.0), (0.02, 0.06)),
+    "hair": ScarKind(partial(_line, half_width_mm=0.05, bend=0.12), 1.0, (2.0, 7.0), (0.02, 0.06)),
     "worn_coat": ScarKind(_rub_coat, 0.0, (0.4, 1.2), (0.1, 0.35)),
 }
 

@@ -24,11 +24,6 @@ class Streams:
 
     def __call__(self, *words: str | int) -> np.random.Generator:
         # Numbers and text get different tags, so that ("a", 1) and ("a", "1") are different streams.
-        key = [part for word in words for part in _entropy(word)]
+        tagged = [(0, word) if isinstance(word, int) else (1, zlib.crc32(word.encode())) for word in words]
+        key = [part for pair in tagged for part in pair]
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence([self.seed, *key])))
-
-
-def _entropy(word: str | int) -> tuple[int, int]:
-    if isinstance(word, int):
-        return (0, word)
-    return (1, zlib.crc32(word.encode()))

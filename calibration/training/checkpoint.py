@@ -18,7 +18,7 @@ from torch import Tensor
 from calibration.training.train_config import TrainConfig
 from edge.core.errors import ConfigError, GelgateError
 
-__all__ = ["Checkpoint", "latest", "load", "save", "weights_sha256"]
+__all__ = ["Checkpoint", "load", "save", "weights_sha256"]
 
 _PARTS = ("weights", "first_moment", "second_moment")
 _STATE = "state.json"

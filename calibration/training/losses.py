@@ -16,15 +16,7 @@ from torch import Tensor, nn
 from calibration.training.train_config import STAGES, TrainConfig
 from calibration.training.training_pairs import Pairs, Spacing
 
-__all__ = [
-    "Losses",
-    "cell_distances",
-    "find_changed_cells",
-    "losses",
-    "pair_losses",
-    "separation",
-    "window_cells",
-]
+__all__ = ["Losses", "cell_distances", "find_changed_cells", "losses", "separation", "window_cells"]
 
 # Typical sizes of slope, depth in mm and energy, so that the targets are of order 1.
 _SLOPE, _DEPTH, _ENERGY = 0.3, 0.2, 0.1
@@ -71,7 +63,9 @@ def pair_losses(features: Tensor, batch: Pairs, recipe: TrainConfig) -> tuple[Te
     reach = window_cells(recipe.window_mm, stride, batch.spacing)
     distance = cell_distances(features, reach)
     changed, unchanged = find_changed_cells(batch.change_mm, stride, recipe)
-    return *_pair(distance, changed, unchanged, recipe.margin), _rank(distance, changed, unchanged)
+    pull = (distance**2 * unchanged).sum() / unchanged.sum().clamp(min=1)
+    push = ((recipe.margin - distance).clamp(min=0) ** 2 * changed).sum() / changed.sum().clamp(min=1)
+    return pull, push, _rank(distance, changed, unchanged)
 
 
 def _geometry(batch: Pairs) -> Tensor:
@@ -119,12 +113,6 @@ def find_changed_cells(change_mm: Tensor, stride: int, recipe: TrainConfig) -> t
     most = F.max_pool2d(change_mm[:, None], stride)
     around = F.max_pool2d(most, 3, stride=1, padding=1)
     return (most[:, 0] > recipe.changed_mm).float(), (around[:, 0] < recipe.unchanged_mm).float()
-
-
-def _pair(distance: Tensor, changed: Tensor, unchanged: Tensor, margin: float) -> tuple[Tensor, Tensor]:
-    pull = (distance**2 * unchanged).sum() / unchanged.sum().clamp(min=1)
-    push = ((margin - distance).clamp(min=0) ** 2 * changed).sum() / changed.sum().clamp(min=1)
-    return pull, push
 
 
 def _rank(distance: Tensor, changed: Tensor, unchanged: Tensor) -> Tensor:

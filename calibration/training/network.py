@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from calibration.training.train_config import STAGES
 
-__all__ = ["GEOMETRY_CHANNELS", "MEAN", "STD", "TrunkNetwork", "heads"]
+__all__ = ["TrunkNetwork", "heads"]
 
 # As the ONNX trunk normalises, so the same graph works with ImageNet weights.
 MEAN = (0.485, 0.456, 0.406)

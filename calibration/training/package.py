@@ -23,7 +23,7 @@ from plugins.backbones.topology import State
 if TYPE_CHECKING:
     from calibration.training.checkpoint import Tensors
 
-__all__ = ["MOST_BYTES", "NAME", "calibration_frames", "package"]
+__all__ = ["MOST_BYTES", "NAME", "package"]
 
 NAME = "tactile_resnet18"
 # The largest size of one shipped variant.
@@ -54,6 +54,8 @@ def package(run: Path, out: Path) -> dict[str, Any]:
     for name, graph in variants.items():
         if len(graph) > MOST_BYTES:
             raise GelgateError(f"{name}.onnx has {len(graph)} bytes, expected at most {MOST_BYTES}")
+    log = run / "log.jsonl"
+    lines = log.read_text().splitlines() if log.is_file() else []
     facts = {
         "format": _FORMAT,
         "name": NAME,
@@ -63,7 +65,7 @@ def package(run: Path, out: Path) -> dict[str, Any]:
         "recipe": json.loads(saved.recipe.to_json()),
         "before": list(saved.before),
         "pairs_seen": sum(run["steps"] * run["recipe"]["pairs"] for run in saved.history),
-        "last_entry": _last_entry(run),
+        "last_entry": json.loads(lines[-1]) if lines else {},
         "variants": {name: _facts(graph, plain) for name, graph in variants.items()},
     }
     try:
@@ -83,13 +85,6 @@ def trunk_state(weights: "Tensors") -> State:
         for name, value in weights.items()
         if name.startswith("trunk.") and not name.endswith("num_batches_tracked")
     }
-
-
-def _last_entry(run: Path) -> dict[str, Any]:
-    log = run / "log.jsonl"
-    lines = log.read_text().splitlines() if log.is_file() else []
-    entry: dict[str, Any] = json.loads(lines[-1]) if lines else {}
-    return entry
 
 
 def _facts(graph: bytes, plain: bytes) -> dict[str, Any]:

@@ -37,7 +37,7 @@ from calibration.training.train_config import STAGES, TrainConfig
 from calibration.training.training_pairs import Pairs, draw_pairs
 from edge.core.errors import ConfigError, GelgateError
 
-__all__ = ["TrainingRun", "learning_rate", "train"]
+__all__ = ["TrainingRun", "train"]
 
 _VALIDATION_BATCHES = 4
 _VALIDATION_PAIRS = 32
